@@ -1,0 +1,52 @@
+//! The one door into the pipeline and the one door out of it.
+//!
+//! A recording is the sequence of [`Input`]s with the instants at which they were given, chunk boundaries included.
+//! That is why these two types stand in the vocabulary: the recorder must name them without naming the pipeline.
+
+use crate::command::Command;
+use crate::event::{Event, LinkState};
+use crate::ids::LinkId;
+use crate::observation::Observation;
+
+/// What can be given to the pipeline.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Input {
+    /// Bytes as they came from a link; a chunk is whatever one read returned.
+    Bytes {
+        /// The link that they came from.
+        link: LinkId,
+        /// The bytes.
+        bytes: Vec<u8>,
+    },
+    /// A link came up or went down.
+    Link {
+        /// The link.
+        link: LinkId,
+        /// Its new state.
+        state: LinkState,
+    },
+    /// An observation from a foreign recording, already in SI units and in brick time.
+    Observation(Observation),
+    /// A request of a person or a program.
+    Command(Command),
+    /// Time passed; given when the pipeline's deadline is reached.
+    Tick,
+}
+
+/// What the pipeline gives back.
+#[derive(Clone, Debug, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "an output is moved once, from the pipeline to its reader; a box would cost an allocation for each event"
+)]
+pub enum Output {
+    /// Something happened.
+    Event(Event),
+    /// Bytes to send on a link.
+    Transmit {
+        /// The link.
+        link: LinkId,
+        /// Whole frames, ready for the wire.
+        bytes: Vec<u8>,
+    },
+}

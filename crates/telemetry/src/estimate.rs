@@ -1,0 +1,84 @@
+//! What the station believes about a robot at one instant, and how far it trusts it.
+
+use crate::clock::{BrickClock, Span, Stamp};
+use crate::quantities::{MetersPerSecond, Radians, RadiansPerSecond};
+use crate::spaces::{Arena, Pose};
+
+/// Rows of [`Estimate::covariance`].
+pub mod row {
+    /// x in the arena, m.
+    pub const X: usize = 0;
+    /// y in the arena, m.
+    pub const Y: usize = 1;
+    /// Heading, rad.
+    pub const HEADING: usize = 2;
+    /// Forward speed, m/s.
+    pub const FORWARD: usize = 3;
+    /// Turn rate, rad/s.
+    pub const TURN: usize = 4;
+}
+
+/// The pose of a robot with its speeds, covariance and provenance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// The instant for which it holds.
+    pub stamp: Stamp<BrickClock>,
+    /// Where the robot is.
+    pub pose: Pose<Arena>,
+    /// Along the body's x axis.
+    pub forward_speed: MetersPerSecond,
+    /// About the vertical, bias removed.
+    pub turn_rate: RadiansPerSecond,
+    /// 5 x 5, symmetric, SI units squared, rows and columns as in [`row`].
+    pub covariance: [[f64; 5]; 5],
+    /// What of it may be used.
+    pub validity: Validity,
+    /// Nothing absolute has been used for longer than the configured limit.
+    pub is_dead_reckoning: bool,
+    /// Time since the last fix that was used, at `stamp`; `None` before the first.
+    pub fix_age: Option<Span>,
+    /// Counts jumps of the estimate that are not motion.
+    pub reset_counter: u8,
+    /// The last such jump.
+    pub last_jump: Option<PoseJump>,
+}
+
+impl Estimate {
+    /// Standard deviation of x, in metres.
+    #[must_use]
+    pub fn x_sigma_m(&self) -> f64 {
+        self.covariance[row::X][row::X].max(0.0).sqrt()
+    }
+    /// Standard deviation of y, in metres.
+    #[must_use]
+    pub fn y_sigma_m(&self) -> f64 {
+        self.covariance[row::Y][row::Y].max(0.0).sqrt()
+    }
+    /// Standard deviation of the heading, in radians.
+    #[must_use]
+    pub fn heading_sigma_rad(&self) -> f64 {
+        self.covariance[row::HEADING][row::HEADING].max(0.0).sqrt()
+    }
+}
+
+/// Which parts of an estimate may be used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Validity {
+    /// The position in the arena has been observed or was given as a start.
+    pub position: bool,
+    /// The heading in the arena has been observed or was given as a start.
+    pub heading: bool,
+    /// The speeds come from recent motion observations.
+    pub speeds: bool,
+}
+
+/// A jump of the estimate that was not motion, from before to after.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseJump {
+    /// Change of x, in metres.
+    pub dx_m: f64,
+    /// Change of y, in metres.
+    pub dy_m: f64,
+    /// Change of heading, the short way.
+    pub turn: Radians,
+}

@@ -1,0 +1,64 @@
+//! One record for every attempt to use an observation, whatever the sensor and whatever the outcome.
+
+use crate::clock::{BrickClock, Span, Stamp};
+use crate::ids::SensorId;
+
+/// What became of one observation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FusionRecord {
+    /// The sensor that made the observation.
+    pub sensor: SensorId,
+    /// The observation's kind, as [`crate::Observed::kind`] names it.
+    pub kind: &'static str,
+    /// The instant that it spoke of.
+    pub stamp: Stamp<BrickClock>,
+    /// How far behind the filter's time it was.
+    pub lag: Span,
+    /// Whether it was used.
+    pub verdict: Verdict,
+    /// Observed minus predicted, SI units, up to three components; unused ones are zero.
+    pub innovation: [f64; 3],
+    /// Innovation covariance S, 3 x 3; the block of unused components is zero.
+    pub innovation_covariance: [[f64; 3]; 3],
+    /// Normalised innovation squared; zero where nothing was predicted.
+    pub nis: f64,
+    /// Degrees of freedom of `nis`: the number of components used.
+    pub degrees_of_freedom: u8,
+    /// Log-likelihood of the innovation under N(0, S); zero where nothing was predicted.
+    pub log_likelihood: f64,
+}
+
+/// Whether an observation was used, and why not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Used; state and covariance changed.
+    Accepted,
+    /// Further from the prediction than the gate allows; state untouched.
+    Gated,
+    /// Older than the oldest state kept for late observations; state untouched.
+    TooOld,
+    /// Not finite, negative where it cannot be, or of zero duration; state untouched.
+    Malformed,
+    /// The counters jumped to another base: taken as the new base, not as motion.
+    Rebased,
+    /// The estimate was moved to this observation after a long disagreement.
+    ResetTo,
+    /// The filter has no use for this kind of observation.
+    Unused,
+}
+
+impl Verdict {
+    /// The verdict in words, as logs and reports print it.
+    #[must_use]
+    pub const fn reason(self) -> &'static str {
+        match self {
+            Self::Accepted => "accepted",
+            Self::Gated => "gated",
+            Self::TooOld => "too old",
+            Self::Malformed => "malformed",
+            Self::Rebased => "re-based",
+            Self::ResetTo => "reset to",
+            Self::Unused => "unused",
+        }
+    }
+}

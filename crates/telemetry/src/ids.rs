@@ -1,0 +1,115 @@
+//! Who is speaking: systems, components, links, sensors and things in the arena.
+//!
+//! Two bytes in a row are never just two bytes: MAVLink's system and component ids have types of their own, and a robot
+//! is known by its link as well, because classes have more robots than eight bits have names.
+
+use std::fmt;
+
+macro_rules! id {
+    ($(#[$doc:meta])* $name:ident($inner:ty)) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub struct $name(pub $inner);
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                fmt::Display::fmt(&self.0, f)
+            }
+        }
+    };
+}
+
+id!(/// A MAVLink system: one robot, one station. 0 means "everybody".
+    SystemId(u8));
+id!(/// A MAVLink component within a system. 0 means "all components".
+    ComponentId(u8));
+id!(/// One link of this station, in the order in which the configuration names them.
+    LinkId(u16));
+id!(/// One sensor of a robot, as its wire messages number it.
+    SensorId(u8));
+id!(/// A landmark with a known place in the arena.
+    LandmarkId(u32));
+id!(/// A radio beacon with a known place in the arena.
+    BeaconId(u32));
+
+impl SensorId {
+    /// The wheel encoders.
+    pub const WHEELS: Self = Self(0);
+    /// The gyro.
+    pub const GYRO: Self = Self(1);
+    /// The accelerometers.
+    pub const ACCELEROMETER: Self = Self(2);
+    /// The overhead camera.
+    pub const CAMERA: Self = Self(3);
+    /// A foreign odometer that reports a pose or a velocity of its own.
+    pub const ODOMETER: Self = Self(4);
+    /// A range finder.
+    pub const RANGE: Self = Self(5);
+    /// A thermometer.
+    pub const THERMOMETER: Self = Self(6);
+    /// A sensor of known landmarks, such as a camera on board.
+    pub const LANDMARKS: Self = Self(7);
+    /// Radio ranges to beacons.
+    pub const BEACONS: Self = Self(8);
+    /// A compass.
+    pub const COMPASS: Self = Self(9);
+
+    /// The name under which people see this sensor.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::WHEELS => "wheels",
+            Self::GYRO => "gyro",
+            Self::ACCELEROMETER => "accelerometer",
+            Self::CAMERA => "camera",
+            Self::ODOMETER => "odometer",
+            Self::RANGE => "range",
+            Self::THERMOMETER => "thermometer",
+            Self::LANDMARKS => "landmarks",
+            Self::BEACONS => "beacons",
+            Self::COMPASS => "compass",
+            Self(_) => "sensor",
+        }
+    }
+}
+
+/// One MAVLink participant: a component of a system.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Address {
+    /// The system.
+    pub system: SystemId,
+    /// The component within it.
+    pub component: ComponentId,
+}
+
+impl Address {
+    /// The address `system/component`.
+    #[must_use]
+    pub const fn new(system: u8, component: u8) -> Self {
+        Self {
+            system: SystemId(system),
+            component: ComponentId(component),
+        }
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.system, self.component)
+    }
+}
+
+/// A robot as this station knows it: the address alone is not unique across links.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RobotId {
+    /// The link on which the robot speaks.
+    pub link: LinkId,
+    /// Its address on that link.
+    pub address: Address,
+}
+
+impl fmt::Display for RobotId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "link {} {}", self.link, self.address)
+    }
+}

@@ -1,0 +1,36 @@
+//! The vocabulary of posebridge: what every other crate says and hears.
+//!
+//! Quantities with units, spaces with typed transforms, three clocks that do not mix, ids, and the values that
+//! travel through the house: [`Observation`] in, [`Estimate`] and [`Event`] out, [`Command`] back. This crate
+//! depends on nothing of ours, reads no clock, opens nothing and computes no estimate.
+//!
+//! Conventions: x forward or east, y left or north, counter-clockwise positive, SI units, headings in (-pi, pi].
+
+pub mod clock;
+pub mod command;
+pub mod engine;
+pub mod estimate;
+pub mod event;
+pub mod fusion;
+pub mod ids;
+pub mod link_health;
+pub mod observation;
+pub mod quantities;
+pub mod robot;
+pub mod spaces;
+
+pub use clock::{BrickClock, CameraClock, HostClock, Span, Stamp};
+pub use command::Command;
+pub use engine::{Input, Output};
+pub use estimate::{Estimate, PoseJump, Validity};
+pub use event::{Defect, Event, LinkState};
+pub use fusion::{FusionRecord, Verdict};
+pub use ids::{Address, BeaconId, ComponentId, LandmarkId, LinkId, RobotId, SensorId, SystemId};
+pub use link_health::LinkHealth;
+pub use observation::{Fix, Observation, Observed, PositionCovariance};
+pub use quantities::{
+    Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians,
+    RadiansPerSecond, Volts,
+};
+pub use robot::{DriveGeometry, SensorNoise};
+pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};

@@ -1,0 +1,123 @@
+//! What sensors say about a robot, in SI units and our spaces, free of wire formats.
+
+use crate::clock::{BrickClock, Span, Stamp};
+use crate::ids::{BeaconId, LandmarkId, SensorId};
+use crate::quantities::{
+    Celsius, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond,
+};
+use crate::spaces::{Arena, Body, Odom, Point2, Pose};
+
+/// One observation, aligned to the brick's clock: what the estimator takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Which sensor made it.
+    pub sensor: SensorId,
+    /// The instant that it speaks of: end of the interval for counters and rates, middle of the exposure for images.
+    pub stamp: Stamp<BrickClock>,
+    /// How far `stamp` may be off (one standard deviation), from the alignment of the clocks.
+    pub stamp_sigma: Span,
+    /// What was observed.
+    pub observed: Observed,
+}
+
+/// The kinds of observation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Observed {
+    /// Total rotation of each wheel since the counters were zeroed; a jump to zero re-bases, it is not motion.
+    WheelAngles {
+        /// The left wheel's total rotation, forward positive.
+        left: Radians,
+        /// The right wheel's total rotation, forward positive.
+        right: Radians,
+    },
+    /// The pose that a foreign odometer has integrated; only its increments are used.
+    OdometerPose(Pose<Odom>),
+    /// Forward and turn speed, commanded or measured by a foreign odometer, held until the next one.
+    BodyVelocity {
+        /// Along the body's x axis.
+        forward: MetersPerSecond,
+        /// About the vertical.
+        turn: RadiansPerSecond,
+    },
+    /// Mean turn rate since the sensor's previous observation, bias included.
+    TurnRate(RadiansPerSecond),
+    /// Forward acceleration at each wheel.
+    WheelAccelerations {
+        /// At the left wheel.
+        left: MetersPerSecondSquared,
+        /// At the right wheel.
+        right: MetersPerSecondSquared,
+    },
+    /// A position or a pose in the arena, seen from outside.
+    Fix(Fix),
+    /// Range and bearing to a landmark with a known place.
+    Landmark {
+        /// Which landmark.
+        id: LandmarkId,
+        /// Distance from the sensor, which sits at the body's origin.
+        range: Meters,
+        /// Direction in the body's space, counter-clockwise from forward.
+        bearing: Radians,
+    },
+    /// Range to a beacon with a known place.
+    BeaconRange {
+        /// Which beacon.
+        id: BeaconId,
+        /// The distance as measured, bias and scale included.
+        range: Meters,
+    },
+    /// Range straight ahead to whatever is there.
+    WallRange(Meters),
+    /// Heading against the arena, from a compass.
+    CompassHeading(Heading),
+    /// A temperature.
+    Temperature(Celsius),
+}
+
+impl Observed {
+    /// The kind's name, as used in reports and in the configuration.
+    #[must_use]
+    pub const fn kind(&self) -> &'static str {
+        match self {
+            Self::WheelAngles { .. } => "wheel_angles",
+            Self::OdometerPose(_) => "odometer_pose",
+            Self::BodyVelocity { .. } => "body_velocity",
+            Self::TurnRate(_) => "turn_rate",
+            Self::WheelAccelerations { .. } => "wheel_accelerations",
+            Self::Fix(_) => "fix",
+            Self::Landmark { .. } => "landmark",
+            Self::BeaconRange { .. } => "beacon_range",
+            Self::WallRange(_) => "wall_range",
+            Self::CompassHeading(_) => "compass_heading",
+            Self::Temperature(_) => "temperature",
+        }
+    }
+}
+
+/// A position in the arena with an optional heading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fix {
+    /// Where the observed point (the tag) is.
+    pub position: Point2<Arena>,
+    /// Where the body points, if the observer can tell.
+    pub heading: Option<Heading>,
+    /// What the observer claims about its error; `None` takes the configured noise.
+    pub covariance: Option<PositionCovariance>,
+    /// The observed point in the body's space: the lever arm from mid-axle to the tag.
+    pub tag_in_body: Point2<Body>,
+    /// Counts the observer's own jumps (a re-localised tracker); a change is not motion.
+    pub reset_counter: u8,
+}
+
+/// Covariance of a fix, in the arena: the upper triangle of x, y, heading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionCovariance {
+    /// Variance along x, in m².
+    pub xx_m2: f64,
+    /// Covariance of x and y, in m².
+    pub xy_m2: f64,
+    /// Variance along y, in m².
+    pub yy_m2: f64,
+    /// Variance of the heading, in rad²; infinite when there is none.
+    pub heading_rad2: f64,
+}
