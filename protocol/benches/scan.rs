@@ -1,0 +1,149 @@
+//! How fast frames are found, ours against the `mavlink` crate's reader, on the same bytes in the same run.
+//!
+//! The stream is the four-message mix of the tests: HEARTBEAT (21 bytes), SCALED_IMU (36), WHEEL_DISTANCE (149), ODOMETRY
+//! (245), round robin. Both sides take turns, so that a busy machine slows both; the best of all rounds counts. Run with
+//! `cargo bench -p posebridge-protocol`.
+
+#![expect(clippy::print_stdout, reason = "a benchmark prints its figures")]
+
+#[path = "../tests/support/mix.rs"]
+mod mix;
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use mavlink::dialects::common::MavMessage;
+use mavlink::{MavlinkReader, MavlinkVersion};
+use posebridge_protocol::dialect::decode;
+use posebridge_protocol::framing::{Crc, Scanned, Scanner, ScannerConfig};
+use posebridge_telemetry::Stamp;
+
+/// Frames per round: more bytes than the caches hold.
+const FRAMES: usize = 200_000;
+/// What one read from a socket returns.
+const CHUNK: usize = 64 * 1024;
+const ROUNDS: usize = 9;
+
+/// One way to do the work: its name and a function that returns how many frames it saw.
+type Contender = (&'static str, fn(&[u8]) -> usize);
+
+const CONTENDERS: [Contender; 5] = [
+    ("posebridge scan", scan_all),
+    ("posebridge scan, 64 KiB chunks", scan_chunks),
+    ("posebridge scan + decode", scan_and_decode),
+    ("mavlink crate, raw", crate_raw),
+    ("mavlink crate, typed", crate_typed),
+];
+
+fn main() {
+    let stream: Vec<u8> = mix::four_message_mix(FRAMES).concat();
+    let mut best = [Duration::MAX; CONTENDERS.len()];
+    for _ in 0..ROUNDS {
+        for (best, (name, run)) in best.iter_mut().zip(CONTENDERS) {
+            let (elapsed, seen) = time(|| run(black_box(&stream)));
+            assert_eq!(seen, FRAMES, "{name}");
+            *best = elapsed.min(*best);
+        }
+    }
+    println!("{FRAMES} frames, {} bytes, best of {ROUNDS}", stream.len());
+    for (best, (name, _)) in best.iter().zip(CONTENDERS) {
+        let nanos = best.as_nanos() as f64 / FRAMES as f64;
+        println!(
+            "{name:32} {nanos:7.1} ns/frame {:6.2} Mframe/s",
+            1e3 / nanos
+        );
+    }
+    print_checksums(&stream);
+    let [scan, _, decoded, raw, typed] = best.map(|best| best.as_secs_f64());
+    println!("typed ratio {:.1}", typed / decoded);
+    println!("ratio {:.1}", raw / scan);
+}
+
+/// The ways to compute the checksum, at lengths on both sides of the threshold.
+fn print_checksums(stream: &[u8]) {
+    for length in [16, 32, 64, 128, 242] {
+        print!("checksum of {length:3} bytes:");
+        for way in [Crc::Bytewise, Crc::Sliced, Crc::Widest] {
+            let best = (0..ROUNDS)
+                .map(|_| time(|| checksum_all(stream, length, way)))
+                .min();
+            if let Some((elapsed, count)) = best {
+                let nanos = elapsed.as_nanos() as f64 / count as f64;
+                print!("  {way:?} {nanos:6.1} ns");
+            }
+        }
+        println!();
+    }
+}
+
+fn checksum_all(stream: &[u8], length: usize, way: Crc) -> usize {
+    let part = &stream[..stream.len().min(length * 4_096)];
+    part.chunks_exact(length)
+        .inspect(|bytes| {
+            black_box(way.sum(bytes));
+        })
+        .count()
+}
+
+#[expect(clippy::disallowed_methods, reason = "a benchmark reads a clock")]
+fn time(run: impl FnOnce() -> usize) -> (Duration, usize) {
+    let start = Instant::now();
+    let seen = run();
+    (start.elapsed(), seen)
+}
+
+fn scan_all(stream: &[u8]) -> usize {
+    scan(stream, stream.len())
+}
+
+fn scan_chunks(stream: &[u8]) -> usize {
+    scan(stream, CHUNK)
+}
+
+fn scan(stream: &[u8], chunk: usize) -> usize {
+    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut frames = 0;
+    for part in stream.chunks(chunk) {
+        scanner.push(Stamp::ZERO, part, &mut |found| {
+            if let Scanned::Frame(frame) = found {
+                black_box(frame);
+                frames += 1;
+            }
+        });
+    }
+    frames
+}
+
+fn scan_and_decode(stream: &[u8]) -> usize {
+    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut messages = 0;
+    scanner.push(Stamp::ZERO, stream, &mut |found| {
+        if let Scanned::Frame(frame) = found
+            && let Ok(Some(message)) = decode(&frame)
+        {
+            black_box(message);
+            messages += 1;
+        }
+    });
+    messages
+}
+
+fn crate_raw(stream: &[u8]) -> usize {
+    let mut reader = MavlinkReader::new(stream);
+    let mut frames = 0;
+    while let Ok(raw) = reader.read_raw_message::<MavMessage>(MavlinkVersion::V2) {
+        black_box(raw);
+        frames += 1;
+    }
+    frames
+}
+
+fn crate_typed(stream: &[u8]) -> usize {
+    let mut reader = MavlinkReader::new(stream);
+    let mut frames = 0;
+    while let Ok(message) = reader.read_message::<MavMessage>(MavlinkVersion::V2) {
+        black_box(message);
+        frames += 1;
+    }
+    frames
+}

@@ -1,0 +1,255 @@
+//! A brick made of observations: what a robot would have sent had it spoken MAVLink.
+//!
+//! Turns observations in SI units into the messages that a brick sends, keeps its session and answers requests for its time. It
+//! uses the standard messages with full precision, because a recording should lose nothing on the way; counts go out as counts. All
+//! stamps, those of fixes too, are of the recording's one clock, so everything comes from one address.
+
+use posebridge_telemetry::{
+    Address, Body, BrickClock, DriveGeometry, EncoderTicks, Heading, HostClock, Meters,
+    MetersPerSecond, Observation, Observed, Odom, Pose, RadiansPerSecond, Span, Stamp, Transform2,
+};
+
+use crate::dialect::{Encoder, decode};
+use crate::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use crate::message::{
+    Heartbeat, Message, Odometry, OdometryPose, PlanarImu, RobotDescription, VisionFix, WheelTicks,
+    WireStamp,
+};
+use crate::session::{Session, SessionConfig, SessionOutput};
+
+/// The player's address: a robot's own component.
+pub const ADDRESS: Address = Address::new(1, 1);
+/// MAV_TYPE_GROUND_ROVER.
+const GROUND_ROVER: u8 = 10;
+/// MAV_STATE_ACTIVE.
+const ACTIVE: u8 = 4;
+/// The common interval of heartbeats.
+const HEARTBEAT_PERIOD: Span = Span::from_millis(1_000);
+/// Nobody is lost while a recording plays.
+const PEER_TIMEOUT: Span = Span::from_millis(3_600_000);
+/// Angles this near to a whole number of counts are counts.
+const COUNT_TOLERANCE: f64 = 1e-6;
+
+/// The brick.
+pub struct BrickPlayer {
+    start: Stamp<BrickClock>,
+    geometry: DriveGeometry,
+    session: Session<BrickClock>,
+    scanner: Scanner,
+    encoder: Encoder,
+    bytes: Vec<u8>,
+    now: Stamp<BrickClock>,
+    /// Where held speeds have led: a message for commanded speeds does not exist, one for an odometer does.
+    held: Option<Held>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    since: Stamp<BrickClock>,
+    pose: Pose<Odom>,
+    forward: MetersPerSecond,
+    turn: RadiansPerSecond,
+}
+
+impl BrickPlayer {
+    /// A brick whose clock shows `start` when the playing begins; it describes itself at once.
+    #[must_use]
+    pub fn new(start: Stamp<BrickClock>, geometry: DriveGeometry, name: &str) -> Self {
+        let heartbeat = Heartbeat {
+            vehicle_type: GROUND_ROVER,
+            autopilot: 0,
+            base_mode: 0,
+            system_status: ACTIVE,
+        };
+        let config = SessionConfig {
+            own: ADDRESS,
+            heartbeat,
+            heartbeat_period: HEARTBEAT_PERIOD,
+            timesync_period: None,
+            peer_timeout: PEER_TIMEOUT,
+            wanted: vec![],
+        };
+        let mut player = Self {
+            start,
+            geometry,
+            session: Session::new(config, start),
+            scanner: Scanner::new(ScannerConfig::default()),
+            encoder: Encoder::new(WireVersion::V2),
+            bytes: Vec::new(),
+            now: start,
+            held: None,
+        };
+        let description = RobotDescription {
+            name: name.chars().filter(char::is_ascii).take(16).collect(),
+            left_wheel_radius: geometry.left_wheel_radius,
+            right_wheel_radius: geometry.right_wheel_radius,
+            track_width: geometry.track_width,
+            ticks_per_turn: std::f64::consts::TAU / geometry.tick.0,
+            gyro_sigma: RadiansPerSecond(0.0),
+            gyro_resolution: RadiansPerSecond(0.0),
+        };
+        player.say(&Message::RobotDescription(description));
+        player
+    }
+
+    /// The brick's clock moves on to this long after the start.
+    pub fn pass_time(&mut self, elapsed: Span) {
+        self.now = self.now.max(self.start + elapsed);
+        self.session.tick(self.now);
+        self.drain();
+    }
+
+    /// Bytes from the station.
+    pub fn receive(&mut self, bytes: &[u8]) {
+        let mut heard = Vec::new();
+        // The scanner only measures silence with its clock: any clock will do.
+        let now = Stamp::<HostClock>::from_nanos(self.now.as_nanos());
+        self.scanner.push(now, bytes, &mut |scanned| {
+            if let Scanned::Frame(frame) = scanned
+                && let Ok(Some(message)) = decode(&frame)
+            {
+                heard.push((frame.source, message));
+            }
+        });
+        for (source, message) in heard {
+            self.session.handle(self.now, source, &message);
+        }
+        self.drain();
+    }
+
+    /// Sends an observation; `false` if there is no message for its kind.
+    #[must_use]
+    pub fn send(&mut self, observation: &Observation) -> bool {
+        let stamp = WireStamp::Micros64(observation.stamp.as_micros().unsigned_abs());
+        match self.message(observation, stamp) {
+            Some(message) => {
+                self.say(&message);
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// What waits to be sent.
+    #[must_use]
+    pub fn take_bytes(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.bytes)
+    }
+
+    fn message(&mut self, observation: &Observation, stamp: WireStamp) -> Option<Message> {
+        match observation.observed {
+            Observed::WheelAngles { left, right } => Some(self.wheels(stamp, left.0, right.0)),
+            Observed::OdometerPose(pose) => Some(odometer(
+                stamp,
+                pose,
+                MetersPerSecond(0.0),
+                RadiansPerSecond(0.0),
+            )),
+            Observed::BodyVelocity { forward, turn } => {
+                Some(self.hold(observation.stamp, stamp, forward, turn))
+            }
+            Observed::TurnRate(rate) => Some(Message::HighresImu(PlanarImu {
+                stamp,
+                turn_rate: Some(rate),
+                forward_acceleration: None,
+            })),
+            Observed::Fix(fix) => Some(Message::VisionPosition(VisionFix {
+                stamp,
+                x: fix.position.x,
+                y: fix.position.y,
+                heading: fix.heading,
+                covariance: fix
+                    .covariance
+                    .map(|own| [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]),
+                reset_counter: fix.reset_counter,
+            })),
+            Observed::WallRange(range) => Some(Message::DistanceSensor {
+                stamp,
+                range,
+                sigma: None,
+            }),
+            Observed::WheelAccelerations { .. }
+            | Observed::Landmark { .. }
+            | Observed::BeaconRange { .. }
+            | Observed::CompassHeading(_)
+            | Observed::Temperature(_) => None,
+        }
+    }
+
+    /// Counts where the recording has counts, distances otherwise.
+    fn wheels(&self, stamp: WireStamp, left_rad: f64, right_rad: f64) -> Message {
+        let counts = [left_rad, right_rad].map(|angle_rad| angle_rad / self.geometry.tick.0);
+        let [left, right] = counts.map(f64::round);
+        let whole = (counts[0] - left).abs() < COUNT_TOLERANCE
+            && (counts[1] - right).abs() < COUNT_TOLERANCE;
+        let fits = left.abs() < f64::from(i32::MAX) && right.abs() < f64::from(i32::MAX);
+        match (whole && fits, stamp) {
+            (true, WireStamp::Micros64(micros)) => Message::WheelTicks(WheelTicks {
+                stamp: WireStamp::Micros32(micros as u32),
+                left: EncoderTicks(left as i64),
+                right: EncoderTicks(right as i64),
+            }),
+            _ => Message::WheelDistance {
+                stamp,
+                left: Meters(left_rad * self.geometry.left_wheel_radius.0),
+                right: Meters(right_rad * self.geometry.right_wheel_radius.0),
+            },
+        }
+    }
+
+    fn hold(
+        &mut self,
+        at: Stamp<BrickClock>,
+        stamp: WireStamp,
+        forward: MetersPerSecond,
+        turn: RadiansPerSecond,
+    ) -> Message {
+        let pose = match self.held {
+            None => Pose::default(),
+            Some(held) => {
+                let secs = (at - held.since).as_secs_f64();
+                let turned_rad = held.turn.0 * secs;
+                let half = Heading::from_rad(0.5 * turned_rad);
+                let middle = Transform2::<Body, Body>::new(Meters(0.0), Meters(0.0), half);
+                let along = Transform2::new(Meters(held.forward.0 * secs), Meters(0.0), half);
+                held.pose * middle * along
+            }
+        };
+        self.held = Some(Held {
+            since: at,
+            pose,
+            forward,
+            turn,
+        });
+        odometer(stamp, pose, forward, turn)
+    }
+
+    fn drain(&mut self) {
+        while let Some(output) = self.session.poll() {
+            if let SessionOutput::Send(message) = output {
+                self.say(&message);
+            }
+        }
+    }
+
+    fn say(&mut self, message: &Message) {
+        self.encoder.encode(ADDRESS, message, &mut self.bytes);
+    }
+}
+
+fn odometer(
+    stamp: WireStamp,
+    pose: Pose<Odom>,
+    forward_speed: MetersPerSecond,
+    turn_rate: RadiansPerSecond,
+) -> Message {
+    Message::Odometry(Odometry {
+        stamp,
+        pose: OdometryPose::Odom(pose),
+        forward_speed,
+        turn_rate,
+        covariance: None,
+        reset_counter: 0,
+        quality: 0,
+    })
+}

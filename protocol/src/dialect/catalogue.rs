@@ -1,0 +1,140 @@
+//! What the scanner must know of every message of every dialect: CRC_EXTRA and the greatest length.
+//!
+//! Built once from the generated types, so that it cannot disagree with them. An unknown id is `None`, never CRC_EXTRA 0:
+//! COMPONENT_INFORMATION (395) has the 0 lawfully.
+
+use std::sync::LazyLock;
+
+use mavlink::dialects::common;
+use mavlink_core::{MavlinkVersion, Message};
+
+use super::generated::posebridge;
+
+/// Ids below this are looked up directly; nearly all telemetry has one.
+const DENSE: usize = 512;
+/// A payload is at most this long.
+const MAX_PAYLOAD: usize = 255;
+
+/// The catalogue of all dialects that this station speaks.
+pub(crate) static CATALOGUE: LazyLock<Catalogue> = LazyLock::new(Catalogue::build);
+
+/// What a frame of one message must look like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Shape {
+    /// Seed of the checksum, from the message's definition.
+    pub(crate) crc_extra: u8,
+    /// Payload length without extension fields.
+    pub(crate) max_len_v1: u8,
+    /// Payload length with extension fields.
+    pub(crate) max_len_v2: u8,
+}
+
+/// Every message that this station can verify.
+#[derive(Debug)]
+pub(crate) struct Catalogue {
+    dense: Box<[Option<Shape>; DENSE]>,
+    /// The rest, sorted by id.
+    sparse: Vec<(u32, Shape)>,
+}
+
+impl Catalogue {
+    fn build() -> Self {
+        let standard = common::MavMessage::all_ids();
+        let own = posebridge::MavMessage::all_ids();
+        let mut shapes: Vec<(u32, Shape)> = standard
+            .iter()
+            .filter_map(|&id| Some((id, measure::<common::MavMessage>(id)?)))
+            .chain(
+                own.iter()
+                    .filter_map(|&id| Some((id, measure::<posebridge::MavMessage>(id)?))),
+            )
+            .collect();
+        shapes.sort_unstable_by_key(|&(id, _)| id);
+        let mut dense = Box::new([None; DENSE]);
+        for &(id, shape) in shapes.iter().filter(|&&(id, _)| (id as usize) < DENSE) {
+            dense[id as usize] = Some(shape);
+        }
+        shapes.retain(|&(id, _)| id as usize >= DENSE);
+        Self {
+            dense,
+            sparse: shapes,
+        }
+    }
+
+    /// The shape of the message `id`; `None` when it is in no dialect.
+    #[inline]
+    pub(crate) fn shape(&self, id: u32) -> Option<Shape> {
+        if let Some(shape) = self.dense.get(id as usize) {
+            return *shape;
+        }
+        let index = self.sparse.binary_search_by_key(&id, |&(id, _)| id).ok()?;
+        Some(self.sparse[index].1)
+    }
+}
+
+fn measure<M: Message>(id: u32) -> Option<Shape> {
+    let message = M::default_message_from_id(id)?;
+    Some(Shape {
+        crc_extra: M::extra_crc(id),
+        max_len_v1: written(&message, MavlinkVersion::V1),
+        max_len_v2: written(&message, MavlinkVersion::V2),
+    })
+}
+
+/// How many bytes a message writes, whatever it returns: MAVLink 2 returns the length without trailing zeros. Written
+/// bytes are those that do not depend on what stood there before.
+fn written<M: Message>(message: &M, version: MavlinkVersion) -> u8 {
+    let mut over_zeros = [0x00; MAX_PAYLOAD];
+    let mut over_ones = [0xFF; MAX_PAYLOAD];
+    message.ser(version, &mut over_zeros);
+    message.ser(version, &mut over_ones);
+    let length = over_zeros
+        .iter()
+        .zip(&over_ones)
+        .take_while(|(a, b)| a == b)
+        .count();
+    length as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Lengths and seeds as the MAVLink project publishes them (minimal.xml, common.xml).
+    #[test]
+    fn published_lengths_and_seeds_are_met() {
+        for (id, crc_extra, max_len_v1, max_len_v2) in [
+            (0, 50, 9, 9),
+            (26, 170, 22, 24),
+            (76, 152, 33, 33),
+            (77, 143, 3, 10),
+            (102, 158, 32, 117),
+            (111, 34, 16, 18),
+            (331, 91, 230, 233),
+            (9000, 113, 137, 137),
+        ] {
+            let expected = Shape {
+                crc_extra,
+                max_len_v1,
+                max_len_v2,
+            };
+            assert_eq!(CATALOGUE.shape(id), Some(expected), "message {id}");
+        }
+    }
+
+    #[test]
+    fn a_seed_of_zero_is_not_an_unknown_message() {
+        assert_eq!(CATALOGUE.shape(395).map(|shape| shape.crc_extra), Some(0));
+        assert_eq!(CATALOGUE.shape(396 + 40_000), None);
+        assert_eq!(CATALOGUE.shape(u32::MAX), None);
+    }
+
+    #[test]
+    fn no_message_of_ours_has_a_seed_of_zero_or_shadows_a_standard_one() {
+        for &id in posebridge::MavMessage::all_ids() {
+            let shape = CATALOGUE.shape(id).unwrap();
+            assert_ne!(shape.crc_extra, 0, "message {id}");
+            assert!(!common::MavMessage::all_ids().contains(&id), "message {id}");
+        }
+    }
+}

@@ -1,0 +1,298 @@
+//! Messages by which participants find, time, command and configure each other.
+//!
+//! Most have enumerations and are read field by field in wire order (largest type first, extensions last). Source:
+//! MAVLink minimal.xml, standard.xml and common.xml.
+
+use mavlink::dialects::common::{
+    PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA,
+};
+use posebridge_telemetry::{Address, Span};
+
+use super::ids::COMMAND_SET_MESSAGE_INTERVAL;
+use super::payload::{Payload, Reader, Writer, millis32, read, somebody, text_from, text_to};
+use super::{Decoded, PayloadError, ids};
+use crate::framing::WireVersion;
+use crate::message::{
+    CommandAck, CommandLong, Heartbeat, Message, SetMessageInterval, TimeSync, WireStamp,
+};
+
+/// MAVLink's own minor version, in every heartbeat.
+const MAVLINK_VERSION: u8 = 3;
+/// MAV_PARAM_TYPE_REAL32.
+const PARAM_TYPE_REAL32: u8 = 9;
+/// Length of a parameter's name.
+const PARAM_NAME: usize = 16;
+/// Length of one chunk of text.
+const STATUS_TEXT: usize = 50;
+/// The largest message id: 24 bits, all of them exact in a 32-bit float.
+const LARGEST_ID: f32 = 16_777_215.0;
+
+pub(super) fn heartbeat(payload: &[u8]) -> Message {
+    let mut reader = Reader::new(payload);
+    let _custom_mode = reader.u32();
+    Message::Heartbeat(Heartbeat {
+        vehicle_type: reader.u8(),
+        autopilot: reader.u8(),
+        base_mode: reader.u8(),
+        system_status: reader.u8(),
+    })
+}
+
+fn write_heartbeat(version: WireVersion, heartbeat: Heartbeat) -> Payload {
+    Writer::new()
+        .u32(0)
+        .u8(heartbeat.vehicle_type)
+        .u8(heartbeat.autopilot)
+        .u8(heartbeat.base_mode)
+        .u8(heartbeat.system_status)
+        .u8(MAVLINK_VERSION)
+        .finish(version)
+}
+
+pub(super) fn system_time(payload: &[u8]) -> Decoded {
+    let data: SYSTEM_TIME_DATA = read(payload)?;
+    Ok(Some(Message::SystemTime {
+        unix_micros: data.time_unix_usec,
+        since_boot: WireStamp::Millis32(data.time_boot_ms),
+    }))
+}
+
+pub(super) fn time_sync(payload: &[u8]) -> Decoded {
+    let data: TIMESYNC_DATA = read(payload)?;
+    Ok(Some(Message::TimeSync(TimeSync {
+        answer_nanos: data.tc1,
+        request_nanos: data.ts1,
+        target: somebody(Address::new(data.target_system, data.target_component)),
+    })))
+}
+
+fn write_time_sync(version: WireVersion, sync: &TimeSync) -> Payload {
+    let target = sync.target.unwrap_or_default();
+    let data = TIMESYNC_DATA {
+        tc1: sync.answer_nanos,
+        ts1: sync.request_nanos,
+        target_system: target.system.0,
+        target_component: target.component.0,
+    };
+    Payload::of(version, &data)
+}
+
+pub(super) fn command_long(payload: &[u8]) -> Message {
+    let mut reader = Reader::new(payload);
+    let params: [f32; 7] = reader.f32s();
+    let command = reader.u16();
+    let target = reader.address();
+    let [id, interval_micros, ..] = params;
+    let names_an_id = (0.0..=LARGEST_ID).contains(&id);
+    if command == COMMAND_SET_MESSAGE_INTERVAL && names_an_id && interval_micros.is_finite() {
+        return Message::SetMessageInterval(SetMessageInterval {
+            target,
+            message_id: id as u32,
+            interval: (interval_micros >= 0.0)
+                .then(|| Span::from_micros(interval_micros.round() as i64)),
+        });
+    }
+    Message::Command(CommandLong {
+        target,
+        command,
+        params,
+    })
+}
+
+fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
+    let confirmation = 0;
+    Writer::new()
+        .f32s(&command.params)
+        .u16(command.command)
+        .address(command.target)
+        .u8(confirmation)
+        .finish(version)
+}
+
+fn write_interval(version: WireVersion, wanted: &SetMessageInterval) -> Payload {
+    let micros = wanted
+        .interval
+        .map_or(-1.0, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
+    let mut params = [0.0; 7];
+    params[0] = wanted.message_id as f32;
+    params[1] = micros;
+    let command = CommandLong {
+        target: wanted.target,
+        command: COMMAND_SET_MESSAGE_INTERVAL,
+        params,
+    };
+    write_command(version, &command)
+}
+
+pub(super) fn command_ack(payload: &[u8]) -> Message {
+    let mut reader = Reader::new(payload);
+    let command = reader.u16();
+    let result = reader.u8();
+    let _progress = reader.u8();
+    let _detail = reader.u32();
+    Message::CommandAck(CommandAck {
+        command,
+        result,
+        target: somebody(reader.address()),
+    })
+}
+
+fn write_ack(version: WireVersion, ack: CommandAck) -> Payload {
+    let (progress, detail) = (0, 0);
+    Writer::new()
+        .u16(ack.command)
+        .u8(ack.result)
+        .extensions()
+        .u8(progress)
+        .u32(detail)
+        .address(ack.target.unwrap_or_default())
+        .finish(version)
+}
+
+pub(super) fn status_text(payload: &[u8]) -> Message {
+    let mut reader = Reader::new(payload);
+    Message::StatusText {
+        severity: reader.u8(),
+        text: reader.text::<STATUS_TEXT>(),
+    }
+}
+
+pub(super) fn param_request_list(payload: &[u8]) -> Decoded {
+    let data: PARAM_REQUEST_LIST_DATA = read(payload)?;
+    Ok(Some(Message::ParamRequestList {
+        target: Address::new(data.target_system, data.target_component),
+    }))
+}
+
+pub(super) fn param_request_read(payload: &[u8]) -> Decoded {
+    let data: PARAM_REQUEST_READ_DATA = read(payload)?;
+    Ok(Some(Message::ParamRequestRead {
+        target: Address::new(data.target_system, data.target_component),
+        name: text_from(&*data.param_id),
+        index: data.param_index,
+    }))
+}
+
+/// The slot of another type holds other bits; taking them for a float would be a wrong number, not a rounded one.
+pub(super) fn param_set(payload: &[u8]) -> Decoded {
+    let mut reader = Reader::new(payload);
+    let value = reader.f32();
+    let target = reader.address();
+    let name = reader.text::<PARAM_NAME>();
+    let found = reader.u8();
+    if found != PARAM_TYPE_REAL32 {
+        return Err(PayloadError::ParameterType {
+            message_id: ids::PARAM_SET,
+            found,
+        });
+    }
+    Ok(Some(Message::ParamSet {
+        target,
+        name,
+        value,
+    }))
+}
+
+/// A foreign autopilot has integers among its parameters; those are of no use here.
+pub(super) fn param_value(payload: &[u8]) -> Option<Message> {
+    let mut reader = Reader::new(payload);
+    let value = reader.f32();
+    let count = reader.u16();
+    let index = reader.u16();
+    let name = reader.text::<PARAM_NAME>();
+    let is_float = reader.u8() == PARAM_TYPE_REAL32;
+    is_float.then_some(Message::ParamValue {
+        name,
+        value,
+        count,
+        index,
+    })
+}
+
+/// Writes the messages of this module; `None` for all others.
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "the encoder's match is the exhaustive one and sends only these here"
+)]
+pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
+    let written = match message {
+        Message::Heartbeat(heartbeat) => (ids::HEARTBEAT, write_heartbeat(version, *heartbeat)),
+        Message::TimeSync(sync) => (ids::TIMESYNC, write_time_sync(version, sync)),
+        Message::SetMessageInterval(wanted) => (ids::COMMAND_LONG, write_interval(version, wanted)),
+        Message::Command(command) => (ids::COMMAND_LONG, write_command(version, command)),
+        Message::CommandAck(ack) => (ids::COMMAND_ACK, write_ack(version, *ack)),
+        Message::SystemTime {
+            unix_micros,
+            since_boot,
+        } => {
+            let data = SYSTEM_TIME_DATA {
+                time_unix_usec: *unix_micros,
+                time_boot_ms: millis32(*since_boot),
+            };
+            (ids::SYSTEM_TIME, Payload::of(version, &data))
+        }
+        Message::StatusText { severity, text } => {
+            let writer = Writer::new().u8(*severity).text::<STATUS_TEXT>(text);
+            (ids::STATUSTEXT, writer.finish(version))
+        }
+        _ => return write_parameter(version, message),
+    };
+    Some(written)
+}
+
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "the encoder's match is the exhaustive one and sends only these here"
+)]
+fn write_parameter(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
+    let written = match message {
+        Message::ParamRequestList { target } => {
+            let data = PARAM_REQUEST_LIST_DATA {
+                target_system: target.system.0,
+                target_component: target.component.0,
+            };
+            (ids::PARAM_REQUEST_LIST, Payload::of(version, &data))
+        }
+        Message::ParamRequestRead {
+            target,
+            name,
+            index,
+        } => {
+            let data = PARAM_REQUEST_READ_DATA {
+                param_index: *index,
+                target_system: target.system.0,
+                target_component: target.component.0,
+                param_id: text_to::<PARAM_NAME>(name).into(),
+            };
+            (ids::PARAM_REQUEST_READ, Payload::of(version, &data))
+        }
+        Message::ParamSet {
+            target,
+            name,
+            value,
+        } => {
+            let writer = Writer::new()
+                .f32(*value)
+                .address(*target)
+                .text::<PARAM_NAME>(name)
+                .u8(PARAM_TYPE_REAL32);
+            (ids::PARAM_SET, writer.finish(version))
+        }
+        Message::ParamValue {
+            name,
+            value,
+            count,
+            index,
+        } => {
+            let writer = Writer::new()
+                .f32(*value)
+                .u16(*count)
+                .u16(*index)
+                .text::<PARAM_NAME>(name)
+                .u8(PARAM_TYPE_REAL32);
+            (ids::PARAM_VALUE, writer.finish(version))
+        }
+        _ => return None,
+    };
+    Some(written)
+}

@@ -1,0 +1,274 @@
+//! Payload bytes: the part of the codec that knows little-endian, trailing zeros and extension fields, and no message.
+//!
+//! Messages without enumerations go through the generated types. Those with enumerations are read and written here, field
+//! by field in wire order, because the generated code refuses a whole message for one value that its XML does not list,
+//! and an unknown command must still be answered.
+
+use mavlink_core::{MavlinkVersion, MessageData};
+use posebridge_telemetry::Address;
+
+use super::PayloadError;
+use crate::framing::WireVersion;
+use crate::message::WireStamp;
+
+/// The longest payload.
+pub(super) const MAX_PAYLOAD: usize = 255;
+
+/// A payload ready for the wire.
+#[derive(Debug)]
+pub(super) struct Payload {
+    bytes: [u8; MAX_PAYLOAD],
+    len: usize,
+}
+
+impl Payload {
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes[..self.len]
+    }
+
+    /// Writes a generated message; trailing zeros are cut off in version 2, extensions in version 1.
+    pub(super) fn of<D: MessageData>(version: WireVersion, data: &D) -> Self {
+        let mut bytes = [0; MAX_PAYLOAD];
+        let len = data.ser(mavlink_version(version), &mut bytes);
+        Self { bytes, len }
+    }
+}
+
+const fn mavlink_version(version: WireVersion) -> MavlinkVersion {
+    match version {
+        WireVersion::V1 => MavlinkVersion::V1,
+        WireVersion::V2 => MavlinkVersion::V2,
+    }
+}
+
+/// Reads a generated message. Bytes that were cut off are zeros again; that holds for version 1 as well.
+pub(super) fn read<D: MessageData>(payload: &[u8]) -> Result<D, PayloadError> {
+    D::deser(MavlinkVersion::V2, payload).map_err(|source| PayloadError::Layout {
+        message_id: D::ID,
+        source,
+    })
+}
+
+/// Reads fields one after the other; beyond the end there are zeros.
+#[derive(Debug)]
+pub(super) struct Reader<'a> {
+    rest: &'a [u8],
+}
+
+impl<'a> Reader<'a> {
+    pub(super) const fn new(payload: &'a [u8]) -> Self {
+        Self { rest: payload }
+    }
+
+    fn array<const N: usize>(&mut self) -> [u8; N] {
+        let mut bytes = [0; N];
+        let here = self.rest.len().min(N);
+        let (taken, rest) = self.rest.split_at(here);
+        bytes[..here].copy_from_slice(taken);
+        self.rest = rest;
+        bytes
+    }
+
+    pub(super) fn u8(&mut self) -> u8 {
+        u8::from_le_bytes(self.array())
+    }
+
+    pub(super) fn i8(&mut self) -> i8 {
+        i8::from_le_bytes(self.array())
+    }
+
+    pub(super) fn u16(&mut self) -> u16 {
+        u16::from_le_bytes(self.array())
+    }
+
+    pub(super) fn u32(&mut self) -> u32 {
+        u32::from_le_bytes(self.array())
+    }
+
+    pub(super) fn u64(&mut self) -> u64 {
+        u64::from_le_bytes(self.array())
+    }
+
+    pub(super) fn f32(&mut self) -> f32 {
+        f32::from_le_bytes(self.array())
+    }
+
+    pub(super) fn f32s<const N: usize>(&mut self) -> [f32; N] {
+        std::array::from_fn(|_| self.f32())
+    }
+
+    pub(super) fn skip<const N: usize>(&mut self) {
+        let _: [u8; N] = self.array();
+    }
+
+    pub(super) fn text<const N: usize>(&mut self) -> String {
+        text_from(&self.array::<N>())
+    }
+
+    pub(super) fn address(&mut self) -> Address {
+        let system = self.u8();
+        Address::new(system, self.u8())
+    }
+}
+
+/// Writes fields one after the other.
+#[derive(Debug)]
+pub(super) struct Writer {
+    bytes: [u8; MAX_PAYLOAD],
+    len: usize,
+    /// Where the extension fields begin, once they have begun.
+    base_len: Option<usize>,
+}
+
+impl Writer {
+    pub(super) const fn new() -> Self {
+        Self {
+            bytes: [0; MAX_PAYLOAD],
+            len: 0,
+            base_len: None,
+        }
+    }
+
+    /// Appends raw bytes; the callers' layouts are constants of at most [`MAX_PAYLOAD`] bytes.
+    pub(super) fn raw(mut self, bytes: &[u8]) -> Self {
+        self.bytes[self.len..self.len + bytes.len()].copy_from_slice(bytes);
+        self.len += bytes.len();
+        self
+    }
+
+    pub(super) fn u8(self, value: u8) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn i8(self, value: i8) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn u16(self, value: u16) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn u32(self, value: u32) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn u64(self, value: u64) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn f32(self, value: f32) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn f32s(self, values: &[f32]) -> Self {
+        values.iter().fold(self, |writer, &value| writer.f32(value))
+    }
+
+    pub(super) fn text<const N: usize>(self, text: &str) -> Self {
+        self.raw(&text_to::<N>(text))
+    }
+
+    pub(super) fn address(self, address: Address) -> Self {
+        self.u8(address.system.0).u8(address.component.0)
+    }
+
+    /// What follows is an extension: version 1 does not carry it.
+    pub(super) fn extensions(mut self) -> Self {
+        self.base_len = Some(self.len);
+        self
+    }
+
+    pub(super) fn finish(self, version: WireVersion) -> Payload {
+        let len = match version {
+            WireVersion::V1 => self.base_len.unwrap_or(self.len),
+            WireVersion::V2 => {
+                mavlink_core::utils::remove_trailing_zeroes(&self.bytes[..self.len.max(1)])
+            }
+        };
+        Payload {
+            bytes: self.bytes,
+            len,
+        }
+    }
+}
+
+/// Text up to the first NUL; what is not UTF-8 is replaced, never refused.
+pub(super) fn text_from(bytes: &[u8]) -> String {
+    let end = bytes
+        .iter()
+        .position(|&byte| byte == 0)
+        .unwrap_or(bytes.len());
+    String::from_utf8_lossy(&bytes[..end]).into_owned()
+}
+
+/// As many whole characters of `text` as fit into N bytes, padded with NUL.
+pub(super) fn text_to<const N: usize>(text: &str) -> [u8; N] {
+    let end = (0..=text.len().min(N))
+        .rev()
+        .find(|&end| text.is_char_boundary(end))
+        .unwrap_or(0);
+    let mut bytes = [0; N];
+    bytes[..end].copy_from_slice(&text.as_bytes()[..end]);
+    bytes
+}
+
+/// The address, or `None` for 0/0, which means everybody.
+pub(super) fn somebody(address: Address) -> Option<Address> {
+    (address != Address::new(0, 0)).then_some(address)
+}
+
+/// A stamp in whole microseconds, wrapped to 32 bits.
+pub(super) const fn micros32(stamp: WireStamp) -> u32 {
+    micros64(stamp) as u32
+}
+
+/// A stamp in whole milliseconds, rounded down, wrapped to 32 bits.
+pub(super) const fn millis32(stamp: WireStamp) -> u32 {
+    match stamp {
+        WireStamp::Millis32(millis) => millis,
+        WireStamp::Micros32(_) | WireStamp::Micros64(_) => (micros64(stamp) / 1_000) as u32,
+    }
+}
+
+/// A stamp in whole microseconds.
+pub(super) const fn micros64(stamp: WireStamp) -> u64 {
+    match stamp {
+        WireStamp::Micros32(micros) => micros as u64,
+        WireStamp::Millis32(millis) => millis as u64 * 1_000,
+        WireStamp::Micros64(micros) => micros,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_cut_between_characters() {
+        assert_eq!(text_to::<4>("abä"), *b"ab\xC3\xA4");
+        assert_eq!(text_to::<3>("abä"), *b"ab\0");
+        assert_eq!(text_from(&text_to::<3>("abä")), "ab");
+        assert_eq!(text_from(b"a\xFFb\0rest"), "a\u{FFFD}b");
+    }
+
+    #[test]
+    fn bytes_that_were_cut_off_read_as_zeros() {
+        let mut reader = Reader::new(&[0x34]);
+        assert_eq!((reader.u16(), reader.u32(), reader.u8()), (0x34, 0, 0));
+    }
+
+    #[test]
+    fn version_2_keeps_one_byte_and_version_1_drops_extensions() {
+        let zeros = Writer::new().u32(0).finish(WireVersion::V2);
+        assert_eq!(zeros.bytes(), [0]);
+        let message = Writer::new().u8(7).u8(0).extensions().u8(9);
+        assert_eq!(message.finish(WireVersion::V1).bytes(), [7, 0]);
+    }
+
+    #[test]
+    fn stamps_convert_and_wrap() {
+        assert_eq!(millis32(WireStamp::Micros64(5_000_000_999)), 5_000_000);
+        assert_eq!(micros32(WireStamp::Micros64((1 << 32) + 7)), 7);
+        assert_eq!(micros64(WireStamp::Millis32(2)), 2_000);
+    }
+}

@@ -1,0 +1,208 @@
+//! Standard messages of sensors: wheels, inertial units, range finders.
+//!
+//! Body rates come as forward-right-down and turn their sign here. Source: MAVLink common.xml.
+
+use mavlink::dialects::common::{
+    HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA,
+};
+use posebridge_telemetry::{Meters, MetersPerSecondSquared, RadiansPerSecond};
+
+use super::payload::{Payload, Reader, Writer, micros64, millis32, read};
+use super::spaces::flip;
+use super::{Decoded, PayloadError, finite, ids};
+use crate::framing::WireVersion;
+use crate::message::{Message, PlanarImu, WireStamp};
+
+/// Unit of SCALED_IMU.xacc, a thousandth of the standard gravity (CGPM 1901).
+const MILLI_GRAVITY_M_PER_S2: f64 = 9.806_65e-3;
+/// Unit of SCALED_IMU.zgyro.
+const MILLI_RAD_PER_S: f64 = 1e-3;
+/// Unit of DISTANCE_SENSOR's distances.
+const CENTIMETER_M: f64 = 1e-2;
+/// MAV_SENSOR_ROTATION_NONE: looks forward.
+const LOOKS_FORWARD: u8 = 0;
+/// DISTANCE_SENSOR.covariance when the sender does not know it.
+const VARIANCE_UNKNOWN: u8 = u8::MAX;
+/// DISTANCE_SENSOR.signal_quality of a reading that must not be used.
+const QUALITY_INVALID: u8 = 1;
+/// MAV_DISTANCE_SENSOR_UNKNOWN.
+const RANGER_UNKNOWN: u8 = 4;
+
+pub(super) fn wheel_distance(payload: &[u8]) -> Decoded {
+    let data: WHEEL_DISTANCE_DATA = read(payload)?;
+    let [left, right, ..] = data.distance;
+    if data.count < 2 {
+        return Err(PayloadError::TooFewWheels {
+            message_id: ids::WHEEL_DISTANCE,
+            count: data.count,
+        });
+    }
+    let checked = |value| finite(ids::WHEEL_DISTANCE, "distance", value);
+    Ok(Some(Message::WheelDistance {
+        stamp: WireStamp::Micros64(data.time_usec),
+        left: Meters(checked(left)?),
+        right: Meters(checked(right)?),
+    }))
+}
+
+pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
+    let data: SCALED_IMU_DATA = read(payload)?;
+    Ok(Some(Message::ScaledImu(PlanarImu {
+        stamp: WireStamp::Millis32(data.time_boot_ms),
+        turn_rate: Some(RadiansPerSecond(
+            flip(f64::from(data.zgyro)) * MILLI_RAD_PER_S,
+        )),
+        forward_acceleration: Some(MetersPerSecondSquared(
+            f64::from(data.xacc) * MILLI_GRAVITY_M_PER_S2,
+        )),
+    })))
+}
+
+/// SCALED_IMU cannot say that a value is missing: a missing one is written as zero.
+fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
+    let turn_rate = imu.turn_rate.unwrap_or_default();
+    let acceleration = imu.forward_acceleration.unwrap_or_default();
+    let data = SCALED_IMU_DATA {
+        time_boot_ms: millis32(imu.stamp),
+        xacc: (acceleration.0 / MILLI_GRAVITY_M_PER_S2).round() as i16,
+        yacc: 0,
+        zacc: 0,
+        xgyro: 0,
+        ygyro: 0,
+        zgyro: (flip(turn_rate.0) / MILLI_RAD_PER_S).round() as i16,
+        xmag: 0,
+        ymag: 0,
+        zmag: 0,
+        temperature: 0,
+    };
+    Payload::of(version, &data)
+}
+
+pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
+    let data: HIGHRES_IMU_DATA = read(payload)?;
+    let has = |field| data.fields_updated.contains(field);
+    let has_turn_rate = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO);
+    let has_acceleration = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC);
+    Ok(Some(Message::HighresImu(PlanarImu {
+        stamp: WireStamp::Micros64(data.time_usec),
+        turn_rate: has_turn_rate.then(|| RadiansPerSecond(flip(f64::from(data.zgyro)))),
+        forward_acceleration: has_acceleration
+            .then(|| MetersPerSecondSquared(f64::from(data.xacc))),
+    })))
+}
+
+fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
+    // Not the generated default: that is the first flag, not the empty set.
+    let mut fields_updated = HighresImuUpdatedFlags::empty();
+    fields_updated.set(
+        HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO,
+        imu.turn_rate.is_some(),
+    );
+    fields_updated.set(
+        HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC,
+        imu.forward_acceleration.is_some(),
+    );
+    let data = HIGHRES_IMU_DATA {
+        time_usec: micros64(imu.stamp),
+        xacc: imu.forward_acceleration.unwrap_or_default().0 as f32,
+        yacc: 0.0,
+        zacc: 0.0,
+        xgyro: 0.0,
+        ygyro: 0.0,
+        zgyro: flip(imu.turn_rate.unwrap_or_default().0) as f32,
+        xmag: 0.0,
+        ymag: 0.0,
+        zmag: 0.0,
+        abs_pressure: 0.0,
+        diff_pressure: 0.0,
+        pressure_alt: 0.0,
+        temperature: 0.0,
+        fields_updated,
+        id: 0,
+    };
+    Payload::of(version, &data)
+}
+
+/// Forward-looking ranges inside the sensor's own limits; everything else is of no use here.
+pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
+    let mut reader = Reader::new(payload);
+    let stamp = WireStamp::Millis32(reader.u32());
+    let min_cm = reader.u16();
+    let max_cm = reader.u16();
+    let current_cm = reader.u16();
+    let (_kind, _id) = (reader.u8(), reader.u8());
+    let orientation = reader.u8();
+    let variance_cm2 = reader.u8();
+    // Extensions: two fields of view and a quaternion for a custom orientation, then the quality.
+    reader.skip::<24>();
+    let quality = reader.u8();
+    let is_in_range = current_cm >= min_cm && (current_cm < max_cm || max_cm == 0);
+    if orientation != LOOKS_FORWARD || quality == QUALITY_INVALID || !is_in_range {
+        return None;
+    }
+    Some(Message::DistanceSensor {
+        stamp,
+        range: Meters(f64::from(current_cm) * CENTIMETER_M),
+        sigma: (variance_cm2 != VARIANCE_UNKNOWN)
+            .then(|| Meters(f64::from(variance_cm2).sqrt() * CENTIMETER_M)),
+    })
+}
+
+fn write_distance(
+    version: WireVersion,
+    stamp: WireStamp,
+    range: Meters,
+    sigma: Option<Meters>,
+) -> Payload {
+    let variance_cm2 = sigma.map_or(VARIANCE_UNKNOWN, |sigma| {
+        let variance = (sigma.0 / CENTIMETER_M).powi(2).round();
+        variance.clamp(0.0, f64::from(VARIANCE_UNKNOWN - 1)) as u8
+    });
+    let (min_cm, max_cm) = (0, u16::MAX);
+    // One below the limit: a range at the limit means that nothing was seen.
+    let current_cm = ((range.0 / CENTIMETER_M).round() as u16).min(max_cm - 1);
+    let id = 0;
+    Writer::new()
+        .u32(millis32(stamp))
+        .u16(min_cm)
+        .u16(max_cm)
+        .u16(current_cm)
+        .u8(RANGER_UNKNOWN)
+        .u8(id)
+        .u8(LOOKS_FORWARD)
+        .u8(variance_cm2)
+        .finish(version)
+}
+
+/// Writes the messages of this module; `None` for all others.
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "the encoder's match is the exhaustive one and sends only these here"
+)]
+pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
+    let written = match message {
+        Message::ScaledImu(imu) => (ids::SCALED_IMU, write_scaled(version, imu)),
+        Message::HighresImu(imu) => (ids::HIGHRES_IMU, write_highres(version, imu)),
+        Message::DistanceSensor {
+            stamp,
+            range,
+            sigma,
+        } => (
+            ids::DISTANCE_SENSOR,
+            write_distance(version, *stamp, *range, *sigma),
+        ),
+        Message::WheelDistance { stamp, left, right } => {
+            let mut distance = [0.0; 16];
+            distance[0] = left.0;
+            distance[1] = right.0;
+            let data = WHEEL_DISTANCE_DATA {
+                time_usec: micros64(*stamp),
+                distance,
+                count: 2,
+            };
+            (ids::WHEEL_DISTANCE, Payload::of(version, &data))
+        }
+        _ => return None,
+    };
+    Some(written)
+}

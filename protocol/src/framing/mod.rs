@@ -1,0 +1,122 @@
+//! Bytes to frames: finds MAVLink frames in whatever a link delivers.
+//!
+//! Gets chunks and their arrival times from a link; gives whole, verified frames that borrow from the chunk, and a
+//! record of everything else. It decides only what is a frame. What a payload means is the business of
+//! [`crate::dialect`]; signatures are carried along but not verified.
+//!
+//! It exists beside the `mavlink` crate's reader because that one cannot give up a torn frame, counts nothing, drops
+//! unknown messages, and spends most of its time in a bytewise checksum.
+//!
+//! # Sources
+//! MAVLink guide, "Packet Serialization": frame layouts, CRC-16/MCRF4XX over everything between the start byte and the
+//! checksum and then CRC_EXTRA, 13 bytes of signature when incompatibility flag 1 is set.
+
+mod candidate;
+mod crc;
+#[cfg(target_arch = "x86_64")]
+mod crc_clmul;
+mod scanner;
+mod sequence;
+mod tentative;
+
+pub use crc::{Crc, checksum};
+pub use scanner::Scanner;
+pub use sequence::SequenceTracker;
+
+use posebridge_telemetry::{Address, Defect, Span};
+
+/// Start byte of a MAVLink 2 frame.
+pub const START_V2: u8 = 0xFD;
+/// Start byte of a MAVLink 1 frame.
+pub const START_V1: u8 = 0xFE;
+
+/// Which of the two frame layouts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WireVersion {
+    /// MAVLink 1: 8-bit message ids, no extension fields.
+    V1,
+    /// MAVLink 2: 24-bit message ids, trailing zeros cut off.
+    #[default]
+    V2,
+}
+
+/// How a link cuts what it delivers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Framing {
+    /// A stream of bytes, cut anywhere.
+    #[default]
+    Stream,
+    /// Datagrams that hold whole frames; each push is one datagram.
+    Datagram,
+}
+
+/// How a [`Scanner`] works.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ScannerConfig {
+    /// Accept MAVLink 1 frames as well. Off by default: with an 8-bit start and a 16-bit checksum as the only
+    /// redundancy, noise yields a false frame every few megabytes.
+    pub accept_v1: bool,
+    /// Silence after which a frame that is not yet whole is given up.
+    pub gap: Span,
+    /// How the link cuts its bytes.
+    pub transport: Framing,
+}
+
+impl Default for ScannerConfig {
+    /// MAVLink 2 from a stream, with a gap of 50 ms: longer than the pauses of a Bluetooth serial link inside a frame,
+    /// shorter than the period of the slowest telemetry that anybody steers by.
+    fn default() -> Self {
+        Self {
+            accept_v1: false,
+            gap: Span::from_millis(50),
+            transport: Framing::Stream,
+        }
+    }
+}
+
+/// Counts of one scanner since it was made. Every byte ends up in exactly one of: a frame, an unknown frame, garbage, or
+/// the scanner's waiting tail.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ScanCounters {
+    /// Frames whose checksum matched.
+    pub frames: u64,
+    /// Candidates whose checksum did not match.
+    pub checksum_errors: u64,
+    /// Bytes outside every frame.
+    pub garbage_bytes: u64,
+    /// Frames with an id of no dialect that were handed out unverified.
+    pub unknown_ids: u64,
+    /// Times that waiting bytes were given up because their continuation did not come.
+    pub stalls: u64,
+    /// Candidates with a length or flags that their message cannot have.
+    pub impossible_headers: u64,
+}
+
+/// One frame, borrowed from the scanner's input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameRef<'a> {
+    /// The layout in which it came.
+    pub version: WireVersion,
+    /// The message's id, 24 bits.
+    pub message_id: u32,
+    /// Who sent it.
+    pub source: Address,
+    /// The sender's sequence number.
+    pub sequence: u8,
+    /// The payload as it stood on the wire, trailing zeros possibly cut off.
+    pub payload: &'a [u8],
+    /// The whole frame, start byte to checksum or signature.
+    pub raw: &'a [u8],
+}
+
+/// What a scanner finds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scanned<'a> {
+    /// A frame whose checksum matched.
+    Frame(FrameRef<'a>),
+    /// A frame that is whole by its length but whose id is in no dialect, so that its checksum cannot be verified. Forward
+    /// it untouched; do not believe it.
+    Unknown(FrameRef<'a>),
+    /// Something damaged was skipped.
+    Defect(Defect),
+}

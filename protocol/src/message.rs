@@ -1,0 +1,376 @@
+//! Messages as both ends of a link understand them: SI units, our spaces, no wire formats.
+//!
+//! [`crate::dialect`] turns frames into these and back; north-east-down, degrees, millimetres and integer scalings end
+//! there. The simulated brick and the station speak through the same types. A message that stands here can be both
+//! decoded and encoded.
+
+use posebridge_telemetry::{
+    Address, Arena, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Odom,
+    Pose, Radians, RadiansPerSecond, SensorId, Span,
+};
+
+/// A time stamp as it stood on the wire, before unwrapping and alignment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WireStamp {
+    /// Microseconds in 32 bits; wraps after 71.6 minutes.
+    Micros32(u32),
+    /// Milliseconds in 32 bits; wraps after 49.7 days.
+    Millis32(u32),
+    /// Microseconds in 64 bits.
+    Micros64(u64),
+}
+
+/// A message that the station, the simulated brick or the camera says or understands.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// HEARTBEAT (0).
+    Heartbeat(Heartbeat),
+    /// SYSTEM_TIME (2): milliseconds since boot; a fall means a restart.
+    SystemTime {
+        /// Unix time in microseconds, 0 if unknown.
+        unix_micros: u64,
+        /// Time since boot.
+        since_boot: WireStamp,
+    },
+    /// TIMESYNC (111).
+    TimeSync(TimeSync),
+    /// COMMAND_LONG (76) with MAV_CMD_SET_MESSAGE_INTERVAL (511).
+    SetMessageInterval(SetMessageInterval),
+    /// COMMAND_LONG (76) with any other command, known to us or not.
+    Command(CommandLong),
+    /// COMMAND_ACK (77).
+    CommandAck(CommandAck),
+    /// STATUSTEXT (253), one chunk.
+    StatusText {
+        /// 0 emergency to 7 debug.
+        severity: u8,
+        /// At most 50 bytes on the wire.
+        text: String,
+    },
+    /// PB_WHEEL_TICKS (own dialect).
+    WheelTicks(WheelTicks),
+    /// PB_INERTIAL (own dialect).
+    Inertial(Inertial),
+    /// PB_PLANAR_POSE (own dialect).
+    PlanarPose(PlanarPose),
+    /// PB_FUSION_HEALTH (own dialect).
+    FusionHealth(FusionHealth),
+    /// PB_ROBOT_DESCRIPTION (own dialect).
+    RobotDescription(RobotDescription),
+    /// WHEEL_DISTANCE (9000), first two wheels: left, right.
+    WheelDistance {
+        /// End of the interval.
+        stamp: WireStamp,
+        /// Distance that the left wheel has rolled since boot.
+        left: Meters,
+        /// Distance that the right wheel has rolled since boot.
+        right: Meters,
+    },
+    /// SCALED_IMU (26), RAW-scaled to SI; only the planar parts.
+    ScaledImu(PlanarImu),
+    /// HIGHRES_IMU (105), only the planar parts.
+    HighresImu(PlanarImu),
+    /// DISTANCE_SENSOR (132), forward looking.
+    DistanceSensor {
+        /// Instant of the range.
+        stamp: WireStamp,
+        /// The range.
+        range: Meters,
+        /// Standard deviation, if the sender knows it.
+        sigma: Option<Meters>,
+    },
+    /// VISION_POSITION_ESTIMATE (102): a fix from outside, of the body's origin.
+    VisionPosition(VisionFix),
+    /// ATT_POS_MOCAP (138): a fix from outside, of the body's origin.
+    MocapPosition(VisionFix),
+    /// ODOMETRY (331).
+    Odometry(Odometry),
+    /// LOCAL_POSITION_NED (32), the planar parts.
+    LocalPosition {
+        /// Time since the sender's boot.
+        stamp: WireStamp,
+        /// x east, y north in the arena.
+        x: Meters,
+        /// See `x`.
+        y: Meters,
+        /// Speed along the arena's x.
+        x_speed: MetersPerSecond,
+        /// Speed along the arena's y.
+        y_speed: MetersPerSecond,
+    },
+    /// ATTITUDE (30), the planar parts.
+    Attitude {
+        /// Time since the sender's boot.
+        stamp: WireStamp,
+        /// Heading in the arena.
+        heading: Heading,
+        /// Turn rate, counter-clockwise positive.
+        turn_rate: RadiansPerSecond,
+    },
+    /// ESTIMATOR_STATUS (230).
+    EstimatorStatus(EstimatorStatus),
+    /// PARAM_REQUEST_LIST (21).
+    ParamRequestList {
+        /// Whose parameters.
+        target: Address,
+    },
+    /// PARAM_REQUEST_READ (20).
+    ParamRequestRead {
+        /// Whose parameter.
+        target: Address,
+        /// Its name, at most 16 bytes, empty if asked by index.
+        name: String,
+        /// Its index, -1 if asked by name.
+        index: i16,
+    },
+    /// PARAM_SET (23), real-valued.
+    ParamSet {
+        /// Whose parameter.
+        target: Address,
+        /// Its name, at most 16 bytes.
+        name: String,
+        /// The new value.
+        value: f32,
+    },
+    /// PARAM_VALUE (22), real-valued.
+    ParamValue {
+        /// Its name, at most 16 bytes.
+        name: String,
+        /// The value.
+        value: f32,
+        /// How many parameters there are.
+        count: u16,
+        /// The index of this one.
+        index: u16,
+    },
+}
+
+/// What a participant says about itself once per second.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heartbeat {
+    /// MAV_TYPE, e.g. 10 ground rover, 18 onboard controller, 30 camera, 6 ground station.
+    pub vehicle_type: u8,
+    /// MAV_AUTOPILOT, e.g. 0 generic, 8 invalid (not an autopilot).
+    pub autopilot: u8,
+    /// MAV_MODE_FLAG bits; 0 unless something is armed.
+    pub base_mode: u8,
+    /// MAV_STATE, e.g. 4 active.
+    pub system_status: u8,
+}
+
+/// One half of a time exchange.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimeSync {
+    /// Clock of the answering side, ns; 0 in a request.
+    pub answer_nanos: i64,
+    /// Clock of the asking side when it asked, ns; echoed in the answer.
+    pub request_nanos: i64,
+    /// Whom it is for; `None` on the wire is 0/0, everybody.
+    pub target: Option<Address>,
+}
+
+/// A request to send a message at an interval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SetMessageInterval {
+    /// Whom it is for.
+    pub target: Address,
+    /// The message's id.
+    pub message_id: u32,
+    /// The interval; `None` stops the message, zero asks for the sender's default.
+    pub interval: Option<Span>,
+}
+
+/// Any other command.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandLong {
+    /// Whom it is for.
+    pub target: Address,
+    /// MAV_CMD, known to us or not.
+    pub command: u16,
+    /// Its seven parameters.
+    pub params: [f32; 7],
+}
+
+/// The answer to a command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CommandAck {
+    /// The command that is answered.
+    pub command: u16,
+    /// MAV_RESULT: 0 accepted, 2 denied, 3 unsupported, 4 failed.
+    pub result: u8,
+    /// Who asked; `None` on the wire is 0/0.
+    pub target: Option<Address>,
+}
+
+/// Total encoder counts of both wheels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WheelTicks {
+    /// When they were read.
+    pub stamp: WireStamp,
+    /// The left wheel, forward positive; 32 bits on the wire, wraps.
+    pub left: EncoderTicks,
+    /// The right wheel, forward positive; 32 bits on the wire, wraps.
+    pub right: EncoderTicks,
+}
+
+/// Gyro and wheel accelerometers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Inertial {
+    /// End of the interval over which the rates are means.
+    pub stamp: WireStamp,
+    /// Turn rate, bias included.
+    pub turn_rate: Option<RadiansPerSecond>,
+    /// Turn since power-up, bias included, so that a lost frame costs nothing.
+    pub turn: Option<Radians>,
+    /// Forward acceleration at the left and at the right wheel.
+    pub wheel_accelerations: Option<(MetersPerSecondSquared, MetersPerSecondSquared)>,
+}
+
+/// The planar parts of an inertial measurement unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanarImu {
+    /// Instant of the sample.
+    pub stamp: WireStamp,
+    /// Turn rate about the vertical, counter-clockwise positive.
+    pub turn_rate: Option<RadiansPerSecond>,
+    /// Forward acceleration of the body.
+    pub forward_acceleration: Option<MetersPerSecondSquared>,
+}
+
+/// The estimate on thin links, 52 bytes of payload.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanarPose {
+    /// Brick time for which it holds, microseconds, wrapped as the brick's own counter.
+    pub stamp: WireStamp,
+    /// Where the robot is.
+    pub pose: Pose<Arena>,
+    /// Along the body's x axis.
+    pub forward_speed: MetersPerSecond,
+    /// About the vertical.
+    pub turn_rate: RadiansPerSecond,
+    /// Upper triangle of the pose covariance: xx, xy, x-heading, yy, y-heading, heading-heading; m², m rad, rad².
+    pub covariance: [f64; 6],
+    /// Time since the last fix that was used; `None` before the first.
+    pub fix_age: Option<Span>,
+    /// Counts jumps that are not motion.
+    pub reset_counter: u8,
+    /// What of it may be used.
+    pub flags: PoseFlags,
+}
+
+/// What of a [`PlanarPose`] may be used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "five independent bits of the wire, each with a name"
+)]
+pub struct PoseFlags {
+    /// Bit 0: the position is meaningful.
+    pub position_valid: bool,
+    /// Bit 1: the heading is meaningful.
+    pub heading_valid: bool,
+    /// Bit 2: the speeds are meaningful.
+    pub speeds_valid: bool,
+    /// Bit 3: nothing absolute has been used for a while.
+    pub dead_reckoning: bool,
+    /// Bit 4: predicted ahead of the last observation, to the time at which it arrives.
+    pub predicted: bool,
+}
+
+/// How the last observation of one sensor fared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusionHealth {
+    /// Brick time of the observation, microseconds.
+    pub stamp: WireStamp,
+    /// The sensor.
+    pub sensor: SensorId,
+    /// 0 accepted, 1 gated, 2 too old, 3 malformed, 4 re-based, 5 reset to, 6 unused.
+    pub verdict: u8,
+    /// Normalised innovation squared, divided by its degrees of freedom.
+    pub nis_per_dof: f64,
+    /// Innovation, SI units, up to three components.
+    pub innovation: [f64; 3],
+    /// How late it was; saturates at 65.535 s.
+    pub lag: Span,
+    /// Accepted observations of this sensor so far, wraps.
+    pub accepted: u16,
+    /// Refused observations of this sensor so far, wraps.
+    pub refused: u16,
+}
+
+/// What a robot says about its own build, so that any host can configure itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotDescription {
+    /// At most 16 bytes.
+    pub name: String,
+    /// Radius of the left wheel.
+    pub left_wheel_radius: Meters,
+    /// Radius of the right wheel.
+    pub right_wheel_radius: Meters,
+    /// Distance between the wheels' contact points.
+    pub track_width: Meters,
+    /// Encoder counts per turn of a wheel.
+    pub ticks_per_turn: f64,
+    /// Gyro noise per sample, one standard deviation; 0 when there is no gyro.
+    pub gyro_sigma: RadiansPerSecond,
+    /// Resolution of the gyro; 0 when it is fine or absent.
+    pub gyro_resolution: RadiansPerSecond,
+}
+
+/// A pose seen from outside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VisionFix {
+    /// The observer's own clock, middle of the exposure.
+    pub stamp: WireStamp,
+    /// Position in the arena.
+    pub x: Meters,
+    /// Position in the arena.
+    pub y: Meters,
+    /// Heading in the arena; NaN on the wire when the observer cannot tell.
+    pub heading: Option<Heading>,
+    /// Variances of x, y, heading and the covariance of x and y, if the observer knows them: xx, xy, yy, heading.
+    pub covariance: Option<[f64; 4]>,
+    /// Counts the observer's own jumps.
+    pub reset_counter: u8,
+}
+
+/// ODOMETRY, the interoperable pose with covariance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Odometry {
+    /// The instant for which it holds.
+    pub stamp: WireStamp,
+    /// Pose, in the space that its kind says.
+    pub pose: OdometryPose,
+    /// Along the body's x axis.
+    pub forward_speed: MetersPerSecond,
+    /// About the vertical.
+    pub turn_rate: RadiansPerSecond,
+    /// Upper triangle of the pose covariance as in [`PlanarPose::covariance`], if known.
+    pub covariance: Option<[f64; 6]>,
+    /// Counts jumps that are not motion.
+    pub reset_counter: u8,
+    /// -1 failed, 0 unset, 1 to 100 per cent.
+    pub quality: i8,
+}
+
+/// In which space an [`Odometry`] lives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OdometryPose {
+    /// A pose in the arena (estimator type vision or mocap, or the station's own output).
+    Arena(Pose<Arena>),
+    /// A pose that drifts: a foreign odometer's own integration.
+    Odom(Pose<Odom>),
+}
+
+/// ESTIMATOR_STATUS, the parts that make sense for a planar robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EstimatorStatus {
+    /// The instant for which it holds.
+    pub stamp: WireStamp,
+    /// Which parts are good.
+    pub flags: PoseFlags,
+    /// Horizontal position innovation test ratio: NIS over gate.
+    pub position_ratio: f64,
+    /// One standard deviation of the horizontal position.
+    pub position_sigma: Meters,
+}

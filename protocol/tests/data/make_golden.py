@@ -1,0 +1,199 @@
+"""Writes golden.json: frames made by pymavlink, a foreign implementation, to test our codec against.
+
+Usage: make_golden.py posebridge.xml common.xml > golden.json     (see README.md for the whole recipe)
+"""
+
+import importlib.util
+import json
+import math
+import os
+import sys
+import tempfile
+
+os.environ["MAVLINK20"] = "1"
+
+from pymavlink.generator import mavgen  # noqa: E402
+
+NAN = float("nan")
+
+
+def load(xml, protocol):
+    """Generates the Python module of a dialect and imports it."""
+    name = os.path.splitext(os.path.basename(xml))[0] + "_" + protocol.replace(".", "")
+    path = os.path.join(tempfile.mkdtemp(), name)
+    options = mavgen.Opts(path, wire_protocol=protocol, language="Python3", validate=False)
+    with open(os.devnull, "w") as quiet:
+        stdout, sys.stdout = sys.stdout, quiet
+        mavgen.mavgen(options, [xml])
+        sys.stdout = stdout
+    spec = importlib.util.spec_from_file_location(name, path + ".py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def frame(module, message, system, component, sequence, signed=False, **fields):
+    """Encodes one message as a whole frame."""
+    link = module.MAVLink(None, srcSystem=system, srcComponent=component)
+    link.seq = sequence
+    if signed:
+        link.signing.secret_key = bytes(range(32))
+        link.signing.sign_outgoing = True
+        link.signing.link_id = 3
+        link.signing.timestamp = 123456789
+    encode = getattr(link, message + "_encode")
+    if message == "heartbeat":
+        fields["mavlink_version"] = 3
+    return encode(**fields).pack(link).hex()
+
+
+def upper(xx, xy, xh, yy, yh, hh, rest=1e4):
+    """Planar covariance in the 6 x 6 upper triangle, given in the frame of the message."""
+    full = [0.0] * 21
+    full[0], full[1], full[5], full[6], full[10], full[20] = xx, xy, xh, yy, yh, hh
+    full[11] = full[15] = full[18] = rest
+    return full
+
+
+UNKNOWN = [NAN] + [0.0] * 20
+
+HEARTBEAT = dict(type=10, autopilot=0, base_mode=0, custom_mode=0, system_status=4)
+ATTITUDE = dict(time_boot_ms=123456, roll=0.0, pitch=0.0, yaw=0.5, rollspeed=0.0, pitchspeed=0.0, yawspeed=-0.25)
+
+
+def own_cases(own):
+    yield "pb_wheel_ticks", frame(own, "pb_wheel_ticks", 1, 1, 7, time_us=4294967290, left=-123456, right=2147483647, flags=3)
+    yield "pb_inertial", frame(
+        own, "pb_inertial", 1, 1, 8,
+        time_us=50000, turn_urad=-1500000, turn_rate=-3000, accel_left=250, accel_right=-32768, valid=7)
+    yield "pb_inertial_gyro_only", frame(
+        own, "pb_inertial", 1, 1, 9,
+        time_us=50000, turn_urad=0, turn_rate=1, accel_left=0, accel_right=0, valid=1)
+    yield "pb_planar_pose", frame(
+        own, "pb_planar_pose", 1, 197, 255,
+        time_us=1000001, x=1.5, y=-2.25, heading=3.0, forward_speed=0.125, turn_rate=-0.5,
+        covariance=[0.01, 0.002, -0.003, 0.04, 0.005, 0.06], fix_age_ms=250, reset_counter=2, flags=0b10111)
+    yield "pb_planar_pose_no_fix", frame(
+        own, "pb_planar_pose", 1, 197, 0,
+        time_us=0, x=0.0, y=0.0, heading=0.0, forward_speed=0.0, turn_rate=0.0,
+        covariance=[0.0] * 6, fix_age_ms=65535, reset_counter=0, flags=0)
+    yield "pb_fusion_health", frame(
+        own, "pb_fusion_health", 1, 197, 1,
+        time_us=777, innovation=[0.5, -0.25, 0.125], nis_per_dof=3.5, lag_ms=120, accepted=65535, refused=3,
+        sensor=3, verdict=1)
+    yield "pb_robot_description", frame(
+        own, "pb_robot_description", 1, 1, 2,
+        left_wheel_radius=0.028, right_wheel_radius=0.0281, track_width=0.112, ticks_per_turn=360.0,
+        gyro_sigma=0.0125, gyro_resolution=0.0174532925, name=b"brick-7")
+
+
+def conversation_cases(std):
+    yield "heartbeat", frame(std, "heartbeat", 1, 1, 0, **HEARTBEAT)
+    yield "heartbeat_of_unlisted_type", frame(
+        std, "heartbeat", 9, 250, 77, type=201, autopilot=99, base_mode=255, custom_mode=4, system_status=200)
+    yield "heartbeat_signed", frame(std, "heartbeat", 1, 1, 5, signed=True, **HEARTBEAT)
+    yield "system_time", frame(std, "system_time", 1, 1, 3, time_unix_usec=1700000000123456, time_boot_ms=98765)
+    yield "timesync_request", frame(std, "timesync", 1, 197, 4, tc1=0, ts1=123456789012, target_system=0, target_component=0)
+    yield "timesync_answer", frame(std, "timesync", 1, 1, 5, tc1=-5, ts1=123456789012, target_system=1, target_component=197)
+    yield "set_message_interval", frame(
+        std, "command_long", 1, 197, 6, target_system=1, target_component=1, command=511, confirmation=0,
+        param1=42100.0, param2=20000.0, param3=0, param4=0, param5=0, param6=0, param7=0)
+    yield "stop_message", frame(
+        std, "command_long", 1, 197, 7, target_system=1, target_component=1, command=511, confirmation=0,
+        param1=26.0, param2=-1.0, param3=0, param4=0, param5=0, param6=0, param7=0)
+    yield "command_of_unlisted_number", frame(
+        std, "command_long", 255, 190, 8, target_system=1, target_component=197, command=65000, confirmation=0,
+        param1=1.0, param2=2.0, param3=3.0, param4=-4.0, param5=5.0, param6=6.0, param7=7.5)
+    yield "command_ack", frame(
+        std, "command_ack", 1, 1, 9, command=511, result=0, progress=0, result_param2=0,
+        target_system=1, target_component=197)
+    yield "command_ack_of_unlisted_number", frame(
+        std, "command_ack", 1, 197, 9, command=65000, result=3, progress=0, result_param2=0,
+        target_system=255, target_component=190)
+    yield "statustext", frame(std, "statustext", 1, 1, 10, severity=4, text=b"battery is low", id=0, chunk_seq=0)
+    yield "param_request_list", frame(std, "param_request_list", 255, 190, 11, target_system=1, target_component=0)
+    yield "param_request_read", frame(
+        std, "param_request_read", 255, 190, 12, target_system=1, target_component=197, param_id=b"GATE_SIGMA", param_index=-1)
+    yield "param_set", frame(
+        std, "param_set", 255, 190, 13, target_system=1, target_component=197, param_id=b"SIXTEEN_BYTES_OK",
+        param_value=2.5, param_type=9)
+    yield "param_value", frame(
+        std, "param_value", 1, 197, 14, param_id=b"GATE_SIGMA", param_value=3.0, param_type=9, param_count=40, param_index=17)
+
+
+def sensor_cases(std):
+    distance = [0.0] * 16
+    distance[0], distance[1] = 12.345678901, -0.5
+    yield "wheel_distance", frame(std, "wheel_distance", 1, 1, 15, time_usec=5000000, count=2, distance=distance)
+    yield "scaled_imu", frame(
+        std, "scaled_imu", 1, 1, 16, time_boot_ms=4000, xacc=100, yacc=0, zacc=0, xgyro=0, ygyro=0, zgyro=-750,
+        xmag=0, ymag=0, zmag=0, temperature=0)
+    imu = dict(
+        xacc=1.25, yacc=0.0, zacc=0.0, xgyro=0.0, ygyro=0.0, zgyro=-0.75, xmag=0.0, ymag=0.0, zmag=0.0,
+        abs_pressure=0.0, diff_pressure=0.0, pressure_alt=0.0, temperature=0.0, id=0)
+    yield "highres_imu", frame(std, "highres_imu", 1, 1, 17, time_usec=6000000, fields_updated=33, **imu)
+    imu["xacc"] = 0.0
+    yield "highres_imu_gyro_only", frame(std, "highres_imu", 1, 1, 18, time_usec=6000000, fields_updated=32, **imu)
+    ranger = dict(
+        time_boot_ms=7000, min_distance=0, max_distance=65535, current_distance=123, type=4, id=0, orientation=0,
+        horizontal_fov=0.0, vertical_fov=0.0, quaternion=[0.0] * 4, signal_quality=0)
+    yield "distance_sensor", frame(std, "distance_sensor", 1, 1, 19, covariance=4, **ranger)
+    yield "distance_sensor_sigma_unknown", frame(std, "distance_sensor", 1, 1, 20, covariance=255, **ranger)
+    yield "distance_sensor_sideways", frame(
+        std, "distance_sensor", 1, 1, 21, covariance=4, **dict(ranger, orientation=2))
+    yield "distance_sensor_bad_quality", frame(
+        std, "distance_sensor", 1, 1, 22, covariance=4, **dict(ranger, signal_quality=1))
+
+
+def pose_cases(std):
+    # North 2, east 1; looking 30 degrees east of north.
+    yaw = math.radians(30.0)
+    vision = dict(usec=8000000, x=2.0, y=1.0, z=0.0, roll=0.0, pitch=0.0, reset_counter=3)
+    known = upper(0.04, 0.005, 0.0, 0.01, 0.0, 0.002)
+    yield "vision", frame(std, "vision_position_estimate", 1, 100, 23, yaw=yaw, covariance=known, **vision)
+    yield "vision_without_heading", frame(
+        std, "vision_position_estimate", 1, 100, 24, yaw=NAN, covariance=UNKNOWN, **vision)
+    quaternion = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+    yield "mocap", frame(
+        std, "att_pos_mocap", 1, 100, 25, time_usec=8000000, q=quaternion, x=2.0, y=1.0, z=0.0, covariance=known)
+    odometry = dict(
+        time_usec=9000000, x=2.0, y=1.0, z=0.0, q=quaternion, vx=0.5, vy=0.0, vz=0.0,
+        rollspeed=0.0, pitchspeed=0.0, yawspeed=-0.25, velocity_covariance=UNKNOWN, reset_counter=1,
+        estimator_type=0, quality=90)
+    moving = upper(0.04, 0.005, 0.001, 0.01, -0.002, 0.003)
+    yield "odometry_arena", frame(
+        std, "odometry", 1, 197, 26, frame_id=1, child_frame_id=12, pose_covariance=moving, **odometry)
+    yield "odometry_odom", frame(
+        std, "odometry", 1, 1, 27, frame_id=20, child_frame_id=12, pose_covariance=moving, **odometry)
+    yield "odometry_enu_flu", frame(
+        std, "odometry", 1, 1, 28, frame_id=4, child_frame_id=13, pose_covariance=UNKNOWN, **odometry)
+    yield "odometry_global", frame(
+        std, "odometry", 1, 1, 29, frame_id=0, child_frame_id=12, pose_covariance=UNKNOWN, **odometry)
+    yield "local_position_ned", frame(
+        std, "local_position_ned", 1, 197, 30, time_boot_ms=10000, x=2.0, y=1.0, z=0.0, vx=0.25, vy=0.5, vz=0.0)
+    yield "attitude", frame(std, "attitude", 1, 197, 31, **ATTITUDE)
+    status = dict(
+        time_usec=11000000, vel_ratio=0.0, pos_horiz_ratio=0.75, pos_vert_ratio=0.0, mag_ratio=0.0, hagl_ratio=0.0,
+        tas_ratio=0.0, pos_horiz_accuracy=0.125, pos_vert_accuracy=0.0)
+    yield "estimator_status", frame(std, "estimator_status", 1, 197, 32, flags=1 | 2 | 8 | 16, **status)
+    yield "estimator_status_dead_reckoning", frame(std, "estimator_status", 1, 197, 33, flags=1 | 8, **status)
+
+
+def v1_cases(std):
+    yield "v1_heartbeat", frame(std, "heartbeat", 1, 1, 0, **HEARTBEAT)
+    yield "v1_attitude", frame(std, "attitude", 1, 1, 1, **ATTITUDE)
+    yield "v1_command_ack", frame(std, "command_ack", 1, 1, 2, command=511, result=0)
+
+
+def main():
+    own = load(sys.argv[1], "2.0")
+    std = load(sys.argv[2], "2.0")
+    std_v1 = load(sys.argv[2], "1.0")
+    cases = {}
+    for group in (own_cases(own), conversation_cases(std), sensor_cases(std), pose_cases(std), v1_cases(std_v1)):
+        cases.update(group)
+    json.dump(cases, sys.stdout, indent=1)
+    print()
+
+
+main()

@@ -1,0 +1,488 @@
+//! The conversation, in virtual time.
+
+#![expect(clippy::wildcard_enum_match_arm, reason = "helpers of tests")]
+
+use posebridge_protocol::message::{
+    CommandAck, CommandLong, Heartbeat, Message, SetMessageInterval, TimeSync,
+};
+use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_telemetry::{Address, BrickClock, HostClock, Span, Stamp};
+
+const STATION: Address = Address::new(1, 197);
+const ROBOT: Address = Address::new(1, 1);
+const CAMERA: Address = Address::new(1, 100);
+const SET_MESSAGE_INTERVAL: u16 = 511;
+
+const ONBOARD: Heartbeat = Heartbeat {
+    vehicle_type: 18,
+    autopilot: 8,
+    base_mode: 0,
+    system_status: 4,
+};
+const ROVER: Heartbeat = Heartbeat {
+    vehicle_type: 10,
+    autopilot: 0,
+    base_mode: 0,
+    system_status: 4,
+};
+
+type Output = SessionOutput<HostClock>;
+
+fn at(millis: i64) -> Stamp<HostClock> {
+    Stamp::from_millis(millis)
+}
+
+fn quiet() -> SessionConfig {
+    SessionConfig {
+        own: STATION,
+        heartbeat: ONBOARD,
+        heartbeat_period: Span::from_millis(1_000),
+        timesync_period: None,
+        peer_timeout: Span::from_millis(3_000),
+        wanted: Vec::new(),
+    }
+}
+
+/// A station and its clock, stepped from deadline to deadline.
+struct Station {
+    session: Session<HostClock>,
+    now: Stamp<HostClock>,
+}
+
+impl Station {
+    fn new(config: SessionConfig) -> Self {
+        Self {
+            session: Session::new(config, at(0)),
+            now: at(0),
+        }
+    }
+
+    /// Lets time pass, waking at every deadline; returns what came out, with its time in milliseconds.
+    fn run_until(&mut self, end: Stamp<HostClock>) -> Vec<(i64, Output)> {
+        let mut outputs = Vec::new();
+        while let Some(deadline) = self.session.deadline()
+            && deadline <= end
+        {
+            self.now = deadline.max(self.now);
+            self.session.tick(self.now);
+            while let Some(output) = self.session.poll() {
+                outputs.push((self.now.as_micros() / 1_000, output));
+            }
+        }
+        self.now = end;
+        outputs
+    }
+
+    /// Hears a message at the present time; returns what came out.
+    fn hear(&mut self, from: Address, message: &Message) -> Vec<Output> {
+        self.session.handle(self.now, from, message);
+        std::iter::from_fn(|| self.session.poll()).collect()
+    }
+}
+
+fn sent(outputs: &[(i64, Output)]) -> Vec<(i64, Message)> {
+    outputs
+        .iter()
+        .filter_map(|(millis, output)| match output {
+            SessionOutput::Send(message) => Some((*millis, message.clone())),
+            _ => None,
+        })
+        .collect()
+}
+
+fn times_of(outputs: &[(i64, Output)], wanted: impl Fn(&Message) -> bool) -> Vec<i64> {
+    sent(outputs)
+        .iter()
+        .filter(|(_, message)| wanted(message))
+        .map(|(millis, _)| *millis)
+        .collect()
+}
+
+fn is_time_request(message: &Message) -> bool {
+    matches!(
+        message,
+        Message::TimeSync(TimeSync {
+            answer_nanos: 0,
+            ..
+        })
+    )
+}
+
+fn request(nanos: i64, target: Option<Address>) -> Message {
+    Message::TimeSync(TimeSync {
+        answer_nanos: 0,
+        request_nanos: nanos,
+        target,
+    })
+}
+
+fn answer(peer_nanos: i64, echoed: Stamp<HostClock>, target: Option<Address>) -> Message {
+    Message::TimeSync(TimeSync {
+        answer_nanos: peer_nanos,
+        request_nanos: echoed.as_nanos(),
+        target,
+    })
+}
+
+#[test]
+fn heartbeats_come_once_per_period() {
+    let mut station = Station::new(quiet());
+    let outputs = station.run_until(at(3_500));
+    let beat = Message::Heartbeat(ONBOARD);
+    let expected = [0, 1_000, 2_000, 3_000].map(|millis| (millis, beat.clone()));
+    assert_eq!(sent(&outputs), expected);
+}
+
+#[test]
+fn missed_heartbeats_are_not_made_up_for() {
+    let mut session = Session::<HostClock>::new(quiet(), at(0));
+    session.tick(at(10_300));
+    let beats = std::iter::from_fn(|| session.poll()).count();
+    assert_eq!(beats, 1);
+    assert_eq!(session.deadline(), Some(at(11_300)));
+}
+
+#[test]
+fn peers_are_seen_lost_and_seen_again() {
+    let mut station = Station::new(quiet());
+    let seen = Output::PeerSeen {
+        peer: ROBOT,
+        heartbeat: ROVER,
+    };
+    assert_eq!(
+        station.hear(ROBOT, &Message::Heartbeat(ROVER)),
+        std::slice::from_ref(&seen)
+    );
+    station.run_until(at(2_000));
+    // Anything keeps it alive.
+    let text = Message::StatusText {
+        severity: 6,
+        text: String::new(),
+    };
+    assert!(station.hear(ROBOT, &text).is_empty());
+    let outputs = station.run_until(at(6_000));
+    let lost: Vec<_> = outputs
+        .iter()
+        .filter(|(_, output)| matches!(output, SessionOutput::PeerLost { .. }))
+        .collect();
+    let expected = Output::PeerLost {
+        peer: ROBOT,
+        silence: Span::from_millis(3_000),
+    };
+    assert_eq!(lost, [&(5_000, expected)]);
+    assert_eq!(station.hear(ROBOT, &Message::Heartbeat(ROVER)), [seen]);
+    assert!(station.hear(ROBOT, &Message::Heartbeat(ROVER)).is_empty());
+}
+
+#[test]
+fn our_own_echo_is_ignored() {
+    let mut station = Station::new(quiet());
+    assert!(
+        station
+            .hear(STATION, &Message::Heartbeat(ONBOARD))
+            .is_empty()
+    );
+    assert!(station.hear(STATION, &request(5, None)).is_empty());
+}
+
+#[test]
+fn time_requests_for_us_or_everybody_are_answered() {
+    let mut station = Station::new(quiet());
+    station.run_until(at(250));
+    let answered = |request_nanos| {
+        Output::Send(Message::TimeSync(TimeSync {
+            answer_nanos: 250_000_000,
+            request_nanos,
+            target: Some(ROBOT),
+        }))
+    };
+    for target in [None, Some(STATION), Some(Address::new(1, 0))] {
+        assert_eq!(station.hear(ROBOT, &request(77, target)), [answered(77)]);
+    }
+    for target in [CAMERA, Address::new(2, 197)] {
+        assert!(station.hear(ROBOT, &request(77, Some(target))).is_empty());
+    }
+}
+
+#[test]
+fn an_answer_is_never_a_request() {
+    let mut session = Session::<BrickClock>::new(quiet(), Stamp::ZERO);
+    session.handle(Stamp::ZERO, CAMERA, &request(1, None));
+    let output = session.poll();
+    let Some(SessionOutput::Send(Message::TimeSync(sync))) = output else {
+        panic!("{output:?}");
+    };
+    assert_ne!(sync.answer_nanos, 0);
+}
+
+#[test]
+fn ten_quick_time_requests_then_the_period() {
+    let mut station = Station::new(SessionConfig {
+        timesync_period: Some(Span::from_millis(1_000)),
+        ..quiet()
+    });
+    let times = times_of(&station.run_until(at(4_000)), is_time_request);
+    let quick = (0..10).map(|index| index * 100);
+    let expected: Vec<i64> = quick.chain([1_000, 2_000, 3_000, 4_000]).collect();
+    assert_eq!(times, expected);
+}
+
+#[test]
+fn a_new_peer_starts_the_quick_requests_again() {
+    let mut station = Station::new(SessionConfig {
+        timesync_period: Some(Span::from_millis(1_000)),
+        ..quiet()
+    });
+    station.run_until(at(5_050));
+    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    let times = times_of(&station.run_until(at(7_500)), is_time_request);
+    let quick = (0..10).map(|index| 5_150 + index * 100);
+    let expected: Vec<i64> = quick.chain([6_150, 7_150]).collect();
+    assert_eq!(times, expected);
+}
+
+#[test]
+fn only_true_fresh_and_first_answers_count() {
+    let mut station = Station::new(SessionConfig {
+        timesync_period: Some(Span::from_millis(1_000)),
+        ..quiet()
+    });
+    station.run_until(at(104));
+    let exchanged = |peer| Output::TimeExchanged {
+        peer,
+        sent: at(100),
+        received: at(104),
+        peer_nanos: 9_000,
+    };
+    let good = answer(9_000, at(100), Some(STATION));
+    assert_eq!(station.hear(ROBOT, &good), [exchanged(ROBOT)]);
+    assert!(station.hear(ROBOT, &good).is_empty(), "a duplicate");
+    let broadcast = answer(9_000, at(100), None);
+    assert_eq!(station.hear(CAMERA, &broadcast), [exchanged(CAMERA)]);
+    let invented = answer(9_000, at(101), Some(STATION));
+    assert!(station.hear(ROBOT, &invented).is_empty(), "never asked");
+    let foreign = answer(9_000, at(0), Some(CAMERA));
+    assert!(
+        station.hear(ROBOT, &foreign).is_empty(),
+        "for somebody else"
+    );
+    station.run_until(at(5_101));
+    let stale = answer(9_000, at(100), Some(STATION));
+    assert!(station.hear(Address::new(7, 7), &stale).is_empty(), "stale");
+}
+
+fn wanted_intervals() -> SessionConfig {
+    SessionConfig {
+        wanted: vec![
+            (42_100, Span::from_millis(20)),
+            (42_101, Span::from_millis(50)),
+        ],
+        ..quiet()
+    }
+}
+
+fn requested_ids(outputs: &[(i64, Output)]) -> Vec<(i64, u32)> {
+    sent(outputs)
+        .iter()
+        .filter_map(|(millis, message)| match message {
+            Message::SetMessageInterval(wanted) => {
+                assert_eq!(wanted.target, ROBOT);
+                Some((*millis, wanted.message_id))
+            }
+            _ => None,
+        })
+        .collect()
+}
+
+fn ack(result: u8) -> Message {
+    Message::CommandAck(CommandAck {
+        command: SET_MESSAGE_INTERVAL,
+        result,
+        target: Some(STATION),
+    })
+}
+
+#[test]
+fn intervals_are_requested_one_by_one_as_they_are_acknowledged() {
+    let mut station = Station::new(wanted_intervals());
+    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    assert_eq!(
+        requested_ids(&station.run_until(at(1_500))),
+        [(0, 42_100), (1_000, 42_100)]
+    );
+    station.hear(ROBOT, &ack(1));
+    assert_eq!(
+        requested_ids(&station.run_until(at(2_200))),
+        [(2_000, 42_100)],
+        "for the time being rejected"
+    );
+    station.hear(ROBOT, &ack(0));
+    assert_eq!(
+        requested_ids(&station.run_until(at(2_300))),
+        [(2_200, 42_101)]
+    );
+    station.hear(ROBOT, &ack(0));
+    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    assert!(requested_ids(&station.run_until(at(5_000))).is_empty());
+}
+
+#[test]
+fn a_deaf_robot_is_asked_five_times() {
+    let mut station = Station::new(SessionConfig {
+        peer_timeout: Span::from_millis(60_000),
+        ..wanted_intervals()
+    });
+    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    let asked = requested_ids(&station.run_until(at(30_000)));
+    let first = (0..5).map(|attempt| (attempt * 1_000, 42_100));
+    let second = (5..10).map(|attempt| (attempt * 1_000, 42_101));
+    assert_eq!(asked, first.chain(second).collect::<Vec<_>>());
+}
+
+#[test]
+fn cameras_and_ground_stations_are_not_asked() {
+    let mut station = Station::new(wanted_intervals());
+    station.hear(CAMERA, &Message::Heartbeat(ONBOARD));
+    let ground = Heartbeat {
+        vehicle_type: 6,
+        ..ROVER
+    };
+    station.hear(Address::new(255, 190), &Message::Heartbeat(ground));
+    assert!(requested_ids(&station.run_until(at(2_500))).is_empty());
+}
+
+#[test]
+fn a_restarted_robot_is_asked_again() {
+    let mut station = Station::new(SessionConfig {
+        wanted: vec![(42_100, Span::from_millis(20))],
+        ..quiet()
+    });
+    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    station.run_until(at(100));
+    station.hear(ROBOT, &ack(0));
+    assert!(requested_ids(&station.run_until(at(500))).is_empty());
+    station.session.peer_restarted(at(500), ROBOT);
+    assert_eq!(requested_ids(&station.run_until(at(600))), [(500, 42_100)]);
+}
+
+#[test]
+fn a_brick_accepts_intervals_that_are_meant_for_it() {
+    let mut brick = Station::new(SessionConfig {
+        own: ROBOT,
+        heartbeat: ROVER,
+        ..quiet()
+    });
+    let wanted = |target| {
+        Message::SetMessageInterval(SetMessageInterval {
+            target,
+            message_id: 42_101,
+            interval: Some(Span::from_millis(50)),
+        })
+    };
+    let accepted = [
+        Output::Send(Message::CommandAck(CommandAck {
+            command: SET_MESSAGE_INTERVAL,
+            result: 0,
+            target: Some(STATION),
+        })),
+        Output::IntervalRequested {
+            by: STATION,
+            message_id: 42_101,
+            interval: Some(Span::from_millis(50)),
+        },
+    ];
+    assert_eq!(brick.hear(STATION, &wanted(ROBOT)), accepted);
+    assert_eq!(brick.hear(STATION, &wanted(Address::new(1, 0))), accepted);
+    for other in [Address::new(0, 0), CAMERA, Address::new(2, 1)] {
+        assert!(brick.hear(STATION, &wanted(other)).is_empty(), "{other}");
+    }
+}
+
+#[test]
+fn other_commands_are_answered_only_when_meant_for_us_alone() {
+    let mut station = Station::new(quiet());
+    let gcs = Address::new(255, 190);
+    let command = |target| {
+        Message::Command(CommandLong {
+            target,
+            command: 65_000,
+            params: [0.0; 7],
+        })
+    };
+    let unsupported = Output::Send(Message::CommandAck(CommandAck {
+        command: 65_000,
+        result: 3,
+        target: Some(gcs),
+    }));
+    assert_eq!(station.hear(gcs, &command(STATION)), [unsupported]);
+    assert!(station.hear(gcs, &command(Address::new(1, 0))).is_empty());
+    assert!(station.hear(gcs, &command(ROBOT)).is_empty());
+}
+
+#[test]
+fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
+    let wrap = 1_i64 << 32;
+    let micros = |total: i64| Stamp::<BrickClock>::from_micros(total % wrap);
+    let start = wrap - 1_500_000;
+    let mut session = Session::new(
+        SessionConfig {
+            own: ROBOT,
+            ..quiet()
+        },
+        micros(start),
+    );
+    let mut beats = 0;
+    for step in 0..400 {
+        session.tick(micros(start + step * 10_000));
+        while let Some(output) = session.poll() {
+            beats += usize::from(matches!(output, SessionOutput::Send(Message::Heartbeat(_))));
+        }
+    }
+    // Four seconds: the beats of 0, 1, 2 and 3 s, up to one step late at the wrap.
+    assert_eq!(beats, 4);
+}
+
+#[test]
+fn two_sessions_measure_each_other() {
+    // A brick whose clock is 2 s behind, on a link that takes 5 ms each way.
+    let offset = Span::from_millis(-2_000);
+    let mut station = Session::<HostClock>::new(
+        SessionConfig {
+            timesync_period: Some(Span::from_millis(1_000)),
+            ..quiet()
+        },
+        at(3_000),
+    );
+    let brick_time =
+        |host: Stamp<HostClock>| Stamp::<BrickClock>::from_nanos((host + offset).as_nanos());
+    let mut brick = Session::<BrickClock>::new(
+        SessionConfig {
+            own: ROBOT,
+            heartbeat: ROVER,
+            ..quiet()
+        },
+        brick_time(at(3_000)),
+    );
+    station.tick(at(3_000));
+    while let Some(output) = station.poll() {
+        if let SessionOutput::Send(message) = output {
+            brick.handle(brick_time(at(3_005)), STATION, &message);
+        }
+    }
+    let mut exchanges = Vec::new();
+    while let Some(output) = brick.poll() {
+        if let SessionOutput::Send(message) = output {
+            station.handle(at(3_010), ROBOT, &message);
+        }
+    }
+    while let Some(output) = station.poll() {
+        exchanges.push(output);
+    }
+    let expected = Output::TimeExchanged {
+        peer: ROBOT,
+        sent: at(3_000),
+        received: at(3_010),
+        peer_nanos: 1_005_000_000,
+    };
+    assert_eq!(exchanges, [expected]);
+}
