@@ -1,0 +1,214 @@
+//! The overhead camera: sees the tag on the robot, takes its time, and tells the station in its own clock.
+//!
+//! It shares the link with the brick but is a component of its own. What it sent is logged with the outliers marked, for
+//! tests and scores; the log never reaches the station.
+
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::{Heartbeat, Message, VisionFix, WireStamp};
+use posebridge_telemetry::{
+    Address, Arena, Body, CameraClock, Heading, Meters, Point2, Pose, Radians, Span, Stamp,
+};
+
+use crate::clock::SkewedClock;
+use crate::node::{IntervalRequest, Node};
+use crate::random::Stream;
+use crate::scenario::{CameraOrder, CameraSettings};
+
+/// The camera's address on the link: MAV_COMP_ID_CAMERA of the robot's system (minimal.xml).
+pub const CAMERA: Address = Address::new(1, 100);
+/// MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
+const HEARTBEAT: Heartbeat = Heartbeat {
+    vehicle_type: 30,
+    autopilot: 8,
+    base_mode: 0,
+    system_status: 4,
+};
+
+/// One fix that the camera sent, beside what it should have been.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraFix {
+    /// World time of the exposure.
+    pub exposed: Span,
+    /// World time of the sending.
+    pub sent: Span,
+    /// The exposure by the camera's clock.
+    pub stamp: Stamp<CameraClock>,
+    /// Where the tag was said to be.
+    pub position: Point2<Arena>,
+    /// Where the body was said to point; `None` when the camera cannot tell.
+    pub heading: Option<Heading>,
+    /// Where the tag really was, and where the body really pointed.
+    pub true_tag: Pose<Arena>,
+    /// Whether it was made an outlier.
+    pub is_outlier: bool,
+}
+
+/// The camera.
+#[derive(Debug)]
+pub(crate) struct Camera {
+    settings: CameraSettings,
+    clock: SkewedClock,
+    node: Node<CameraClock>,
+    stream: Stream,
+    /// Time between images; `None` while a station has stopped them.
+    interval: Option<Span>,
+    next_exposure: Span,
+    /// Seen but not sent, in the order of sending.
+    pending: Vec<CameraFix>,
+    last_due: Span,
+    log: Vec<CameraFix>,
+}
+
+impl Camera {
+    /// A camera that is switched on at the beginning of the world.
+    pub(crate) fn new(settings: CameraSettings, seed: u64) -> Self {
+        let clock = SkewedClock::new(settings.clock());
+        let node = Node::new(CAMERA, HEARTBEAT, clock.reading(Span::ZERO));
+        Self {
+            interval: Some(Span::from_secs_f64(1.0 / settings.rate_hz)),
+            next_exposure: Span::ZERO,
+            settings,
+            clock,
+            node,
+            stream: Stream::new(seed, "camera"),
+            pending: Vec::new(),
+            last_due: Span::ZERO,
+            log: Vec::new(),
+        }
+    }
+
+    /// Lives through one step of the world that ends at `world` with the robot at `pose`.
+    pub(crate) fn step(&mut self, world: Span, pose: Pose<Arena>) {
+        if let Some(interval) = self.interval.filter(|_| world >= self.next_exposure) {
+            self.next_exposure = (self.next_exposure + interval).max(world);
+            self.expose(world, pose);
+        }
+        let due = self.pending.partition_point(|fix| fix.sent <= world);
+        for fix in self.pending.drain(..due).collect::<Vec<_>>() {
+            let message = self.message(&fix);
+            self.node.send(&message);
+            self.log.push(fix);
+        }
+        let requests = self.node.tick(self.clock.reading(world));
+        self.follow(world, &requests);
+    }
+
+    /// Takes a message from the link.
+    pub(crate) fn handle(&mut self, world: Span, from: Address, message: &Message) {
+        let requests = self.node.handle(self.clock.reading(world), from, message);
+        self.follow(world, &requests);
+    }
+
+    /// The bytes that wait to be sent.
+    pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
+        self.node.take()
+    }
+
+    /// Everything that was sent.
+    pub(crate) fn log(&self) -> &[CameraFix] {
+        &self.log
+    }
+
+    /// An interval for fixes is one for images; everything else is not the camera's to send.
+    fn follow(&mut self, world: Span, requests: &[IntervalRequest]) {
+        for request in requests {
+            if request.message_id == ids::VISION_POSITION_ESTIMATE {
+                self.interval = request.interval.map(|span| {
+                    if span <= Span::ZERO {
+                        Span::from_secs_f64(1.0 / self.settings.rate_hz)
+                    } else {
+                        span
+                    }
+                });
+                self.next_exposure = world;
+            }
+        }
+    }
+
+    /// Takes an image. Every image draws the same number of random values, so that one more outlier or dropout leaves
+    /// the noise of the others as it was.
+    fn expose(&mut self, world: Span, pose: Pose<Arena>) {
+        let is_dropped = self.stream.happens(self.settings.dropout) || self.is_dark(world);
+        let is_outlier = self.stream.happens(self.settings.outlier);
+        let gross = f64::from(u8::from(is_outlier));
+        let error = Noise::draw(&mut self.stream, &self.settings, gross);
+        let jitter_ms = self.settings.jitter_ms * self.stream.uniform(-1.0, 1.0);
+        if is_dropped {
+            return;
+        }
+        let latency_ms = (self.settings.latency_ms + jitter_ms).max(0.0);
+        let due = world + Span::from_secs_f64(latency_ms * 1e-3);
+        let sent = match self.settings.order {
+            CameraOrder::Fifo if due < self.last_due => self.last_due,
+            CameraOrder::Fifo | CameraOrder::Free => due,
+        };
+        self.last_due = sent;
+        let tag = Point2::<Body>::new(Meters(self.settings.tag_x_m), Meters(self.settings.tag_y_m));
+        let tag = pose * tag;
+        let fix = CameraFix {
+            exposed: world,
+            sent,
+            stamp: self.clock.reading(world),
+            position: Point2::new(tag.x + Meters(error.x_m), tag.y + Meters(error.y_m)),
+            heading: self
+                .settings
+                .sees_heading
+                .then(|| pose.heading + Radians(error.heading_rad)),
+            true_tag: Pose::new(tag.x, tag.y, pose.heading),
+            is_outlier,
+        };
+        let place = self.pending.partition_point(|other| other.sent <= sent);
+        self.pending.insert(place, fix);
+    }
+
+    fn is_dark(&self, world: Span) -> bool {
+        let now_s = world.as_secs_f64();
+        self.settings
+            .blackouts
+            .iter()
+            .any(|dark| (dark.from_s..dark.to_s).contains(&now_s))
+    }
+
+    fn message(&self, fix: &CameraFix) -> Message {
+        let position_var_m2 = self.settings.position_sigma_m.powi(2);
+        let heading_var_rad2 = if self.settings.sees_heading {
+            self.settings.heading_sigma_deg.to_radians().powi(2)
+        } else {
+            f64::INFINITY
+        };
+        Message::VisionPosition(VisionFix {
+            stamp: WireStamp::Micros64(fix.stamp.as_micros() as u64),
+            x: fix.position.x,
+            y: fix.position.y,
+            heading: fix.heading,
+            covariance: self.settings.reports_covariance.then_some([
+                position_var_m2,
+                0.0,
+                position_var_m2,
+                heading_var_rad2,
+            ]),
+            reset_counter: 0,
+        })
+    }
+}
+
+/// The error of one fix.
+struct Noise {
+    x_m: f64,
+    y_m: f64,
+    heading_rad: f64,
+}
+
+impl Noise {
+    /// `gross` is 1 for an outlier and 0 otherwise; an outlier's own error is drawn in either case.
+    fn draw(stream: &mut Stream, settings: &CameraSettings, gross: f64) -> Self {
+        let mut error = |sigma: f64, outlier_sigma: f64| {
+            sigma * stream.normal() + gross * outlier_sigma * stream.normal()
+        };
+        Self {
+            x_m: error(settings.position_sigma_m, settings.outlier_sigma_m),
+            y_m: error(settings.position_sigma_m, settings.outlier_sigma_m),
+            heading_rad: error(settings.heading_sigma_deg, settings.outlier_sigma_deg).to_radians(),
+        }
+    }
+}

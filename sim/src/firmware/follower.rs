@@ -1,0 +1,271 @@
+//! Follows the path: rests, turns in place, drives legs. It knows a believed pose and the path, nothing of the truth.
+//!
+//! # Model
+//! ```text
+//! turn rate = v (curvature - a heading error - b lateral error)      along a leg, v the commanded speed
+//! ```
+//! With a = 8/m and b = 16/m² both errors die out critically damped over a length of 0.25 m.
+
+use posebridge_telemetry::{Arena, BrickClock, Heading, Pose, Span, Stamp};
+
+use super::speed_control::PERIOD_S;
+use crate::path::{Leg, Path};
+use crate::scenario::DriveSettings;
+
+/// Gain on the heading error, 1/m.
+const HEADING_PER_M: f64 = 8.0;
+/// Gain on the lateral error, 1/m².
+const LATERAL_PER_M2: f64 = 16.0;
+/// Largest change of the commanded speed, m/s².
+const ACCELERATION_M_PER_S2: f64 = 0.5;
+/// Largest change of the commanded turn rate, rad/s².
+const ACCELERATION_RAD_PER_S2: f64 = 6.0;
+/// Braking planned ahead; gentler than what is allowed, because the motors follow with a lag of a tenth of a second.
+const BRAKING_M_PER_S2: f64 = 0.3;
+const BRAKING_RAD_PER_S2: f64 = 2.0;
+/// Slowest commands before a goal, so that it is reached.
+const CREEP_M_PER_S: f64 = 0.02;
+const CREEP_RAD_PER_S: f64 = 0.15;
+/// A leg ends this far before its end, in metres; a turn this far from its heading, in radians.
+const LEG_END_M: f64 = 0.002;
+const TURN_END_RAD: f64 = 0.017;
+
+/// A wanted motion of the body.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Twist {
+    /// Along the body's x axis, m/s.
+    pub(crate) forward_m_per_s: f64,
+    /// About the vertical, rad/s.
+    pub(crate) turn_rad_per_s: f64,
+}
+
+/// One thing to do.
+#[derive(Clone, Copy, Debug)]
+enum Manoeuvre {
+    Rest(Span),
+    Turn(Heading),
+    Drive { leg: usize },
+}
+
+/// The brick's program.
+#[derive(Clone, Debug)]
+pub(crate) struct Follower {
+    settings: DriveSettings,
+    path: Path,
+    program: Vec<Manoeuvre>,
+    next: usize,
+    begun: Option<Stamp<BrickClock>>,
+    /// How far along the leg in hand, in metres; never falls.
+    along_m: f64,
+    /// Length of the legs that are done, in metres.
+    done_m: f64,
+    command: Twist,
+}
+
+impl Follower {
+    /// A program that drives `path`.
+    pub(crate) fn new(settings: DriveSettings, path: Path) -> Self {
+        let program = program(&settings, &path);
+        Self {
+            settings,
+            path,
+            program,
+            next: 0,
+            begun: None,
+            along_m: 0.0,
+            done_m: 0.0,
+            command: Twist::default(),
+        }
+    }
+
+    /// What to do for the next control period, given where the brick believes to be.
+    pub(crate) fn command(&mut self, now: Stamp<BrickClock>, believed: Pose<Arena>) -> Twist {
+        let wanted = match self.program.get(self.next).copied() {
+            Some(Manoeuvre::Rest(span)) => self.rest(now, span),
+            Some(Manoeuvre::Turn(heading)) => self.turn((heading - believed.heading).0),
+            Some(Manoeuvre::Drive { leg }) => self.drive(leg, believed),
+            None => Twist::default(),
+        };
+        self.command = Twist {
+            forward_m_per_s: slew(
+                self.command.forward_m_per_s,
+                wanted.forward_m_per_s,
+                ACCELERATION_M_PER_S2 * PERIOD_S,
+            ),
+            turn_rad_per_s: slew(
+                self.command.turn_rad_per_s,
+                wanted.turn_rad_per_s,
+                ACCELERATION_RAD_PER_S2 * PERIOD_S,
+            ),
+        };
+        self.command
+    }
+
+    /// Whether everything is done and nothing is commanded.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.next >= self.program.len() && self.command == Twist::default()
+    }
+
+    /// How much of the path is driven, 0 to 1.
+    pub(crate) fn progress(&self) -> f64 {
+        ((self.done_m + self.along_m) / self.path.length_m()).clamp(0.0, 1.0)
+    }
+
+    /// The brick's clock was restarted: a rest in hand begins anew, and the motors stand.
+    pub(crate) fn clock_restarted(&mut self) {
+        self.begun = None;
+        self.command = Twist::default();
+    }
+
+    fn rest(&mut self, now: Stamp<BrickClock>, span: Span) -> Twist {
+        let begun = *self.begun.get_or_insert(now);
+        if now - begun >= span {
+            self.advance();
+        }
+        Twist::default()
+    }
+
+    fn turn(&mut self, error_rad: f64) -> Twist {
+        if error_rad.abs() < TURN_END_RAD {
+            self.advance();
+            return Twist::default();
+        }
+        let braking = (2.0 * BRAKING_RAD_PER_S2 * error_rad.abs()).sqrt();
+        let rate = braking
+            .min(self.settings.turn_rate_rad_per_s)
+            .max(CREEP_RAD_PER_S);
+        Twist {
+            forward_m_per_s: 0.0,
+            turn_rad_per_s: rate.copysign(error_rad),
+        }
+    }
+
+    fn drive(&mut self, leg: usize, believed: Pose<Arena>) -> Twist {
+        let near_m = self.along_m;
+        let Some((length_m, here)) = self
+            .path
+            .legs()
+            .get(leg)
+            .map(|leg| (leg.length_m(), leg.project(believed.origin(), near_m)))
+        else {
+            self.advance();
+            return Twist::default();
+        };
+        self.along_m = self.along_m.max(here.along_m);
+        let remaining_m = length_m - self.along_m;
+        if remaining_m < LEG_END_M {
+            self.done_m += length_m;
+            self.advance();
+            return Twist::default();
+        }
+        let heading_error_rad = (believed.heading - here.heading).0;
+        let braking = (2.0 * BRAKING_M_PER_S2 * remaining_m).sqrt();
+        let speed = braking
+            .min(self.settings.speed_m_per_s * heading_error_rad.cos().max(0.0))
+            .max(CREEP_M_PER_S);
+        let bend_per_m =
+            here.curvature_per_m - HEADING_PER_M * heading_error_rad - LATERAL_PER_M2 * here.left_m;
+        let limit = self.settings.turn_rate_rad_per_s;
+        Twist {
+            forward_m_per_s: speed,
+            turn_rad_per_s: (speed * bend_per_m).max(-limit).min(limit),
+        }
+    }
+
+    fn advance(&mut self) {
+        self.next += 1;
+        self.begun = None;
+        self.along_m = 0.0;
+    }
+}
+
+/// Rests, legs and the turns between them; a closed path ends as it began.
+fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
+    let pause = Manoeuvre::Rest(Span::from_secs_f64(settings.pause_s));
+    let mut program = vec![Manoeuvre::Rest(Span::from_secs_f64(settings.rest_s))];
+    let legs = path.legs();
+    for (index, _) in legs.iter().enumerate() {
+        program.extend([Manoeuvre::Drive { leg: index }, pause]);
+        let next = legs
+            .get(index + 1)
+            .or(legs.first().filter(|_| path.is_closed()));
+        let turns = legs.len() > 1;
+        if let Some(heading) = next.filter(|_| turns).map(|leg: &Leg| leg.start().heading) {
+            program.extend([Manoeuvre::Turn(heading), pause]);
+        }
+    }
+    program
+}
+
+/// `from` moved towards `to` by no more than `step`.
+fn slew(from: f64, to: f64, step: f64) -> f64 {
+    from + (to - from).max(-step).min(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_telemetry::{Meters, Transform2};
+
+    use super::*;
+    use crate::scenario::{Course, Scenario};
+
+    fn straight(length_m: f64) -> Follower {
+        let scenario = Scenario {
+            path: Course::Waypoints {
+                points_m: vec![[0.0, 0.0], [length_m, 0.0]],
+            },
+            ..Scenario::default()
+        };
+        Follower::new(scenario.drive, Path::new(&scenario))
+    }
+
+    /// Drives as commanded without any lag, for `secs` seconds from `pose`; returns where that led.
+    fn obeyed(follower: &mut Follower, mut pose: Pose<Arena>, secs: f64) -> Pose<Arena> {
+        for step in 0..(secs / PERIOD_S) as i64 {
+            let twist = follower.command(Stamp::from_millis(step * 10), pose);
+            let turn_rad = twist.turn_rad_per_s * PERIOD_S;
+            pose = pose
+                * Transform2::new(
+                    Meters(twist.forward_m_per_s * PERIOD_S),
+                    Meters(0.0),
+                    Heading::from_rad(turn_rad),
+                );
+        }
+        pose
+    }
+
+    #[test]
+    fn a_robot_beside_its_path_comes_back_without_overshoot() {
+        let beside = Pose::new(Meters(0.0), Meters(0.05), Heading::default());
+        let mut follower = straight(3.0);
+        // 2 s of rest, then 1.5 m: six times the length over which errors die out.
+        let pose = obeyed(&mut follower, beside, 9.0);
+        assert!(pose.x.0 > 1.2, "{} m", pose.x.0);
+        assert!(pose.y.0.abs() < 0.003, "{} m", pose.y.0);
+    }
+
+    #[test]
+    fn it_stops_at_the_end_of_an_open_path() {
+        let mut follower = straight(0.5);
+        let pose = obeyed(&mut follower, Pose::default(), 10.0);
+        assert!(follower.is_finished());
+        assert!((follower.progress() - 1.0).abs() < 1e-12);
+        assert!((pose.x.0 - 0.5).abs() < 0.01, "{} m", pose.x.0);
+    }
+
+    #[test]
+    fn commands_never_change_faster_than_allowed() {
+        let mut follower = straight(0.5);
+        let mut last = Twist::default();
+        for step in 0..1_000 {
+            // A believed pose that jumps about.
+            let y_m = if step % 7 == 0 { 0.2 } else { -0.1 };
+            let pose = Pose::new(Meters(0.0), Meters(y_m), Heading::default());
+            let twist = follower.command(Stamp::from_millis(step * 10), pose);
+            let change = (twist.turn_rad_per_s - last.turn_rad_per_s).abs();
+            assert!(change <= ACCELERATION_RAD_PER_S2 * PERIOD_S + 1e-12);
+            assert!(twist.forward_m_per_s - last.forward_m_per_s <= 0.005 + 1e-12);
+            last = twist;
+        }
+    }
+}

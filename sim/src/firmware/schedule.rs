@@ -1,0 +1,144 @@
+//! When the brick sends which message: its own defaults, and the intervals that a station asked for.
+
+use posebridge_protocol::dialect::ids;
+use posebridge_telemetry::{BrickClock, Span, Stamp};
+
+use crate::node::IntervalRequest;
+use crate::scenario::{BrickSettings, Wire};
+
+/// The description comes this often, so that a station that starts late has it soon.
+const DESCRIPTION_PERIOD: Span = Span::from_millis(5_000);
+/// No message comes more often than the world moves.
+const SHORTEST: Span = Span::from_millis(1);
+
+/// What the brick has to tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Topic {
+    /// The wheels.
+    Wheels,
+    /// Gyro and accelerometers.
+    Inertial,
+    /// The robot's build.
+    Description,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Slot {
+    topic: Topic,
+    message_id: u32,
+    default: Span,
+    interval: Option<Span>,
+    due: Stamp<BrickClock>,
+}
+
+/// All messages with their intervals.
+#[derive(Clone, Debug)]
+pub(crate) struct Schedule {
+    slots: [Slot; 3],
+}
+
+impl Schedule {
+    /// The defaults of a brick that was powered up at `now`; everything is due at once.
+    pub(crate) fn new(settings: &BrickSettings, now: Stamp<BrickClock>) -> Self {
+        let telemetry = Span::from_secs_f64(1.0 / settings.telemetry_hz);
+        let (wheels, inertial) = match settings.wire {
+            Wire::Compact => (ids::PB_WHEEL_TICKS, ids::PB_INERTIAL),
+            Wire::Standard => (ids::WHEEL_DISTANCE, ids::SCALED_IMU),
+        };
+        let slot = |topic, message_id, default| Slot {
+            topic,
+            message_id,
+            default,
+            interval: Some(default),
+            due: now,
+        };
+        Self {
+            slots: [
+                slot(
+                    Topic::Description,
+                    ids::PB_ROBOT_DESCRIPTION,
+                    DESCRIPTION_PERIOD,
+                ),
+                slot(Topic::Wheels, wheels, telemetry),
+                slot(Topic::Inertial, inertial, telemetry),
+            ],
+        }
+    }
+
+    /// Follows a request; one for a message that the brick does not have changes nothing.
+    pub(crate) fn follow(&mut self, request: IntervalRequest, now: Stamp<BrickClock>) {
+        for slot in &mut self.slots {
+            if slot.message_id != request.message_id {
+                continue;
+            }
+            slot.interval = match request.interval {
+                Some(span) if span <= Span::ZERO => Some(slot.default),
+                Some(span) => Some(span.max(SHORTEST)),
+                None => None,
+            };
+            slot.due = now;
+        }
+    }
+
+    /// The next topic that is due at `now`; each comes once per interval.
+    pub(crate) fn next(&mut self, now: Stamp<BrickClock>) -> Option<Topic> {
+        for slot in &mut self.slots {
+            let Some(interval) = slot.interval else {
+                continue;
+            };
+            if slot.due > now {
+                continue;
+            }
+            slot.due = slot.due + interval;
+            if slot.due <= now {
+                slot.due = now + interval;
+            }
+            return Some(slot.topic);
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn count(schedule: &mut Schedule, topic: Topic, from_ms: i64, to_ms: i64) -> usize {
+        let mut found = 0;
+        for ms in from_ms..to_ms {
+            while let Some(due) = schedule.next(Stamp::from_millis(ms)) {
+                found += usize::from(due == topic);
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn defaults_requests_and_stops_are_kept() {
+        let mut schedule = Schedule::new(&BrickSettings::default(), Stamp::ZERO);
+        assert_eq!(count(&mut schedule, Topic::Wheels, 0, 1_000), 20);
+        let ask = |interval| IntervalRequest {
+            message_id: ids::PB_WHEEL_TICKS,
+            interval,
+        };
+        schedule.follow(ask(Some(Span::from_millis(100))), Stamp::from_millis(1_000));
+        assert_eq!(count(&mut schedule, Topic::Wheels, 1_000, 2_000), 10);
+        schedule.follow(ask(None), Stamp::from_millis(2_000));
+        assert_eq!(count(&mut schedule, Topic::Wheels, 2_000, 3_000), 0);
+        schedule.follow(ask(Some(Span::ZERO)), Stamp::from_millis(3_000));
+        assert_eq!(count(&mut schedule, Topic::Wheels, 3_000, 4_000), 20);
+    }
+
+    #[test]
+    fn a_request_for_a_foreign_message_changes_nothing() {
+        let mut schedule = Schedule::new(&BrickSettings::default(), Stamp::ZERO);
+        schedule.follow(
+            IntervalRequest {
+                message_id: ids::HEARTBEAT,
+                interval: None,
+            },
+            Stamp::ZERO,
+        );
+        assert_eq!(count(&mut schedule, Topic::Inertial, 0, 1_000), 20);
+    }
+}

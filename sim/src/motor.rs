@@ -1,0 +1,177 @@
+//! A geared direct-current motor with Coulomb friction, and the play between its gears.
+//!
+//! # Model
+//! ```text
+//! torque = (Kt/R) (u - Ke w) - friction sign(w)        u volts at the terminals, w rad/s at the output shaft
+//! J dw/dt = torque                                     the motor stands while |(Kt/R) u| <= friction
+//! ```
+//! The winding's inductance is left out: its time constant is below the step of one millisecond.
+//!
+//! # Sources
+//! Pybricks `model_nxt` (servo_settings.c and motor_model.py), decoded into SI; it agrees with the measurements of
+//! philohome.com (170 rpm at 9 V without load, stall 0.50 N m). See docs/simulated-brick.md.
+
+use crate::world::STEP_S;
+
+/// What a motor is made of, at its output shaft.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct MotorConstants {
+    /// Kt/R, in N m per V.
+    pub(crate) torque_n_m_per_v: f64,
+    /// Ke, in V s per rad.
+    pub(crate) back_emf_v_s_per_rad: f64,
+    /// J with everything that turns along, in kg m².
+    pub(crate) inertia_kg_m2: f64,
+    /// Coulomb friction, in N m.
+    pub(crate) friction_n_m: f64,
+}
+
+/// A turning motor.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Motor {
+    back_emf_v_s_per_rad: f64,
+    /// The voltage that friction eats, which is also the dead band.
+    friction_v: f64,
+    /// What is left of a difference in speed after one step.
+    decay: f64,
+    /// J R / (Kt Ke), in seconds.
+    time_constant_s: f64,
+    angle_rad: f64,
+    speed_rad_per_s: f64,
+}
+
+impl Motor {
+    /// A motor at rest at angle zero.
+    pub(crate) fn new(c: MotorConstants) -> Self {
+        let time_constant_s = c.inertia_kg_m2 / (c.torque_n_m_per_v * c.back_emf_v_s_per_rad);
+        Self {
+            back_emf_v_s_per_rad: c.back_emf_v_s_per_rad,
+            friction_v: c.friction_n_m / c.torque_n_m_per_v,
+            decay: (-STEP_S / time_constant_s).exp(),
+            time_constant_s,
+            angle_rad: 0.0,
+            speed_rad_per_s: 0.0,
+        }
+    }
+
+    /// Lets `volts` act for one step, exactly for a constant voltage and therefore stable for any constants.
+    pub(crate) fn step(&mut self, volts: f64) {
+        let before = self.speed_rad_per_s;
+        let net_v = volts - self.back_emf_v_s_per_rad * before;
+        let is_held = net_v.abs() <= self.friction_v;
+        if before == 0.0 && is_held {
+            return;
+        }
+        let against = if before == 0.0 { net_v } else { before };
+        let end = (volts - self.friction_v.copysign(against)) / self.back_emf_v_s_per_rad;
+        let after = end + (before - end) * self.decay;
+        // Friction brings a motor to rest; which way it starts again is decided from there.
+        if before * after < 0.0 {
+            self.speed_rad_per_s = 0.0;
+            self.angle_rad += 0.5 * before * STEP_S;
+        } else {
+            self.speed_rad_per_s = after;
+            self.angle_rad +=
+                end * STEP_S + (before - end) * self.time_constant_s * (1.0 - self.decay);
+        }
+    }
+
+    /// Total rotation of the output shaft, where the encoder sits, in radians.
+    pub(crate) const fn angle_rad(&self) -> f64 {
+        self.angle_rad
+    }
+
+    /// Speed of the output shaft, in radians per second.
+    pub(crate) const fn speed_rad_per_s(&self) -> f64 {
+        self.speed_rad_per_s
+    }
+}
+
+/// The play between the encoder's shaft and the wheel: on reversal the wheel waits until the gap is crossed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Backlash {
+    half_gap_rad: f64,
+    wheel_rad: f64,
+}
+
+impl Backlash {
+    /// Play of `gap_rad` in all, with the wheel in its middle.
+    pub(crate) const fn new(gap_rad: f64) -> Self {
+        Self {
+            half_gap_rad: 0.5 * gap_rad,
+            wheel_rad: 0.0,
+        }
+    }
+
+    /// Moves the shaft to `shaft_rad` and returns how far the wheel turned, in radians.
+    pub(crate) fn follow(&mut self, shaft_rad: f64) -> f64 {
+        let before = self.wheel_rad;
+        self.wheel_rad = before
+            .max(shaft_rad - self.half_gap_rad)
+            .min(shaft_rad + self.half_gap_rad);
+        self.wheel_rad - before
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::MotorSettings;
+
+    fn unloaded() -> Motor {
+        Motor::new(MotorSettings::default().constants(0.0))
+    }
+
+    fn speed_after(volts: f64, millis: u32) -> f64 {
+        let mut motor = unloaded();
+        for _ in 0..millis {
+            motor.step(volts);
+        }
+        motor.speed_rad_per_s()
+    }
+
+    fn rpm(speed_rad_per_s: f64) -> f64 {
+        speed_rad_per_s * 60.0 / std::f64::consts::TAU
+    }
+
+    #[test]
+    fn no_load_speeds_are_those_of_the_measured_motor() {
+        // philohome.com and Pybricks: 170 rpm at 9 V, 135 rpm at 7.2 V.
+        assert!((rpm(speed_after(9.0, 2_000)) - 170.0).abs() < 2.0);
+        assert!((rpm(speed_after(7.2, 2_000)) - 135.0).abs() < 2.0);
+        assert!((rpm(speed_after(-9.0, 2_000)) + 170.0).abs() < 2.0);
+    }
+
+    #[test]
+    fn the_time_constant_is_a_tenth_of_a_second() {
+        let end = speed_after(9.0, 2_000);
+        let reached = (1..2_000).find(|&t| speed_after(9.0, t) >= end * (1.0 - (-1.0_f64).exp()));
+        assert!(matches!(reached, Some(95..=110)), "{reached:?} ms");
+    }
+
+    #[test]
+    fn the_dead_band_is_a_third_of_a_volt() {
+        assert_eq!(speed_after(0.32, 1_000), 0.0);
+        assert!(speed_after(0.35, 1_000) > 0.0);
+    }
+
+    #[test]
+    fn a_motor_without_voltage_stops_and_stays() {
+        let mut motor = unloaded();
+        for _ in 0..500 {
+            motor.step(9.0);
+        }
+        for _ in 0..1_000 {
+            motor.step(0.0);
+        }
+        assert_eq!(motor.speed_rad_per_s(), 0.0);
+    }
+
+    #[test]
+    fn the_wheel_waits_while_the_gap_is_crossed() {
+        let mut play = Backlash::new(0.08);
+        assert!((play.follow(1.0) - 0.96).abs() < 1e-12);
+        assert_eq!(play.follow(0.93), 0.0);
+        assert!((play.follow(0.90) + 0.02).abs() < 1e-12);
+    }
+}

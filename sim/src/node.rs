@@ -1,0 +1,97 @@
+//! One MAVLink participant of the simulated world: a session, a sequence counter and the bytes that wait to be sent.
+//!
+//! The brick and the camera are two of them behind one link. Which telemetry is sent when is their business.
+
+use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::framing::WireVersion;
+use posebridge_protocol::message::{Heartbeat, Message};
+use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_telemetry::clock::Clock;
+use posebridge_telemetry::{Address, Span, Stamp};
+
+/// Somebody wants a message at an interval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct IntervalRequest {
+    /// The message.
+    pub(crate) message_id: u32,
+    /// The interval; `None` stops it, zero asks for the default.
+    pub(crate) interval: Option<Span>,
+}
+
+/// A participant with a clock of kind `C`.
+#[derive(Debug)]
+pub(crate) struct Node<C: Clock> {
+    own: Address,
+    session: Session<C>,
+    encoder: Encoder,
+    outgoing: Vec<u8>,
+}
+
+impl<C: Clock> Node<C> {
+    /// A participant that was powered up at `now`. All stamps that it is given are what its own clock shows to others,
+    /// wraps included: with them it answers TIMESYNC.
+    pub(crate) fn new(own: Address, heartbeat: Heartbeat, now: Stamp<C>) -> Self {
+        let config = SessionConfig {
+            own,
+            heartbeat,
+            heartbeat_period: Span::from_millis(1_000),
+            timesync_period: None,
+            peer_timeout: Span::from_millis(5_000),
+            wanted: Vec::new(),
+        };
+        Self {
+            own,
+            session: Session::new(config, now),
+            encoder: Encoder::new(WireVersion::V2),
+            outgoing: Vec::new(),
+        }
+    }
+
+    /// Takes a message from the link and returns what it asks for beyond the session's own business.
+    pub(crate) fn handle(
+        &mut self,
+        now: Stamp<C>,
+        from: Address,
+        message: &Message,
+    ) -> Vec<IntervalRequest> {
+        self.session.handle(now, from, message);
+        self.drain()
+    }
+
+    /// Lets time pass.
+    pub(crate) fn tick(&mut self, now: Stamp<C>) -> Vec<IntervalRequest> {
+        self.session.tick(now);
+        self.drain()
+    }
+
+    /// Queues a message.
+    pub(crate) fn send(&mut self, message: &Message) {
+        self.encoder.encode(self.own, message, &mut self.outgoing);
+    }
+
+    /// The bytes that are to be sent, as whole frames.
+    pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
+        (!self.outgoing.is_empty()).then(|| std::mem::take(&mut self.outgoing))
+    }
+
+    fn drain(&mut self) -> Vec<IntervalRequest> {
+        let mut requests = Vec::new();
+        while let Some(output) = self.session.poll() {
+            match output {
+                SessionOutput::Send(message) => self.send(&message),
+                SessionOutput::IntervalRequested {
+                    message_id,
+                    interval,
+                    ..
+                } => requests.push(IntervalRequest {
+                    message_id,
+                    interval,
+                }),
+                SessionOutput::PeerSeen { .. }
+                | SessionOutput::PeerLost { .. }
+                | SessionOutput::TimeExchanged { .. } => {}
+            }
+        }
+        requests
+    }
+}

@@ -1,0 +1,408 @@
+//! The ideal path: straight pieces and arcs in the arena, grouped into legs that are driven without a stop.
+//!
+//! Both the follower (with a believed pose) and the truth log (with the true one) ask it for distances; it knows neither.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use posebridge_telemetry::quantities::wrap_rad;
+use posebridge_telemetry::{Arena, Body, Heading, Meters, Point2, Pose, Transform2};
+
+use crate::scenario::{Course, Scenario};
+
+/// Points of [`Path::polyline`] lie at most this far apart on arcs, in metres.
+const POLYLINE_STEP_M: f64 = 0.02;
+/// A path whose end is this close to its beginning is closed, in metres.
+const CLOSED_M: f64 = 1e-3;
+/// How far a projection may lie behind and ahead of the last one, in metres; a crossing path must not catch it.
+const SEARCH_BACK_M: f64 = 0.05;
+const SEARCH_AHEAD_M: f64 = 0.30;
+
+/// The place on a leg next to some point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Projection {
+    /// Distance along the leg, in metres.
+    pub(crate) along_m: f64,
+    /// How far the point lies to the left of the leg, in metres.
+    pub(crate) left_m: f64,
+    /// The leg's direction there.
+    pub(crate) heading: Heading,
+    /// The leg's curvature there, 1/m, positive to the left.
+    pub(crate) curvature_per_m: f64,
+    /// Distance of the point from the leg, in metres.
+    pub(crate) distance_m: f64,
+}
+
+/// A straight piece or an arc of at most a quarter turn.
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    start: Pose<Arena>,
+    length_m: f64,
+    curvature_per_m: f64,
+}
+
+impl Segment {
+    fn at(&self, along_m: f64) -> Pose<Arena> {
+        let turn = self.curvature_per_m * along_m;
+        let (ahead, left) = if self.curvature_per_m == 0.0 {
+            (along_m, 0.0)
+        } else {
+            (
+                turn.sin() / self.curvature_per_m,
+                (1.0 - turn.cos()) / self.curvature_per_m,
+            )
+        };
+        self.start
+            * Transform2::<Body, Body>::new(Meters(ahead), Meters(left), Heading::from_rad(turn))
+    }
+
+    fn project(&self, point: Point2<Arena>) -> Projection {
+        let local = self.start.inverse() * point;
+        let foot_m = if self.curvature_per_m == 0.0 {
+            local.x.0
+        } else {
+            let to_left = self.curvature_per_m.signum();
+            let radius_m = 1.0 / self.curvature_per_m.abs();
+            // Seen from the centre, the start lies at angle zero and the arc runs with growing angle.
+            local.x.0.atan2(radius_m - to_left * local.y.0) * radius_m
+        };
+        let along_m = foot_m.max(0.0).min(self.length_m);
+        let foot = self.at(along_m);
+        let offset = foot.inverse() * point;
+        Projection {
+            along_m,
+            left_m: offset.y.0,
+            heading: foot.heading,
+            curvature_per_m: self.curvature_per_m,
+            distance_m: offset.x.0.hypot(offset.y.0),
+        }
+    }
+}
+
+/// A part of the path that is driven without a stop.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Leg {
+    segments: Vec<Segment>,
+}
+
+impl Leg {
+    /// Its length in metres.
+    pub(crate) fn length_m(&self) -> f64 {
+        self.segments.iter().map(|s| s.length_m).sum()
+    }
+
+    /// Where it begins and points.
+    pub(crate) fn start(&self) -> Pose<Arena> {
+        self.segments
+            .first()
+            .map_or_else(Pose::default, |s| s.start)
+    }
+
+    fn end(&self) -> Pose<Arena> {
+        self.segments
+            .last()
+            .map_or_else(Pose::default, |s| s.at(s.length_m))
+    }
+
+    /// The place next to `point`, not far from `near_m` along the leg.
+    pub(crate) fn project(&self, point: Point2<Arena>, near_m: f64) -> Projection {
+        let mut begin_m = 0.0;
+        let mut best: Option<Projection> = None;
+        for segment in &self.segments {
+            let end_m = begin_m + segment.length_m;
+            if begin_m <= near_m + SEARCH_AHEAD_M && end_m >= near_m - SEARCH_BACK_M {
+                let mut found = segment.project(point);
+                found.along_m += begin_m;
+                if best.is_none_or(|b| found.distance_m < b.distance_m) {
+                    best = Some(found);
+                }
+            }
+            begin_m = end_m;
+        }
+        best.unwrap_or_else(|| Projection {
+            along_m: begin_m,
+            left_m: 0.0,
+            heading: self.end().heading,
+            curvature_per_m: 0.0,
+            distance_m: 0.0,
+        })
+    }
+}
+
+/// The whole path, all laps.
+#[derive(Clone, Debug)]
+pub(crate) struct Path {
+    legs: Vec<Leg>,
+    /// The pieces of one lap; all laps lie on them.
+    lap: Vec<Segment>,
+    is_closed: bool,
+}
+
+impl Path {
+    /// The path of a scenario.
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let laps = scenario.drive.laps as usize;
+        let start = scenario.start.pose();
+        match &scenario.path {
+            Course::Square { side_m, direction } => {
+                let lap = square(start, *side_m, direction.sign() * FRAC_PI_2);
+                let lap_legs = lap.len();
+                let legs = lap.into_iter().cycle().take(laps * lap_legs).collect();
+                Self::of_legs(legs, lap_legs)
+            }
+            Course::Circle {
+                radius_m,
+                direction,
+            } => Self::smooth(start, laps, &[direction.sign() / radius_m]),
+            Course::FigureEight { radius_m } => {
+                Self::smooth(start, laps, &[1.0 / radius_m, -1.0 / radius_m])
+            }
+            Course::Waypoints { points_m } => waypoints(start, points_m, laps),
+        }
+    }
+
+    /// Legs with a stop between them; the first `lap_legs` of them make a lap.
+    fn of_legs(legs: Vec<Leg>, lap_legs: usize) -> Self {
+        let lap = legs
+            .iter()
+            .take(lap_legs)
+            .flat_map(|leg| leg.segments.iter().copied())
+            .collect();
+        let first = legs.first().map(Leg::start).unwrap_or_default();
+        let last = legs.last().map(Leg::end).unwrap_or_default();
+        Self {
+            legs,
+            lap,
+            is_closed: first.origin().distance(last.origin()).0 < CLOSED_M,
+        }
+    }
+
+    /// One leg of full circles with these curvatures, lap after lap.
+    fn smooth(start: Pose<Arena>, laps: usize, curvatures_per_m: &[f64]) -> Self {
+        let mut pen = Pen::new(start);
+        for curvature in curvatures_per_m {
+            pen.circle(*curvature);
+        }
+        let leg = Leg {
+            segments: pen.segments.repeat(laps),
+        };
+        Self {
+            legs: vec![leg],
+            lap: pen.segments,
+            is_closed: true,
+        }
+    }
+
+    /// All legs in the order of driving.
+    pub(crate) fn legs(&self) -> &[Leg] {
+        &self.legs
+    }
+
+    /// Where the path begins and points.
+    pub(crate) fn start(&self) -> Pose<Arena> {
+        self.legs.first().map_or_else(Pose::default, Leg::start)
+    }
+
+    /// Whether it ends where it began.
+    pub(crate) const fn is_closed(&self) -> bool {
+        self.is_closed
+    }
+
+    /// The length of all laps, in metres.
+    pub(crate) fn length_m(&self) -> f64 {
+        self.legs.iter().map(Leg::length_m).sum()
+    }
+
+    /// Distance of a point from the nearest place of the path, in metres.
+    pub(crate) fn distance_m(&self, point: Point2<Arena>) -> f64 {
+        self.lap
+            .iter()
+            .map(|segment| segment.project(point).distance_m)
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    /// The path of one lap as points, for drawing.
+    pub(crate) fn polyline(&self) -> Vec<Point2<Arena>> {
+        let mut points = vec![self.start().origin()];
+        for segment in &self.lap {
+            let pieces = if segment.curvature_per_m == 0.0 {
+                1.0
+            } else {
+                (segment.length_m / POLYLINE_STEP_M)
+                    .ceil()
+                    .clamp(2.0, 256.0)
+            };
+            let step_m = segment.length_m / pieces;
+            points.extend((1..=pieces as u32).map(|i| segment.at(f64::from(i) * step_m).origin()));
+        }
+        points
+    }
+}
+
+/// Draws segments one behind the other.
+struct Pen {
+    at: Pose<Arena>,
+    segments: Vec<Segment>,
+}
+
+impl Pen {
+    const fn new(at: Pose<Arena>) -> Self {
+        Self {
+            at,
+            segments: Vec::new(),
+        }
+    }
+
+    fn piece(&mut self, length_m: f64, curvature_per_m: f64) {
+        let segment = Segment {
+            start: self.at,
+            length_m,
+            curvature_per_m,
+        };
+        self.at = segment.at(length_m);
+        self.segments.push(segment);
+    }
+
+    /// A full circle, in quarters, so that every projection on a piece is unique.
+    fn circle(&mut self, curvature_per_m: f64) {
+        for _ in 0..4 {
+            self.piece(TAU / 4.0 / curvature_per_m.abs(), curvature_per_m);
+        }
+    }
+}
+
+fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<Leg> {
+    let mut at = start;
+    let corner =
+        Transform2::<Body, Body>::new(Meters(side_m), Meters(0.0), Heading::from_rad(turn_rad));
+    (0..4)
+        .map(|_| {
+            let mut pen = Pen::new(at);
+            pen.piece(side_m, 0.0);
+            at = at * corner;
+            Leg {
+                segments: pen.segments,
+            }
+        })
+        .collect()
+}
+
+fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
+    let points: Vec<Point2<Arena>> = points_m
+        .iter()
+        .map(|[x, y]| start * Point2::<Body>::new(Meters(*x), Meters(*y)))
+        .collect();
+    let lap: Vec<Leg> = points.windows(2).map(|w| straight(w[0], w[1])).collect();
+    let way_back = match points.as_slice() {
+        [first, .., last] if laps > 1 && first.distance(*last).0 >= CLOSED_M => {
+            Some(straight(*last, *first))
+        }
+        _ => None,
+    };
+    let mut legs = lap.clone();
+    for _ in 1..laps {
+        legs.extend(way_back.clone());
+        legs.extend(lap.iter().cloned());
+    }
+    Path::of_legs(legs, lap.len() + usize::from(way_back.is_some()))
+}
+
+fn straight(from: Point2<Arena>, to: Point2<Arena>) -> Leg {
+    let heading = Heading::from_rad(wrap_rad((to.y - from.y).0.atan2((to.x - from.x).0)));
+    let mut pen = Pen::new(Pose::new(from.x, from.y, heading));
+    pen.piece(from.distance(to).0, 0.0);
+    Leg {
+        segments: pen.segments,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{Direction, StartPose};
+
+    fn path(course: Course) -> Path {
+        Path::new(&Scenario {
+            path: course,
+            ..Scenario::default()
+        })
+    }
+
+    fn point(x_m: f64, y_m: f64) -> Point2<Arena> {
+        Point2::new(Meters(x_m), Meters(y_m))
+    }
+
+    #[test]
+    fn a_square_is_closed_and_has_four_sides() {
+        let square = path(Course::Square {
+            side_m: 1.0,
+            direction: Direction::Left,
+        });
+        assert!(square.is_closed() && (square.length_m() - 4.0).abs() < 1e-12);
+        assert_eq!(square.polyline().len(), 5);
+        assert!((square.distance_m(point(0.5, 0.5)) - 0.5).abs() < 1e-12);
+        assert!((square.distance_m(point(1.03, 0.4)) - 0.03).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_arc_knows_its_left_and_its_curvature() {
+        let circle = path(Course::Circle {
+            radius_m: 0.5,
+            direction: Direction::Left,
+        });
+        let leg = &circle.legs()[0];
+        // Half way round, at (0, 1); a point inside the circle lies to the left.
+        let half = leg.project(point(0.0, 0.9), 0.5 * leg.length_m());
+        assert!((half.along_m - 0.5 * leg.length_m()).abs() < 1e-9);
+        assert!((half.left_m - 0.1).abs() < 1e-9 && (half.curvature_per_m - 2.0).abs() < 1e-12);
+        assert!((half.heading.rad().abs() - std::f64::consts::PI).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_right_hand_circle_lies_to_the_right() {
+        let circle = path(Course::Circle {
+            radius_m: 0.5,
+            direction: Direction::Right,
+        });
+        assert!(circle.distance_m(point(0.0, -1.0)) < 1e-9);
+        let quarter = circle.legs()[0].project(point(0.5, -0.5), 0.7);
+        assert!(quarter.distance_m < 1e-9 && (quarter.along_m - 0.5 * FRAC_PI_2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_projection_near_the_crossing_stays_on_its_own_lobe() {
+        let eight = path(Course::FigureEight { radius_m: 0.5 });
+        let leg = &eight.legs()[0];
+        let half = 0.5 * leg.length_m();
+        let crossing = leg.project(point(0.0, 0.0), half);
+        assert!((crossing.along_m - half).abs() < 1e-6);
+        assert!(leg.project(point(0.0, 0.0), 0.0).along_m < 1e-6);
+        assert!(eight.is_closed());
+    }
+
+    #[test]
+    fn further_laps_of_open_way_points_come_back_first() {
+        let scenario = Scenario {
+            path: Course::Waypoints {
+                points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]],
+            },
+            ..Scenario::default()
+        };
+        assert!(!Path::new(&scenario).is_closed());
+        let two = Path::new(&scenario.with_laps(2));
+        assert!((two.length_m() - (4.0 + 2.0_f64.sqrt())).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_start_pose_moves_the_path() {
+        let scenario = Scenario {
+            start: StartPose {
+                x_m: 2.0,
+                y_m: 1.0,
+                heading_deg: 90.0,
+            },
+            ..Scenario::default()
+        };
+        let corner = Path::new(&scenario).polyline()[1];
+        assert!((corner.x.0 - 2.0).abs() < 1e-9 && (corner.y.0 - 2.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,137 @@
+//! Checks of single numbers while they are read, so that the error carries the line and the key.
+//!
+//! The bounds are wide: they keep the physics finite, they do not judge a design.
+
+use serde::de::{Deserialize, Deserializer, Error};
+
+/// Largest magnitude of any number in a scenario.
+const LARGEST: f64 = 1e6;
+/// Smallest size of anything that must not be zero.
+const SMALLEST: f64 = 1e-6;
+
+fn within<'de, D: Deserializer<'de>>(
+    deserializer: D,
+    low: f64,
+    high: f64,
+) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if (low..=high).contains(&value) {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!(
+            "{value} is outside {low} to {high}; give a number in that range"
+        )))
+    }
+}
+
+/// Anything finite.
+pub(super) fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, -LARGEST, LARGEST)
+}
+
+/// Greater than zero.
+pub(super) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, SMALLEST, LARGEST)
+}
+
+/// Zero or greater.
+pub(super) fn non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, 0.0, LARGEST)
+}
+
+/// From 0 to 1.
+pub(super) fn probability<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, 0.0, 1.0)
+}
+
+/// A relative error of at most a half, either way.
+pub(super) fn relative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, -0.5, 0.5)
+}
+
+/// The standard deviation of a relative error; at most a tenth, so that a draw keeps every length positive.
+pub(super) fn relative_sigma<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, 0.0, 0.1)
+}
+
+/// A clock's rate error, at most a tenth either way, in parts per million.
+pub(super) fn skew_ppm<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, -1e5, 1e5)
+}
+
+/// A rate that the world's step of one millisecond can resolve, in hertz.
+pub(super) fn rate_hz<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, 0.01, 200.0)
+}
+
+/// A number of laps.
+pub(super) fn laps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    let laps = u32::deserialize(deserializer)?;
+    if (1..=super::course::MAX_LAPS).contains(&laps) {
+        Ok(laps)
+    } else {
+        Err(D::Error::custom(format!(
+            "{laps} laps are outside 1 to {}",
+            super::course::MAX_LAPS
+        )))
+    }
+}
+
+/// A clock's value, at most 48 bits, so that nanoseconds fit into 64.
+pub(super) fn clock_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    let micros = u64::deserialize(deserializer)?;
+    if micros < 1 << 48 {
+        Ok(micros)
+    } else {
+        Err(D::Error::custom(format!(
+            "a clock that starts at {micros} microseconds is not supported; stay below 2^48"
+        )))
+    }
+}
+
+/// A clock's resolution: 1 microsecond to 1 second.
+pub(super) fn tick_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    let micros = u32::deserialize(deserializer)?;
+    if (1..=1_000_000).contains(&micros) {
+        Ok(micros)
+    } else {
+        Err(D::Error::custom(format!(
+            "a tick of {micros} microseconds is outside 1 to 1000000"
+        )))
+    }
+}
+
+/// Way-points: at least two, finite, and each at least a millimetre from the one before.
+pub(super) fn waypoints<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Vec<[f64; 2]>, D::Error> {
+    let points = Vec::<[f64; 2]>::deserialize(deserializer)?;
+    if !(2..=10_000).contains(&points.len()) {
+        return Err(D::Error::custom(format!(
+            "points_m has {} way-points; give 2 to 10000",
+            points.len()
+        )));
+    }
+    if let Some(bad) = points
+        .iter()
+        .find(|p| !p.iter().all(|c| c.abs() <= LARGEST))
+    {
+        return Err(D::Error::custom(format!(
+            "way-point {bad:?} is not within {LARGEST} m of the origin"
+        )));
+    }
+    let too_close = points
+        .windows(2)
+        .position(|pair| distance(pair[0], pair[1]) < 1e-3);
+    match too_close {
+        Some(index) => Err(D::Error::custom(format!(
+            "way-points {index} and {} are less than 1 mm apart; remove one",
+            index + 1
+        ))),
+        None => Ok(points),
+    }
+}
+
+fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}

@@ -1,0 +1,215 @@
+//! The robot as its brick believes it to be, how the real one differs, and the brick itself.
+
+use serde::Deserialize;
+
+use super::checks;
+use crate::clock::ClockSettings;
+use crate::motor::MotorConstants;
+
+/// The robot as its brick believes it to be. Defaults: a LEGO NXT on 56 mm wheels.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotSettings {
+    /// Radius of both wheels, in metres.
+    #[serde(deserialize_with = "checks::positive")]
+    pub wheel_radius_m: f64,
+    /// Distance between the wheels, in metres.
+    #[serde(deserialize_with = "checks::positive")]
+    pub track_width_m: f64,
+    /// Mass of the whole robot, in kilograms; half of it rides on each wheel.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub mass_kg: f64,
+    /// Play between each encoder and its wheel, in degrees in all.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub backlash_deg: f64,
+    /// The battery at the beginning, in volts.
+    #[serde(deserialize_with = "checks::positive")]
+    pub battery_v: f64,
+    /// How fast it runs down, in volts per minute; it stays at 5 V or above.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub battery_drop_v_per_min: f64,
+    /// Both motors.
+    pub motor: MotorSettings,
+}
+
+impl Default for RobotSettings {
+    fn default() -> Self {
+        Self {
+            wheel_radius_m: 0.028,
+            track_width_m: 0.112,
+            mass_kg: 0.7,
+            // +-2 degrees (Scholer, NXT motor control).
+            backlash_deg: 4.0,
+            battery_v: 8.0,
+            battery_drop_v_per_min: 0.01,
+            motor: MotorSettings::default(),
+        }
+    }
+}
+
+/// A motor. Defaults: the LEGO NXT motor as Pybricks identified it.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MotorSettings {
+    /// Kt/R, in newton metres per volt.
+    #[serde(deserialize_with = "checks::positive")]
+    pub torque_n_m_per_v: f64,
+    /// Ke, in volt seconds per radian.
+    #[serde(deserialize_with = "checks::positive")]
+    pub back_emf_v_s_per_rad: f64,
+    /// J at the output shaft, in kilogram square metres.
+    #[serde(deserialize_with = "checks::positive")]
+    pub inertia_kg_m2: f64,
+    /// Coulomb friction, in newton metres.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub friction_n_m: f64,
+}
+
+impl Default for MotorSettings {
+    fn default() -> Self {
+        Self {
+            torque_n_m_per_v: 0.0618,
+            back_emf_v_s_per_rad: 0.487,
+            inertia_kg_m2: 3.07e-3,
+            friction_n_m: 0.0204,
+        }
+    }
+}
+
+impl MotorSettings {
+    /// The motor's constants with what it has to move besides itself, in kg m² at the output shaft.
+    pub(crate) fn constants(&self, load_kg_m2: f64) -> MotorConstants {
+        MotorConstants {
+            torque_n_m_per_v: self.torque_n_m_per_v,
+            back_emf_v_s_per_rad: self.back_emf_v_s_per_rad,
+            inertia_kg_m2: self.inertia_kg_m2 + load_kg_m2,
+            friction_n_m: self.friction_n_m,
+        }
+    }
+}
+
+/// How the real robot differs from what its brick believes. Each relative error is a fixed part plus a sigma times a draw.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ErrorSettings {
+    /// Both radii larger by this fraction.
+    #[serde(deserialize_with = "checks::relative")]
+    pub radius_error: f64,
+    /// Standard deviation of the drawn part.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub radius_error_sigma: f64,
+    /// Right radius minus left radius, as a fraction of their mean.
+    #[serde(deserialize_with = "checks::relative")]
+    pub radius_mismatch: f64,
+    /// Standard deviation of the drawn part.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub radius_mismatch_sigma: f64,
+    /// Track wider by this fraction.
+    #[serde(deserialize_with = "checks::relative")]
+    pub track_error: f64,
+    /// Standard deviation of the drawn part.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub track_error_sigma: f64,
+    /// Slip of each wheel: sigma per square root of its path, in m per sqrt(m).
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub wheel_travel_m_per_sqrt_m: f64,
+    /// Slip in turns: sigma of the heading per square root of the turn, in rad per sqrt(rad).
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub turn_rad_per_sqrt_rad: f64,
+    /// How often a wheel spins without grip for 10 to 40 counts, per minute of motion.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub slip_events_per_min: f64,
+    /// How often something turns the robot by 3 to 8 degrees unseen by the encoders, per minute of motion.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub kicks_per_min: f64,
+}
+
+impl Default for ErrorSettings {
+    fn default() -> Self {
+        Self {
+            radius_error: 0.0,
+            radius_error_sigma: 0.005,
+            radius_mismatch: 0.0,
+            radius_mismatch_sigma: 0.005,
+            track_error: 0.0,
+            track_error_sigma: 0.02,
+            wheel_travel_m_per_sqrt_m: 0.0008,
+            turn_rad_per_sqrt_rad: 0.004,
+            slip_events_per_min: 0.0,
+            kicks_per_min: 0.0,
+        }
+    }
+}
+
+impl ErrorSettings {
+    /// No difference at all: what the encoders say is what happens.
+    #[must_use]
+    pub const fn none() -> Self {
+        Self {
+            radius_error: 0.0,
+            radius_error_sigma: 0.0,
+            radius_mismatch: 0.0,
+            radius_mismatch_sigma: 0.0,
+            track_error: 0.0,
+            track_error_sigma: 0.0,
+            wheel_travel_m_per_sqrt_m: 0.0,
+            turn_rad_per_sqrt_rad: 0.0,
+            slip_events_per_min: 0.0,
+            kicks_per_min: 0.0,
+        }
+    }
+}
+
+/// Which messages the brick sends its telemetry in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Wire {
+    /// `PB_WHEEL_TICKS` and `PB_INERTIAL`: for thin links; time stamps are a 32-bit register that wraps.
+    #[default]
+    Compact,
+    /// `WHEEL_DISTANCE` and `SCALED_IMU`: understood everywhere; time stamps do not wrap within a run.
+    Standard,
+}
+
+/// The brick's clock and telemetry.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BrickSettings {
+    /// How often wheels and inertial sensors are sent, in hertz, unless the station asks for something else.
+    #[serde(deserialize_with = "checks::rate_hz")]
+    pub telemetry_hz: f64,
+    /// In which messages.
+    pub wire: Wire,
+    /// What the clock shows at the beginning, in microseconds; just below 2^32 makes the register wrap early.
+    #[serde(deserialize_with = "checks::clock_micros")]
+    pub clock_start_micros: u64,
+    /// The clock's rate minus one, in parts per million; positive runs fast.
+    #[serde(deserialize_with = "checks::skew_ppm")]
+    pub clock_skew_ppm: f64,
+    /// The clock's resolution, in microseconds.
+    #[serde(deserialize_with = "checks::tick_micros")]
+    pub clock_tick_micros: u32,
+}
+
+impl Default for BrickSettings {
+    fn default() -> Self {
+        Self {
+            telemetry_hz: 20.0,
+            wire: Wire::default(),
+            clock_start_micros: 5_000_000,
+            clock_skew_ppm: 60.0,
+            clock_tick_micros: 1_000,
+        }
+    }
+}
+
+impl BrickSettings {
+    /// The clock alone.
+    pub(crate) const fn clock(&self) -> ClockSettings {
+        ClockSettings {
+            start_micros: self.clock_start_micros,
+            skew_ppm: self.clock_skew_ppm,
+            tick_micros: self.clock_tick_micros,
+        }
+    }
+}
