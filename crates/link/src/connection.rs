@@ -1,0 +1,83 @@
+//! What an open link can do, and what a port counts about it.
+//!
+//! A transport opens a [`Connection`]; the port drives it. A connection neither reopens itself nor waits between
+//! attempts: when it is lost it says so once, and the port drops it.
+
+use std::net::SocketAddr;
+use std::task::{Context, Poll};
+
+use posebridge_telemetry::{HostClock, Stamp};
+
+use crate::error::LinkLoss;
+
+/// One peer of a link, in the order in which the link met them. A link with a single peer calls it 0. A peer that was
+/// forgotten and comes back has a new number, so whoever keeps half a frame per peer starts afresh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PeerId(pub u32);
+
+/// For whom a frame is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Audience {
+    /// Every peer of the link.
+    All,
+    /// One of them; nobody if it has gone.
+    Peer(PeerId),
+}
+
+/// Counts of one port since the session began; they only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PortCounters {
+    /// Bytes received.
+    pub bytes_in: u64,
+    /// Bytes that the operating system took, once per peer.
+    pub bytes_out: u64,
+    /// Frames dropped because the link was slow or down, once per peer.
+    pub drops_out: u64,
+    /// Times the link came up again after it had been up before.
+    pub reconnects: u64,
+}
+
+/// What an open link delivers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Incoming {
+    /// Bytes of one read, or one datagram.
+    Bytes {
+        /// Who sent them.
+        peer: PeerId,
+        /// When they were read.
+        arrival: Stamp<HostClock>,
+        /// The bytes, at least one.
+        bytes: Vec<u8>,
+    },
+    /// The end of a file; nothing follows.
+    Finished,
+}
+
+/// An open link.
+pub trait Connection: Send {
+    /// What was opened, for people, such as "/dev/ttyUSB0 at 115200 baud".
+    fn detail(&self) -> String;
+
+    /// The local socket address; `None` where the transport has none. This is how a caller learns the port that the
+    /// system chose for port 0.
+    fn local_address(&self) -> Option<SocketAddr> {
+        None
+    }
+
+    /// Offers one whole frame. What the system does not take at once waits in a bounded queue and is written by the
+    /// next calls of [`Connection::poll`]; a failure is told there too.
+    fn send(&mut self, audience: Audience, frame: &[u8], counters: &mut PortCounters);
+
+    /// Writes what waits and delivers what has arrived.
+    ///
+    /// # Errors
+    /// [`LinkLoss`] when the link is gone; the connection is of no use afterwards.
+    fn poll(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut PortCounters,
+    ) -> Poll<Result<Incoming, LinkLoss>>;
+
+    /// Frames that wait to be written and are lost if the connection is dropped.
+    fn unsent_frames(&self) -> u64;
+}

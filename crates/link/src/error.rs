@@ -1,0 +1,180 @@
+//! Why a link did not open, and why it was lost.
+//!
+//! The texts are for the person who has to act: what is wrong, with which path or address, and what to do.
+
+use std::fmt;
+use std::io;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Why a link did not open.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// The system refuses access to a device, a file or a port number.
+    #[error("permission denied on {what}: {advice}")]
+    PermissionDenied {
+        /// The path or the address.
+        what: String,
+        /// What to do about it.
+        advice: String,
+    },
+    /// Another program holds the serial port.
+    #[error("port {} is in use by another program: close it there (`fuser -v {}` names it)", .path.display(), .path.display())]
+    PortInUse {
+        /// The device.
+        path: PathBuf,
+    },
+    /// Another program listens on the address.
+    #[error(
+        "address {address} is already in use: stop the program that listens there or choose another port"
+    )]
+    AddressInUse {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// The address to listen on belongs to no interface of this computer.
+    #[error(
+        "address {address} belongs to no interface of this computer: leave the host out to listen on all of them"
+    )]
+    AddressNotAvailable {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// A link that has to dial was given no host.
+    #[error("{url} names no host to dial: put one before the port")]
+    NoHost {
+        /// The link.
+        url: String,
+    },
+    /// The path exists, but is something else.
+    #[error("{} is {found}, not {wanted}", .path.display())]
+    WrongKind {
+        /// The path.
+        path: PathBuf,
+        /// What stands there.
+        found: FileKind,
+        /// What the transport needs.
+        wanted: &'static str,
+    },
+    /// The file to play, or the directory for a new entry, does not exist.
+    #[error("{} does not exist: {advice}", .path.display())]
+    NoSuchFile {
+        /// The path.
+        path: PathBuf,
+        /// What to do about it.
+        advice: &'static str,
+    },
+    /// The device is not there yet.
+    #[error("{} is not there: plug the device in or check the name", .path.display())]
+    Missing {
+        /// The device.
+        path: PathBuf,
+    },
+    /// The host's name has no address at the moment.
+    #[error("host `{host}` has no address: {source}")]
+    UnknownHost {
+        /// The host.
+        host: String,
+        /// What the resolver said.
+        source: io::Error,
+    },
+    /// The peer refuses or cannot be reached.
+    #[error("no connection to {peer}: {source}")]
+    Unreachable {
+        /// Host and port.
+        peer: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The attempt took longer than [`crate::transports::OPEN_DEADLINE_SECS`].
+    #[error("{what} did not open within {limit_secs} s")]
+    TimedOut {
+        /// The link.
+        what: String,
+        /// The limit, in seconds.
+        limit_secs: u64,
+    },
+    /// Anything else that the system said.
+    #[error("cannot open {what}: {source}")]
+    Io {
+        /// The path or the address.
+        what: String,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+impl OpenError {
+    /// True if waiting may help: a device that is not plugged in yet, a server that is not started yet. False if a
+    /// person has to change something first.
+    #[must_use]
+    pub const fn can_heal(&self) -> bool {
+        match self {
+            Self::PermissionDenied { .. }
+            | Self::AddressInUse { .. }
+            | Self::AddressNotAvailable { .. }
+            | Self::NoHost { .. }
+            | Self::WrongKind { .. }
+            | Self::NoSuchFile { .. } => false,
+            Self::PortInUse { .. }
+            | Self::Missing { .. }
+            | Self::UnknownHost { .. }
+            | Self::Unreachable { .. }
+            | Self::TimedOut { .. }
+            | Self::Io { .. } => true,
+        }
+    }
+}
+
+/// What stands at a path, in words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileKind {
+    /// A directory.
+    Directory,
+    /// A regular file.
+    RegularFile,
+    /// A symbolic link that is not ours to replace.
+    SymbolicLink,
+    /// A socket, a pipe, a block device or a character device.
+    Special,
+}
+
+impl From<std::fs::FileType> for FileKind {
+    fn from(file_type: std::fs::FileType) -> Self {
+        if file_type.is_dir() {
+            Self::Directory
+        } else if file_type.is_file() {
+            Self::RegularFile
+        } else if file_type.is_symlink() {
+            Self::SymbolicLink
+        } else {
+            Self::Special
+        }
+    }
+}
+
+impl fmt::Display for FileKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Directory => "a directory",
+            Self::RegularFile => "a regular file",
+            Self::SymbolicLink => "a symbolic link to something else",
+            Self::Special => "a device, a pipe or a socket",
+        })
+    }
+}
+
+/// Why an open link was lost.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum LinkLoss {
+    /// A read came to its end: the cable was pulled, or the program at the other end is gone.
+    #[error("the other end is gone (unplugged, switched off or closed)")]
+    HungUp,
+    /// A read or write failed.
+    #[error("reading or writing failed: {0}")]
+    Io(#[from] io::Error),
+}

@@ -1,0 +1,125 @@
+//! The session clock: the one place in the house that reads a clock.
+//!
+//! Everybody else is handed the stamps that come from here. It follows the runtime's clock, so a test that pauses the
+//! runtime pauses the session with it. It does not know brick or camera time.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use posebridge_telemetry::{HostClock, Stamp};
+use tokio::time::Instant;
+
+/// A handle to the host's clock, zero at the start of the session. Copies tell the same time.
+#[derive(Clone, Copy, Debug)]
+pub struct HostTimer {
+    start: Instant,
+    utc_start_micros: u64,
+}
+
+impl HostTimer {
+    /// Starts the session: `now()` counts from here.
+    #[must_use]
+    pub fn start() -> Self {
+        Self {
+            start: read_clock(),
+            utc_start_micros: read_utc_micros(),
+        }
+    }
+
+    /// The time since the start of the session; never falls.
+    #[must_use]
+    pub fn now(&self) -> Stamp<HostClock> {
+        let elapsed = read_clock().saturating_duration_since(self.start);
+        Stamp::from_nanos(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))
+    }
+
+    /// Returns when `now()` has reached `stamp`, at once if it has. The runtime's timers are about a millisecond wide
+    /// and wake late, never early.
+    pub async fn sleep_until(self, stamp: Stamp<HostClock>) {
+        while self.now() < stamp {
+            tokio::time::sleep_until(self.instant(stamp)).await;
+        }
+    }
+
+    /// When the session started, in microseconds since 1970 UTC; for file names and headers only. 0 if the computer's
+    /// date lies before 1970.
+    #[must_use]
+    pub const fn utc_start(&self) -> u64 {
+        self.utc_start_micros
+    }
+
+    /// The runtime's name for `stamp`; the start of the session for stamps before it.
+    pub(crate) fn instant(self, stamp: Stamp<HostClock>) -> Instant {
+        let nanos = u64::try_from(stamp.as_nanos()).unwrap_or(0);
+        // A stamp beyond what the runtime can express sleeps for a day and is then looked at again.
+        self.start
+            .checked_add(Duration::from_nanos(nanos))
+            .unwrap_or_else(|| read_clock() + Duration::from_secs(86_400))
+    }
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "this module is the session clock that everybody else is handed"
+)]
+fn read_clock() -> Instant {
+    Instant::now()
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "this module is the session clock that everybody else is handed"
+)]
+fn read_utc_micros() -> u64 {
+    let since_1970 = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    u64::try_from(since_1970.as_micros()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::Span;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_sleeper_wakes_at_its_stamp_or_later() {
+        let timer = HostTimer::start();
+        for nanos in [1, 999_999, 1_000_001, 20_000_000] {
+            let wanted = timer.now() + Span::from_nanos(nanos);
+            timer.sleep_until(wanted).await;
+            let late = timer.now() - wanted;
+            assert!(late >= Span::ZERO, "woke {late:?} too early");
+            assert!(late <= Span::from_millis(2), "woke {late:?} late");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_stamp_in_the_past_does_not_sleep() {
+        let timer = HostTimer::start();
+        timer.sleep_until(Stamp::from_millis(-5)).await;
+        assert_eq!(timer.now(), Stamp::ZERO);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn copies_tell_the_same_time() {
+        let timer = HostTimer::start();
+        let copy = timer;
+        tokio::time::advance(Duration::from_millis(1_500)).await;
+        assert_eq!(timer.now(), Stamp::from_millis(1_500));
+        assert_eq!(copy.now(), timer.now());
+    }
+
+    #[test]
+    fn the_real_clock_does_not_fall() {
+        let timer = HostTimer::start();
+        let stamps: Vec<_> = (0..1_000).map(|_| timer.now()).collect();
+        assert!(stamps.is_sorted());
+    }
+
+    #[test]
+    fn the_session_starts_in_this_century() {
+        let micros_per_year = 31_556_952_000_000;
+        let years_since_1970 = HostTimer::start().utc_start() / micros_per_year;
+        assert!((50..130).contains(&years_since_1970));
+    }
+}

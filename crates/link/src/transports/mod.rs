@@ -1,0 +1,157 @@
+//! Every way to reach a robot: the trait and the table.
+//!
+//! Help texts, the URL parser and the conformance tests read the table, so a transport is added by one file and one
+//! line here. A transport only opens; keeping the link alive is the business of [`crate::Port`].
+
+mod file;
+mod pty;
+mod serial;
+mod tcp;
+mod tcp_server;
+mod udp;
+
+use std::fmt;
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+
+use crate::connection::Connection;
+use crate::error::OpenError;
+use crate::host_timer::HostTimer;
+use crate::url::{LinkUrl, OptionHelp, TargetKind};
+
+/// Every transport. Adding one: a file in `transports/` and a line here.
+pub const TRANSPORTS: &[&dyn Transport] = &[
+    &serial::Serial,
+    &pty::Pty,
+    &tcp::Tcp,
+    &udp::Udp,
+    &file::File,
+];
+
+/// How long one attempt to open may take before the link is told to be down, in seconds: about one Bluetooth page (the
+/// Bluetooth Core Specification's default page time-out is 5.12 s).
+pub const OPEN_DEADLINE_SECS: u64 = 5;
+
+/// Frames that wait for a slow stream, in bytes: more than five seconds of a 115200 baud line, after which an estimate
+/// is of no use to anybody.
+pub(crate) const QUEUE_BYTES: usize = 64 * 1024;
+
+/// Who calls whom.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Connects to the target.
+    Dial,
+    /// Waits for peers at the target. Devices and files are the same in both roles.
+    Listen,
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Dial => "dial",
+            Self::Listen => "listen",
+        })
+    }
+}
+
+/// What is to be opened.
+#[derive(Clone, Debug)]
+pub struct OpenRequest {
+    /// The link.
+    pub url: LinkUrl,
+    /// Who calls whom.
+    pub role: Role,
+    /// Stamps the arrivals.
+    pub timer: HostTimer,
+}
+
+/// An attempt to open a link. Dropping it gives the attempt up.
+pub type OpenFuture =
+    Pin<Box<dyn Future<Output = Result<Box<dyn Connection>, OpenError>> + Send + 'static>>;
+
+/// One way to reach a robot.
+pub trait Transport: Sync {
+    /// The word before the colon.
+    fn scheme(&self) -> &'static str;
+    /// What it is for, one line.
+    fn summary(&self) -> &'static str;
+    /// A link of this kind as somebody would write it.
+    fn example(&self) -> &'static str;
+    /// Whether its target is a path or a network address.
+    fn target_kind(&self) -> TargetKind;
+    /// The options that may follow the question mark.
+    fn options(&self) -> &'static [OptionHelp] {
+        &[]
+    }
+    /// True if each delivered chunk is one datagram, so that no frame crosses two of them.
+    fn is_datagram(&self) -> bool {
+        false
+    }
+    /// Starts to open a link. Needs a runtime with IO and time enabled when polled.
+    fn open(&self, request: OpenRequest) -> OpenFuture;
+}
+
+impl fmt::Debug for dyn Transport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.scheme())
+    }
+}
+
+/// Says why a socket could not be bound to `address`.
+fn bind_error(address: SocketAddr, source: io::Error) -> OpenError {
+    let kind = source.kind();
+    if kind == io::ErrorKind::AddrInUse {
+        OpenError::AddressInUse { address }
+    } else if kind == io::ErrorKind::AddrNotAvailable {
+        OpenError::AddressNotAvailable { address }
+    } else if kind == io::ErrorKind::PermissionDenied {
+        OpenError::PermissionDenied {
+            what: format!("port {}", address.port()),
+            advice: "ports below 1024 are reserved: choose a higher one".to_owned(),
+        }
+    } else {
+        OpenError::Io {
+            what: address.to_string(),
+            source,
+        }
+    }
+}
+
+/// The addresses of `host`; an empty host is any interface of this computer.
+async fn resolve(host: &str, port: u16) -> Result<Vec<SocketAddr>, OpenError> {
+    if host.is_empty() {
+        return Ok(vec![SocketAddr::from(([0, 0, 0, 0], port))]);
+    }
+    let unknown = |source| OpenError::UnknownHost {
+        host: host.to_owned(),
+        source,
+    };
+    let addresses: Vec<_> = tokio::net::lookup_host((host, port))
+        .await
+        .map_err(unknown)?
+        .collect();
+    if addresses.is_empty() {
+        return Err(unknown(io::ErrorKind::NotFound.into()));
+    }
+    Ok(addresses)
+}
+
+/// Gives an attempt up after [`OPEN_DEADLINE_SECS`].
+async fn with_deadline<T>(
+    url: &LinkUrl,
+    attempt: impl Future<Output = Result<T, OpenError>>,
+) -> Result<T, OpenError> {
+    let limit = std::time::Duration::from_secs(OPEN_DEADLINE_SECS);
+    tokio::time::timeout(limit, attempt)
+        .await
+        .unwrap_or_else(|_elapsed| Err(timed_out(url)))
+}
+
+/// What is said about an attempt that takes longer than [`OPEN_DEADLINE_SECS`].
+pub(crate) fn timed_out(url: &LinkUrl) -> OpenError {
+    OpenError::TimedOut {
+        what: url.to_string(),
+        limit_secs: OPEN_DEADLINE_SECS,
+    }
+}

@@ -1,0 +1,238 @@
+//! Serial ports, and Bluetooth serial ports (`/dev/rfcomm0`), which look the same.
+//!
+//! Opened raw, exclusively and without touching DTR, which would reset an Arduino-class board. Opening may block for as
+//! long as a Bluetooth radio pleases, so it runs on a thread of its own. What lay in the input before we came is thrown
+//! away: it is of unknown age. Neither the baud rate nor the protocol is guessed.
+//!
+//! A thread that hangs in the system cannot be stopped, and a runtime that is dropped waits for it: a program that wants
+//! to end in time ends its runtime with `shutdown_background`.
+
+use std::fs::Metadata;
+use std::io::{self, Read};
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use nix::unistd::{Gid, Group};
+use serialport::{ClearBuffer, ErrorKind, SerialPort, TTYPort};
+use tokio_serial::SerialStream;
+
+use crate::connection::Connection;
+use crate::error::{FileKind, OpenError};
+use crate::stream::{StreamConnection, StreamLabel};
+use crate::transports::{OpenFuture, OpenRequest, QUEUE_BYTES, Transport};
+use crate::url::{OptionHelp, OptionKind, TargetKind};
+
+/// The speed of the line. 115200 is what MAVLink boards and their radios are set to in the factory; the range is that
+/// of Linux's termios constants.
+const BAUD: OptionHelp = OptionHelp {
+    name: "baud",
+    kind: OptionKind::Integer {
+        min: 50,
+        max: 4_000_000,
+        default: 115_200,
+    },
+    help: "speed of the line in bits per second; Bluetooth and pseudo-terminals ignore it",
+};
+
+/// Most that can lie in the buffers of a tty before it is opened, generously: Linux allows 64 KiB per direction.
+const STALE_BYTES: usize = 64 * 1024;
+
+/// Where Linux keeps the devices of pseudo-terminals.
+const PTS_DIRECTORY: &str = "/dev/pts";
+
+/// See the module.
+pub(crate) struct Serial;
+
+impl Transport for Serial {
+    fn scheme(&self) -> &'static str {
+        "serial"
+    }
+    fn summary(&self) -> &'static str {
+        "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal made by somebody else"
+    }
+    fn example(&self) -> &'static str {
+        "serial:///dev/ttyUSB0?baud=115200"
+    }
+    fn target_kind(&self) -> TargetKind {
+        TargetKind::Path
+    }
+    fn options(&self) -> &'static [OptionHelp] {
+        &[BAUD]
+    }
+    fn open(&self, request: OpenRequest) -> OpenFuture {
+        Box::pin(open(request))
+    }
+}
+
+async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
+    let path = request.url.path().to_owned();
+    let baud = request.url.integer(&BAUD);
+    let detail = format!("{} at {baud} baud", path.display());
+    let blocking_path = path.clone();
+    let port = tokio::task::spawn_blocking(move || open_blocking(&blocking_path, baud))
+        .await
+        .map_err(|error| io_error(&path, error.into()))??;
+    let stream = SerialStream::try_from(port).map_err(|error| name_error(&path, error))?;
+    Ok(Box::new(StreamConnection::new(
+        stream,
+        StreamLabel::new(detail),
+        request.timer,
+        QUEUE_BYTES,
+    )))
+}
+
+fn open_blocking(path: &Path, baud: u32) -> Result<TTYPort, OpenError> {
+    let device = check_device(path)?;
+    let mut port = serialport::new(device.to_string_lossy(), baud)
+        .timeout(Duration::ZERO)
+        .open_native()
+        .map_err(|error| name_error(path, error))?;
+    if device.starts_with(PTS_DIRECTORY) {
+        // TIOCEXCL stays on a pseudo-terminal for as long as its maker holds it open. If we were killed it would lock
+        // out our successor for ever, so only the file lock is kept, which dies with us.
+        port.set_exclusive(false)
+            .map_err(|error| name_error(path, error))?;
+    }
+    discard_stale_input(&mut port).map_err(|error| name_error(path, error))?;
+    Ok(port)
+}
+
+/// The device behind the path, links followed.
+fn check_device(path: &Path) -> Result<PathBuf, OpenError> {
+    let metadata = path.metadata().map_err(|error| io_error(path, error))?;
+    if !metadata.file_type().is_char_device() {
+        return Err(OpenError::WrongKind {
+            path: path.to_owned(),
+            found: FileKind::from(metadata.file_type()),
+            wanted: "a serial port",
+        });
+    }
+    path.canonicalize().map_err(|error| io_error(path, error))
+}
+
+/// Empties the input. The flush reaches only the line discipline; a pseudo-terminal keeps up to 12 KiB more behind it,
+/// which have to be read away.
+fn discard_stale_input(port: &mut TTYPort) -> serialport::Result<()> {
+    port.clear(ClearBuffer::Input)?;
+    let mut stale = [0; 4096];
+    for _ in 0..STALE_BYTES / stale.len() {
+        match port.read(&mut stale) {
+            Ok(0) => break,
+            Ok(_) => {}
+            Err(error) if error.kind() == io::ErrorKind::TimedOut => break,
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(())
+}
+
+/// Turns what serialport says into what a person needs: it calls a busy port "no device", for instance.
+fn name_error(path: &Path, error: serialport::Error) -> OpenError {
+    match error.kind {
+        ErrorKind::NoDevice => OpenError::PortInUse {
+            path: path.to_owned(),
+        },
+        ErrorKind::Io(_) => io_error(path, error.into()),
+        ErrorKind::InvalidInput | ErrorKind::Unknown => OpenError::Io {
+            what: path.display().to_string(),
+            source: io::Error::other(error.description),
+        },
+    }
+}
+
+fn io_error(path: &Path, source: io::Error) -> OpenError {
+    if source.kind() == io::ErrorKind::NotFound {
+        OpenError::Missing {
+            path: path.to_owned(),
+        }
+    } else if source.kind() == io::ErrorKind::PermissionDenied {
+        OpenError::PermissionDenied {
+            what: path.display().to_string(),
+            advice: access_advice(path),
+        }
+    } else {
+        OpenError::Io {
+            what: path.display().to_string(),
+            source,
+        }
+    }
+}
+
+/// Names the group that owns this very node, because distributions disagree about it.
+fn access_advice(path: &Path) -> String {
+    match path.metadata() {
+        Ok(metadata) => group_advice(&metadata, &group_name(metadata.gid())),
+        Err(_) => "a directory above it may not be entered".to_owned(),
+    }
+}
+
+fn group_name(gid: u32) -> String {
+    match Group::from_gid(Gid::from_raw(gid)) {
+        Ok(Some(group)) => group.name,
+        Ok(None) | Err(_) => gid.to_string(),
+    }
+}
+
+fn group_advice(metadata: &Metadata, group: &str) -> String {
+    const GROUP_READ_WRITE: u32 = 0o060;
+    if metadata.mode() & GROUP_READ_WRITE == GROUP_READ_WRITE {
+        format!(
+            "it belongs to group {group}: run `sudo usermod -aG {group} $USER`, then log out and in again"
+        )
+    } else {
+        format!(
+            "its mode {:04o} lets no group write: a udev rule has to open it to group {group}",
+            metadata.mode() & 0o7777
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
+    fn advice_for_mode(mode: u32) -> String {
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        std::fs::set_permissions(file.path(), Permissions::from_mode(mode)).expect("own file");
+        group_advice(&file.path().metadata().expect("it exists"), "dialout")
+    }
+
+    #[test]
+    fn a_refused_device_names_its_group_and_the_cure() {
+        assert_eq!(
+            advice_for_mode(0o660),
+            "it belongs to group dialout: run `sudo usermod -aG dialout $USER`, then log out and in again"
+        );
+        assert_eq!(
+            advice_for_mode(0o600),
+            "its mode 0600 lets no group write: a udev rule has to open it to group dialout"
+        );
+    }
+
+    #[test]
+    fn the_group_of_a_node_has_its_name() {
+        assert_eq!(group_name(0), "root");
+        assert_eq!(group_name(4_123_456), "4123456");
+    }
+
+    #[test]
+    fn a_refused_device_is_not_worth_waiting_for_but_a_busy_one_is() {
+        let refused = io_error(
+            Path::new("/dev/null"),
+            io::ErrorKind::PermissionDenied.into(),
+        );
+        assert!(!refused.can_heal());
+        let busy = name_error(
+            Path::new("/dev/ttyUSB0"),
+            serialport::Error::new(ErrorKind::NoDevice, "Device or resource busy"),
+        );
+        assert!(busy.can_heal());
+        assert_eq!(
+            busy.to_string(),
+            "port /dev/ttyUSB0 is in use by another program: close it there (`fuser -v /dev/ttyUSB0` names it)"
+        );
+    }
+}

@@ -1,0 +1,155 @@
+//! The listening side of TCP: every client is a byte source of its own, and hears what is sent to all.
+//!
+//! Clients come and go without the link going down; only the loss of the listening socket itself is a loss. A slow
+//! client has a queue of its own and delays nobody.
+
+use std::io;
+use std::net::SocketAddr;
+use std::task::{Context, Poll};
+
+use tokio::net::{TcpListener, TcpStream};
+
+use crate::connection::{Audience, Connection, Incoming, PeerId, PortCounters};
+use crate::error::{LinkLoss, OpenError};
+use crate::host_timer::HostTimer;
+use crate::stream::{StreamConnection, StreamLabel};
+use crate::transports::tcp::configure;
+use crate::transports::{OpenRequest, QUEUE_BYTES, bind_error, resolve};
+
+/// Most clients at a time: a class of robots with a few onlookers each. Those beyond it are turned away.
+const MAX_CLIENTS: usize = 256;
+
+/// A listening socket with its clients.
+pub(super) struct TcpServer {
+    listener: TcpListener,
+    address: SocketAddr,
+    timer: HostTimer,
+    clients: Vec<StreamConnection<TcpStream>>,
+    next_peer: u32,
+    /// The client that is asked first, so that a talkative one does not silence the others.
+    turn: usize,
+}
+
+impl TcpServer {
+    /// Listens at the link's host and port.
+    pub(super) async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
+        let (host, port) = request.url.host_and_port();
+        let mut failure = None;
+        for address in resolve(host, port).await? {
+            match TcpListener::bind(address).await {
+                Ok(listener) => {
+                    let address = listener.local_addr().unwrap_or(address);
+                    return Ok(Box::new(Self {
+                        listener,
+                        address,
+                        timer: request.timer,
+                        clients: Vec::new(),
+                        next_peer: 0,
+                        turn: 0,
+                    }));
+                }
+                Err(error) => failure = Some(bind_error(address, error)),
+            }
+        }
+        Err(failure.unwrap_or_else(|| OpenError::UnknownHost {
+            host: host.to_owned(),
+            source: io::ErrorKind::NotFound.into(),
+        }))
+    }
+
+    fn accept(&mut self, cx: &mut Context<'_>) -> Result<(), LinkLoss> {
+        loop {
+            match self.listener.poll_accept(cx) {
+                Poll::Pending => return Ok(()),
+                Poll::Ready(Ok((stream, from))) => self.welcome(stream, from),
+                // The client left before it was greeted; that is its own business.
+                Poll::Ready(Err(error)) if error.kind() == io::ErrorKind::ConnectionAborted => {}
+                Poll::Ready(Err(error)) => return Err(error.into()),
+            }
+        }
+    }
+
+    fn welcome(&mut self, stream: TcpStream, from: SocketAddr) {
+        if self.clients.len() >= MAX_CLIENTS {
+            tracing::warn!(%from, at = %self.address, limit = MAX_CLIENTS, "too many clients, turned one away");
+            return;
+        }
+        if let Err(error) = configure(&stream) {
+            tracing::debug!(%from, %error, "a client left at once");
+            return;
+        }
+        let label = StreamLabel {
+            detail: format!("client {from}"),
+            local_address: Some(self.address),
+            peer: PeerId(self.next_peer),
+        };
+        self.next_peer = self.next_peer.wrapping_add(1);
+        tracing::debug!(%from, at = %self.address, "client came");
+        let client = StreamConnection::new(stream, label, self.timer, QUEUE_BYTES);
+        self.clients.push(client);
+    }
+
+    /// Asks every client once, beginning with the one whose turn it is.
+    fn poll_clients(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut PortCounters,
+    ) -> Poll<Result<Incoming, LinkLoss>> {
+        let mut asked = 0;
+        while asked < self.clients.len() {
+            let index = self.turn % self.clients.len();
+            let Some(client) = self.clients.get_mut(index) else {
+                break;
+            };
+            match client.poll(cx, counters) {
+                Poll::Ready(Ok(incoming)) => {
+                    self.turn = index + 1;
+                    return Poll::Ready(Ok(incoming));
+                }
+                Poll::Ready(Err(loss)) => {
+                    tracing::debug!(client = %client.detail(), %loss, "client went");
+                    counters.drops_out += client.unsent_frames();
+                    // Keeps the order of the others, whose turns are positions in it.
+                    drop(self.clients.remove(index));
+                    self.turn = index;
+                }
+                Poll::Pending => {
+                    self.turn = index + 1;
+                    asked += 1;
+                }
+            }
+        }
+        Poll::Pending
+    }
+}
+
+impl Connection for TcpServer {
+    fn detail(&self) -> String {
+        format!("listening on {}", self.address)
+    }
+
+    fn local_address(&self) -> Option<SocketAddr> {
+        Some(self.address)
+    }
+
+    fn send(&mut self, audience: Audience, frame: &[u8], counters: &mut PortCounters) {
+        for client in &mut self.clients {
+            client.send(audience, frame, counters);
+        }
+    }
+
+    fn poll(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut PortCounters,
+    ) -> Poll<Result<Incoming, LinkLoss>> {
+        if let Err(loss) = self.accept(cx) {
+            return Poll::Ready(Err(loss));
+        }
+        self.poll_clients(cx, counters)
+    }
+
+    fn unsent_frames(&self) -> u64 {
+        self.clients.iter().map(Connection::unsent_frames).sum()
+    }
+}

@@ -1,0 +1,401 @@
+//! Links as people write them: `scheme:target?option=value`.
+//!
+//! What schemes and options exist stands in [`TRANSPORTS`] alone; this module reads the table. It opens nothing and
+//! resolves no names, so an address that parses may still not exist.
+
+use std::fmt;
+use std::net::Ipv6Addr;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use thiserror::Error;
+
+use crate::transports::{TRANSPORTS, Transport};
+
+/// A link, checked against the table of transports; prints as it was written.
+#[derive(Clone)]
+pub struct LinkUrl {
+    text: String,
+    transport: &'static dyn Transport,
+    target: Target,
+    options: Vec<(&'static str, String)>,
+}
+
+/// What a link leads to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A device, a pseudo-terminal's link or a file; relative to the working directory unless it begins with `/`.
+    Path(PathBuf),
+    /// A network address.
+    Host {
+        /// A name, an IPv4 address or an IPv6 address without brackets; empty for "any interface of this computer".
+        host: String,
+        /// The port number; 0 lets the system choose when listening.
+        port: u16,
+    },
+}
+
+/// Which form the target of a transport has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TargetKind {
+    /// [`Target::Path`].
+    Path,
+    /// [`Target::Host`].
+    Host,
+}
+
+/// One option of a transport: help text and parser in one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OptionHelp {
+    /// Its name in the URL.
+    pub name: &'static str,
+    /// What it takes and what it takes by default.
+    pub kind: OptionKind,
+    /// What it does, units included.
+    pub help: &'static str,
+}
+
+/// The values of an option.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OptionKind {
+    /// A whole number.
+    Integer {
+        /// The smallest.
+        min: u32,
+        /// The largest.
+        max: u32,
+        /// Without the option.
+        default: u32,
+    },
+    /// One of some words.
+    Choice {
+        /// The words; the first is the default.
+        words: &'static [&'static str],
+    },
+}
+
+impl OptionKind {
+    fn accepts(self, value: &str) -> bool {
+        match self {
+            Self::Integer { min, max, .. } => value
+                .parse::<u32>()
+                .is_ok_and(|number| (min..=max).contains(&number)),
+            Self::Choice { words } => words.contains(&value),
+        }
+    }
+
+    /// The value without the option, as it would be written.
+    #[must_use]
+    pub fn default_text(self) -> String {
+        match self {
+            Self::Integer { default, .. } => default.to_string(),
+            Self::Choice { words } => words.first().copied().unwrap_or_default().to_owned(),
+        }
+    }
+}
+
+impl fmt::Display for OptionKind {
+    /// Says what is accepted, such as "a whole number from 50 to 4000000".
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Integer { min, max, .. } => write!(f, "a whole number from {min} to {max}"),
+            Self::Choice { words } => write!(f, "one of {}", words.join(", ")),
+        }
+    }
+}
+
+/// Why a text is not a link.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum UrlError {
+    /// No `scheme:` in front.
+    #[error("`{text}` has no scheme: put one of {known} in front, such as {example}")]
+    NoScheme {
+        /// The text.
+        text: String,
+        /// The schemes of the table.
+        known: String,
+        /// An example from the table.
+        example: &'static str,
+    },
+    /// A scheme that no transport has.
+    #[error("unknown link scheme `{scheme}`: use one of {known}")]
+    UnknownScheme {
+        /// The scheme.
+        scheme: String,
+        /// The schemes of the table.
+        known: String,
+    },
+    /// Nothing behind the scheme.
+    #[error("`{text}` names no path: write it like {example}")]
+    NoPath {
+        /// The text.
+        text: String,
+        /// An example from the table.
+        example: &'static str,
+    },
+    /// No `:port` behind the host.
+    #[error("`{text}` names no port: write it like {example}")]
+    NoPort {
+        /// The text.
+        text: String,
+        /// An example from the table.
+        example: &'static str,
+    },
+    /// A port that is no number of 16 bits.
+    #[error("port `{port}` in `{text}` is not a whole number from 0 to 65535")]
+    BadPort {
+        /// The text.
+        text: String,
+        /// The port.
+        port: String,
+    },
+    /// A host that is neither a name nor an address.
+    #[error("host `{host}` in `{text}` is neither a name nor an address (IPv6 goes in brackets)")]
+    BadHost {
+        /// The text.
+        text: String,
+        /// The host.
+        host: String,
+    },
+    /// An option that the transport does not have.
+    #[error("{scheme} links have no option `{name}`: {valid}")]
+    UnknownOption {
+        /// The transport.
+        scheme: &'static str,
+        /// The option.
+        name: String,
+        /// The options that it has, as a sentence.
+        valid: String,
+    },
+    /// A value that the option does not take.
+    #[error("option {name}=`{value}` of {scheme} links must be {accepted}")]
+    BadOption {
+        /// The transport.
+        scheme: &'static str,
+        /// The option.
+        name: &'static str,
+        /// The value.
+        value: String,
+        /// What it takes.
+        accepted: String,
+    },
+    /// An option that stands there twice.
+    #[error("option `{name}` stands twice in `{text}`")]
+    RepeatedOption {
+        /// The text.
+        text: String,
+        /// The option.
+        name: &'static str,
+    },
+}
+
+impl LinkUrl {
+    /// Reads a link such as `serial:///dev/rfcomm0?baud=57600`, `pty:brick.tty` or `udp://:14550`.
+    ///
+    /// # Errors
+    /// [`UrlError`] names the part that is wrong and what is accepted there.
+    pub fn parse(text: &str) -> Result<Self, UrlError> {
+        let (scheme, rest) = text.split_once(':').ok_or_else(|| UrlError::NoScheme {
+            text: text.to_owned(),
+            known: known_schemes(),
+            example: TRANSPORTS.first().map_or("", |first| first.example()),
+        })?;
+        let transport = TRANSPORTS
+            .iter()
+            .copied()
+            .find(|transport| transport.scheme() == scheme)
+            .ok_or_else(|| UrlError::UnknownScheme {
+                scheme: scheme.to_owned(),
+                known: known_schemes(),
+            })?;
+        let (target, query) = rest.split_once('?').unwrap_or((rest, ""));
+        let target = target.strip_prefix("//").unwrap_or(target);
+        let target = match transport.target_kind() {
+            TargetKind::Path => parse_path(text, target, transport)?,
+            TargetKind::Host => parse_host(text, target, transport)?,
+        };
+        Ok(Self {
+            text: text.to_owned(),
+            transport,
+            target,
+            options: parse_options(text, query, transport)?,
+        })
+    }
+
+    /// The transport that the scheme selects.
+    #[must_use]
+    pub fn transport(&self) -> &'static dyn Transport {
+        self.transport
+    }
+
+    /// What the link leads to.
+    #[must_use]
+    pub const fn target(&self) -> &Target {
+        &self.target
+    }
+
+    /// The path of the target; empty for a network address.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match &self.target {
+            Target::Path(path) => path,
+            Target::Host { .. } => Path::new(""),
+        }
+    }
+
+    /// Host and port of the target; an empty host and port 0 for a path.
+    #[must_use]
+    pub fn host_and_port(&self) -> (&str, u16) {
+        match &self.target {
+            Target::Path(_) => ("", 0),
+            Target::Host { host, port } => (host, *port),
+        }
+    }
+
+    /// The value of a whole-number option; its default where it was not given, 0 for an option of another kind.
+    #[must_use]
+    pub fn integer(&self, option: &OptionHelp) -> u32 {
+        self.option_text(option).parse().unwrap_or_default()
+    }
+
+    /// The value of an option as it stands in the URL, or its default.
+    #[must_use]
+    pub fn option_text(&self, option: &OptionHelp) -> String {
+        self.options
+            .iter()
+            .find(|(name, _)| *name == option.name)
+            .map_or_else(|| option.kind.default_text(), |(_, value)| value.clone())
+    }
+}
+
+impl fmt::Display for LinkUrl {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+impl fmt::Debug for LinkUrl {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "LinkUrl({})", self.text)
+    }
+}
+
+impl PartialEq for LinkUrl {
+    /// Links are equal when scheme, target and given options are; `serial:a` and `serial://a` are the same.
+    fn eq(&self, other: &Self) -> bool {
+        self.transport.scheme() == other.transport.scheme()
+            && self.target == other.target
+            && self.options == other.options
+    }
+}
+
+impl Eq for LinkUrl {}
+
+impl FromStr for LinkUrl {
+    type Err = UrlError;
+    fn from_str(text: &str) -> Result<Self, UrlError> {
+        Self::parse(text)
+    }
+}
+
+fn known_schemes() -> String {
+    let schemes: Vec<_> = TRANSPORTS
+        .iter()
+        .map(|transport| transport.scheme())
+        .collect();
+    schemes.join(", ")
+}
+
+fn parse_path(text: &str, path: &str, transport: &dyn Transport) -> Result<Target, UrlError> {
+    if path.is_empty() || path.contains('\0') {
+        return Err(UrlError::NoPath {
+            text: text.to_owned(),
+            example: transport.example(),
+        });
+    }
+    Ok(Target::Path(PathBuf::from(path)))
+}
+
+fn parse_host(text: &str, authority: &str, transport: &dyn Transport) -> Result<Target, UrlError> {
+    let authority = authority.strip_suffix('/').unwrap_or(authority);
+    let Some((host, port)) = authority.rsplit_once(':') else {
+        return Err(UrlError::NoPort {
+            text: text.to_owned(),
+            example: transport.example(),
+        });
+    };
+    let bad_port = || UrlError::BadPort {
+        text: text.to_owned(),
+        port: port.to_owned(),
+    };
+    // `u16::from_str` also takes a plus sign, which nobody means in an address.
+    if !port.bytes().all(|byte| byte.is_ascii_digit()) {
+        return Err(bad_port());
+    }
+    let port = port.parse().map_err(|_not_16_bits| bad_port())?;
+    let host = parse_host_name(host).ok_or_else(|| UrlError::BadHost {
+        text: text.to_owned(),
+        host: host.to_owned(),
+    })?;
+    Ok(Target::Host { host, port })
+}
+
+fn parse_host_name(host: &str) -> Option<String> {
+    if let Some(inner) = host.strip_prefix('[') {
+        let address: Ipv6Addr = inner.strip_suffix(']')?.parse().ok()?;
+        return Some(address.to_string());
+    }
+    let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b"-._".contains(&byte);
+    host.bytes().all(is_name).then(|| host.to_owned())
+}
+
+fn parse_options(
+    text: &str,
+    query: &str,
+    transport: &dyn Transport,
+) -> Result<Vec<(&'static str, String)>, UrlError> {
+    let mut options: Vec<(&'static str, String)> = Vec::new();
+    for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+        let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
+        let option = transport
+            .options()
+            .iter()
+            .find(|option| option.name == name)
+            .ok_or_else(|| UrlError::UnknownOption {
+                scheme: transport.scheme(),
+                name: name.to_owned(),
+                valid: valid_options(transport),
+            })?;
+        if !option.kind.accepts(value) {
+            return Err(UrlError::BadOption {
+                scheme: transport.scheme(),
+                name: option.name,
+                value: value.to_owned(),
+                accepted: option.kind.to_string(),
+            });
+        }
+        if options.iter().any(|(known, _)| *known == option.name) {
+            return Err(UrlError::RepeatedOption {
+                text: text.to_owned(),
+                name: option.name,
+            });
+        }
+        options.push((option.name, value.to_owned()));
+    }
+    options.sort_unstable();
+    Ok(options)
+}
+
+fn valid_options(transport: &dyn Transport) -> String {
+    let names: Vec<_> = transport
+        .options()
+        .iter()
+        .map(|option| option.name)
+        .collect();
+    if names.is_empty() {
+        "they take none".to_owned()
+    } else {
+        format!("use {}", names.join(", "))
+    }
+}

@@ -1,0 +1,301 @@
+//! What every transport promises, checked for each line of the table.
+
+use std::path::Path;
+use std::time::Duration;
+
+use crate::support::{down, next_beside, poll_once, port, up};
+use posebridge_link::{HostTimer, LinkUrl, Port, PortEvent, Role, TRANSPORTS};
+use posebridge_telemetry::Span;
+
+/// How the two ends of a link over one transport are made. The far end listens.
+struct Plan {
+    /// `None` dials whatever address the far end has got.
+    near: Option<String>,
+    far: String,
+    /// The near end notices when the far end closes.
+    hears_loss: bool,
+}
+
+fn plan(scheme: &str, device: &Path) -> Option<Plan> {
+    let device = device.display();
+    let (near, far, hears_loss) = match scheme {
+        "serial" => (
+            Some(format!("serial:{device}")),
+            format!("pty:{device}"),
+            true,
+        ),
+        "pty" => (
+            Some(format!("pty:{device}")),
+            format!("serial:{device}"),
+            false,
+        ),
+        "tcp" => (None, "tcp://127.0.0.1:0".to_owned(), true),
+        "udp" => (None, "udp://127.0.0.1:0".to_owned(), false),
+        // One-way, has no far end; its own tests are in `file.rs`.
+        "file" => return None,
+        other => panic!("say here what the far end of a {other} link is"),
+    };
+    Some(Plan {
+        near,
+        far,
+        hears_loss,
+    })
+}
+
+/// The two ends of a link, with what is needed to make the far end again.
+struct Ends {
+    near: Port,
+    far: Port,
+    far_url: String,
+    hears_loss: bool,
+    timer: HostTimer,
+    _directory: tempfile::TempDir,
+}
+
+impl Ends {
+    async fn new(scheme: &str) -> Option<Self> {
+        let timer = HostTimer::start();
+        let directory = tempfile::tempdir().expect("a temporary directory");
+        let plan = plan(scheme, &directory.path().join("brick.tty"))?;
+        let mut far = port(&plan.far, Role::Listen, timer);
+        let (near_url, far_url) = if let Some(near_url) = plan.near {
+            (near_url, plan.far)
+        } else {
+            up(&mut far).await;
+            let address = far.local_address().expect("it listens");
+            let url = format!("{scheme}://{address}");
+            (url.clone(), url)
+        };
+        let mut ends = Self {
+            near: port(&near_url, Role::Dial, timer),
+            far,
+            far_url,
+            hears_loss: plan.hears_loss,
+            timer,
+            _directory: directory,
+        };
+        ends.both_up().await;
+        Some(ends)
+    }
+
+    async fn both_up(&mut self) {
+        while !(self.near.is_up() && self.far.is_up()) {
+            let near = next_beside(&mut self.near, &mut self.far);
+            // The near end may be up already and then has nothing to say while the far end still opens.
+            drop(tokio::time::timeout(Duration::from_secs(1), near).await);
+        }
+    }
+
+    /// The near end speaks first, as a station does that wants to be heard over UDP.
+    async fn talk(&mut self) {
+        self.near.send(b"ping");
+        let heard = beside(&mut self.far, &mut self.near, 4).await;
+        assert_eq!(heard, b"ping");
+        self.far.send(b"pong!");
+        let heard = beside(&mut self.near, &mut self.far, 5).await;
+        assert_eq!(heard, b"pong!");
+    }
+
+    fn restart_far(&mut self) {
+        let fresh = port(&self.far_url, Role::Listen, self.timer);
+        self.far = fresh;
+    }
+}
+
+/// Waits for bytes on one end while the other works too; what else happens there does not matter.
+async fn beside(to: &mut Port, from: &mut Port, count: usize) -> Vec<u8> {
+    let mut all = Vec::new();
+    while all.len() < count {
+        if let PortEvent::Bytes { bytes, .. } = next_beside(to, from).await {
+            all.extend(bytes);
+        }
+    }
+    all
+}
+
+#[test]
+fn every_example_selects_its_own_transport() {
+    for transport in TRANSPORTS {
+        let url = LinkUrl::parse(transport.example()).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(url.transport().scheme(), transport.scheme());
+        assert_eq!(url.to_string(), transport.example());
+    }
+}
+
+#[test]
+fn every_scheme_is_one_word_and_stands_once() {
+    let mut schemes: Vec<_> = TRANSPORTS
+        .iter()
+        .map(|transport| transport.scheme())
+        .collect();
+    assert!(
+        schemes
+            .iter()
+            .all(|scheme| scheme.bytes().all(|byte| byte.is_ascii_lowercase()))
+    );
+    schemes.sort_unstable();
+    let count = schemes.len();
+    schemes.dedup();
+    assert_eq!(schemes.len(), count);
+}
+
+#[test]
+fn every_transport_and_option_is_explained_and_accepts_its_own_default() {
+    for transport in TRANSPORTS {
+        assert!(!transport.summary().is_empty(), "{}", transport.scheme());
+        for option in transport.options() {
+            assert!(!option.help.is_empty(), "{}", option.name);
+            let base = transport.example().split('?').next().expect("the target");
+            let text = format!("{base}?{}={}", option.name, option.kind.default_text());
+            let url = LinkUrl::parse(&text).expect("the default is a value");
+            assert_eq!(url.option_text(option), option.kind.default_text());
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_link_carries_bytes_both_ways() {
+    for transport in TRANSPORTS {
+        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+            continue;
+        };
+        ends.talk().await;
+        let counters = ends.near.counters();
+        assert_eq!(
+            (counters.bytes_in, counters.bytes_out, counters.drops_out),
+            (5, 4, 0),
+            "{}",
+            transport.scheme()
+        );
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_link_carries_every_byte_value_unchanged() {
+    let all: Vec<u8> = (0..=255).collect();
+    for transport in TRANSPORTS {
+        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+            continue;
+        };
+        ends.near.send(&all);
+        assert_eq!(
+            beside(&mut ends.far, &mut ends.near, 256).await,
+            all,
+            "{}",
+            transport.scheme()
+        );
+        ends.far.send(&all);
+        assert_eq!(
+            beside(&mut ends.near, &mut ends.far, 256).await,
+            all,
+            "{}",
+            transport.scheme()
+        );
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn dropping_next_loses_nothing() {
+    for transport in TRANSPORTS {
+        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+            continue;
+        };
+        ends.talk().await;
+        let mut heard = Vec::new();
+        for number in 0..50_u8 {
+            ends.far.send(&[number]);
+            // Each round starts `next`, polls it once and drops it, whether or not it had something to say.
+            while heard.len() <= usize::from(number) {
+                if let Some(PortEvent::Bytes { bytes, .. }) = poll_once(&mut ends.near).await {
+                    heard.extend(bytes);
+                } else {
+                    tokio::task::yield_now().await;
+                }
+            }
+        }
+        let sent: Vec<u8> = (0..50).collect();
+        assert_eq!(heard, sent, "{}", transport.scheme());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_link_works_again_after_the_far_end_was_restarted() {
+    for transport in TRANSPORTS {
+        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+            continue;
+        };
+        for restart in 1..=3 {
+            // Closing before opening again: the address or the name has to be free.
+            ends.far = port("file:/dev/null/nowhere", Role::Dial, ends.timer);
+            if ends.hears_loss {
+                let (reason, retry_in) = down(&mut ends.near).await;
+                assert!(reason.contains("other end is gone"), "{reason}");
+                assert!(retry_in > Span::ZERO && retry_in < Span::from_millis(5_600));
+            }
+            ends.restart_far();
+            ends.both_up().await;
+            ends.talk().await;
+            let wanted = if ends.hears_loss { restart } else { 0 };
+            assert_eq!(
+                ends.near.counters().reconnects,
+                wanted,
+                "{}",
+                transport.scheme()
+            );
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn frames_for_a_link_that_is_down_are_dropped_and_counted() {
+    let timer = HostTimer::start();
+    let mut port = port("serial:/nowhere/at/all", Role::Dial, timer);
+    port.send(b"early");
+    assert!(matches!(
+        poll_once(&mut port).await,
+        None | Some(PortEvent::Down { .. })
+    ));
+    port.send(b"still");
+    assert_eq!(port.counters().drops_out, 2);
+    assert_eq!(port.counters().bytes_out, 0);
+    assert!(!port.is_up());
+}
+
+#[tokio::test(start_paused = true)]
+async fn datagram_links_keep_the_bounds_of_datagrams() {
+    for transport in TRANSPORTS
+        .iter()
+        .filter(|transport| transport.is_datagram())
+    {
+        let mut ends = Ends::new(transport.scheme())
+            .await
+            .expect("it has two ends");
+        assert!(ends.near.is_datagram());
+        for frame in [&b"one"[..], b"twotwo", b"3"] {
+            ends.near.send(frame);
+        }
+        for frame in [&b"one"[..], b"twotwo", b"3"] {
+            assert_eq!(beside(&mut ends.far, &mut ends.near, 1).await, frame);
+        }
+    }
+}
+
+#[test]
+fn the_page_about_links_names_every_scheme_example_and_option() {
+    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/links.md");
+    let page = std::fs::read_to_string(page).expect("the page is part of the repository");
+    for transport in TRANSPORTS {
+        let example = format!("`{}`", transport.example());
+        assert!(page.contains(&example), "{example} is missing");
+        for option in transport.options() {
+            let row = format!(
+                "| `{}` | `{}` | {} | {} |",
+                transport.scheme(),
+                option.name,
+                option.kind,
+                option.kind.default_text()
+            );
+            assert!(page.contains(&row), "{row} is missing");
+        }
+    }
+}

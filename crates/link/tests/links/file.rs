@@ -1,0 +1,76 @@
+//! Files as links: played to their end, or written to.
+
+use crate::support::{bytes, poll_once, port, up};
+use posebridge_link::{HostTimer, PortEvent, Role};
+
+#[tokio::test]
+async fn a_file_is_played_to_its_end_in_chunks() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("run.bin");
+    let content: Vec<u8> = (0..=255).cycle().take(1_000).collect();
+    std::fs::write(&path, &content).expect("own directory");
+    for chunk in [1, 7, 999, 1_000, 4_096] {
+        let url = format!("file://{}?chunk={chunk}", path.display());
+        let mut file = port(&url, Role::Dial, HostTimer::start());
+        file.open_first().await.expect("it exists");
+        assert_eq!(up(&mut file).await, format!("playing {}", path.display()));
+        let mut played = Vec::new();
+        loop {
+            match file.next().await {
+                PortEvent::Bytes { bytes, .. } => {
+                    let left = content.len() - played.len();
+                    assert_eq!(bytes.len(), chunk.min(left));
+                    played.extend(bytes);
+                }
+                PortEvent::Finished { .. } => break,
+                event => panic!("{event:?} while playing"),
+            }
+        }
+        assert_eq!(played, content);
+        assert!(!file.is_up());
+        assert_eq!(poll_once(&mut file).await, None, "nothing follows the end");
+    }
+}
+
+#[tokio::test]
+async fn appended_frames_stand_behind_what_was_there() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("run.bin");
+    let url = format!("file://{}?mode=append", path.display());
+    for frame in [b"one", b"two"] {
+        let mut file = port(&url, Role::Dial, HostTimer::start());
+        up(&mut file).await;
+        file.send(frame);
+        assert_eq!(file.counters().bytes_out, 3);
+        assert_eq!(poll_once(&mut file).await, None);
+    }
+    let mut reader = port(
+        &format!("file://{}", path.display()),
+        Role::Dial,
+        HostTimer::start(),
+    );
+    up(&mut reader).await;
+    assert_eq!(bytes(&mut reader, 6).await, b"onetwo");
+}
+
+#[tokio::test]
+async fn a_file_that_cannot_be_played_is_refused_at_the_start() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let shown = directory.path().display();
+    let mut missing = port(
+        &format!("file://{shown}/run.bin"),
+        Role::Dial,
+        HostTimer::start(),
+    );
+    let error = missing.open_first().await.expect_err("it is not there");
+    assert_eq!(
+        error.to_string(),
+        format!("{shown}/run.bin does not exist: check the name and the directory")
+    );
+    let mut wrong = port(&format!("file://{shown}"), Role::Dial, HostTimer::start());
+    let error = wrong.open_first().await.expect_err("a directory");
+    assert_eq!(
+        error.to_string(),
+        format!("{shown} is a directory, not a regular file")
+    );
+}

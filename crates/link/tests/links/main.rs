@@ -1,0 +1,14 @@
+//! The links as their users see them: over real pseudo-terminals and the loopback, with a paused clock.
+
+#![expect(clippy::expect_used, reason = "helpers outside of test functions")]
+#![expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "a test that sees any other event fails and prints it"
+)]
+
+mod conformance;
+mod file;
+mod network;
+mod serial;
+mod support;
+mod url;

@@ -1,0 +1,363 @@
+//! TCP and UDP on the loopback: servers that restart, clients that leave, peers that are slow.
+
+use std::net::{SocketAddr, UdpSocket};
+use std::time::Duration;
+
+use crate::support::{bytes, down, next_beside, poll_once, port, up};
+use posebridge_link::{HostTimer, PeerId, Port, PortConfig, PortEvent, PortSet, Role};
+use posebridge_telemetry::{LinkId, Span};
+
+async fn listening(url: &str, timer: HostTimer) -> (Port, SocketAddr) {
+    let mut server = port(url, Role::Listen, timer);
+    server.open_first().await.expect("a free port");
+    up(&mut server).await;
+    let address = server.local_address().expect("it listens");
+    (server, address)
+}
+
+async fn dialled(scheme: &str, address: SocketAddr, timer: HostTimer) -> Port {
+    let mut client = port(&format!("{scheme}://{address}"), Role::Dial, timer);
+    up(&mut client).await;
+    client
+}
+
+/// A plain socket of a foreign program; it must not block the runtime for ever if a test is wrong.
+fn foreign_peer() -> UdpSocket {
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("a free port");
+    socket
+        .set_read_timeout(Some(Duration::from_secs(5)))
+        .expect("a finite wait");
+    socket
+}
+
+fn heard_by(socket: &UdpSocket) -> Vec<u8> {
+    let mut buffer = [0; 100];
+    let count = socket.recv(&mut buffer).expect("a datagram");
+    buffer[..count].to_vec()
+}
+
+async fn next_bytes(port: &mut Port) -> (PeerId, Vec<u8>) {
+    loop {
+        if let PortEvent::Bytes { peer, bytes, .. } = port.next().await {
+            return (peer, bytes);
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_server_that_restarts_is_found_again() {
+    let timer = HostTimer::start();
+    let (server, address) = listening("tcp://127.0.0.1:0", timer).await;
+    let mut server = Some(server);
+    let mut client = dialled("tcp", address, timer).await;
+    for restart in 1..=5 {
+        drop(server.take());
+        let (_, retry_in) = down(&mut client).await;
+        let lost = timer.now();
+        let (mut fresh, _) = listening(&format!("tcp://{address}"), timer).await;
+        up(&mut client).await;
+        assert!(timer.now() - lost <= retry_in + Span::from_millis(3));
+        assert_eq!(client.counters().reconnects, restart);
+        client.send(b"hello again");
+        assert!(matches!(
+            next_beside(&mut fresh, &mut client).await,
+            PortEvent::Bytes { bytes, .. } if bytes == b"hello again"
+        ));
+        server = Some(fresh);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_was_up_for_a_while_is_opened_again_soon() {
+    let timer = HostTimer::start();
+    let (server, address) = listening("tcp://127.0.0.1:0", timer).await;
+    let mut server = Some(server);
+    let mut client = dialled("tcp", address, timer).await;
+    let mut waits = Vec::new();
+    for up_secs in [4, 4, 4, 6, 4] {
+        tokio::time::advance(Duration::from_secs(up_secs)).await;
+        drop(server.take());
+        waits.push(down(&mut client).await.1.as_secs_f64());
+        server = Some(listening(&format!("tcp://{address}"), timer).await.0);
+        up(&mut client).await;
+    }
+    for (wait, nominal) in waits.iter().zip([0.25, 0.5, 1.0, 0.25, 0.5]) {
+        assert!((wait / nominal - 1.0).abs() < 0.101, "{waits:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_server_that_is_not_started_yet_is_waited_for() {
+    let timer = HostTimer::start();
+    let (server, address) = listening("tcp://127.0.0.1:0", timer).await;
+    drop(server);
+    let mut client = port(&format!("tcp://{address}"), Role::Dial, timer);
+    client.open_first().await.expect("the server may come");
+    let (reason, _) = down(&mut client).await;
+    assert!(
+        reason.starts_with(&format!("no connection to {address}: Connection refused")),
+        "{reason}"
+    );
+    let (_server, _) = listening(&format!("tcp://{address}"), timer).await;
+    up(&mut client).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_client_of_a_server_is_a_source_of_its_own_and_hears_everything() {
+    let timer = HostTimer::start();
+    let (mut server, address) = listening("tcp://127.0.0.1:0", timer).await;
+    let mut first = dialled("tcp", address, timer).await;
+    first.send(b"first");
+    assert_eq!(poll_once(&mut first).await, None);
+    let (first_peer, heard) = next_bytes(&mut server).await;
+    assert_eq!(heard, b"first");
+    let mut second = dialled("tcp", address, timer).await;
+    second.send(b"second");
+    assert_eq!(poll_once(&mut second).await, None);
+    let (second_peer, heard) = next_bytes(&mut server).await;
+    assert_eq!(heard, b"second");
+    assert_ne!(first_peer, second_peer);
+
+    server.send(b"to all");
+    assert_eq!(next_beside_bytes(&mut first, &mut server).await, b"to all");
+    assert_eq!(next_beside_bytes(&mut second, &mut server).await, b"to all");
+    server.send_to(second_peer, b"to you");
+    server.send(b"bye");
+    assert_eq!(next_beside_bytes(&mut first, &mut server).await, b"bye");
+    drop(first);
+    assert_eq!(bytes(&mut second, 9).await, b"to youbye");
+    assert_eq!(poll_once(&mut server).await, None);
+    assert!(
+        server.is_up(),
+        "a client that leaves is no loss of the link"
+    );
+    assert_eq!(server.counters().drops_out, 0);
+}
+
+async fn next_beside_bytes(port: &mut Port, other: &mut Port) -> Vec<u8> {
+    match next_beside(port, other).await {
+        PortEvent::Bytes { bytes, .. } => bytes,
+        event => panic!("{event:?} instead of bytes"),
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reader_that_stalls_costs_the_oldest_frames_and_never_half_of_one() {
+    const FRAME_BYTES: usize = 1_024;
+    const FRAMES: u32 = 20_000;
+    let timer = HostTimer::start();
+    let (mut server, address) = listening("tcp://127.0.0.1:0", timer).await;
+    let mut slow = dialled("tcp", address, timer).await;
+    slow.send(b"!");
+    assert_eq!(next_beside_bytes(&mut server, &mut slow).await, b"!");
+    for number in 0..FRAMES {
+        let mut frame = vec![0; FRAME_BYTES];
+        frame[..4].copy_from_slice(&number.to_be_bytes());
+        server.send(&frame);
+    }
+    let dropped = server.counters().drops_out;
+    assert!(dropped > 0, "the system took everything");
+    let expected = usize::try_from(u64::from(FRAMES) - dropped).expect("small") * FRAME_BYTES;
+    let mut heard = Vec::new();
+    while heard.len() < expected {
+        heard.extend(next_beside_bytes(&mut slow, &mut server).await);
+    }
+    assert_eq!(heard.len(), expected);
+    let numbers: Vec<u32> = heard
+        .chunks(FRAME_BYTES)
+        .map(|frame| u32::from_be_bytes([frame[0], frame[1], frame[2], frame[3]]))
+        .collect();
+    assert!(numbers.is_sorted_by(|a, b| a < b), "in order, none twice");
+    assert_eq!(numbers.last(), Some(&(FRAMES - 1)), "the newest is there");
+    let gap = numbers
+        .windows(2)
+        .filter(|pair| pair[1] != pair[0] + 1)
+        .count();
+    assert_eq!(gap, 1, "the drops are one run of the oldest that waited");
+    // 64 KiB hold 63 or 64 whole frames of 1 KiB, with the rest of a begun one.
+    let after_gap = numbers
+        .iter()
+        .rev()
+        .zip((0..FRAMES).rev())
+        .take_while(|(a, b)| *a == b)
+        .count();
+    assert!((62..=64).contains(&after_gap), "{after_gap} frames waited");
+    assert_eq!(server.counters().bytes_out, expected as u64);
+}
+
+#[tokio::test(start_paused = true)]
+async fn frames_that_wait_when_the_peer_leaves_are_counted_as_dropped() {
+    let timer = HostTimer::start();
+    let (server, address) = listening("tcp://127.0.0.1:0", timer).await;
+    let mut server = server;
+    let mut client = dialled("tcp", address, timer).await;
+    client.send(b"!");
+    assert_eq!(next_beside_bytes(&mut server, &mut client).await, b"!");
+    let mut sent: u64 = 1;
+    while client.counters().drops_out == 0 {
+        client.send(&[0; 1_000]);
+        sent += 1;
+    }
+    drop(server);
+    down(&mut client).await;
+    let counters = client.counters();
+    let begun_and_written = counters.bytes_out.div_ceil(1_000) + 1;
+    assert!(
+        counters.drops_out + begun_and_written >= sent,
+        "{sent} sent, {counters:?}"
+    );
+    assert!(
+        counters.drops_out >= 60,
+        "what waited was lost: {counters:?}"
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn two_udp_peers_are_heard_apart_and_both_answered() {
+    let timer = HostTimer::start();
+    let (mut station, address) = listening("udp://127.0.0.1:0", timer).await;
+    assert!(station.is_datagram());
+    let (left, right) = (foreign_peer(), foreign_peer());
+    left.send_to(b"left", address).expect("loopback");
+    let (left_peer, heard) = next_bytes(&mut station).await;
+    assert_eq!(heard, b"left");
+    right.send_to(b"right", address).expect("loopback");
+    let (right_peer, heard) = next_bytes(&mut station).await;
+    assert_eq!(heard, b"right");
+    assert_ne!(left_peer, right_peer);
+    station.send(b"both");
+    assert_eq!(heard_by(&left), b"both");
+    assert_eq!(heard_by(&right), b"both");
+    station.send_to(right_peer, b"you");
+    station.send(b"end");
+    assert_eq!(heard_by(&left), b"end");
+    assert_eq!(heard_by(&right), b"you");
+
+    // The right one falls silent for longer than ten seconds and is not written to any more.
+    tokio::time::advance(Duration::from_secs(6)).await;
+    left.send_to(b"here", address).expect("loopback");
+    assert_eq!(
+        next_bytes(&mut station).await,
+        (left_peer, b"here".to_vec())
+    );
+    tokio::time::advance(Duration::from_secs(6)).await;
+    let before = station.counters().bytes_out;
+    station.send(b"still there?");
+    assert_eq!(station.counters().bytes_out - before, 12);
+    assert_eq!(heard_by(&left), b"still there?");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_burst_of_datagrams_arrives_one_by_one_and_in_order() {
+    let timer = HostTimer::start();
+    let (mut station, address) = listening("udp://127.0.0.1:0", timer).await;
+    let brick = foreign_peer();
+    // More than one wake-up drains, and more than the 256 that a default receive buffer holds.
+    for number in 0..1_000_u32 {
+        brick
+            .send_to(&number.to_be_bytes(), address)
+            .expect("loopback");
+    }
+    for number in 0..1_000_u32 {
+        assert_eq!(next_bytes(&mut station).await.1, number.to_be_bytes());
+    }
+    assert_eq!(station.counters().bytes_in, 4_000);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_udp_link_with_a_host_speaks_first_and_survives_that_nobody_listens() {
+    let timer = HostTimer::start();
+    let brick = foreign_peer();
+    let address = brick.local_addr().expect("it is bound");
+    let mut station = dialled("udp", address, timer).await;
+    station.send(b"hello");
+    assert_eq!(poll_once(&mut station).await, None);
+    assert_eq!(heard_by(&brick), b"hello");
+    drop(brick);
+    for _ in 0..3 {
+        station.send(b"anybody?");
+        assert_eq!(poll_once(&mut station).await, None);
+    }
+    let brick = UdpSocket::bind(address).expect("it was just free");
+    station.send(b"again");
+    assert_eq!(poll_once(&mut station).await, None);
+    assert_eq!(heard_by(&brick), b"again");
+    assert!(station.is_up());
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_address_that_is_taken_is_refused_at_the_start() {
+    let timer = HostTimer::start();
+    for scheme in ["tcp", "udp"] {
+        let (_first, address) = listening(&format!("{scheme}://127.0.0.1:0"), timer).await;
+        let mut second = port(&format!("{scheme}://{address}"), Role::Listen, timer);
+        let error = second.open_first().await.expect_err("it is taken");
+        assert!(!error.can_heal());
+        assert_eq!(
+            error.to_string(),
+            format!(
+                "address {address} is already in use: stop the program that listens there or choose another port"
+            )
+        );
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_foreign_address_and_a_missing_host_are_refused_at_the_start() {
+    let timer = HostTimer::start();
+    // 192.0.2.0/24 is for documentation (RFC 5737): no interface has it.
+    let mut foreign = port("tcp://192.0.2.1:5760", Role::Listen, timer);
+    let error = foreign.open_first().await.expect_err("not ours");
+    assert_eq!(
+        error.to_string(),
+        "address 192.0.2.1:5760 belongs to no interface of this computer: leave the host out to listen on all of them"
+    );
+    let mut nowhere = port("tcp://:5760", Role::Dial, timer);
+    let error = nowhere.open_first().await.expect_err("no host");
+    assert_eq!(
+        error.to_string(),
+        "tcp://:5760 names no host to dial: put one before the port"
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_flooded_port_does_not_silence_its_neighbour() {
+    let timer = HostTimer::start();
+    let mut addresses = Vec::new();
+    let mut set = PortSet::default();
+    for id in [3, 8] {
+        let config = PortConfig {
+            id: LinkId(id),
+            url: "udp://127.0.0.1:0".parse().expect("a link"),
+            role: Role::Listen,
+        };
+        let mut udp = Port::new(config, timer);
+        up(&mut udp).await;
+        addresses.push(udp.local_address().expect("it listens"));
+        set.push(udp);
+    }
+    set.open_first().await.expect("both are open");
+    let brick = foreign_peer();
+    for _ in 0..200 {
+        brick.send_to(b"flood", addresses[0]).expect("loopback");
+    }
+    for _ in 0..10 {
+        brick.send_to(b"calm", addresses[1]).expect("loopback");
+    }
+    let mut order = Vec::new();
+    while order.iter().filter(|id| **id == LinkId(8)).count() < 10 {
+        let (id, event) = set.next().await;
+        assert!(matches!(event, PortEvent::Bytes { .. }), "{event:?}");
+        order.push(id);
+    }
+    assert!(
+        order.len() <= 22,
+        "{} events before ten calm ones",
+        order.len()
+    );
+    assert!(
+        set.get_mut(LinkId(8))
+            .is_some_and(|port| port.counters().bytes_in == 40)
+    );
+    assert!(set.get_mut(LinkId(5)).is_none());
+}

@@ -1,0 +1,356 @@
+//! Serial ports and pseudo-terminals: cables that are pulled, names that are taken, buffers that are full.
+
+use std::future::poll_fn;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::task::Poll;
+
+use crate::support::{bytes, down, poll_once, port, up};
+use nix::fcntl::OFlag;
+use nix::sys::stat::Mode;
+use posebridge_link::{HostTimer, OpenError, Port, PortEvent, Role};
+use posebridge_telemetry::Span;
+
+/// A directory with room for one device name.
+struct Bench {
+    directory: tempfile::TempDir,
+    timer: HostTimer,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self {
+            directory: tempfile::tempdir().expect("a temporary directory"),
+            timer: HostTimer::start(),
+        }
+    }
+
+    fn path(&self) -> PathBuf {
+        self.directory.path().join("brick.tty")
+    }
+
+    fn serial(&self) -> Port {
+        port(
+            &format!("serial:{}", self.path().display()),
+            Role::Dial,
+            self.timer,
+        )
+    }
+
+    fn pty(&self) -> Port {
+        port(
+            &format!("pty:{}", self.path().display()),
+            Role::Listen,
+            self.timer,
+        )
+    }
+
+    async fn plugged_pty(&self) -> Port {
+        let mut pty = self.pty();
+        pty.open_first().await.expect("a fresh name");
+        up(&mut pty).await;
+        pty
+    }
+}
+
+/// Waits for the next event and counts how often the port was polled for it.
+async fn next_counted(port: &mut Port) -> (PortEvent, usize) {
+    let mut polls = 0;
+    let event = poll_fn(|cx| {
+        polls += 1;
+        port.poll_next(cx)
+    })
+    .await;
+    (event, polls)
+}
+
+#[tokio::test(start_paused = true)]
+async fn twenty_replugs_are_survived_without_a_busy_loop() {
+    let bench = Bench::new();
+    let mut cable = Some(bench.plugged_pty().await);
+    let mut station = bench.serial();
+    up(&mut station).await;
+    for replug in 1..=20 {
+        drop(cable.take());
+        let (event, polls) = next_counted(&mut station).await;
+        let PortEvent::Down { retry_in, at, .. } = event else {
+            panic!("{event:?} instead of a loss");
+        };
+        assert!(polls <= 3, "{polls} polls to notice a loss");
+        assert!(!station.is_up());
+
+        let mut pty = bench.plugged_pty().await;
+        let (event, polls) = next_counted(&mut station).await;
+        let PortEvent::Up { at: back, .. } = event else {
+            panic!("{event:?} instead of the link");
+        };
+        // One poll finds the wait not over, one starts to open, one has it open.
+        assert!(polls <= 5, "{polls} polls to come back");
+        let away = back - at;
+        assert!(retry_in <= Span::from_millis(5_500), "{retry_in:?}");
+        // A timer is up to two milliseconds late.
+        assert!(
+            away <= retry_in + Span::from_millis(3),
+            "{away:?} for {retry_in:?}"
+        );
+
+        pty.send(b"here again");
+        // What is sent before the first turn of the reactor waits for the next poll.
+        assert_eq!(poll_once(&mut pty).await, None);
+        assert_eq!(bytes(&mut station, 10).await, b"here again");
+        assert_eq!(station.counters().reconnects, replug);
+        cable = Some(pty);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_idle_link_is_not_polled_again_and_again() {
+    let bench = Bench::new();
+    let mut pty = bench.plugged_pty().await;
+    let mut station = bench.serial();
+    up(&mut station).await;
+    // The writer comes a minute later; the clock is paused, so nothing but the reader's own wake-ups is counted.
+    let timer = bench.timer;
+    let writer = async {
+        timer
+            .sleep_until(timer.now() + Span::from_millis(60_000))
+            .await;
+        pty.send(b"x");
+        poll_once(&mut pty).await
+    };
+    let (heard, written) = tokio::join!(next_counted(&mut station), writer);
+    assert!(matches!(heard.0, PortEvent::Bytes { .. }), "{heard:?}");
+    assert_eq!(written, None);
+    assert!(heard.1 <= 5, "{} polls for one byte", heard.1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_device_that_is_not_there_yet_is_waited_for() {
+    let bench = Bench::new();
+    let mut station = bench.serial();
+    station
+        .open_first()
+        .await
+        .expect("a missing device may come");
+    let (reason, retry_in) = down(&mut station).await;
+    assert_eq!(
+        reason,
+        format!(
+            "{} is not there: plug the device in or check the name",
+            bench.path().display()
+        )
+    );
+    assert!((Span::from_millis(225)..=Span::from_millis(275)).contains(&retry_in));
+    // Half a minute of waiting: nothing is told twice, and the waits get longer.
+    let before = bench.timer.now();
+    let mut polls = 0;
+    let quiet = tokio::time::timeout(
+        std::time::Duration::from_secs(30),
+        poll_fn(|cx| {
+            polls += 1;
+            station.poll_next(cx)
+        }),
+    );
+    assert!(quiet.await.is_err(), "the same reason was told again");
+    // 0.25 + 0.5 + 1 + 2 + 4 s and then every 5 s are ten attempts at the most, each polled two or three times.
+    assert!(
+        polls <= 35,
+        "{polls} polls in {:?}",
+        bench.timer.now() - before
+    );
+
+    let pty = bench.plugged_pty().await;
+    let detail = up(&mut station).await;
+    assert_eq!(detail, format!("{} at 115200 baud", bench.path().display()));
+    assert_eq!(station.counters().reconnects, 0);
+    drop(pty);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_was_written_before_the_port_was_opened_is_stale() {
+    let bench = Bench::new();
+    let mut pty = bench.plugged_pty().await;
+    // Once through the reactor, so that the terminal is known to be writable.
+    assert_eq!(poll_once(&mut pty).await, None);
+    tokio::task::yield_now().await;
+    for _ in 0..1_000 {
+        pty.send(&[b'o'; 100]);
+    }
+    let counters = pty.counters();
+    assert!(counters.drops_out > 500, "{counters:?}");
+    assert!(
+        counters.bytes_out > 4_000 && counters.bytes_out < 66_000,
+        "{counters:?}"
+    );
+
+    let mut station = bench.serial();
+    up(&mut station).await;
+    // The frame that was cut when the buffer became full is finished first; everything else is gone.
+    pty.send(b"new!");
+    let mut heard = Vec::new();
+    while !heard.ends_with(b"new!") {
+        assert!(heard.len() < 100 + 4, "{} stale bytes", heard.len());
+        pty.send(b"new!");
+        assert_eq!(poll_once(&mut pty).await, None);
+        heard.extend(bytes(&mut station, 1).await);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_pty_that_nobody_reads_recovers_when_somebody_does() {
+    let bench = Bench::new();
+    let mut station = bench.serial();
+    let mut pty = bench.plugged_pty().await;
+    up(&mut station).await;
+    let frame = [7; 64];
+    for _ in 0..2_000 {
+        pty.send(&frame);
+    }
+    assert_eq!(poll_once(&mut pty).await, None);
+    let dropped = pty.counters().drops_out;
+    assert!(dropped > 0, "the buffer took everything");
+    // Both run: the reader takes what is there, the writer finishes the frame that was cut.
+    let expected = usize::try_from((2_000 - dropped) * 64).expect("small");
+    let heard = tokio::select! {
+        heard = bytes(&mut station, expected) => heard,
+        event = pty.next() => panic!("{event:?} on an idle terminal"),
+    };
+    assert_eq!(heard.len(), expected, "frames arrive whole");
+    assert_eq!(pty.counters().bytes_out, expected as u64);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_second_program_is_told_that_the_port_is_in_use() {
+    let bench = Bench::new();
+    let _pty = bench.plugged_pty().await;
+    let mut first = bench.serial();
+    up(&mut first).await;
+    let mut second = bench.serial();
+    let (reason, _) = down(&mut second).await;
+    let path = bench.path();
+    let path = path.display();
+    assert_eq!(
+        reason,
+        format!(
+            "port {path} is in use by another program: close it there (`fuser -v {path}` names it)"
+        )
+    );
+    drop(first);
+    up(&mut second).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_was_left_behind_is_replaced() {
+    let bench = Bench::new();
+    symlink("/dev/pts/4000000", bench.path()).expect("a free name");
+    let pty = bench.plugged_pty().await;
+    let device = std::fs::read_link(bench.path()).expect("our link");
+    assert!(device.exists(), "{} leads to a terminal", device.display());
+    drop(pty);
+    assert!(
+        !bench.path().is_symlink(),
+        "the name goes with the terminal"
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_name_of_a_successor_is_left_alone() {
+    let bench = Bench::new();
+    let old = bench.plugged_pty().await;
+    let new = bench.plugged_pty().await;
+    drop(old);
+    assert!(bench.path().is_symlink());
+    drop(new);
+    assert!(!bench.path().is_symlink());
+}
+
+async fn check_refusal(mut port: Port, message: &str) {
+    let error: OpenError = port.open_first().await.expect_err(message);
+    assert!(!error.can_heal());
+    assert_eq!(error.to_string(), message);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_not_ours_is_not_replaced() {
+    let bench = Bench::new();
+    let path = bench.path();
+    std::fs::write(&path, "precious").expect("own directory");
+    let shown = path.display();
+    check_refusal(
+        bench.pty(),
+        &format!("{shown} is a regular file, not a link that may be replaced"),
+    )
+    .await;
+    assert_eq!(
+        std::fs::read_to_string(&path).expect("still there"),
+        "precious"
+    );
+
+    std::fs::remove_file(&path).expect("own file");
+    symlink("/dev/null", &path).expect("a free name");
+    check_refusal(
+        bench.pty(),
+        &format!("{shown} is a symbolic link to something else, not a link that may be replaced"),
+    )
+    .await;
+    assert_eq!(
+        std::fs::read_link(&path).expect("still there"),
+        Path::new("/dev/null")
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_serial_port_that_is_something_else_is_refused() {
+    let bench = Bench::new();
+    let path = bench.path();
+    std::fs::create_dir(&path).expect("own directory");
+    let shown = path.display();
+    check_refusal(
+        bench.serial(),
+        &format!("{shown} is a directory, not a serial port"),
+    )
+    .await;
+    std::fs::remove_dir(&path).expect("own directory");
+    std::fs::write(&path, "").expect("own directory");
+    check_refusal(
+        bench.serial(),
+        &format!("{shown} is a regular file, not a serial port"),
+    )
+    .await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_pty_in_a_directory_that_does_not_exist_is_refused() {
+    let bench = Bench::new();
+    let directory = bench.directory.path().join("missing");
+    let pty = port(
+        &format!("pty:{}/brick.tty", directory.display()),
+        Role::Listen,
+        bench.timer,
+    );
+    check_refusal(
+        pty,
+        &format!(
+            "{} does not exist: create the directory first",
+            directory.display()
+        ),
+    )
+    .await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_terminal_is_raw_before_anybody_can_open_it() {
+    let bench = Bench::new();
+    let mut pty = bench.plugged_pty().await;
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
+    let reader = nix::fcntl::open(&bench.path(), flags, Mode::empty()).expect("a foreign reader");
+    // In cooked mode these would be echoed, translated, or end the reader.
+    let awkward = [b'\r', b'\n', 0x03, 0x04, 0x11, 0x13, 0x1a, 0x7f, 0xff, 0x00];
+    assert_eq!(
+        nix::unistd::write(&reader, &awkward).expect("room"),
+        awkward.len()
+    );
+    assert_eq!(bytes(&mut pty, awkward.len()).await, awkward);
+    let echoed = poll_fn(|cx| Poll::Ready(pty.poll_next(cx).is_ready())).await;
+    assert!(!echoed, "the terminal echoes");
+}

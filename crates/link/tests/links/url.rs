@@ -1,0 +1,159 @@
+//! Links as people write them: what is understood, and what is said about the rest.
+
+use std::path::Path;
+
+use posebridge_link::{LinkUrl, TRANSPORTS, Target};
+
+fn check_target(text: &str, scheme: &str, target: &Target) {
+    let url = LinkUrl::parse(text).unwrap_or_else(|error| panic!("{text}: {error}"));
+    assert_eq!(url.transport().scheme(), scheme, "{text}");
+    assert_eq!(url.target(), target, "{text}");
+    assert_eq!(url.to_string(), text);
+}
+
+fn host(host: &str, port: u16) -> Target {
+    Target::Host {
+        host: host.to_owned(),
+        port,
+    }
+}
+
+fn check_error(text: &str, message: &str) {
+    let error = LinkUrl::parse(text).expect_err(text);
+    assert_eq!(error.to_string(), message);
+}
+
+#[test]
+fn the_usual_links_are_understood_and_printed_back() {
+    let path = |path: &str| Target::Path(path.into());
+    check_target(
+        "serial:///dev/rfcomm0?baud=57600",
+        "serial",
+        &path("/dev/rfcomm0"),
+    );
+    check_target("serial:brick.tty", "serial", &path("brick.tty"));
+    check_target("pty:brick.tty", "pty", &path("brick.tty"));
+    check_target(
+        "pty:///run/user/brick.tty",
+        "pty",
+        &path("/run/user/brick.tty"),
+    );
+    check_target("file://run.bin", "file", &path("run.bin"));
+    check_target("tcp://robot.local:5760", "tcp", &host("robot.local", 5760));
+    check_target("tcp://[fe80::1]:5760/", "tcp", &host("fe80::1", 5760));
+    check_target("udp://:14550", "udp", &host("", 14550));
+    check_target("udp://127.0.0.1:0", "udp", &host("127.0.0.1", 0));
+}
+
+#[test]
+fn the_spelling_with_and_without_slashes_is_the_same_link() {
+    let parse = |text| LinkUrl::parse(text).expect("a link");
+    assert_eq!(parse("serial:brick.tty"), parse("serial://brick.tty"));
+    assert_ne!(parse("serial:brick.tty"), parse("pty:brick.tty"));
+    assert_ne!(parse("serial:a"), parse("serial:a?baud=9600"));
+    assert_eq!(
+        parse("file:a?mode=append&chunk=1"),
+        parse("file:a?chunk=1&mode=append")
+    );
+    assert_eq!(parse("serial:brick.tty").path(), Path::new("brick.tty"));
+}
+
+#[test]
+fn options_have_the_default_of_the_table_until_they_are_given() {
+    let serial = TRANSPORTS
+        .iter()
+        .find(|transport| transport.scheme() == "serial")
+        .expect("it is there");
+    let baud = &serial.options()[0];
+    let parse = |text| LinkUrl::parse(text).expect("a link");
+    assert_eq!(parse("serial:a").integer(baud), 115_200);
+    assert_eq!(parse("serial:a?baud=921600").integer(baud), 921_600);
+    assert_eq!(parse("serial:a?").integer(baud), 115_200);
+}
+
+#[test]
+fn a_wrong_link_says_what_is_wrong_and_what_is_right() {
+    check_error(
+        "/dev/ttyUSB0",
+        "`/dev/ttyUSB0` has no scheme: put one of serial, pty, tcp, udp, file in front, such as serial:///dev/ttyUSB0?baud=115200",
+    );
+    check_error(
+        "usb:brick",
+        "unknown link scheme `usb`: use one of serial, pty, tcp, udp, file",
+    );
+    check_error(
+        "serial:",
+        "`serial:` names no path: write it like serial:///dev/ttyUSB0?baud=115200",
+    );
+    check_error(
+        "udp://robot",
+        "`udp://robot` names no port: write it like udp://:14550",
+    );
+    check_error(
+        "tcp://robot:57600000",
+        "port `57600000` in `tcp://robot:57600000` is not a whole number from 0 to 65535",
+    );
+    check_error(
+        "tcp://robot:+80",
+        "port `+80` in `tcp://robot:+80` is not a whole number from 0 to 65535",
+    );
+    check_error(
+        "tcp://robot:",
+        "port `` in `tcp://robot:` is not a whole number from 0 to 65535",
+    );
+    check_error(
+        "tcp://fe80::1:5760",
+        "host `fe80::1` in `tcp://fe80::1:5760` is neither a name nor an address (IPv6 goes in brackets)",
+    );
+    check_error(
+        "tcp://[::1:5760",
+        "host `[::1` in `tcp://[::1:5760` is neither a name nor an address (IPv6 goes in brackets)",
+    );
+}
+
+#[test]
+fn a_wrong_option_is_named_with_the_right_ones() {
+    check_error(
+        "serial:a?baudrate=9600",
+        "serial links have no option `baudrate`: use baud",
+    );
+    check_error(
+        "pty:a?raw=1",
+        "pty links have no option `raw`: they take none",
+    );
+    check_error(
+        "serial:a?baud=fast",
+        "option baud=`fast` of serial links must be a whole number from 50 to 4000000",
+    );
+    check_error(
+        "serial:a?baud",
+        "option baud=`` of serial links must be a whole number from 50 to 4000000",
+    );
+    check_error(
+        "file:a?mode=write",
+        "option mode=`write` of file links must be one of read, append",
+    );
+    check_error(
+        "serial:a?baud=1200&baud=2400",
+        "option `baud` stands twice in `serial:a?baud=1200&baud=2400`",
+    );
+}
+
+#[test]
+fn no_text_makes_the_parser_panic() {
+    let pieces = [
+        "serial", "udp", ":", "//", "[", "]", "?", "&", "=", "baud", "é", "\0", "9",
+    ];
+    for a in pieces {
+        for b in pieces {
+            for c in pieces {
+                for d in pieces {
+                    let text = [a, b, c, d].concat();
+                    if let Ok(url) = LinkUrl::parse(&text) {
+                        assert_eq!(url.to_string(), text);
+                    }
+                }
+            }
+        }
+    }
+}
