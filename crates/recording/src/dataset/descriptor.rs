@@ -1,0 +1,407 @@
+//! A descriptor that has been checked: what `load` works from.
+//!
+//! Everything that can be known without the files is checked here, so that a wrong key is found before a long read.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use toml::Spanned;
+
+use super::column::Place;
+use super::run::StartPose;
+use super::schema::{
+    FileEntry, PlacesMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPlace,
+};
+use posebridge_telemetry::{Heading, Meters, Pose};
+
+/// Why a descriptor cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DescriptorError {
+    /// A key is missing, unknown or of the wrong kind.
+    #[error("line {line}: {message}, in `{text}`")]
+    Key {
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong; it names the key where serde knows it.
+        message: String,
+        /// The line's text.
+        text: String,
+    },
+    /// Keys that do not fit together.
+    #[error("line {line}: {key}: {message}")]
+    Rule {
+        /// The line, from 1.
+        line: usize,
+        /// The key.
+        key: String,
+        /// Which rule it breaks.
+        message: String,
+    },
+}
+
+/// A foreign recording, as its TOML descriptor describes it.
+#[derive(Clone, Debug)]
+pub struct Descriptor {
+    /// The recording's name.
+    pub name: String,
+    /// Where it comes from.
+    pub source: String,
+    /// Under which terms.
+    pub licence: String,
+    /// The robot's geometry and noise, as they stand in the descriptor; [`Descriptor::robot_for`] merges a run's own.
+    pub robot: toml::Table,
+    /// Beginning of the names of the runs that are taken when nobody asks for others.
+    pub default_run: String,
+    /// The names of all runs, in the descriptor's order.
+    pub runs: Vec<String>,
+    pub(super) resolved: Vec<ResolvedRun>,
+    pub(super) raw: RawDescriptor,
+}
+
+/// One run with everything that is its own.
+#[derive(Clone, Debug)]
+pub(super) struct ResolvedRun {
+    pub(super) name: String,
+    pub(super) values: BTreeMap<String, String>,
+    pub(super) robot: toml::Table,
+    pub(super) start: Option<Start>,
+    pub(super) tag: Option<TagPlace>,
+}
+
+/// Where a run starts.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Start {
+    /// At a pose that the descriptor spells out.
+    Given(StartPose),
+    /// At a pose that the files tell.
+    From {
+        source: StartSource,
+        position_sigma_m: f64,
+        heading_sigma_rad: f64,
+    },
+}
+
+impl Descriptor {
+    /// Reads and checks a descriptor.
+    ///
+    /// # Errors
+    /// When it is not TOML, a key is missing, unknown or of the wrong kind, or keys contradict each other; each error
+    /// names the line and the key.
+    pub fn from_toml(text: &str) -> Result<Self, DescriptorError> {
+        let raw: RawDescriptor = toml::from_str(text).map_err(|error| key_error(text, &error))?;
+        let check = Check { text, raw: &raw };
+        let resolved = check.runs()?;
+        check.default_run(&resolved)?;
+        check.files()?;
+        check.streams(&resolved)?;
+        check.maps()?;
+        Ok(Self {
+            name: raw.name.clone(),
+            source: raw.source.clone(),
+            licence: raw.licence.clone(),
+            robot: raw.robot.clone(),
+            default_run: raw.default_run.get_ref().clone(),
+            runs: resolved.iter().map(|run| run.name.clone()).collect(),
+            resolved,
+            raw,
+        })
+    }
+
+    /// The runs whose names begin with `prefix`, in the descriptor's order.
+    pub fn select(&self, prefix: &str) -> Vec<&str> {
+        let names = self.runs.iter().map(String::as_str);
+        names.filter(|name| name.starts_with(prefix)).collect()
+    }
+
+    /// The robot's table with this run's own keys merged over it; an unknown run changes nothing.
+    #[must_use]
+    pub fn robot_for(&self, run: &str) -> toml::Table {
+        let mut robot = self.robot.clone();
+        if let Some(own) = self.resolved.iter().find(|known| known.name == run) {
+            merge(&mut robot, &own.robot);
+        }
+        robot
+    }
+}
+
+/// Lays `over` on `table`, table by table and key by key.
+fn merge(table: &mut toml::Table, over: &toml::Table) {
+    for (key, value) in over {
+        match (table.get_mut(key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(over)) => merge(inner, over),
+            _ => {
+                table.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+fn line_of(text: &str, offset: usize) -> usize {
+    let before = text.get(..offset).unwrap_or_default();
+    1 + before.matches('\n').count()
+}
+
+fn key_error(text: &str, error: &toml::de::Error) -> DescriptorError {
+    let line = line_of(text, error.span().unwrap_or_default().start);
+    DescriptorError::Key {
+        line,
+        message: error.message().trim().replace('\n', ", "),
+        text: text
+            .lines()
+            .nth(line - 1)
+            .unwrap_or_default()
+            .trim()
+            .to_owned(),
+    }
+}
+
+/// The rules that span several keys.
+struct Check<'a> {
+    text: &'a str,
+    raw: &'a RawDescriptor,
+}
+
+impl Check<'_> {
+    fn broken(&self, span: Range<usize>, key: &str, message: impl Into<String>) -> DescriptorError {
+        DescriptorError::Rule {
+            line: line_of(self.text, span.start),
+            key: key.to_owned(),
+            message: message.into(),
+        }
+    }
+
+    fn runs(&self) -> Result<Vec<ResolvedRun>, DescriptorError> {
+        let default = match &self.raw.start {
+            None => None,
+            Some(start) => Some(self.start(start)?),
+        };
+        let mut resolved: Vec<ResolvedRun> = Vec::new();
+        for entry in &self.raw.runs {
+            for run in self.expand(entry, default)? {
+                if resolved.iter().any(|known| known.name == run.name) {
+                    let message = format!("the run `{}` is there twice", run.name);
+                    return Err(self.broken(entry.span(), "runs", message));
+                }
+                resolved.push(run);
+            }
+        }
+        Ok(resolved)
+    }
+
+    fn expand(
+        &self,
+        entry: &Spanned<RawRun>,
+        default: Option<Start>,
+    ) -> Result<Vec<ResolvedRun>, DescriptorError> {
+        let run = entry.get_ref();
+        let start = match &run.start {
+            None => default,
+            Some(start) => Some(self.start(start)?),
+        };
+        let one = |each: Option<&String>| {
+            let mut values = run.values.clone();
+            if let Some(each) = each {
+                values.insert("each".to_owned(), each.clone());
+            }
+            let name = fill(&run.name, &values)
+                .map_err(|message| self.broken(entry.span(), "runs", message))?;
+            values.insert("run".to_owned(), name.clone());
+            Ok(ResolvedRun {
+                name,
+                values,
+                robot: run.robot.clone(),
+                start,
+                tag: run.tag,
+            })
+        };
+        match &run.each {
+            None => Ok(vec![one(None)?]),
+            Some(each) => each.iter().map(|each| one(Some(each))).collect(),
+        }
+    }
+
+    fn start(&self, spanned: &Spanned<RawStart>) -> Result<Start, DescriptorError> {
+        let start = spanned.get_ref();
+        let position_sigma_m = start.position_sigma_m.0;
+        let heading_sigma_rad = start.heading_sigma_rad.0;
+        let place = (start.x_m, start.y_m, start.heading_rad, start.heading_deg);
+        let heading_rad = match (start.from, place) {
+            (Some(source), (None, None, None, None)) => {
+                return Ok(Start::From {
+                    source,
+                    position_sigma_m,
+                    heading_sigma_rad,
+                });
+            }
+            (None, (Some(_), Some(_), Some(heading_rad), None)) => heading_rad.0,
+            (None, (Some(_), Some(_), None, Some(heading_deg))) => heading_deg.0.to_radians(),
+            _ => {
+                let message = "either `from`, or x_m, y_m and one of heading_rad and heading_deg";
+                return Err(self.broken(spanned.span(), "start", message));
+            }
+        };
+        Ok(Start::Given(StartPose {
+            pose: Pose::new(
+                Meters(start.x_m.unwrap_or_default().0),
+                Meters(start.y_m.unwrap_or_default().0),
+                Heading::from_rad(heading_rad),
+            ),
+            position_sigma_m,
+            heading_sigma_rad,
+        }))
+    }
+
+    fn default_run(&self, runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
+        let default = &self.raw.default_run;
+        if runs
+            .iter()
+            .any(|run| run.name.starts_with(default.get_ref()))
+        {
+            return Ok(());
+        }
+        let message = format!("no run's name begins with `{}`", default.get_ref());
+        Err(self.broken(default.span(), "default_run", message))
+    }
+
+    fn files(&self) -> Result<(), DescriptorError> {
+        for (name, file) in &self.raw.files {
+            let key = format!("files.{name}");
+            let named = [&file.time, &file.arrival].into_iter().flatten();
+            let plus = named.clone().filter_map(|time| time.plus.as_ref());
+            let places = named
+                .map(|time| &time.column)
+                .chain(plus.map(|part| &part.column))
+                .chain(file.filter.as_ref().map(|filter| &filter.column));
+            self.named_columns_need_a_header(file, places, file.path.span(), &key)?;
+            if file.comment.as_deref() == Some("") {
+                let message = "an empty comment prefix makes every line a comment";
+                return Err(self.broken(file.path.span(), &key, message));
+            }
+        }
+        Ok(())
+    }
+
+    fn named_columns_need_a_header<'p>(
+        &self,
+        file: &FileEntry,
+        mut places: impl Iterator<Item = &'p Place>,
+        span: Range<usize>,
+        key: &str,
+    ) -> Result<(), DescriptorError> {
+        if file.header_lines > 0 {
+            return Ok(());
+        }
+        match places.find(|place| matches!(place, Place::Name(_))) {
+            None => Ok(()),
+            Some(place) => {
+                let message = format!(
+                    "the column `{place}` goes by its name, but the file has no header_lines"
+                );
+                Err(self.broken(span, key, message))
+            }
+        }
+    }
+
+    fn file(&self, name: &Spanned<String>, key: &str) -> Result<&FileEntry, DescriptorError> {
+        self.raw.files.get(name.get_ref()).ok_or_else(|| {
+            let known: Vec<&str> = self.raw.files.keys().map(String::as_str).collect();
+            let (asked, known) = (name.get_ref(), known.join(", "));
+            let message = format!("there is no [files.{asked}]: use one of: {known}");
+            self.broken(name.span(), key, message)
+        })
+    }
+
+    fn streams(&self, runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
+        self.each(&self.raw.wheels, runs)?;
+        self.each(&self.raw.odometer, runs)?;
+        self.each(&self.raw.body_velocity, runs)?;
+        self.each(&self.raw.gyro, runs)?;
+        self.each(&self.raw.accelerometers, runs)?;
+        self.each(&self.raw.landmark_sightings, runs)?;
+        self.each(&self.raw.beacon_ranges, runs)?;
+        self.each(&self.raw.wall_range, runs)?;
+        self.each(&self.raw.compass, runs)?;
+        self.each(&self.raw.temperature, runs)?;
+        self.each(&self.raw.fixes, runs)?;
+        self.each(&self.raw.truth, runs)
+    }
+
+    fn each<S: Stream>(&self, streams: &[S], runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
+        for stream in streams {
+            let common = stream.common();
+            let span = common.file.span();
+            let file = self.file(common.file, S::KEY)?;
+            if file.time.is_none() {
+                let message = format!("[files.{}] has no `time`", common.file.get_ref());
+                return Err(self.broken(span, S::KEY, message));
+            }
+            let places = stream.places().into_iter();
+            self.named_columns_need_a_header(file, places, span.clone(), S::KEY)?;
+            let mut prefixes = common.runs.unwrap_or_default().iter();
+            let is_idle = |prefix: &&String| !runs.iter().any(|run| run.name.starts_with(*prefix));
+            if let Some(prefix) = prefixes.find(is_idle) {
+                let message = format!("no run's name begins with `{prefix}`");
+                return Err(self.broken(span, S::KEY, message));
+            }
+            stream
+                .check()
+                .map_err(|message| self.broken(span, S::KEY, message))?;
+        }
+        Ok(())
+    }
+
+    fn maps(&self) -> Result<(), DescriptorError> {
+        let map = |map: &Option<PlacesMap>, key: &str| match map {
+            None => Ok(()),
+            Some(map) => {
+                let file = self.file(&map.file, key)?;
+                let places = map.places().into_iter();
+                self.named_columns_need_a_header(file, places, map.file.span(), key)
+            }
+        };
+        map(&self.raw.landmarks, "landmarks")?;
+        map(&self.raw.beacons, "beacons")?;
+        for ids in self
+            .raw
+            .landmark_sightings
+            .iter()
+            .filter_map(|s| s.ids.as_ref())
+        {
+            let key = "landmark_sightings.ids";
+            let file = self.file(&ids.file, key)?;
+            let places = ids.places().into_iter();
+            self.named_columns_need_a_header(file, places, ids.file.span(), key)?;
+        }
+        let needs_landmarks = self.raw.landmark_sightings.first().map(Stream::common);
+        if let (Some(common), None) = (needs_landmarks, &self.raw.landmarks) {
+            let message = "sightings need [landmarks], the map of their places";
+            return Err(self.broken(common.file.span(), "landmark_sightings", message));
+        }
+        let needs_beacons = self.raw.beacon_ranges.first().map(Stream::common);
+        if let (Some(common), None) = (needs_beacons, &self.raw.beacons) {
+            let message = "ranges need [beacons], the map of their places";
+            return Err(self.broken(common.file.span(), "beacon_ranges", message));
+        }
+        Ok(())
+    }
+}
+
+/// Puts a run's values into `{name}` places of a text.
+pub(super) fn fill(template: &str, values: &BTreeMap<String, String>) -> Result<String, String> {
+    let mut filled = String::new();
+    let mut rest = template;
+    while let Some((before, after)) = rest.split_once('{') {
+        let (name, behind) = after
+            .split_once('}')
+            .ok_or_else(|| format!("`{template}` has a {{ without its }}"))?;
+        let value = values.get(name).ok_or_else(|| {
+            format!("`{template}` wants `{name}`, which the run's values do not have")
+        })?;
+        filled.push_str(before);
+        filled.push_str(value);
+        rest = behind;
+    }
+    filled.push_str(rest);
+    Ok(filled)
+}

@@ -1,0 +1,71 @@
+//! What a foreign recording becomes: one run, ready to be replayed and scored.
+
+use posebridge_telemetry::{
+    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, Pose,
+    Stamp,
+};
+
+use super::bad_rows::BadRows;
+
+/// One run of a foreign recording.
+///
+/// Brick and host stamps are on one time base, the data's own; nothing is subtracted but the descriptor's `offset_s`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Run {
+    /// The run's name in its descriptor.
+    pub name: String,
+    /// Where the robot stood at the start, if the descriptor knows.
+    pub start: Option<StartPose>,
+    /// What the robot's sensors and cameras said, sorted by arrival.
+    pub observations: Vec<Timed>,
+    /// Where the robot really was, by an instrument of its own; for scoring only.
+    pub truth: Vec<TruthPose>,
+    /// Fixes that were kept from the filter; for scoring only.
+    pub withheld: Vec<Withheld>,
+    /// Places of the landmarks.
+    pub landmarks: Vec<(LandmarkId, Point2<Arena>)>,
+    /// Places of the radio beacons.
+    pub beacons: Vec<(BeaconId, Point2<Arena>)>,
+    /// Rows that were left out, and why.
+    pub bad_rows: BadRows,
+}
+
+/// Where a run starts, and how well that is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StartPose {
+    /// The pose of the body at the first observation.
+    pub pose: Pose<Arena>,
+    /// One standard deviation of x and of y, in metres.
+    pub position_sigma_m: f64,
+    /// One standard deviation of the heading, in radians.
+    pub heading_sigma_rad: f64,
+}
+
+/// An observation with the instant at which the host had it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Timed {
+    /// When it arrived; equal to its own stamp where the recording does not say.
+    pub arrival: Stamp<HostClock>,
+    /// The observation.
+    pub observation: Observation,
+}
+
+/// The true pose at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthPose {
+    /// The instant.
+    pub stamp: Stamp<BrickClock>,
+    /// Where the body's origin was.
+    pub position: Point2<Arena>,
+    /// Where the body pointed, if the instrument can tell.
+    pub heading: Option<Heading>,
+}
+
+/// A fix that the filter does not get.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Withheld {
+    /// The instant of the fix.
+    pub stamp: Stamp<BrickClock>,
+    /// The fix; its position is that of the tag and not of the body.
+    pub fix: Fix,
+}

@@ -1,0 +1,518 @@
+//! The keys of a descriptor, as serde reads them; docs/recordings.md explains each.
+//!
+//! Only the shape is checked here. What must fit together is checked in `descriptor`.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::column::{
+    Acceleration, Angle, Column, HeadingColumns, Id, Length, Number, Place, Speed, Temperature,
+    TurnRate, WheelTurn,
+};
+
+/// A whole descriptor.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RawDescriptor {
+    pub(super) name: String,
+    pub(super) source: String,
+    pub(super) licence: String,
+    pub(super) default_run: Spanned<String>,
+    #[serde(default)]
+    pub(super) robot: toml::Table,
+    pub(super) start: Option<Spanned<RawStart>>,
+    pub(super) runs: Vec<Spanned<RawRun>>,
+    pub(super) files: BTreeMap<String, FileEntry>,
+    pub(super) landmarks: Option<PlacesMap>,
+    pub(super) beacons: Option<PlacesMap>,
+    #[serde(default)]
+    pub(super) wheels: Vec<Wheels>,
+    #[serde(default)]
+    pub(super) odometer: Vec<Odometer>,
+    #[serde(default)]
+    pub(super) body_velocity: Vec<BodyVelocity>,
+    #[serde(default)]
+    pub(super) gyro: Vec<Gyro>,
+    #[serde(default)]
+    pub(super) accelerometers: Vec<Accelerometers>,
+    #[serde(default)]
+    pub(super) landmark_sightings: Vec<LandmarkSightings>,
+    #[serde(default)]
+    pub(super) beacon_ranges: Vec<BeaconRanges>,
+    #[serde(default)]
+    pub(super) wall_range: Vec<WallRange>,
+    #[serde(default)]
+    pub(super) compass: Vec<Compass>,
+    #[serde(default)]
+    pub(super) temperature: Vec<Thermometer>,
+    #[serde(default)]
+    pub(super) fixes: Vec<Fixes>,
+    #[serde(default)]
+    pub(super) truth: Vec<Truth>,
+}
+
+/// `[start]`, or a run's own `start`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RawStart {
+    pub(super) from: Option<StartSource>,
+    pub(super) x_m: Option<Number>,
+    pub(super) y_m: Option<Number>,
+    pub(super) heading_rad: Option<Number>,
+    pub(super) heading_deg: Option<Number>,
+    pub(super) position_sigma_m: Number,
+    pub(super) heading_sigma_rad: Number,
+}
+
+/// Where a start that the descriptor does not spell out comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum StartSource {
+    /// The true pose.
+    Truth,
+    /// A fix, used or withheld.
+    Fixes,
+}
+
+/// One entry of `[[runs]]`: one run, or a group that differs in one piece of text.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RawRun {
+    pub(super) name: String,
+    pub(super) each: Option<Vec<String>>,
+    #[serde(default)]
+    pub(super) values: BTreeMap<String, String>,
+    #[serde(default)]
+    pub(super) robot: toml::Table,
+    pub(super) start: Option<Spanned<RawStart>>,
+    pub(super) tag: Option<TagPlace>,
+}
+
+/// A point of the body: where the observed tag sits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TagPlace {
+    pub(super) x_m: Number,
+    pub(super) y_m: Number,
+}
+
+/// One `[files.*]` table: a file and how its lines are taken apart.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FileEntry {
+    pub(super) path: Spanned<String>,
+    #[serde(default)]
+    pub(super) delimiter: Delimiter,
+    #[serde(default)]
+    pub(super) header_lines: usize,
+    pub(super) comment: Option<String>,
+    pub(super) filter: Option<Filter>,
+    pub(super) time: Option<TimeColumn>,
+    pub(super) arrival: Option<TimeColumn>,
+    pub(super) offset_s: Option<Number>,
+    pub(super) max_gap_s: Option<Number>,
+    #[serde(default)]
+    pub(super) order: RowOrder,
+}
+
+/// In which order the rows are read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum RowOrder {
+    /// As they stand; a stamp that goes back is a bad row.
+    #[default]
+    File,
+    /// By their stamps, for files whose blocks were written out of order.
+    Time,
+}
+
+/// What stands between two fields.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Delimiter {
+    /// `,`, with double quotes around fields that contain one.
+    #[default]
+    Comma,
+    /// `;`, likewise.
+    Semicolon,
+    /// One tabulator, likewise.
+    Tab,
+    /// Any run of blanks and tabulators.
+    Whitespace,
+}
+
+/// Keeps only the rows that have this text in this column.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Filter {
+    pub(super) column: Place,
+    pub(super) equals: String,
+}
+
+/// A column of time stamps.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TimeColumn {
+    pub(super) column: Place,
+    #[serde(default)]
+    pub(super) unit: TimeUnit,
+    /// A second column that is added, as in seconds and nanoseconds.
+    pub(super) plus: Option<TimePart>,
+}
+
+/// The second column of a time stamp.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TimePart {
+    pub(super) column: Place,
+    pub(super) unit: TimeUnit,
+}
+
+/// Units of time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum TimeUnit {
+    /// Seconds.
+    #[default]
+    S,
+    /// Milliseconds.
+    Ms,
+    /// Microseconds.
+    Us,
+    /// Nanoseconds.
+    Ns,
+}
+
+impl TimeUnit {
+    /// The unit is ten to this power seconds.
+    pub(super) const fn exponent(self) -> i32 {
+        match self {
+            Self::S => 0,
+            Self::Ms => -3,
+            Self::Us => -6,
+            Self::Ns => -9,
+        }
+    }
+}
+
+/// `[landmarks]` or `[beacons]`: known places in the arena.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlacesMap {
+    pub(super) file: Spanned<String>,
+    /// Without it the rows count from 0.
+    pub(super) id: Option<Column<Id>>,
+    pub(super) x: Column<Length>,
+    pub(super) y: Column<Length>,
+}
+
+/// A table of two columns that turns the ids of a file into those of a map.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct IdMap {
+    pub(super) file: Spanned<String>,
+    pub(super) from: Column<Id>,
+    pub(super) to: Column<Id>,
+}
+
+/// Whether a counter says the total or what was added since the row before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Counting {
+    /// Totals.
+    Absolute,
+    /// Increments; those of the first row are not used.
+    Increments,
+}
+
+/// Over which interval a row's speeds hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum SpeedInterval {
+    /// From its stamp to that of the next row, as a command does.
+    #[default]
+    Next,
+    /// From the stamp of the row before to its own, as a mean does.
+    Previous,
+}
+
+/// What every kind of stream has: its file, its runs, its sensor and its stamps.
+#[derive(Clone, Debug)]
+pub(super) struct Common<'a> {
+    pub(super) file: &'a Spanned<String>,
+    pub(super) runs: Option<&'a [String]>,
+    pub(super) sensor: Option<u8>,
+    pub(super) stamp_shift_s: f64,
+    pub(super) stamp_sigma_s: f64,
+}
+
+impl Common<'_> {
+    /// Whether the run has this stream.
+    pub(super) fn is_in(&self, run: &str) -> bool {
+        self.runs.is_none_or(|prefixes| {
+            prefixes
+                .iter()
+                .any(|prefix| run.starts_with(prefix.as_str()))
+        })
+    }
+}
+
+/// A kind of stream.
+pub(super) trait Stream {
+    /// Its key in the descriptor.
+    const KEY: &'static str;
+    /// What it shares with the others.
+    fn common(&self) -> Common<'_>;
+    /// The columns that it reads.
+    fn places(&self) -> Vec<&Place>;
+    /// What is wrong with its keys, taken together.
+    fn check(&self) -> Result<(), String>;
+}
+
+/// Collects the places of columns, present or not.
+macro_rules! places {
+    ($($column:expr),* $(,)?) => {{
+        let mut places: Vec<&Place> = Vec::new();
+        $($column.each_place(&mut |place| places.push(place));)*
+        places
+    }};
+}
+
+/// Something that names columns.
+trait HasPlaces {
+    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place));
+}
+impl<D> HasPlaces for Column<D> {
+    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place)) {
+        visit(&self.place);
+    }
+}
+impl HasPlaces for HeadingColumns {
+    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place)) {
+        match self {
+            Self::Angle(column) => visit(&column.place),
+            Self::Quaternion { qz, qw } => {
+                visit(qz);
+                visit(qw);
+            }
+        }
+    }
+}
+impl<T: HasPlaces> HasPlaces for Option<T> {
+    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place)) {
+        if let Some(column) = self {
+            column.each_place(visit);
+        }
+    }
+}
+
+/// Declares a kind of stream: its key, its columns, and its other keys.
+macro_rules! stream {
+    (
+        $(#[$doc:meta])* $name:ident, $key:literal,
+        columns { $($column:ident: $column_type:ty,)+ }
+        keys { $($(#[$attr:meta])* $field:ident: $type:ty,)* }
+        check($this:ident) $check:block
+    ) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub(super) struct $name {
+            file: Spanned<String>,
+            runs: Option<Vec<String>>,
+            sensor: Option<u8>,
+            stamp_shift_s: Option<Number>,
+            stamp_sigma_s: Option<Number>,
+            $(pub(super) $column: $column_type,)+
+            $($(#[$attr])* pub(super) $field: $type,)*
+        }
+
+        impl Stream for $name {
+            const KEY: &'static str = $key;
+            fn common(&self) -> Common<'_> {
+                Common {
+                    file: &self.file,
+                    runs: self.runs.as_deref(),
+                    sensor: self.sensor,
+                    stamp_shift_s: self.stamp_shift_s.unwrap_or_default().0,
+                    stamp_sigma_s: self.stamp_sigma_s.unwrap_or_default().0,
+                }
+            }
+            fn places(&self) -> Vec<&Place> {
+                places![$(self.$column),+]
+            }
+            fn check(&self) -> Result<(), String> {
+                let $this = self;
+                $check
+            }
+        }
+    };
+}
+
+/// Refuses with a reason.
+fn require(holds: Option<()>, otherwise: &str) -> Result<(), String> {
+    holds.ok_or_else(|| otherwise.to_owned())
+}
+
+stream! {
+    /// `[[wheels]]`: counts of both wheels.
+    Wheels, "wheels",
+    columns { left: Column<WheelTurn>, right: Column<WheelTurn>, }
+    keys { counting: Counting, wrap_bits: Option<u32>, max_wheel_rad_per_s: Option<Number>, }
+    check(this) {
+        let Some(bits) = this.wrap_bits else { return Ok(()) };
+        let fits = (8..=32).contains(&bits)
+            && this.counting == Counting::Absolute
+            && this.left.unit.name == "ticks"
+            && this.right.unit.name == "ticks";
+        require(fits.then_some(()), "wrap_bits is 8 to 32 and goes with absolute ticks only")
+    }
+}
+
+stream! {
+    /// `[[odometer]]`: a pose that a foreign odometer has integrated, or its increments.
+    Odometer, "odometer",
+    columns {
+        x: Option<Column<Length>>, y: Option<Column<Length>>, heading: Option<HeadingColumns>,
+        distance: Option<Column<Length>>, turn: Option<Column<Angle>>,
+    }
+    keys { max_speed_m_per_s: Option<Number>, }
+    check(this) {
+        let pose = [this.x.is_some(), this.y.is_some(), this.heading.is_some()];
+        let steps = [this.distance.is_some(), this.turn.is_some()];
+        let is_pose = pose == [true; 3] && steps == [false; 2];
+        let is_steps = pose == [false; 3] && steps == [true; 2];
+        require(
+            (is_pose || is_steps).then_some(()),
+            "an odometer is either x, y and heading, or distance and turn",
+        )
+    }
+}
+
+stream! {
+    /// `[[body_velocity]]`: forward and turn speed, or the speeds of both wheels.
+    BodyVelocity, "body_velocity",
+    columns {
+        forward: Option<Column<Speed>>, turn: Option<Column<TurnRate>>,
+        left: Option<Column<Speed>>, right: Option<Column<Speed>>,
+    }
+    keys { #[serde(default)] interval: SpeedInterval, }
+    check(this) {
+        let body = [this.forward.is_some(), this.turn.is_some()];
+        let wheels = [this.left.is_some(), this.right.is_some()];
+        let is_body = body == [true; 2] && wheels == [false; 2];
+        let is_wheels = body == [false; 2] && wheels == [true; 2];
+        require(
+            (is_body || is_wheels).then_some(()),
+            "a body velocity is either forward and turn, or left and right",
+        )
+    }
+}
+
+stream! {
+    /// `[[gyro]]`: the turn rate about the vertical.
+    Gyro, "gyro",
+    columns { turn_rate: Column<TurnRate>, }
+    keys { #[serde(default)] only_changes: bool, }
+    check(_this) { Ok(()) }
+}
+
+stream! {
+    /// `[[accelerometers]]`: forward acceleration at both wheels.
+    Accelerometers, "accelerometers",
+    columns { left: Column<Acceleration>, right: Column<Acceleration>, }
+    keys {}
+    check(_this) { Ok(()) }
+}
+
+stream! {
+    /// `[[landmark_sightings]]`: range and bearing to known landmarks.
+    LandmarkSightings, "landmark_sightings",
+    columns { id: Column<Id>, range: Column<Length>, bearing: Column<Angle>, }
+    keys { ids: Option<IdMap>, min_m: Option<Number>, max_m: Option<Number>, }
+    check(_this) { Ok(()) }
+}
+
+stream! {
+    /// `[[beacon_ranges]]`: ranges to known radio beacons.
+    BeaconRanges, "beacon_ranges",
+    columns { id: Column<Id>, range: Column<Length>, }
+    keys { min_m: Option<Number>, max_m: Option<Number>, }
+    check(_this) { Ok(()) }
+}
+
+stream! {
+    /// `[[wall_range]]`: range straight ahead.
+    WallRange, "wall_range",
+    columns { range: Column<Length>, }
+    keys {
+        #[serde(default)] only_changes: bool, min_m: Option<Number>, max_m: Option<Number>,
+    }
+    check(_this) { Ok(()) }
+}
+
+stream! {
+    /// `[[compass]]`: heading against the arena.
+    Compass, "compass",
+    columns { heading: HeadingColumns, }
+    keys { #[serde(default)] only_changes: bool, }
+    check(_this) { Ok(()) }
+}
+
+stream! {
+    /// `[[temperature]]`: a temperature.
+    Thermometer, "temperature",
+    columns { temperature: Column<Temperature>, }
+    keys { #[serde(default)] only_changes: bool, }
+    check(_this) { Ok(()) }
+}
+
+stream! {
+    /// `[[fixes]]`: positions or poses in the arena, seen from outside.
+    Fixes, "fixes",
+    columns { x: Column<Length>, y: Column<Length>, heading: Option<HeadingColumns>, }
+    keys {
+        tag: Option<TagPlace>,
+        position_sigma_m: Option<Number>,
+        heading_sigma_rad: Option<Number>,
+        use_every: Option<usize>,
+        use_first: Option<usize>,
+        max_speed_m_per_s: Option<Number>,
+    }
+    check(this) {
+        let sigmas = (this.position_sigma_m.is_some(), this.heading_sigma_rad.is_some());
+        let fits = match sigmas {
+            (position, true) => position && this.heading.is_some(),
+            (true, false) => this.heading.is_none(),
+            (false, false) => true,
+        };
+        require(
+            fits.then_some(()),
+            "fixes of a position take position_sigma_m, fixes of a pose also heading_sigma_rad, or neither",
+        )
+    }
+}
+
+stream! {
+    /// `[[truth]]`: where the robot really was; for scoring only.
+    Truth, "truth",
+    columns { x: Column<Length>, y: Column<Length>, heading: Option<HeadingColumns>, }
+    keys { max_speed_m_per_s: Option<Number>, }
+    check(_this) { Ok(()) }
+}
+
+impl PlacesMap {
+    /// The columns that it reads.
+    pub(super) fn places(&self) -> Vec<&Place> {
+        places![self.id, self.x, self.y]
+    }
+}
+
+impl IdMap {
+    /// The columns that it reads.
+    pub(super) fn places(&self) -> Vec<&Place> {
+        places![self.from, self.to]
+    }
+}

@@ -1,0 +1,125 @@
+//! Wheel counts, as totals or increments, to the total rotation of each wheel.
+//!
+//! Counts add up in the file's own unit, where ticks are whole numbers and exact, and become radians at the end. A row
+//! without an interval is left out, but its counts are not: the next row carries them.
+
+use posebridge_telemetry::{DriveGeometry, Observed, Radians};
+
+use super::super::bad_rows::{Fault, Reason};
+use super::super::column::{Column, WheelTurn};
+use super::super::load::LoadError;
+use super::super::schema::{Counting, Wheels};
+use super::super::table::{Bound, Row, Table};
+use super::{Reader, Step};
+
+/// Binds the columns of a `[[wheels]]` stream.
+pub(in super::super) fn bind(
+    stream: &Wheels,
+    geometry: DriveGeometry,
+    table: &Table,
+) -> Result<Reader<Observed>, LoadError> {
+    let (left_m, right_m) = (geometry.left_wheel_radius.0, geometry.right_wheel_radius.0);
+    let mut wheels = WheelPair {
+        left: table.bind(&stream.left)?,
+        right: table.bind(&stream.right)?,
+        rad_per_left: rad_per_unit(&stream.left, left_m, geometry.tick),
+        rad_per_right: rad_per_unit(&stream.right, right_m, geometry.tick),
+        counting: stream.counting,
+        wrap: stream.wrap_bits.map(|bits| f64::from(bits).exp2()),
+        max_rad_per_s: stream.max_wheel_rad_per_s.map(|limit| limit.0),
+        last: None,
+        pending: [0.0; 2],
+        total: [0.0; 2],
+    };
+    Ok(Box::new(move |row, step| wheels.read(row, step).map(Some)))
+}
+
+/// Radians per what the column gives: ticks, metres or radians.
+fn rad_per_unit(column: &Column<WheelTurn>, radius_m: f64, tick: Radians) -> f64 {
+    match column.unit.name {
+        "ticks" => tick.0,
+        "m" | "mm" => 1.0 / radius_m,
+        _ => 1.0,
+    }
+}
+
+#[derive(Debug)]
+struct WheelPair {
+    left: Bound<WheelTurn>,
+    right: Bound<WheelTurn>,
+    rad_per_left: f64,
+    rad_per_right: f64,
+    counting: Counting,
+    /// Counts in a whole turn of the counter, where it wraps.
+    wrap: Option<f64>,
+    max_rad_per_s: Option<f64>,
+    /// The last absolute counts.
+    last: Option<[f64; 2]>,
+    /// Motion since the last good row.
+    pending: [f64; 2],
+    /// Motion up to the last good row; for absolute counters with the first counts as its base.
+    total: [f64; 2],
+}
+
+impl WheelPair {
+    fn read(&mut self, row: &Row<'_>, step: Step) -> Result<Observed, Fault> {
+        let counts = [self.left.read(row)?, self.right.read(row)?];
+        if step == Step::First {
+            self.begin(counts);
+        } else {
+            self.add(counts);
+            if let Some(interval_s) = step.interval_s()? {
+                self.check_speed(interval_s)?;
+            }
+            self.total = [
+                self.total[0] + self.pending[0],
+                self.total[1] + self.pending[1],
+            ];
+            self.pending = [0.0; 2];
+        }
+        Ok(Observed::WheelAngles {
+            left: Radians(self.total[0] * self.rad_per_left),
+            right: Radians(self.total[1] * self.rad_per_right),
+        })
+    }
+
+    fn begin(&mut self, counts: [f64; 2]) {
+        match self.counting {
+            Counting::Absolute => {
+                self.last = Some(counts);
+                self.total = counts;
+            }
+            // They belong to an interval before the recording.
+            Counting::Increments => self.total = [0.0; 2],
+        }
+    }
+
+    fn add(&mut self, counts: [f64; 2]) {
+        let last = match self.counting {
+            Counting::Absolute => self.last.replace(counts).unwrap_or(counts),
+            Counting::Increments => [0.0; 2],
+        };
+        for ((pending, count), last) in self.pending.iter_mut().zip(counts).zip(last) {
+            let step = count - last;
+            *pending += match self.wrap {
+                None => step,
+                Some(turn) => step - (step / turn).round() * turn,
+            };
+        }
+    }
+
+    /// Refuses motion that is faster than the limit, and forgets it: what a spike adds, the way back takes away.
+    fn check_speed(&mut self, interval_s: f64) -> Result<(), Fault> {
+        let Some(limit) = self.max_rad_per_s else {
+            return Ok(());
+        };
+        let left = (self.pending[0] * self.rad_per_left / interval_s).abs();
+        let right = (self.pending[1] * self.rad_per_right / interval_s).abs();
+        if left.max(right) <= limit {
+            return Ok(());
+        }
+        self.pending = [0.0; 2];
+        let detail = format!("wheels at {left:.1} and {right:.1} rad/s, the limit is {limit}");
+        Err(Fault::new(Reason::ImpossibleJump, detail))
+    }
+}

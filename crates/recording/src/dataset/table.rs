@@ -1,0 +1,377 @@
+//! Text to rows of fields: lines, headers, comments, filters, and columns bound to their place.
+//!
+//! Each line stands alone, so that an unbalanced quote spoils one row and not the rest of the file.
+
+use std::io::Read;
+
+use flate2::read::MultiGzDecoder;
+use posebridge_telemetry::Heading;
+
+use super::bad_rows::{Fault, Reason};
+use super::column::{Angle, Column, Dimension, HeadingColumns, Place};
+use super::decimal;
+use super::load::LoadError;
+use super::schema::{Delimiter, FileEntry, RowOrder, TimeColumn, TimeUnit};
+
+/// A gzip file that unpacks to more than this is refused: no recording of a small robot is so large.
+const MAX_TEXT_BYTES: u64 = 1 << 30;
+/// The first two bytes of a gzip file (RFC 1952, section 2.3.1).
+const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
+/// U+FEFF in UTF-8, which some programs put before the first line.
+const BYTE_ORDER_MARK: [u8; 3] = [0xEF, 0xBB, 0xBF];
+
+/// Unpacks a file if it is gzip by its first bytes, and makes it text. Bytes that are not UTF-8 become U+FFFD and spoil
+/// only the field in which they stand.
+pub(super) fn text_of(path: &str, bytes: Vec<u8>) -> Result<String, LoadError> {
+    let bytes = if bytes.starts_with(&GZIP_MAGIC) {
+        unpack(path, &bytes)?
+    } else {
+        bytes
+    };
+    let body = bytes.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(&bytes);
+    Ok(String::from_utf8_lossy(body).into_owned())
+}
+
+fn unpack(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
+    let mut unpacked = Vec::new();
+    let mut reader = MultiGzDecoder::new(bytes).take(MAX_TEXT_BYTES + 1);
+    reader
+        .read_to_end(&mut unpacked)
+        .map_err(|source| LoadError::Gzip {
+            path: path.to_owned(),
+            source,
+        })?;
+    if unpacked.len() as u64 > MAX_TEXT_BYTES {
+        let path = path.to_owned();
+        return Err(LoadError::TooLarge { path });
+    }
+    Ok(unpacked)
+}
+
+/// A file's text with the way to take it apart.
+#[derive(Debug)]
+pub(super) struct Table {
+    /// The path, as the descriptor names it.
+    pub(super) path: String,
+    text: String,
+    format: Format,
+    names: Vec<String>,
+    time: Option<BoundTime>,
+    arrival: Option<BoundTime>,
+    offset_nanos: i64,
+    /// A step of the stamps beyond this is doubted.
+    pub(super) max_gap_nanos: Option<i64>,
+}
+
+#[derive(Debug)]
+struct Format {
+    delimiter: Delimiter,
+    header_lines: usize,
+    comment: Option<String>,
+    filter: Option<(usize, String)>,
+    order: RowOrder,
+}
+
+#[derive(Debug)]
+struct BoundTime {
+    index: usize,
+    unit: TimeUnit,
+    plus: Option<(usize, TimeUnit)>,
+}
+
+/// One row: its fields, and the line on which it stands.
+#[derive(Debug)]
+pub(super) struct Row<'a> {
+    /// From 1.
+    pub(super) line: usize,
+    fields: Vec<&'a str>,
+}
+
+impl Row<'_> {
+    fn field(&self, index: usize) -> Result<&str, Fault> {
+        let count = self.fields.len();
+        self.fields.get(index).copied().ok_or_else(|| {
+            let detail = format!("column {index} is wanted, the row has {count}");
+            Fault::new(Reason::MissingColumn, detail)
+        })
+    }
+
+    fn number(&self, index: usize) -> Result<f64, Fault> {
+        let text = self.field(index)?;
+        text.parse()
+            .ok()
+            .filter(|value: &f64| value.is_finite())
+            .ok_or_else(|| not_numeric(text))
+    }
+}
+
+/// Longest piece of a bad field that is quoted.
+const QUOTED_CHARS: usize = 40;
+
+fn not_numeric(text: &str) -> Fault {
+    let shown: String = text.chars().take(QUOTED_CHARS).collect();
+    Fault::new(Reason::NotNumeric, format!("`{shown}`"))
+}
+
+/// A column whose place in the row is known.
+#[derive(Clone, Debug)]
+pub(super) struct Bound<D> {
+    index: usize,
+    column: Column<D>,
+}
+
+impl<D> Bound<D> {
+    /// The value in SI units.
+    pub(super) fn read(&self, row: &Row<'_>) -> Result<f64, Fault> {
+        Ok(self.column.to_si(row.number(self.index)?))
+    }
+
+    /// The value as an id.
+    pub(super) fn read_id(&self, row: &Row<'_>) -> Result<u32, Fault> {
+        let value = self.read(row)?;
+        let id = value as u32;
+        if f64::from(id) == value {
+            Ok(id)
+        } else {
+            Err(not_numeric(row.field(self.index)?))
+        }
+    }
+}
+
+/// A heading whose columns' places are known.
+#[derive(Clone, Debug)]
+pub(super) enum BoundHeading {
+    Angle(Bound<Angle>),
+    Quaternion { qz: usize, qw: usize },
+}
+
+impl BoundHeading {
+    pub(super) fn read(&self, row: &Row<'_>) -> Result<Heading, Fault> {
+        match self {
+            Self::Angle(column) => column.read(row).map(Heading::from_rad),
+            Self::Quaternion { qz, qw } => {
+                let (qz, qw) = (row.number(*qz)?, row.number(*qw)?);
+                if qz == 0.0 && qw == 0.0 {
+                    return Err(Fault::new(Reason::OutOfRange, "a quaternion of zeros"));
+                }
+                Ok(Heading::from_rad(2.0 * qz.atan2(qw)))
+            }
+        }
+    }
+}
+
+impl Table {
+    /// Takes the header lines off and finds the columns that the file entry itself names.
+    pub(super) fn new(path: String, text: String, entry: &FileEntry) -> Result<Self, LoadError> {
+        let mut table = Self {
+            names: header_names(&text, entry),
+            path,
+            text,
+            format: Format {
+                delimiter: entry.delimiter,
+                header_lines: entry.header_lines,
+                comment: entry.comment.clone(),
+                filter: None,
+                order: entry.order,
+            },
+            time: None,
+            arrival: None,
+            offset_nanos: seconds_to_nanos(entry.offset_s.unwrap_or_default().0),
+            max_gap_nanos: entry.max_gap_s.map(|gap| seconds_to_nanos(gap.0)),
+        };
+        table.time = table.bind_time(entry.time.as_ref())?;
+        table.arrival = table.bind_time(entry.arrival.as_ref())?;
+        if let Some(filter) = &entry.filter {
+            let index = table.index_of(&filter.column)?;
+            table.format.filter = Some((index, filter.equals.clone()));
+        }
+        Ok(table)
+    }
+
+    fn bind_time(&self, column: Option<&TimeColumn>) -> Result<Option<BoundTime>, LoadError> {
+        let Some(time) = column else {
+            return Ok(None);
+        };
+        let plus = match &time.plus {
+            None => None,
+            Some(part) => Some((self.index_of(&part.column)?, part.unit)),
+        };
+        Ok(Some(BoundTime {
+            index: self.index_of(&time.column)?,
+            unit: time.unit,
+            plus,
+        }))
+    }
+
+    fn index_of(&self, place: &Place) -> Result<usize, LoadError> {
+        match place {
+            Place::Index(index) => Ok(*index),
+            Place::Name(name) => {
+                let found = self.names.iter().position(|known| known == name);
+                found.ok_or_else(|| LoadError::NoColumn {
+                    path: self.path.clone(),
+                    column: name.clone(),
+                    known: self.names.join(", "),
+                })
+            }
+        }
+    }
+
+    /// Finds a column.
+    pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<Bound<D>, LoadError> {
+        Ok(Bound {
+            index: self.index_of(&column.place)?,
+            column: column.clone(),
+        })
+    }
+
+    /// Finds a column that may be absent from the descriptor.
+    pub(super) fn bind_some<D: Dimension>(
+        &self,
+        column: Option<&Column<D>>,
+    ) -> Result<Option<Bound<D>>, LoadError> {
+        column.map(|column| self.bind(column)).transpose()
+    }
+
+    /// Finds the columns of a heading.
+    pub(super) fn bind_heading(&self, columns: &HeadingColumns) -> Result<BoundHeading, LoadError> {
+        Ok(match columns {
+            HeadingColumns::Angle(column) => BoundHeading::Angle(self.bind(column)?),
+            HeadingColumns::Quaternion { qz, qw } => BoundHeading::Quaternion {
+                qz: self.index_of(qz)?,
+                qw: self.index_of(qw)?,
+            },
+        })
+    }
+
+    /// The rows behind the header lines: no blank lines, no comments, nothing that the filter leaves out.
+    pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        let numbered = self.text.lines().enumerate();
+        numbered
+            .skip(self.format.header_lines)
+            .filter_map(|(index, line)| self.row(index + 1, line))
+    }
+
+    /// The rows in the order that the descriptor asks for; those without a stamp come first.
+    pub(super) fn ordered_rows(&self) -> Vec<Row<'_>> {
+        let mut rows: Vec<_> = self.rows().collect();
+        if self.format.order == RowOrder::Time {
+            rows.sort_by_cached_key(|row| self.stamp(row).ok());
+        }
+        rows
+    }
+
+    fn row<'a>(&'a self, line: usize, text: &'a str) -> Option<Row<'a>> {
+        let visible = text.trim();
+        let comment = self.format.comment.as_deref();
+        if visible.is_empty() || comment.is_some_and(|prefix| visible.starts_with(prefix)) {
+            return None;
+        }
+        let fields = split(text, self.format.delimiter);
+        if let Some((index, wanted)) = &self.format.filter
+            && fields.get(*index) != Some(&wanted.as_str())
+        {
+            return None;
+        }
+        Some(Row { line, fields })
+    }
+
+    /// The row's stamp, in nanoseconds of the data's time base.
+    pub(super) fn stamp(&self, row: &Row<'_>) -> Result<i64, Fault> {
+        match &self.time {
+            Some(time) => self.time_of(time, row),
+            None => Err(Fault::new(
+                Reason::MissingColumn,
+                "the file has no time column",
+            )),
+        }
+    }
+
+    /// The row's arrival, if the file has one.
+    pub(super) fn arrival(&self, row: &Row<'_>) -> Result<Option<i64>, Fault> {
+        let arrival = self.arrival.as_ref();
+        arrival.map(|time| self.time_of(time, row)).transpose()
+    }
+
+    fn time_of(&self, time: &BoundTime, row: &Row<'_>) -> Result<i64, Fault> {
+        let part = |index: usize, unit: TimeUnit| {
+            let text = row.field(index)?;
+            decimal::nanos(text, unit.exponent()).ok_or_else(|| not_numeric(text))
+        };
+        let mut nanos = part(time.index, time.unit)?;
+        if let Some((index, unit)) = time.plus {
+            nanos = nanos.saturating_add(part(index, unit)?);
+        }
+        Ok(nanos.saturating_add(self.offset_nanos))
+    }
+}
+
+/// Seconds of a descriptor as nanoseconds, rounded.
+pub(super) fn seconds_to_nanos(seconds: f64) -> i64 {
+    (seconds * 1e9).round() as i64
+}
+
+/// The names in the last header line.
+fn header_names(text: &str, entry: &FileEntry) -> Vec<String> {
+    let Some(last) = entry.header_lines.checked_sub(1) else {
+        return Vec::new();
+    };
+    let line = text.lines().nth(last).unwrap_or_default().trim();
+    let names = split(line, entry.delimiter);
+    names.into_iter().map(str::to_owned).collect()
+}
+
+fn split(line: &str, delimiter: Delimiter) -> Vec<&str> {
+    match delimiter {
+        Delimiter::Comma => split_quoted(line, ','),
+        Delimiter::Semicolon => split_quoted(line, ';'),
+        Delimiter::Tab => split_quoted(line, '\t'),
+        Delimiter::Whitespace => line.split_whitespace().collect(),
+    }
+}
+
+/// Splits at delimiters outside double quotes, and takes blanks and quotes off.
+fn split_quoted(line: &str, delimiter: char) -> Vec<&str> {
+    let mut in_quotes = false;
+    line.split(|letter| {
+        in_quotes ^= letter == '"';
+        letter == delimiter && !in_quotes
+    })
+    .map(|field| {
+        let field = field.trim();
+        let inner = field
+            .strip_prefix('"')
+            .and_then(|rest| rest.strip_suffix('"'));
+        inner.unwrap_or(field)
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quotes_protect_delimiters_within_one_line() {
+        assert_eq!(split_quoted("1, \"a,b\" ,,2", ','), ["1", "a,b", "", "2"]);
+        assert_eq!(split_quoted("\"open,1", ','), ["\"open,1"]);
+        assert_eq!(split_quoted("", ';'), [""]);
+    }
+
+    #[test]
+    fn a_byte_order_mark_and_gzip_are_taken_off() {
+        let text = text_of("a.csv", b"\xEF\xBB\xBF1,2".to_vec()).unwrap();
+        assert_eq!(text, "1,2");
+        // `printf 1,2 | gzip -n`
+        let packed = [
+            0x1F, 0x8B, 0x08, 0, 0, 0, 0, 0, 0, 0x03, 0x33, 0xD4, 0x31, 0x02, 0x00, 0x9B, 0x6C,
+            0x0E, 0x2B, 0x03, 0, 0, 0,
+        ];
+        assert_eq!(text_of("a.csv.gz", packed.to_vec()).unwrap(), "1,2");
+        let cut = packed[..14].to_vec();
+        assert!(matches!(
+            text_of("a.csv.gz", cut),
+            Err(LoadError::Gzip { .. })
+        ));
+    }
+}

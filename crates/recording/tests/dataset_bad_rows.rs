@@ -1,0 +1,289 @@
+//! Every reason for which a row is left out: counted, named with file and line, and the run goes on.
+
+mod inline;
+#[path = "inline/rows.rs"]
+mod rows;
+
+use inline::{parse, try_load};
+use posebridge_recording::dataset::{Reason, Run};
+use posebridge_telemetry::Observed;
+use proptest::prelude::*;
+use rows::{load_rows, observed};
+
+const GYRO: &str = "[[gyro]]\nfile = \"data\"\nturn_rate = 1";
+
+/// Checks the one bad row of a run and how many good ones are left.
+fn check(run: &Run, reason: Reason, named: &str, good: usize) {
+    assert_eq!(run.bad_rows.count(reason), 1, "{:?}", run.bad_rows);
+    assert_eq!(run.bad_rows.total(), 1);
+    assert_eq!(run.bad_rows.named[0].to_string(), named);
+    assert_eq!(run.observations.len() + run.truth.len(), good);
+}
+
+#[test]
+fn what_is_not_a_number_is_left_out() {
+    for bad in ["x", "", "nan", "inf", "1.5.2", "--"] {
+        let run = load_rows(GYRO, &format!("0,1\n1,{bad}\n2,3\n"));
+        let named = format!("data.csv:2: not a number: `{bad}`");
+        check(&run, Reason::NotNumeric, &named, 2);
+    }
+    let run = load_rows(GYRO, "0,1\nyesterday,2\n2,3\n");
+    let named = "data.csv:2: not a number: `yesterday`";
+    check(&run, Reason::NotNumeric, named, 2);
+}
+
+#[test]
+fn a_short_row_is_left_out() {
+    let run = load_rows(GYRO, "0,1\n\n1\n2,3\n");
+    let named = "data.csv:3: missing column: column 1 is wanted, the row has 1";
+    check(&run, Reason::MissingColumn, named, 2);
+}
+
+#[test]
+fn time_that_goes_back_is_left_out_and_the_rest_goes_on() {
+    let run = load_rows(GYRO, "0,1\n2,2\n1.5,3\n3,4\n");
+    let named = "data.csv:3: time goes back: by 0.5 s";
+    check(&run, Reason::TimeBackwards, named, 3);
+}
+
+#[test]
+fn a_rate_without_an_interval_is_left_out() {
+    let run = load_rows(GYRO, "0,1\n0,2\n1,3\n");
+    let named = "data.csv:2: zero interval: the stamp of the row before";
+    check(&run, Reason::ZeroInterval, named, 2);
+}
+
+#[test]
+fn a_fix_that_repeats_a_stamp_is_left_out() {
+    let run = load_rows(
+        "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2",
+        "0,1,1\n0,1,1\n1,1,1\n",
+    );
+    let named = "data.csv:2: repeated stamp: the stamp of the fix before";
+    check(&run, Reason::RepeatedStamp, named, 2);
+}
+
+#[test]
+fn a_position_that_jumps_is_left_out() {
+    let limit = "x = 1\ny = 2\nmax_speed_m_per_s = 2";
+    let named = "data.csv:3: impossible jump: 50.00 m/s, the limit is 2";
+    for kind in ["fixes", "truth"] {
+        let run = load_rows(
+            &format!("[[{kind}]]\nfile = \"data\"\n{limit}"),
+            "0,0,0\n1,1,0\n2,51,0\n3,3,0\n",
+        );
+        check(&run, Reason::ImpossibleJump, named, 3);
+    }
+    let run = load_rows(
+        &format!("[[odometer]]\nfile = \"data\"\nheading = 3\n{limit}"),
+        "0,0,0,0\n1,1,0,0\n2,51,0,0\n3,3,0,0\n",
+    );
+    check(&run, Reason::ImpossibleJump, named, 3);
+    let run = load_rows(
+        "[[odometer]]\nfile = \"data\"\ndistance = 1\nturn = 2\nmax_speed_m_per_s = 2",
+        "0,0,0\n1,1,0\n2,50,0\n3,1,0\n",
+    );
+    check(&run, Reason::ImpossibleJump, named, 3);
+}
+
+#[test]
+fn a_spike_of_a_counter_is_left_out_with_its_way_back() {
+    let wheels = |counting: &str, rows: &str| {
+        load_rows(
+            &format!(
+                "[[wheels]]\nfile = \"data\"\ncounting = \"{counting}\"\nmax_wheel_rad_per_s = 10\n\
+                 left = {{ column = 1, unit = \"rad\" }}\nright = {{ column = 1, unit = \"rad\" }}"
+            ),
+            rows,
+        )
+    };
+    let last = |run: &Run| {
+        let Some((_, Observed::WheelAngles { left, .. })) = observed(run).pop() else {
+            panic!("{run:?}");
+        };
+        left.0
+    };
+    let absolute = wheels("absolute", "0,100\n1,101\n2,9000\n3,103\n4,104\n");
+    assert_eq!(absolute.bad_rows.count(Reason::ImpossibleJump), 2);
+    assert_eq!(
+        last(&absolute),
+        102.0,
+        "the motion of the two bad rows is unknown"
+    );
+    let increments = wheels("increments", "0,0\n1,1\n2,9000\n3,1\n4,1\n");
+    assert_eq!(increments.bad_rows.count(Reason::ImpossibleJump), 1);
+    assert_eq!(last(&increments), 3.0);
+}
+
+#[test]
+fn a_stamp_that_leaps_is_left_out_but_a_gap_that_lasts_is_believed() {
+    let rest = format!("max_gap_s = 5\n{GYRO}");
+    let run = load_rows(&rest, "0,1\n1,2\n900,3\n2,4\n3,5\n");
+    let named = "data.csv:3: impossible jump: the time leaps by 899 s";
+    check(&run, Reason::ImpossibleJump, named, 4);
+    let run = load_rows(&rest, "0,1\n1,2\n900,3\n901,4\n902,5\n");
+    check(&run, Reason::ImpossibleJump, named, 4);
+}
+
+#[test]
+fn a_range_outside_its_limits_is_left_out() {
+    let run = load_rows(
+        "[[wall_range]]\nfile = \"data\"\nrange = 1\nmin_m = 0.04\nmax_m = 4",
+        "0,1\n1,0\n2,2\n",
+    );
+    let named = "data.csv:2: out of range: 0 m, the limits are 0.04 to 4";
+    check(&run, Reason::OutOfRange, named, 2);
+    let run = load_rows(
+        "[[compass]]\nfile = \"data\"\nheading = { qz = 1, qw = 2 }",
+        "0,0,1\n1,0,0\n",
+    );
+    let named = "data.csv:2: out of range: a quaternion of zeros";
+    check(&run, Reason::OutOfRange, named, 1);
+}
+
+#[test]
+fn an_id_that_the_map_does_not_have_is_left_out() {
+    let descriptor = parse(
+        "[files.map]\npath = \"map.csv\"\n[landmarks]\nfile = \"map\"\nx = 0\ny = 1\n\
+         [[landmark_sightings]]\nfile = \"data\"\nid = 1\nrange = 2\nbearing = 3",
+    );
+    let files = [
+        ("data.csv", "0,1,2,0\n1,5,2,0\n"),
+        ("map.csv", "1,1\n2,2\n"),
+    ];
+    let run = try_load(&descriptor, "only", &files).unwrap();
+    check(&run, Reason::UnknownId, "data.csv:2: unknown id: 5", 1);
+    let halves = [("data.csv", "0,1,2,0\n1,0.5,2,0\n"), files[1]];
+    let run = try_load(&descriptor, "only", &halves).unwrap();
+    check(
+        &run,
+        Reason::NotNumeric,
+        "data.csv:2: not a number: `0.5`",
+        1,
+    );
+}
+
+#[test]
+fn a_row_that_two_streams_refuse_counts_once_and_twenty_are_named() {
+    let rest = format!("{GYRO}\n[[temperature]]\nfile = \"data\"\ntemperature = 1");
+    let rows: Vec<String> = (0..100).map(|n| format!("{n},bad")).collect();
+    let run = load_rows(&rest, &rows.join("\n"));
+    assert_eq!(run.bad_rows.total(), 100);
+    assert_eq!(run.bad_rows.named.len(), 20);
+}
+
+const EVERYTHING: &str = r#"max_gap_s = 100
+[landmarks]
+file = "data"
+id = 1
+x = 2
+y = 3
+[beacons]
+file = "data"
+x = 2
+y = 3
+[start]
+from = "fixes"
+position_sigma_m = 1
+heading_sigma_rad = 1
+[[wheels]]
+file = "data"
+counting = "absolute"
+wrap_bits = 16
+max_wheel_rad_per_s = 50
+left = { column = 1, unit = "ticks" }
+right = { column = 2, unit = "ticks" }
+[[wheels]]
+file = "data"
+counting = "increments"
+left = { column = 1, unit = "m" }
+right = { column = 2, unit = "deg" }
+[[odometer]]
+file = "data"
+distance = 1
+turn = 2
+[[odometer]]
+file = "data"
+x = 1
+y = 2
+heading = { qz = 1, qw = 2 }
+max_speed_m_per_s = 3
+[[body_velocity]]
+file = "data"
+left = 1
+right = 2
+interval = "previous"
+[[landmark_sightings]]
+file = "data"
+id = 1
+range = 2
+bearing = 3
+ids = { file = "data", from = 1, to = 2 }
+[[beacon_ranges]]
+file = "data"
+id = 1
+range = 2
+[[wall_range]]
+file = "data"
+range = 1
+only_changes = true
+[[fixes]]
+file = "data"
+x = 1
+y = 2
+heading = 3
+use_every = 2
+[[truth]]
+file = "data"
+x = 1
+y = 2
+"#;
+
+proptest! {
+    #[test]
+    fn any_text_loads_without_a_panic(text in "\\PC*") {
+        load_rows(EVERYTHING, &text);
+    }
+
+    #[test]
+    fn any_rows_of_odd_numbers_load_without_a_panic(
+        rows in proptest::collection::vec(
+            proptest::collection::vec(
+                prop_oneof![
+                    Just("0".to_owned()),
+                    Just("-1e308".to_owned()),
+                    Just("1e308".to_owned()),
+                    Just("9223372036".to_owned()),
+                    Just("-9223372036.854775808".to_owned()),
+                    Just("\"".to_owned()),
+                    any::<f64>().prop_map(|value| value.to_string()),
+                    (-3_i32..30).prop_map(|value| value.to_string()),
+                ],
+                0..6,
+            ),
+            0..12,
+        )
+    ) {
+        let lines: Vec<String> = rows.iter().map(|fields| fields.join(",")).collect();
+        let run = load_rows(EVERYTHING, &lines.join("\n"));
+        let arrivals: Vec<_> = run.observations.iter().map(|timed| timed.arrival).collect();
+        prop_assert!(arrivals.is_sorted());
+    }
+
+    #[test]
+    fn any_bytes_load_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        let descriptor = parse(EVERYTHING);
+        let mut gzip = vec![0x1F, 0x8B];
+        gzip.extend_from_slice(&bytes);
+        for bytes in [bytes, gzip] {
+            let options = posebridge_recording::dataset::LoadOptions {
+                run: "only",
+                geometry: inline::GEOMETRY,
+                use_every: None,
+            };
+            let mut open = |_: &std::path::Path| Ok(bytes.clone());
+            let loaded = posebridge_recording::dataset::load(&descriptor, options, &mut open);
+            prop_assert!(loaded.is_ok() || bytes.starts_with(&[0x1F, 0x8B]));
+        }
+    }
+}
