@@ -1,0 +1,119 @@
+//! The sheet of every figure: size, title, key figures, and the note about what was left out.
+
+use super::RunLayers;
+use super::palette::{FAINT_INK, INK};
+use super::svg::{Anchor, Svg, TextStyle};
+use crate::metrics::{ErrorSummary, errors_of_estimates, errors_of_track, summarise};
+
+/// Width of every figure, in pixels: what a page on a code host shows without shrinking.
+pub(super) const WIDTH_PX: f64 = 900.0;
+
+/// Left edge of everything, in pixels; leaves room for tick labels.
+pub(super) const LEFT_PX: f64 = 72.0;
+
+/// Longer titles are cut, in characters; more do not fit.
+const TITLE_CHARACTERS: usize = 72;
+
+/// An empty sheet with the title and the key figures.
+pub(super) fn open(layers: &RunLayers<'_>, height_px: f64) -> Svg {
+    let mut svg = Svg::new(WIDTH_PX, height_px, layers.title);
+    let heading = TextStyle {
+        size_px: 19.0,
+        color: INK,
+        anchor: Anchor::Start,
+        weight: 700,
+    };
+    let line = TextStyle {
+        size_px: 13.5,
+        color: FAINT_INK,
+        weight: 400,
+        ..heading
+    };
+    svg.text((LEFT_PX, 32.0), &heading, &shortened(layers.title));
+    svg.text((LEFT_PX, 54.0), &line, &key_figures(layers));
+    svg
+}
+
+/// Closes the sheet, with a note if values were left out.
+pub(super) fn close(mut svg: Svg, height_px: f64, dropped: usize) -> String {
+    if dropped > 0 {
+        let style = TextStyle {
+            size_px: 12.0,
+            color: FAINT_INK,
+            anchor: Anchor::End,
+            weight: 400,
+        };
+        let note = format!("left out: {dropped} values that are not finite or out of reach");
+        svg.text((WIDTH_PX - 20.0, height_px - 8.0), &style, &note);
+    }
+    svg.finish()
+}
+
+fn shortened(title: &str) -> String {
+    if title.chars().count() <= TITLE_CHARACTERS {
+        return title.to_owned();
+    }
+    let start: String = title.chars().take(TITLE_CHARACTERS - 1).collect();
+    start + "…"
+}
+
+fn key_figures(layers: &RunLayers<'_>) -> String {
+    let Some(truth) = layers.truth else {
+        return "no truth known: errors cannot be told".to_owned();
+    };
+    let odometry = layers
+        .odometry
+        .map(|track| summarise(&errors_of_track(track, truth)))
+        .unwrap_or_default();
+    let estimate = summarise(&errors_of_estimates(layers.estimates, truth));
+    let mut parts = Vec::new();
+    parts.extend(in_words("odometry", &odometry));
+    parts.extend(in_words("estimate", &estimate));
+    parts.extend(gain(&odometry, &estimate));
+    parts.extend(estimate.anees.map(|anees| format!("ANEES {anees:.2}")));
+    parts.join("   ·   ")
+}
+
+fn in_words(name: &str, errors: &ErrorSummary) -> Option<String> {
+    let (rms_m, end_m) = (errors.position_rms_m?, errors.position_end_m?);
+    Some(format!(
+        "{name}: rms {}, end {}",
+        length(rms_m),
+        length(end_m)
+    ))
+}
+
+fn gain(odometry: &ErrorSummary, estimate: &ErrorSummary) -> Option<String> {
+    let ratio = odometry.position_rms_m? / estimate.position_rms_m?;
+    (ratio.is_finite() && ratio >= 1.0).then(|| format!("{ratio:.1} times better"))
+}
+
+/// A length for people: millimetres up to ten metres.
+fn length(length_m: f64) -> String {
+    if length_m < 0.010 {
+        format!("{:.1} mm", length_m * 1e3)
+    } else if length_m < 10.0 {
+        format!("{:.0} mm", length_m * 1e3)
+    } else {
+        format!("{length_m:.3e} m")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_read_well_at_every_size() {
+        assert_eq!(length(0.001_33), "1.3 mm");
+        assert_eq!(length(0.397), "397 mm");
+        assert_eq!(length(1e300), "1.000e300 m");
+    }
+
+    #[test]
+    fn a_long_title_is_cut_between_characters() {
+        let title = "ä".repeat(200);
+        assert_eq!(shortened(&title).chars().count(), TITLE_CHARACTERS);
+        assert_eq!(shortened("short"), "short");
+    }
+}

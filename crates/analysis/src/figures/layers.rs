@@ -1,0 +1,209 @@
+//! From the layers of a run to lines and dots that can be drawn: in metres, split at gaps, free of what is not finite.
+
+use posebridge_telemetry::{Arena, Estimate, Point2, Verdict};
+
+use super::panel::Range;
+use super::{Ellipse, FARTHEST_DRAWN_M, FixMark, RunLayers};
+use crate::track::Track;
+
+/// Ellipses on one picture; more overlap into a ribbon that hides the lines.
+const ELLIPSES: usize = 60;
+
+/// Standard deviations to the edge of an ellipse.
+pub(super) const SIGMAS: f64 = 2.0;
+
+/// Lines in metres, without a connection across a gap.
+pub(super) type Lines = Vec<Vec<Point2<Arena>>>;
+
+/// What can be drawn of a run.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Drawable {
+    pub(super) ideal: Vec<Point2<Arena>>,
+    pub(super) truth: Lines,
+    pub(super) odometry: Lines,
+    pub(super) estimate: Lines,
+    pub(super) ellipses: Vec<Vec<Point2<Arena>>>,
+    pub(super) used_fixes: Vec<Point2<Arena>>,
+    pub(super) refused_fixes: Vec<Point2<Arena>>,
+    pub(super) dropped: usize,
+}
+
+impl Drawable {
+    pub(super) fn of(layers: &RunLayers<'_>) -> Self {
+        let mut drawable = Self::default();
+        drawable.ideal = drawable.points(layers.ideal.iter().copied());
+        drawable.truth = drawable.track(layers.truth);
+        drawable.odometry = drawable.track(layers.odometry);
+        drawable.estimate = drawable.estimate_lines(layers.estimates);
+        drawable.ellipses = drawable.ellipses_of(layers.estimates);
+        let (used, refused): (Vec<FixMark>, Vec<FixMark>) =
+            layers.fixes.iter().partition(|fix| was_used(fix.verdict));
+        drawable.used_fixes = drawable.points(used.iter().map(|fix| fix.position));
+        drawable.refused_fixes = drawable.points(refused.iter().map(|fix| fix.position));
+        drawable
+    }
+
+    /// Where the robot started: by the truth, else by what was believed.
+    pub(super) fn start(&self) -> Option<Point2<Arena>> {
+        [&self.truth, &self.estimate, &self.odometry]
+            .into_iter()
+            .find_map(|lines| lines.first()?.first())
+            .copied()
+    }
+
+    /// What the panel must hold, x and y. Refused fixes may be anywhere and do not stretch it.
+    pub(super) fn bounds(&self) -> (Range, Range) {
+        let lines = [&self.truth, &self.odometry, &self.estimate];
+        let points: Vec<Point2<Arena>> = lines
+            .into_iter()
+            .flatten()
+            .chain([&self.ideal, &self.used_fixes])
+            .flatten()
+            .copied()
+            .collect();
+        let unit = Range {
+            low: 0.0,
+            high: 1.0,
+        };
+        (
+            Range::of(points.iter().map(|point| point.x.0)).unwrap_or(unit),
+            Range::of(points.iter().map(|point| point.y.0)).unwrap_or(unit),
+        )
+    }
+
+    fn points(&mut self, points: impl Iterator<Item = Point2<Arena>>) -> Vec<Point2<Arena>> {
+        points
+            .filter(|point| {
+                let drawn = can_draw(*point);
+                self.dropped += usize::from(!drawn);
+                drawn
+            })
+            .collect()
+    }
+
+    fn track(&mut self, track: Option<&Track>) -> Lines {
+        let Some(track) = track else {
+            return Lines::new();
+        };
+        self.dropped += track.dropped();
+        track
+            .parts()
+            .map(|part| self.points(part.iter().map(|sample| sample.pose.origin())))
+            .filter(|line| !line.is_empty())
+            .collect()
+    }
+
+    /// A jump that is not motion ends a line, so that no stroke suggests a path which was never driven.
+    fn estimate_lines(&mut self, estimates: &[Estimate]) -> Lines {
+        estimates
+            .chunk_by(|a, b| {
+                a.reset_counter == b.reset_counter && a.validity.position == b.validity.position
+            })
+            .filter(|part| part.iter().all(|estimate| estimate.validity.position))
+            .map(|part| self.points(part.iter().map(|estimate| estimate.pose.origin())))
+            .filter(|line| !line.is_empty())
+            .collect()
+    }
+
+    fn ellipses_of(&mut self, estimates: &[Estimate]) -> Vec<Vec<Point2<Arena>>> {
+        estimates
+            .iter()
+            .step_by(estimates.len().div_ceil(ELLIPSES).max(1))
+            .filter(|estimate| estimate.validity.position && can_draw(estimate.pose.origin()))
+            .filter_map(|estimate| {
+                let ellipse = ellipse_of(estimate);
+                self.dropped += usize::from(ellipse.is_none());
+                Some(ellipse?.corners(estimate.pose.origin()))
+            })
+            .filter(|corners| corners.iter().all(|corner| can_draw(*corner)))
+            .collect()
+    }
+}
+
+/// The 2-sigma ellipse of an estimate's position; `None` if its covariance has none.
+pub(super) fn ellipse_of(estimate: &Estimate) -> Option<Ellipse> {
+    let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = estimate.covariance;
+    Ellipse::of_covariance(xx_m2, xy_m2, yy_m2, SIGMAS)
+}
+
+fn was_used(verdict: Verdict) -> bool {
+    matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
+}
+
+/// Whether a point is finite and not out of reach.
+pub(super) fn can_draw(point: Point2<Arena>) -> bool {
+    point.x.0.abs() <= FARTHEST_DRAWN_M && point.y.0.abs() <= FARTHEST_DRAWN_M
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{
+        Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Stamp, Validity,
+    };
+
+    fn estimate(step: i64, x_m: f64) -> Estimate {
+        let mut covariance = [[0.0; 5]; 5];
+        covariance[0][0] = 0.03_f64.powi(2);
+        covariance[1][1] = 0.01_f64.powi(2);
+        Estimate {
+            stamp: Stamp::from_millis(step),
+            pose: Pose::new(Meters(x_m), Meters(0.0), Heading::from_rad(0.0)),
+            forward_speed: MetersPerSecond(0.0),
+            turn_rate: RadiansPerSecond(0.0),
+            covariance,
+            validity: Validity {
+                position: true,
+                heading: true,
+                speeds: true,
+            },
+            is_dead_reckoning: false,
+            fix_age: None,
+            reset_counter: 0,
+            last_jump: None,
+        }
+    }
+
+    fn drawable(estimates: &[Estimate]) -> Drawable {
+        Drawable::of(&RunLayers {
+            estimates,
+            ..RunLayers::default()
+        })
+    }
+
+    #[test]
+    fn ellipses_reach_two_standard_deviations() {
+        let ellipse = ellipse_of(&estimate(0, 0.0)).unwrap();
+        assert!((ellipse.semi_major_m - 0.06).abs() < 1e-12);
+        assert!((ellipse.semi_minor_m - 0.02).abs() < 1e-12);
+    }
+
+    #[test]
+    fn only_so_many_ellipses_are_drawn() {
+        let estimates: Vec<Estimate> = (0..1_000).map(|step| estimate(step, 0.0)).collect();
+        assert_eq!(drawable(&estimates[..40]).ellipses.len(), 40);
+        let picked = drawable(&estimates).ellipses.len();
+        assert!((ELLIPSES / 2..=ELLIPSES).contains(&picked), "{picked}");
+    }
+
+    #[test]
+    fn a_reset_and_an_invalid_stretch_end_a_line() {
+        let mut estimates: Vec<Estimate> = (0..9).map(|step| estimate(step, 1.0)).collect();
+        estimates[3].validity.position = false;
+        for estimate in &mut estimates[6..] {
+            estimate.reset_counter = 1;
+        }
+        let lengths: Vec<usize> = drawable(&estimates).estimate.iter().map(Vec::len).collect();
+        assert_eq!(lengths, [3, 2, 3]);
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_counted() {
+        let mut estimates = [estimate(0, f64::NAN), estimate(1, 1.0), estimate(2, 1e300)];
+        estimates[1].covariance[0][0] = -1.0;
+        let drawable = drawable(&estimates);
+        // Two positions and one covariance.
+        assert_eq!(drawable.dropped, 3);
+        assert_eq!(drawable.estimate, [[Point2::new(Meters(1.0), Meters(0.0))]]);
+    }
+}

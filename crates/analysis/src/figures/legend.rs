@@ -1,0 +1,75 @@
+//! The legend: a sample of each layer's mark with its name, in a column outside of the data.
+
+use super::palette::{FILL_OPACITY, INK};
+use super::svg::{Anchor, Px, Stroke, Svg, TextStyle};
+
+const ROW_PX: f64 = 24.0;
+const SAMPLE_PX: f64 = 30.0;
+
+/// How a layer is marked.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Mark {
+    Line(&'static Stroke),
+    Area(&'static Stroke, &'static str),
+    Disc(&'static str),
+    Cross(&'static Stroke),
+    Start,
+}
+
+/// One row of the legend.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub(super) mark: Mark,
+    pub(super) label: String,
+}
+
+impl Entry {
+    pub(super) fn new(mark: Mark, label: impl Into<String>) -> Self {
+        Self {
+            mark,
+            label: label.into(),
+        }
+    }
+}
+
+/// Draws the rows downward from the top left corner.
+pub(super) fn draw(svg: &mut Svg, top_left: Px, entries: &[Entry]) {
+    let style = TextStyle {
+        size_px: 13.0,
+        color: INK,
+        anchor: Anchor::Start,
+        weight: 400,
+    };
+    let (left, mut y) = (top_left.0, top_left.1 + ROW_PX / 2.0);
+    for entry in entries {
+        draw_sample(svg, (left, y), entry.mark);
+        svg.text((left + SAMPLE_PX + 10.0, y + 4.5), &style, &entry.label);
+        y += ROW_PX;
+    }
+}
+
+fn draw_sample(svg: &mut Svg, (left, y): Px, mark: Mark) {
+    let middle = (left + SAMPLE_PX / 2.0, y);
+    match mark {
+        Mark::Line(stroke) => svg.line((left, y), (left + SAMPLE_PX, y), stroke),
+        Mark::Area(stroke, fill) => {
+            let corners: Vec<Px> = (0..32)
+                .map(|corner| {
+                    let (sin, cos) = (std::f64::consts::TAU * f64::from(corner) / 32.0).sin_cos();
+                    (middle.0 + SAMPLE_PX / 2.0 * cos, y + 7.0 * sin)
+                })
+                .collect();
+            svg.polygon(&corners, fill, FILL_OPACITY, Some(stroke));
+        }
+        Mark::Disc(fill) => svg.disc(middle, 3.0, fill, None),
+        Mark::Cross(stroke) => svg.cross(middle, 4.0, stroke),
+        Mark::Start => draw_start(svg, middle),
+    }
+}
+
+/// The mark of the start, in the legend as on the panel.
+pub(super) fn draw_start(svg: &mut Svg, at: Px) {
+    let outline = Stroke::solid(INK, 2.0);
+    svg.disc(at, 6.5, super::palette::PAPER, Some(&outline));
+    svg.disc(at, 2.2, INK, None);
+}

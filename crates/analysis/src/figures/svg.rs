@@ -1,0 +1,292 @@
+//! A writer for the little of SVG that the figures need.
+//!
+//! Shapes in pixels, y downward, hundredths of a pixel. Text is escaped; a shape with a coordinate that is not finite is
+//! not written, so that no viewer ever meets a "NaN". It knows nothing of metres, panels or runs.
+//!
+//! Source: W3C, Scalable Vector Graphics 1.1 (second edition); characters as in XML 1.0, section 2.2.
+
+use std::fmt;
+
+/// A point of the picture, in pixels from the top left.
+pub(super) type Px = (f64, f64);
+
+/// A rectangle of the picture, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rect {
+    pub(super) left: f64,
+    pub(super) top: f64,
+    pub(super) width: f64,
+    pub(super) height: f64,
+}
+
+impl Rect {
+    pub(super) const fn right(&self) -> f64 {
+        self.left + self.width
+    }
+    pub(super) const fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+}
+
+/// How a line looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Stroke {
+    color: &'static str,
+    width_px: f64,
+    dashes: Option<&'static str>,
+}
+
+impl Stroke {
+    pub(super) const fn solid(color: &'static str, width_px: f64) -> Self {
+        Self {
+            color,
+            width_px,
+            dashes: None,
+        }
+    }
+    pub(super) const fn dashed(color: &'static str, width_px: f64, dashes: &'static str) -> Self {
+        Self {
+            color,
+            width_px,
+            dashes: Some(dashes),
+        }
+    }
+}
+
+impl fmt::Display for Stroke {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            color, width_px, ..
+        } = self;
+        write!(f, r#"stroke="{color}" stroke-width="{width_px}""#)?;
+        match self.dashes {
+            Some(dashes) => write!(f, r#" stroke-dasharray="{dashes}""#),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Which point of a text stands at its position.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+/// How a text looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TextStyle {
+    pub(super) size_px: f64,
+    pub(super) color: &'static str,
+    pub(super) anchor: Anchor,
+    pub(super) weight: u16,
+}
+
+/// A picture that is being drawn.
+#[derive(Debug)]
+pub(super) struct Svg {
+    text: String,
+    clips: usize,
+}
+
+impl Svg {
+    /// An empty picture on white paper; `title` is what a screen reader says.
+    pub(super) fn new(width_px: f64, height_px: f64, title: &str) -> Self {
+        let mut svg = Self {
+            text: String::new(),
+            clips: 0,
+        };
+        svg.put(format_args!(
+            concat!(
+                r#"<svg xmlns="http://www.w3.org/2000/svg" width="{w}" height="{h}" viewBox="0 0 {w} {h}" "#,
+                r#"role="img" font-family="Helvetica, Arial, 'DejaVu Sans', sans-serif">"#,
+                "\n<title>{title}</title>\n",
+                "<rect width=\"{w}\" height=\"{h}\" fill=\"{paper}\"/>\n",
+            ),
+            w = width_px,
+            h = height_px,
+            title = Escaped(title),
+            paper = super::palette::PAPER,
+        ));
+        svg
+    }
+
+    pub(super) fn rect(&mut self, rect: &Rect, stroke: &Stroke) {
+        self.put(format_args!(
+            "<rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"none\" {stroke}/>\n",
+            rect.left, rect.top, rect.width, rect.height
+        ));
+    }
+
+    pub(super) fn line(&mut self, from: Px, to: Px, stroke: &Stroke) {
+        self.polyline(&[from, to], stroke);
+    }
+
+    /// An open line through all points; nothing for fewer than two.
+    pub(super) fn polyline(&mut self, points: &[Px], stroke: &Stroke) {
+        if points.len() > 1 && points.iter().all(is_finite) {
+            let points = Points(points);
+            self.put(format_args!(
+                "<polyline points=\"{points}\" fill=\"none\" stroke-linejoin=\"round\" {stroke}/>\n"
+            ));
+        }
+    }
+
+    /// A closed shape; `opacity` is how much its fill covers, from 0 to 1.
+    pub(super) fn polygon(
+        &mut self,
+        points: &[Px],
+        fill: &str,
+        opacity: f64,
+        stroke: Option<&Stroke>,
+    ) {
+        if points.len() > 2 && points.iter().all(is_finite) {
+            let points = Points(points);
+            let outline = stroke.map(Stroke::to_string).unwrap_or_default();
+            self.put(format_args!(
+                "<polygon points=\"{points}\" fill=\"{fill}\" fill-opacity=\"{opacity}\" {outline}/>\n"
+            ));
+        }
+    }
+
+    /// A filled disc with an outline of its own.
+    pub(super) fn disc(&mut self, center: Px, radius_px: f64, fill: &str, stroke: Option<&Stroke>) {
+        if is_finite(&center) {
+            let outline = stroke.map(Stroke::to_string).unwrap_or_default();
+            self.put(format_args!(
+                "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius_px}\" fill=\"{fill}\" {outline}/>\n",
+                center.0, center.1
+            ));
+        }
+    }
+
+    /// A diagonal cross.
+    pub(super) fn cross(&mut self, center: Px, reach_px: f64, stroke: &Stroke) {
+        let (x, y) = center;
+        for slant in [reach_px, -reach_px] {
+            self.line((x - reach_px, y - slant), (x + reach_px, y + slant), stroke);
+        }
+    }
+
+    pub(super) fn text(&mut self, at: Px, style: &TextStyle, text: &str) {
+        self.put_text(at, style, text, "");
+    }
+
+    /// Text that reads from bottom to top, for the axis on the left.
+    pub(super) fn upright_text(&mut self, at: Px, style: &TextStyle, text: &str) {
+        let turn = format!(" transform=\"rotate(-90 {:.2} {:.2})\"", at.0, at.1);
+        self.put_text(at, style, text, &turn);
+    }
+
+    /// What `draw` draws appears inside the rectangle only; `id` names the group in the document.
+    pub(super) fn clipped(&mut self, rect: &Rect, id: &str, draw: impl FnOnce(&mut Self)) {
+        self.clips += 1;
+        let clip = self.clips;
+        self.put(format_args!(
+            concat!(
+                "<clipPath id=\"clip{clip}\"><rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\"/></clipPath>\n",
+                "<g id=\"{id}\" clip-path=\"url(#clip{clip})\">\n",
+            ),
+            rect.left, rect.top, rect.width, rect.height,
+            clip = clip,
+            id = id,
+        ));
+        draw(self);
+        self.put(format_args!("</g>\n"));
+    }
+
+    /// The whole document.
+    pub(super) fn finish(mut self) -> String {
+        self.put(format_args!("</svg>\n"));
+        self.text
+    }
+
+    fn put_text(&mut self, at: Px, style: &TextStyle, text: &str, turn: &str) {
+        let anchor = match style.anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+            Anchor::End => "end",
+        };
+        self.put(format_args!(
+            concat!(
+                "<text x=\"{:.2}\" y=\"{:.2}\" font-size=\"{}\" font-weight=\"{}\" fill=\"{}\" ",
+                "text-anchor=\"{}\"{}>{}</text>\n",
+            ),
+            at.0,
+            at.1,
+            style.size_px,
+            style.weight,
+            style.color,
+            anchor,
+            turn,
+            Escaped(text)
+        ));
+    }
+
+    fn put(&mut self, piece: fmt::Arguments<'_>) {
+        self.text.push_str(&fmt::format(piece));
+    }
+}
+
+fn is_finite(point: &Px) -> bool {
+    point.0.is_finite() && point.1.is_finite()
+}
+
+struct Points<'a>(&'a [Px]);
+
+impl fmt::Display for Points<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, (x, y)) in self.0.iter().enumerate() {
+            let separator = if index == 0 { "" } else { " " };
+            write!(f, "{separator}{x:.2},{y:.2}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Text in which markup is harmless and characters that XML forbids are replaced.
+struct Escaped<'a>(&'a str);
+
+impl fmt::Display for Escaped<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for character in self.0.chars() {
+            match character {
+                '&' => f.write_str("&amp;")?,
+                '<' => f.write_str("&lt;")?,
+                '>' => f.write_str("&gt;")?,
+                '"' => f.write_str("&quot;")?,
+                '\t' | '\n' | '\r' => f.write_str(" ")?,
+                '\u{0}'..='\u{1f}' | '\u{fffe}' | '\u{ffff}' => f.write_str("\u{fffd}")?,
+                other => write!(f, "{other}")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn markup_and_forbidden_characters_in_a_text_are_harmless() {
+        assert_eq!(
+            Escaped("a<b> & \"c\"\u{1}\nd").to_string(),
+            "a&lt;b&gt; &amp; &quot;c&quot;\u{fffd} d"
+        );
+    }
+
+    #[test]
+    fn a_shape_that_is_not_finite_is_not_written() {
+        let mut svg = Svg::new(10.0, 10.0, "t");
+        let stroke = Stroke::solid("#000000", 1.0);
+        svg.polyline(&[(0.0, 0.0), (f64::NAN, 1.0)], &stroke);
+        svg.disc((f64::INFINITY, 0.0), 2.0, "#000000", None);
+        let text = svg.finish();
+        assert!(
+            !text.contains("polyline") && !text.contains("circle"),
+            "{text}"
+        );
+    }
+}

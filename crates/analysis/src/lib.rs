@@ -1,0 +1,32 @@
+//! What a run was worth: figures of merit, pictures and tables over estimates, odometry, fixes and truth.
+//!
+//! The shell and the experiments give it what a run or a recording left behind; it gives back numbers
+//! ([`metrics`]), SVG text ([`figures`]) and aligned plain text ([`report`]). It reads no file, writes none, draws no
+//! random number and estimates nothing: two calls with the same data give the same bytes.
+//!
+//! Everything is in the arena, in SI units and in brick time; millimetres and degrees appear only in text for people.
+//! A value that is not finite is left out and counted, never averaged and never drawn.
+//!
+//! ```
+//! use posebridge_analysis::metrics::{PoseError, summarise};
+//! let errors = [
+//!     PoseError { dx_m: 0.003, dy_m: 0.004, heading_rad: None, covariance: None },
+//!     PoseError { dx_m: 0.0, dy_m: 0.001, heading_rad: None, covariance: None },
+//! ];
+//! let summary = summarise(&errors);
+//! assert_eq!(summary.position_max_m, Some(0.005));
+//! assert_eq!(summary.position_end_m, Some(0.001));
+//! ```
+
+pub mod figures;
+pub mod metrics;
+pub mod report;
+pub mod track;
+
+pub use figures::{FIGURES, Figure, FixMark, RunLayers};
+pub use metrics::{
+    Consistency, ConsistencyBand, ErrorSummary, Evidence, METRICS, Metric, PoseError, SourceTally,
+    mean_over_runs, summarise, tally,
+};
+pub use report::{EstimatorRow, RunRow};
+pub use track::{TimedPose, Track};

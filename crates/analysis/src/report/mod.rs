@@ -1,0 +1,11 @@
+//! Plain-text tables for the end of a run and of a replay.
+//!
+//! People read millimetres and degrees; this is where the numbers become them. The tables are values: printing, colours
+//! and JSON belong to the program.
+
+mod replay;
+mod run;
+mod table;
+
+pub use replay::{EstimatorRow, estimator_table, source_table};
+pub use run::{RunRow, run_table};
