@@ -1,0 +1,27 @@
+//! Filters that turn observations into a pose with its covariance.
+//!
+//! Gets [`Observation`](posebridge_telemetry::Observation)s in brick time from the pipeline and gives back one
+//! [`FusionRecord`](posebridge_telemetry::FusionRecord) per observation and an
+//! [`Estimate`](posebridge_telemetry::Estimate) for any instant. It knows no bytes, no links and no clock but the
+//! brick's; it converts no stamps.
+//!
+//! Letters inside this crate, SI units and radians throughout:
+//!
+//! ```text
+//! x   state, see filters::pose::state for its rows      P   its covariance
+//! F   Jacobian of the motion                            Q   process noise
+//! z   observation      h(x) its prediction      H = dh/dx      R its noise
+//! nu  innovation z - h(x)      S = H P H' + R      K = P H' / S
+//! d   distance along the path of the body's origin      dth  change of heading      b  track width
+//! ```
+
+pub mod filters;
+pub mod gate;
+pub mod models;
+pub mod motion;
+pub mod observations;
+pub mod params;
+pub mod update;
+
+pub use filters::{FILTERS, Filter, FilterConfig, FilterEntry, StartPose, filter_named};
+pub use params::{PARAMS, Param, Params};

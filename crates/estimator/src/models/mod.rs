@@ -1,0 +1,4 @@
+//! How a robot moves: one file per model. None of them knows a sensor.
+
+pub mod differential_drive;
+pub mod se2;

@@ -1,0 +1,144 @@
+//! Rigid motion in the plane: a step along a circular arc and its derivatives.
+//!
+//! # Model
+//! ```text
+//! a = th + dth / 2                       mean heading during the step
+//! x' = x + c d cos a                     c = sin(dth/2) / (dth/2): the chord of the arc, exact for constant curvature
+//! y' = y + c d sin a
+//! th' = th + dth
+//! ```
+//! # Sources
+//! Paper 1 (Valera et al.), equation 13, which has c = 1 (the midpoint rule); docs/maths/pose.md section 2.
+
+/// A step of the body: distance along its path and change of heading.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BodyStep {
+    /// Distance along the path of the body's origin, forward positive, in metres.
+    pub forward_m: f64,
+    /// Change of heading, counter-clockwise positive, in radians.
+    pub turn_rad: f64,
+}
+
+/// Which rule turns a step into a displacement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepRule {
+    /// The chord of the arc: exact for constant curvature.
+    Arc,
+    /// The whole distance along the mean heading, as the papers write it.
+    Midpoint,
+}
+
+/// Where a step leads, and how that depends on where it began and on the step itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Displacement {
+    /// Change of x, in metres.
+    pub dx_m: f64,
+    /// Change of y, in metres.
+    pub dy_m: f64,
+    /// Derivatives of (dx, dy) by the heading at the start.
+    pub by_heading: [f64; 2],
+    /// Derivatives of (dx, dy) by the distance.
+    pub by_forward: [f64; 2],
+    /// Derivatives of (dx, dy) by the change of heading.
+    pub by_turn: [f64; 2],
+}
+
+/// Computes where a step leads from a heading, in the space of that heading.
+#[must_use]
+pub fn displace(heading_rad: f64, step: BodyStep, rule: StepRule) -> Displacement {
+    let (chord, chord_by_turn) = match rule {
+        StepRule::Arc => chord_ratio(step.turn_rad),
+        StepRule::Midpoint => (1.0, 0.0),
+    };
+    let (sin, cos) = (heading_rad + 0.5 * step.turn_rad).sin_cos();
+    let d = step.forward_m;
+    Displacement {
+        dx_m: chord * d * cos,
+        dy_m: chord * d * sin,
+        by_heading: [-chord * d * sin, chord * d * cos],
+        by_forward: [chord * cos, chord * sin],
+        by_turn: [
+            chord_by_turn * d * cos - 0.5 * chord * d * sin,
+            chord_by_turn * d * sin + 0.5 * chord * d * cos,
+        ],
+    }
+}
+
+/// Chord over arc length, sin(t/2)/(t/2), and its derivative by t; by series where the quotient would lose digits.
+fn chord_ratio(turn_rad: f64) -> (f64, f64) {
+    let half = 0.5 * turn_rad;
+    if half.abs() < 1e-3 {
+        // Two terms: the next is below 1e-13 of the first.
+        return (
+            1.0 - half * half / 6.0,
+            -half / 6.0 * (1.0 - half * half / 10.0),
+        );
+    }
+    let (sin, cos) = half.sin_cos();
+    (sin / half, 0.5 * (cos * half - sin) / (half * half))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    #[test]
+    fn a_quarter_circle_ends_where_geometry_says() {
+        let step = BodyStep {
+            forward_m: FRAC_PI_2,
+            turn_rad: FRAC_PI_2,
+        };
+        let moved = displace(0.0, step, StepRule::Arc);
+        assert!((moved.dx_m - 1.0).abs() < 1e-12 && (moved.dy_m - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn derivatives_agree_with_central_differences() {
+        let h = 1e-6;
+        for rule in [StepRule::Arc, StepRule::Midpoint] {
+            for (heading, d, turn) in [
+                (0.3, 0.2, 0.0),
+                (-2.9, -0.1, 1e-4),
+                (PI, 0.05, 2.4),
+                (1.0, 0.3, -1.9e-3),
+            ] {
+                let at = |heading: f64, d: f64, turn: f64| {
+                    let m = displace(
+                        heading,
+                        BodyStep {
+                            forward_m: d,
+                            turn_rad: turn,
+                        },
+                        rule,
+                    );
+                    [m.dx_m, m.dy_m]
+                };
+                let m = displace(
+                    heading,
+                    BodyStep {
+                        forward_m: d,
+                        turn_rad: turn,
+                    },
+                    rule,
+                );
+                for axis in 0..2 {
+                    let by_heading = (at(heading + h, d, turn)[axis]
+                        - at(heading - h, d, turn)[axis])
+                        / (2.0 * h);
+                    let by_forward = (at(heading, d + h, turn)[axis]
+                        - at(heading, d - h, turn)[axis])
+                        / (2.0 * h);
+                    let by_turn = (at(heading, d, turn + h)[axis] - at(heading, d, turn - h)[axis])
+                        / (2.0 * h);
+                    assert!((m.by_heading[axis] - by_heading).abs() < 1e-8);
+                    assert!((m.by_forward[axis] - by_forward).abs() < 1e-8);
+                    assert!(
+                        (m.by_turn[axis] - by_turn).abs() < 1e-8,
+                        "{rule:?} {turn} {axis}"
+                    );
+                }
+            }
+        }
+    }
+}

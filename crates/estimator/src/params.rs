@@ -1,0 +1,259 @@
+//! Every tunable of the filters, declared once.
+//!
+//! Documentation, range checks, the configuration's schema and parameter messages follow from [`PARAMS`]. Geometry and
+//! sensor noise are not here: they belong to a robot, not to a filter.
+
+use std::ops::RangeInclusive;
+
+/// The tunables of the filters, SI units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Params {
+    /// See `gate.probability` in [`PARAMS`].
+    pub gate_probability: f64,
+    /// See `history.length_s` in [`PARAMS`].
+    pub history_s: f64,
+    /// See `gyro.window_s` in [`PARAMS`].
+    pub gyro_window_s: f64,
+    /// See `slip.nis` in [`PARAMS`].
+    pub slip_nis: f64,
+    /// See `speed.acceleration_m_per_s2` in [`PARAMS`].
+    pub acceleration_m_per_s2: f64,
+    /// See `speed.turn_acceleration_rad_per_s2` in [`PARAMS`].
+    pub turn_acceleration_rad_per_s2: f64,
+    /// See `wheel.max_rad_per_s` in [`PARAMS`].
+    pub max_wheel_rad_per_s: f64,
+    /// See `fix.timeout_s` in [`PARAMS`].
+    pub fix_timeout_s: f64,
+    /// See `reset.after_s` in [`PARAMS`].
+    pub reset_after_s: f64,
+    /// See `reset.after_fixes` in [`PARAMS`].
+    pub reset_after_fixes: f64,
+}
+
+/// One tunable: what it is, and how to reach it.
+pub struct Param {
+    /// Its key in the configuration, below `[filter]`; at most 16 bytes, so that it fits PARAM messages.
+    pub key: &'static str,
+    /// Its unit, empty for a pure number.
+    pub unit: &'static str,
+    /// Its value unless configured.
+    pub default: f64,
+    /// The values that make sense.
+    pub range: RangeInclusive<f64>,
+    /// What it does, in one line.
+    pub doc: &'static str,
+    /// Reads it.
+    pub read: fn(&Params) -> f64,
+    /// Writes it.
+    pub write: fn(&mut Params, f64),
+}
+
+macro_rules! param {
+    ($key:literal, $unit:literal, $default:literal, $range:expr, $field:ident, $doc:literal) => {
+        Param {
+            key: $key,
+            unit: $unit,
+            default: $default,
+            range: $range,
+            doc: $doc,
+            read: |params| params.$field,
+            write: |params, value| params.$field = value,
+        }
+    };
+}
+
+/// Every tunable. Adding one: a field of [`Params`] and a row here.
+pub const PARAMS: &[Param] = &[
+    // 99.9 %: with a well-chosen R one good fix in a thousand is lost, and half-metre outliers do no harm.
+    param!(
+        "gate_prob",
+        "",
+        0.999,
+        0.5..=0.999_999,
+        gate_probability,
+        "a fix is used if its normalised innovation is below this quantile of chi-square"
+    ),
+    param!(
+        "history_s",
+        "s",
+        3.0,
+        0.1..=60.0,
+        history_s,
+        "how late an observation may come and still be applied at its own time"
+    ),
+    // 0.4 s: long enough that one count of a 1-degree encoder is small against the gyro's noise, short enough for slip.
+    param!(
+        "gyro_window_s",
+        "s",
+        0.4,
+        0.0..=5.0,
+        gyro_window_s,
+        "length of the window in which the gyro is held against the encoders' heading"
+    ),
+    // Chi-square with one degree of freedom, 99.9 %.
+    param!(
+        "slip_nis",
+        "",
+        10.83,
+        4.0..=100.0,
+        slip_nis,
+        "above this normalised innovation gyro and encoders disagree: the wheels slipped"
+    ),
+    // A LEGO motor reaches 0.5 m/s in about 0.1 s at full voltage; a robot under control stays well below that.
+    param!(
+        "accel_m_s2",
+        "m/s2",
+        1.0,
+        0.01..=50.0,
+        acceleration_m_per_s2,
+        "how fast the forward speed may change, one standard deviation after one second"
+    ),
+    param!(
+        "turn_accel_rad_s2",
+        "rad/s2",
+        6.0,
+        0.01..=500.0,
+        turn_acceleration_rad_per_s2,
+        "how fast the turn rate may change, one standard deviation after one second"
+    ),
+    // A LEGO motor turns 18 rad/s unloaded at 9 V; fast hobby motors about five times that.
+    param!(
+        "max_wheel_rad_s",
+        "rad/s",
+        100.0,
+        1.0..=1_000.0,
+        max_wheel_rad_per_s,
+        "a wheel cannot turn faster: a larger jump of the counters re-bases them"
+    ),
+    param!(
+        "fix_timeout_s",
+        "s",
+        2.0,
+        0.1..=600.0,
+        fix_timeout_s,
+        "without a fix for longer than this the estimate is flagged as dead reckoning"
+    ),
+    param!(
+        "reset_after_s",
+        "s",
+        1.5,
+        0.1..=600.0,
+        reset_after_s,
+        "fixes that agree with each other but not with the estimate for this long move the estimate"
+    ),
+    param!(
+        "reset_after_n",
+        "",
+        5.0,
+        2.0..=1_000.0,
+        reset_after_fixes,
+        "and at least this many of them"
+    ),
+];
+
+impl Default for Params {
+    fn default() -> Self {
+        let mut params = Self {
+            gate_probability: 0.0,
+            history_s: 0.0,
+            gyro_window_s: 0.0,
+            slip_nis: 0.0,
+            acceleration_m_per_s2: 0.0,
+            turn_acceleration_rad_per_s2: 0.0,
+            max_wheel_rad_per_s: 0.0,
+            fix_timeout_s: 0.0,
+            reset_after_s: 0.0,
+            reset_after_fixes: 0.0,
+        };
+        for row in PARAMS {
+            (row.write)(&mut params, row.default);
+        }
+        params
+    }
+}
+
+impl Params {
+    /// Sets one tunable by its key.
+    ///
+    /// # Errors
+    /// The key is unknown, or the value is outside the row's range.
+    pub fn set(&mut self, key: &str, value: f64) -> Result<(), ParamError> {
+        let row = PARAMS
+            .iter()
+            .find(|row| row.key == key)
+            .ok_or_else(|| ParamError::Unknown {
+                key: key.to_owned(),
+            })?;
+        if !row.range.contains(&value) {
+            return Err(ParamError::OutOfRange {
+                key: row.key,
+                value,
+                low: *row.range.start(),
+                high: *row.range.end(),
+            });
+        }
+        (row.write)(self, value);
+        Ok(())
+    }
+}
+
+/// Why a tunable was not set.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParamError {
+    /// No row has this key.
+    #[error("unknown filter parameter `{key}`")]
+    Unknown {
+        /// The key.
+        key: String,
+    },
+    /// The value makes no sense.
+    #[error("filter parameter `{key}` is {value}, must lie in {low} to {high}")]
+    OutOfRange {
+        /// The key.
+        key: &'static str,
+        /// The value.
+        value: f64,
+        /// Lowest value that makes sense.
+        low: f64,
+        /// Highest value that makes sense.
+        high: f64,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_reaches_a_field_of_its_own_and_its_default_is_in_range() {
+        for (index, row) in PARAMS.iter().enumerate() {
+            assert!(row.range.contains(&row.default), "{}", row.key);
+            let mut params = Params::default();
+            (row.write)(&mut params, -1.0);
+            for (other_index, other) in PARAMS.iter().enumerate() {
+                let expected = if index == other_index {
+                    -1.0
+                } else {
+                    other.default
+                };
+                assert_eq!(
+                    (other.read)(&params),
+                    expected,
+                    "{} against {}",
+                    row.key,
+                    other.key
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_refused_with_its_range() {
+        let error = Params::default().set("slip_nis", 1.0).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "filter parameter `slip_nis` is 1, must lie in 4 to 100"
+        );
+    }
+}

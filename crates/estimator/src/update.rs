@@ -1,0 +1,209 @@
+//! The measurement update: whitening, then one scalar at a time.
+//!
+//! No matrix inverse, no square root of P: a scalar update needs one division. Correlated noise is whitened first, so that
+//! the components may be used one after the other.
+
+use nalgebra::{SMatrix, SVector};
+
+/// What is to be used: innovation, its derivative by the state, its noise.
+#[derive(Clone, Copy, Debug)]
+pub struct Measurement<const N: usize, const M: usize> {
+    /// z - h(x), angles wrapped.
+    pub innovation: SVector<f64, M>,
+    /// dh/dx at x.
+    pub jacobian: SMatrix<f64, M, N>,
+    /// R.
+    pub noise: SMatrix<f64, M, M>,
+}
+
+impl<const N: usize, const M: usize> Measurement<N, M> {
+    /// S = H P H' + R.
+    #[must_use]
+    pub fn innovation_covariance(&self, covariance: &SMatrix<f64, N, N>) -> SMatrix<f64, M, M> {
+        self.jacobian * covariance * self.jacobian.transpose() + self.noise
+    }
+}
+
+/// Normalised innovation squared and log-likelihood of an innovation under N(0, S); `None` when S is not positive definite.
+#[must_use]
+pub fn consistency<const M: usize>(
+    innovation: &SVector<f64, M>,
+    innovation_covariance: &SMatrix<f64, M, M>,
+) -> Option<(f64, f64)> {
+    let lower = lower_triangle(innovation_covariance)?;
+    let white = solve_lower(&lower, innovation);
+    let nis = white.norm_squared();
+    let log_det: f64 = (0..M).map(|i| 2.0 * lower[(i, i)].ln()).sum();
+    let log_likelihood = -0.5 * (nis + log_det + M as f64 * std::f64::consts::TAU.ln());
+    Some((nis, log_likelihood))
+}
+
+/// Uses a measurement; `false` leaves state and covariance untouched because R is not positive definite.
+#[must_use]
+pub fn apply<const N: usize, const M: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    measurement: &Measurement<N, M>,
+) -> bool {
+    let Some(lower) = lower_triangle(&measurement.noise) else {
+        return false;
+    };
+    let white_innovation = solve_lower(&lower, &measurement.innovation);
+    let mut white_jacobian = SMatrix::<f64, M, N>::zeros();
+    for column in 0..N {
+        let solved = solve_lower(&lower, &measurement.jacobian.column(column).into_owned());
+        white_jacobian.set_column(column, &solved);
+    }
+    let start = *mean;
+    for i in 0..M {
+        let row = white_jacobian.row(i);
+        // The innovation was taken at `start`; what the earlier components moved is already explained.
+        let innovation = white_innovation[i] - (row * (*mean - start))[0];
+        let cross = *covariance * row.transpose();
+        let s = (row * cross)[0] + 1.0;
+        let gain = cross / s;
+        *mean += gain * innovation;
+        *covariance -= gain * cross.transpose();
+        symmetrise(covariance);
+    }
+    true
+}
+
+/// Uses one scalar measurement for one row of the state only; the other rows are considered, but not corrected.
+///
+/// Joseph's form, which holds for any gain. It keeps a rough observation of a speed from leaking into states that a better
+/// one already observes.
+pub fn apply_to_row<const N: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    row: usize,
+    measurement: &Measurement<N, 1>,
+) {
+    let s = measurement.innovation_covariance(covariance)[0];
+    if s <= 0.0 {
+        return;
+    }
+    let mut gain = SVector::<f64, N>::zeros();
+    gain[row] = (covariance.row(row) * measurement.jacobian.transpose())[0] / s;
+    mean[row] += gain[row] * measurement.innovation[0];
+    let keep = SMatrix::<f64, N, N>::identity() - gain * measurement.jacobian;
+    *covariance =
+        keep * *covariance * keep.transpose() + gain * measurement.noise[0] * gain.transpose();
+    symmetrise(covariance);
+}
+
+/// Makes a matrix exactly symmetric.
+pub fn symmetrise<const N: usize>(matrix: &mut SMatrix<f64, N, N>) {
+    for i in 0..N {
+        for j in 0..i {
+            let mean = 0.5 * (matrix[(i, j)] + matrix[(j, i)]);
+            matrix[(i, j)] = mean;
+            matrix[(j, i)] = mean;
+        }
+    }
+}
+
+/// Cholesky's factor; `None` when the matrix is not positive definite.
+fn lower_triangle<const M: usize>(matrix: &SMatrix<f64, M, M>) -> Option<SMatrix<f64, M, M>> {
+    let mut lower = SMatrix::<f64, M, M>::zeros();
+    for j in 0..M {
+        let mut diagonal = matrix[(j, j)];
+        for k in 0..j {
+            diagonal -= lower[(j, k)] * lower[(j, k)];
+        }
+        if diagonal.is_nan() || diagonal <= 0.0 || diagonal.is_infinite() {
+            return None;
+        }
+        lower[(j, j)] = diagonal.sqrt();
+        for i in j + 1..M {
+            let mut value = matrix[(i, j)];
+            for k in 0..j {
+                value -= lower[(i, k)] * lower[(j, k)];
+            }
+            lower[(i, j)] = value / lower[(j, j)];
+        }
+    }
+    Some(lower)
+}
+
+fn solve_lower<const M: usize>(
+    lower: &SMatrix<f64, M, M>,
+    right: &SVector<f64, M>,
+) -> SVector<f64, M> {
+    let mut solved = *right;
+    for i in 0..M {
+        for k in 0..i {
+            solved[i] -= lower[(i, k)] * solved[k];
+        }
+        solved[i] /= lower[(i, i)];
+    }
+    solved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+
+    fn correlated() -> (Vector3<f64>, Matrix3<f64>, Measurement<3, 2>) {
+        let mean = Vector3::new(1.0, -2.0, 0.5);
+        let covariance = Matrix3::new(2.0, 0.3, 0.1, 0.3, 1.0, -0.2, 0.1, -0.2, 0.5);
+        let measurement = Measurement {
+            innovation: Vector2::new(0.7, -0.4),
+            jacobian: Matrix2x3::new(1.0, 0.0, 0.3, 0.0, 1.0, -0.8),
+            noise: Matrix2::new(0.4, 0.15, 0.15, 0.2),
+        };
+        (mean, covariance, measurement)
+    }
+
+    #[test]
+    fn whitened_scalars_equal_the_batch_update_with_a_matrix_inverse() {
+        let (mut mean, mut covariance, measurement) = correlated();
+        let s = measurement.innovation_covariance(&covariance);
+        let gain = covariance * measurement.jacobian.transpose() * s.try_inverse().unwrap();
+        let batch_mean = mean + gain * measurement.innovation;
+        let batch_covariance = (Matrix3::identity() - gain * measurement.jacobian) * covariance;
+        assert!(apply(&mut mean, &mut covariance, &measurement));
+        assert!((mean - batch_mean).norm() < 1e-12);
+        assert!((covariance - batch_covariance).norm() < 1e-12);
+    }
+
+    #[test]
+    fn consistency_equals_the_formula_with_a_matrix_inverse() {
+        let (_, covariance, measurement) = correlated();
+        let s = measurement.innovation_covariance(&covariance);
+        let (nis, log_likelihood) = consistency(&measurement.innovation, &s).unwrap();
+        let expected = (measurement.innovation.transpose()
+            * s.try_inverse().unwrap()
+            * measurement.innovation)[0];
+        assert!((nis - expected).abs() < 1e-12);
+        let by_formula =
+            -0.5 * (expected + ((std::f64::consts::TAU).powi(2) * s.determinant()).ln());
+        assert!((log_likelihood - by_formula).abs() < 1e-12);
+    }
+
+    #[test]
+    fn noise_that_is_no_covariance_is_refused_and_changes_nothing() {
+        let (mut mean, mut covariance, mut measurement) = correlated();
+        let before = (mean, covariance);
+        measurement.noise[(0, 1)] = 5.0;
+        measurement.noise[(1, 0)] = 5.0;
+        assert!(!apply(&mut mean, &mut covariance, &measurement));
+        assert_eq!((mean, covariance), before);
+    }
+
+    #[test]
+    fn an_update_of_one_row_leaves_the_other_means_alone_and_the_covariance_valid() {
+        let (mut mean, mut covariance, _) = correlated();
+        let before = mean;
+        let measurement = Measurement {
+            innovation: nalgebra::Vector1::new(0.9),
+            jacobian: nalgebra::Matrix1x3::new(0.0, 1.0, 1.0),
+            noise: nalgebra::Matrix1::new(0.1),
+        };
+        apply_to_row(&mut mean, &mut covariance, 1, &measurement);
+        assert_eq!((mean[0], mean[2]), (before[0], before[2]));
+        assert!(mean[1] > before[1]);
+        assert!(lower_triangle(&covariance).is_some());
+    }
+}

@@ -1,0 +1,350 @@
+//! One remote clock against the host's: stamps in, instants out, with how far they may be off.
+
+use posebridge_protocol::message::WireStamp;
+use posebridge_telemetry::{HostClock, Span, Stamp, clock::Clock};
+
+use super::bounds::{ClockBounds, Line};
+use super::unwrap::{Unwrapped, Unwrapper};
+
+/// Stands in for the smallest delay of a link whose far end never answers, s: half of a Bluetooth link's usual round trip.
+const ONE_WAY_DELAY_S: f64 = 0.010;
+/// So many answered requests before the two-way line replaces the one-way line.
+const ANSWERS_NEEDED: u32 = 3;
+/// Without an answer for this long after the first message the one-way line has to do.
+const ONE_WAY_AFTER: Span = Span::from_millis(1_500);
+
+/// No brick counts in longer steps: nxtOSEK and leJOS tick each millisecond, slow schedulers each 10 ms.
+const LARGEST_STEP_S: f64 = 0.020;
+
+/// The alignment of one remote clock `C`.
+#[derive(Clone, Debug)]
+pub struct ClockAligner<C: Clock> {
+    unwrapper: Unwrapper,
+    bounds: ClockBounds,
+    /// First stamp and first arrival: instants are kept relative to them, so that `f64` seconds resolve nanoseconds.
+    origin: Option<(Stamp<C>, Stamp<HostClock>)>,
+    line: Option<Line>,
+    answers: u32,
+    round_trip: Option<Span>,
+    /// Greatest common divisor of all stamps: the step in which the remote counter advances, in microseconds.
+    step_micros: u64,
+}
+
+/// What an exchange of time taught.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment<C: Clock> {
+    /// Remote instant for which it was evaluated.
+    pub remote: Stamp<C>,
+    /// Host instant for which it was evaluated.
+    pub host: Stamp<HostClock>,
+    /// Remote minus host there.
+    pub offset: Span,
+    /// Rate of the remote clock against the host's, minus one, ppm.
+    pub skew_ppm: f64,
+    /// How far the offset may be off.
+    pub uncertainty: Span,
+    /// Round trip of the exchange.
+    pub round_trip: Span,
+}
+
+impl<C: Clock> Default for ClockAligner<C> {
+    fn default() -> Self {
+        Self {
+            unwrapper: Unwrapper::default(),
+            bounds: ClockBounds::default(),
+            origin: None,
+            line: None,
+            answers: 0,
+            round_trip: None,
+            step_micros: 0,
+        }
+    }
+}
+
+impl<C: Clock> ClockAligner<C> {
+    /// A message with this stamp arrived.
+    pub fn arrived(&mut self, stamp: WireStamp, arrival: Stamp<HostClock>) -> Unwrapped<C> {
+        let unwrapped = self.unwrapper.unwrap(stamp, arrival);
+        let remote = match unwrapped {
+            Unwrapped::Continued(remote) => remote,
+            Unwrapped::Restarted(remote) => {
+                self.forget();
+                remote
+            }
+        };
+        self.step_micros =
+            greatest_common_divisor(self.step_micros, remote.as_micros().unsigned_abs());
+        let (remote_s, host_s) = self.relative(remote, arrival);
+        self.bounds.arrived(remote_s, host_s);
+        if self.answers < ANSWERS_NEEDED {
+            let waited = self
+                .origin
+                .is_some_and(|(_, first)| arrival - first >= ONE_WAY_AFTER);
+            if waited {
+                self.line = self.bounds.one_way_line(remote_s, ONE_WAY_DELAY_S);
+            }
+        }
+        unwrapped
+    }
+
+    /// A request that left at `sent` was answered with the remote clock's `remote_nanos`; the answer came at `received`.
+    /// Returns the new alignment, or `None` while there is none.
+    pub fn exchanged(
+        &mut self,
+        sent: Stamp<HostClock>,
+        received: Stamp<HostClock>,
+        remote_nanos: i64,
+    ) -> (Unwrapped<C>, Option<Alignment<C>>) {
+        let stamp = WireStamp::Micros64(u64::try_from(remote_nanos.div_euclid(1_000)).unwrap_or(0));
+        let unwrapped = self.arrived(stamp, received);
+        let (Unwrapped::Continued(remote) | Unwrapped::Restarted(remote)) = unwrapped;
+        let (remote_s, sent_s) = self.relative(remote, sent);
+        let step_s = self.step_s();
+        self.bounds.left(sent_s - step_s, remote_s);
+        self.answers = self.answers.saturating_add(1);
+        self.round_trip = Some(received - sent);
+        if self.answers < ANSWERS_NEEDED {
+            return (unwrapped, None);
+        }
+        self.line = self.bounds.two_way_line(remote_s);
+        if self.line.is_none() {
+            // No straight line fits: the clock stepped without falling. Begin anew with this exchange.
+            self.forget();
+            let (remote_s, received_s) = self.relative(remote, received);
+            self.bounds.arrived(remote_s, received_s);
+            let (_, sent_s) = self.relative(remote, sent);
+            self.bounds.left(sent_s - step_s, remote_s);
+            self.answers = 1;
+        }
+        (unwrapped, self.alignment(remote, received - sent))
+    }
+
+    /// The instant of a stamp that is already unwrapped, on the host's clock, and how far it may be off.
+    #[must_use]
+    pub fn host_at(&self, remote: Stamp<C>) -> Option<(Stamp<HostClock>, Span)> {
+        let (line, (remote_zero, host_zero)) = (self.line?, self.origin?);
+        let since = remote - remote_zero;
+        let correction = Span::from_secs_f64(line.offset_at(since.as_secs_f64()));
+        Some((
+            host_zero + since + correction,
+            Span::from_secs_f64(line.uncertainty_s),
+        ))
+    }
+
+    /// The instant of the host's clock on the remote clock, and how far it may be off.
+    #[must_use]
+    pub fn remote_at(&self, host: Stamp<HostClock>) -> Option<(Stamp<C>, Span)> {
+        let (line, (remote_zero, host_zero)) = (self.line?, self.origin?);
+        // host = remote + offset + slope (remote - at), solved for remote, all relative to the zeros.
+        let host_s = (host - host_zero).as_secs_f64();
+        let excess_s = (line.offset_s + line.slope * (host_s - line.at_s)) / (1.0 + line.slope);
+        let remote = remote_zero + (host - host_zero) - Span::from_secs_f64(excess_s);
+        Some((remote, Span::from_secs_f64(line.uncertainty_s)))
+    }
+
+    /// Round trip of the last exchange.
+    #[must_use]
+    pub fn round_trip(&self) -> Option<Span> {
+        self.round_trip
+    }
+
+    /// How far a converted stamp may be off.
+    #[must_use]
+    pub fn uncertainty(&self) -> Option<Span> {
+        self.line
+            .map(|line| Span::from_secs_f64(line.uncertainty_s))
+    }
+
+    fn alignment(&self, remote: Stamp<C>, round_trip: Span) -> Option<Alignment<C>> {
+        let (host, uncertainty) = self.host_at(remote)?;
+        let line = self.line?;
+        Some(Alignment {
+            remote,
+            host,
+            offset: Span::from_nanos(remote.as_nanos().saturating_sub(host.as_nanos())),
+            skew_ppm: (1.0 / (1.0 + line.slope) - 1.0) * 1e6,
+            uncertainty,
+            round_trip,
+        })
+    }
+
+    fn relative(&mut self, remote: Stamp<C>, host: Stamp<HostClock>) -> (f64, f64) {
+        let (remote_zero, host_zero) = *self.origin.get_or_insert((remote, host));
+        (
+            (remote - remote_zero).as_secs_f64(),
+            (host - host_zero).as_secs_f64(),
+        )
+    }
+
+    /// What a counter shows may be as old as its step: by so much the lower bound must give way.
+    fn step_s(&self) -> f64 {
+        (self.step_micros as f64 * 1e-6).clamp(1e-6, LARGEST_STEP_S)
+    }
+
+    fn forget(&mut self) {
+        let (unwrapper, step_micros) = (self.unwrapper, self.step_micros);
+        *self = Self {
+            unwrapper,
+            step_micros,
+            ..Self::default()
+        };
+    }
+}
+
+fn greatest_common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 {
+        a
+    } else {
+        greatest_common_divisor(b, a % b)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::BrickClock;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    /// A link as bricks-and-links has it: a fixed delay and an exponential one each way, in order; and a brick clock.
+    struct Link {
+        rng: Pcg64,
+        skew_ppm: f64,
+        forth_s: f64,
+        back_s: f64,
+        step_s: f64,
+    }
+
+    impl Link {
+        fn delay(&mut self, base_s: f64) -> f64 {
+            base_s - 0.008 * (1.0 - self.rng.random::<f64>()).ln()
+        }
+        fn brick_s(&self, host_s: f64) -> f64 {
+            let exact = 1234.5 + host_s * (1.0 + self.skew_ppm * 1e-6);
+            if self.step_s > 0.0 {
+                (exact / self.step_s).floor() * self.step_s
+            } else {
+                exact
+            }
+        }
+    }
+
+    /// Worst error of the alignment over the last 80 of 180 s, and whether the truth was always within the reported bounds, in s.
+    fn worst_error(mut link: Link) -> (f64, bool) {
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        let (mut worst, mut always_inside) = (0.0_f64, true);
+        for k in 0..1800 {
+            let sent_s = f64::from(k) * 0.1;
+            let at_brick_s = sent_s + link.delay(link.forth_s);
+            let received_s = at_brick_s + link.delay(link.back_s);
+            let brick_nanos = (link.brick_s(at_brick_s) * 1e9).round() as i64;
+            aligner.exchanged(
+                Stamp::from_secs_f64(sent_s),
+                Stamp::from_secs_f64(received_s),
+                brick_nanos,
+            );
+            // Asked for the true brick instant of now, the alignment should say now.
+            let brick_now =
+                Stamp::from_secs_f64(1234.5 + received_s * (1.0 + link.skew_ppm * 1e-6));
+            if let Some((host, uncertainty)) = aligner.host_at(brick_now) {
+                let error_s = host.as_secs_f64() - received_s;
+                always_inside &= error_s.abs() <= uncertainty.as_secs_f64() + link.step_s;
+                if k >= 1000 {
+                    worst = worst.max(error_s.abs());
+                }
+            }
+        }
+        (worst, always_inside)
+    }
+
+    #[test]
+    fn a_skewed_clock_behind_a_bluetooth_link_is_known_to_a_tenth_of_a_millisecond() {
+        for (seed, skew_ppm) in [(1, 50.0), (2, 2021.0), (3, -2000.0)] {
+            let link = Link {
+                rng: Pcg64::seed_from_u64(seed),
+                skew_ppm,
+                forth_s: 0.015,
+                back_s: 0.015,
+                step_s: 0.0,
+            };
+            let (worst_s, inside) = worst_error(link);
+            println!("{skew_ppm} ppm: worst {:.3} ms", worst_s * 1e3);
+            assert!(worst_s < 0.1e-3, "{skew_ppm} ppm: {worst_s} s");
+            assert!(inside, "{skew_ppm} ppm");
+        }
+    }
+
+    #[test]
+    fn an_asymmetry_that_cannot_be_seen_stays_within_the_bounds() {
+        let link = Link {
+            rng: Pcg64::seed_from_u64(4),
+            skew_ppm: 100.0,
+            forth_s: 0.030,
+            back_s: 0.015,
+            step_s: 0.0,
+        };
+        let (worst_s, inside) = worst_error(link);
+        assert!(inside && (worst_s - 0.0075).abs() < 0.3e-3, "{worst_s}");
+    }
+
+    #[test]
+    fn a_counter_of_whole_milliseconds_contradicts_no_bound_on_a_fast_link() {
+        let mut link = Link {
+            rng: Pcg64::seed_from_u64(5),
+            skew_ppm: 100.0,
+            forth_s: 0.0,
+            back_s: 0.0,
+            step_s: 0.001,
+        };
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        for k in 0..600 {
+            let sent_s = f64::from(k) * 0.1 + 0.001 * link.rng.random::<f64>();
+            let brick_nanos = (link.brick_s(sent_s + 20e-6) * 1e9).round() as i64;
+            let (_, alignment) = aligner.exchanged(
+                Stamp::from_secs_f64(sent_s),
+                Stamp::from_secs_f64(sent_s + 40e-6),
+                brick_nanos,
+            );
+            assert!(k < 3 || alignment.is_some(), "exchange {k}");
+        }
+        assert_eq!(aligner.step_micros, 1_000);
+    }
+
+    #[test]
+    fn a_restart_begins_anew_and_there_and_back_is_the_identity() {
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        for k in 0..20_i64 {
+            let sent = Stamp::from_millis(k * 100);
+            aligner.exchanged(
+                sent,
+                Stamp::from_millis(k * 100 + 30),
+                (900_000 + k * 100 + 15) * 1_000_000 + k * 1_000,
+            );
+        }
+        let (host, _) = aligner.host_at(Stamp::from_millis(901_000)).unwrap();
+        assert!((host.as_secs_f64() - 1.0).abs() < 1e-3, "{host:?}");
+        let (back, _) = aligner.remote_at(host).unwrap();
+        assert!((back - Stamp::from_millis(901_000)).as_nanos().abs() <= 2);
+        let (unwrapped, _) = aligner.exchanged(
+            Stamp::from_millis(2_500),
+            Stamp::from_millis(2_530),
+            5_000_000,
+        );
+        assert_eq!(unwrapped, Unwrapped::Restarted(Stamp::from_millis(5)));
+        assert!(aligner.host_at(Stamp::from_millis(6)).is_none());
+    }
+
+    #[test]
+    fn without_answers_the_one_way_line_takes_over() {
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        for k in 0..100_i64 {
+            aligner.arrived(
+                WireStamp::Millis32((5_000 + k * 50) as u32),
+                Stamp::from_millis(k * 50 + 10 + (k * 7) % 13),
+            );
+        }
+        let (host, uncertainty) = aligner.host_at(Stamp::from_millis(9_000)).unwrap();
+        assert!((host.as_secs_f64() - 4.0).abs() < 2e-3, "{host:?}");
+        assert_eq!(uncertainty, Span::from_millis(10));
+    }
+}

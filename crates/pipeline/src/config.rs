@@ -1,0 +1,106 @@
+//! What a pipeline is built from. Plain values: parsing and merging of files is the program's business.
+
+use posebridge_estimator::FilterConfig;
+use posebridge_protocol::framing::Framing;
+use posebridge_telemetry::{Address, Body, LinkId, Point2, Span, SystemId};
+
+/// Everything that decides what a pipeline does with its inputs. Same configuration and same inputs: same outputs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PipelineConfig {
+    /// The station's own address on every link.
+    pub own: Address,
+    /// Name of a row of [`posebridge_estimator::FILTERS`].
+    pub filter: String,
+    /// Geometry, noise, start and tunables of the filter.
+    pub filter_config: FilterConfig,
+    /// Whether a robot's own description replaces the configured geometry.
+    pub description: DescriptionPolicy,
+    /// Which system is the robot; `None` takes the first that is heard.
+    pub robot_system: Option<SystemId>,
+    /// Where the camera's tag sits on the robot, if fixes are of a tag and not of mid-axle.
+    pub tag_in_body: Point2<Body>,
+    /// How often to ask the brick and the camera for their time, once the first answers are in.
+    pub timesync_period: Span,
+    /// Messages that the brick is asked to send, with their interval.
+    pub wanted: Vec<(u32, Span)>,
+    /// The links, by id.
+    pub links: Vec<LinkConfig>,
+}
+
+/// Whether a robot's own description is believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DescriptionPolicy {
+    /// The configured geometry stands.
+    Ignore,
+    /// The robot's own words replace it.
+    Adopt,
+}
+
+/// One link and what goes out on it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkConfig {
+    /// Its id.
+    pub id: LinkId,
+    /// How it cuts its bytes.
+    pub framing: Framing,
+    /// MAVLink 1 is accepted only when asked for.
+    pub version: AcceptedVersions,
+    /// What is sent there.
+    pub outputs: Vec<OutputStream>,
+}
+
+/// Which MAVLink versions a link accepts. It always sends version 2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AcceptedVersions {
+    /// Only MAVLink 2.
+    V2,
+    /// MAVLink 1 too.
+    V1AndV2,
+}
+
+/// One kind of message that is sent on a link as estimates come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutputStream {
+    /// Which message.
+    pub kind: OutputKind,
+    /// At least this long between two of them; zero sends one with every estimate.
+    pub interval: Span,
+    /// For which instant.
+    pub instant: OutputInstant,
+}
+
+/// The messages in which an estimate can leave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputKind {
+    /// PB_PLANAR_POSE, compact.
+    PlanarPose,
+    /// ODOMETRY.
+    Odometry,
+    /// LOCAL_POSITION_NED.
+    LocalPosition,
+    /// ATTITUDE.
+    Attitude,
+    /// ESTIMATOR_STATUS.
+    EstimatorStatus,
+    /// PB_FUSION_HEALTH, one per observation that could be held against a prediction.
+    FusionHealth,
+}
+
+/// Every output, with the name that the configuration uses.
+pub const OUTPUTS: &[(&str, OutputKind)] = &[
+    ("planar_pose", OutputKind::PlanarPose),
+    ("odometry", OutputKind::Odometry),
+    ("local_position", OutputKind::LocalPosition),
+    ("attitude", OutputKind::Attitude),
+    ("estimator_status", OutputKind::EstimatorStatus),
+    ("fusion_health", OutputKind::FusionHealth),
+];
+
+/// For which instant an estimate is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputInstant {
+    /// That of the last observation.
+    Observed,
+    /// That at which it will arrive, by prediction.
+    Arrival,
+}

@@ -1,0 +1,177 @@
+//! From messages to observations: what a message says about the robot, and by which clock it is stamped.
+
+use posebridge_protocol::message::{
+    Inertial, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks, WireStamp,
+};
+use posebridge_telemetry::{
+    Body, DriveGeometry, Fix, Observed, Point2, PositionCovariance, Radians, SensorId,
+};
+
+/// Whose clock stamped a reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StampedBy {
+    /// The robot's own.
+    Brick,
+    /// That of an observer outside.
+    Observer,
+}
+
+/// What a message says, before its stamp is aligned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Reading {
+    pub(crate) sensor: SensorId,
+    pub(crate) stamp: WireStamp,
+    pub(crate) stamped_by: StampedBy,
+    pub(crate) observed: Observed,
+    /// The gyro's turn since power-up, where the sender tells it: a lost frame then costs nothing.
+    pub(crate) gyro_turn: Option<Radians>,
+}
+
+/// What interpretation needs to know about the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Interpreter {
+    pub(crate) geometry: DriveGeometry,
+    pub(crate) tag_in_body: Point2<Body>,
+}
+
+impl Interpreter {
+    /// What a message says about the robot: none, one or two readings.
+    pub(crate) fn readings(&self, message: &Message) -> [Option<Reading>; 2] {
+        match message {
+            Message::WheelTicks(ticks) => [Some(self.wheel_ticks(ticks)), None],
+            Message::WheelDistance { stamp, left, right } => {
+                let observed = Observed::WheelAngles {
+                    left: Radians(left.0 / self.geometry.left_wheel_radius.0),
+                    right: Radians(right.0 / self.geometry.right_wheel_radius.0),
+                };
+                [Some(by_brick(SensorId::WHEELS, *stamp, observed)), None]
+            }
+            Message::Inertial(inertial) => inertial_readings(inertial),
+            Message::ScaledImu(imu) | Message::HighresImu(imu) => [imu_reading(imu), None],
+            Message::DistanceSensor { stamp, range, .. } => [
+                Some(by_brick(
+                    SensorId::RANGE,
+                    *stamp,
+                    Observed::WallRange(*range),
+                )),
+                None,
+            ],
+            Message::VisionPosition(fix) | Message::MocapPosition(fix) => {
+                [Some(self.fix(fix)), None]
+            }
+            Message::Odometry(odometry) => [Some(odometry_reading(odometry)), None],
+            Message::Heartbeat(_)
+            | Message::SystemTime { .. }
+            | Message::TimeSync(_)
+            | Message::SetMessageInterval(_)
+            | Message::Command(_)
+            | Message::CommandAck(_)
+            | Message::StatusText { .. }
+            | Message::PlanarPose(_)
+            | Message::FusionHealth(_)
+            | Message::RobotDescription(_)
+            | Message::LocalPosition { .. }
+            | Message::Attitude { .. }
+            | Message::EstimatorStatus(_)
+            | Message::ParamRequestList { .. }
+            | Message::ParamRequestRead { .. }
+            | Message::ParamSet { .. }
+            | Message::ParamValue { .. } => [None, None],
+        }
+    }
+
+    fn wheel_ticks(&self, ticks: &WheelTicks) -> Reading {
+        let tick_rad = self.geometry.tick.0;
+        let observed = Observed::WheelAngles {
+            left: Radians(ticks.left.0 as f64 * tick_rad),
+            right: Radians(ticks.right.0 as f64 * tick_rad),
+        };
+        by_brick(SensorId::WHEELS, ticks.stamp, observed)
+    }
+
+    fn fix(&self, seen: &VisionFix) -> Reading {
+        let covariance =
+            seen.covariance
+                .map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| PositionCovariance {
+                    xx_m2,
+                    xy_m2,
+                    yy_m2,
+                    heading_rad2,
+                });
+        Reading {
+            sensor: SensorId::CAMERA,
+            stamp: seen.stamp,
+            stamped_by: StampedBy::Observer,
+            gyro_turn: None,
+            observed: Observed::Fix(Fix {
+                position: Point2::new(seen.x, seen.y),
+                heading: seen.heading,
+                covariance,
+                tag_in_body: self.tag_in_body,
+                reset_counter: seen.reset_counter,
+            }),
+        }
+    }
+}
+
+fn by_brick(sensor: SensorId, stamp: WireStamp, observed: Observed) -> Reading {
+    Reading {
+        sensor,
+        stamp,
+        stamped_by: StampedBy::Brick,
+        observed,
+        gyro_turn: None,
+    }
+}
+
+fn inertial_readings(inertial: &Inertial) -> [Option<Reading>; 2] {
+    let rate = inertial.turn_rate.map(|rate| Reading {
+        gyro_turn: inertial.turn,
+        ..by_brick(SensorId::GYRO, inertial.stamp, Observed::TurnRate(rate))
+    });
+    let accelerations = inertial.wheel_accelerations.map(|(left, right)| {
+        by_brick(
+            SensorId::ACCELEROMETER,
+            inertial.stamp,
+            Observed::WheelAccelerations { left, right },
+        )
+    });
+    [rate, accelerations]
+}
+
+fn imu_reading(imu: &PlanarImu) -> Option<Reading> {
+    imu.turn_rate
+        .map(|rate| by_brick(SensorId::GYRO, imu.stamp, Observed::TurnRate(rate)))
+}
+
+fn odometry_reading(odometry: &Odometry) -> Reading {
+    match odometry.pose {
+        OdometryPose::Odom(pose) => by_brick(
+            SensorId::ODOMETER,
+            odometry.stamp,
+            Observed::OdometerPose(pose),
+        ),
+        OdometryPose::Arena(pose) => {
+            Reading {
+                sensor: SensorId::CAMERA,
+                stamp: odometry.stamp,
+                stamped_by: StampedBy::Observer,
+                gyro_turn: None,
+                observed: Observed::Fix(Fix {
+                    position: pose.origin(),
+                    heading: Some(pose.heading),
+                    covariance: odometry.covariance.map(
+                        |[xx_m2, xy_m2, _, yy_m2, _, heading_rad2]| PositionCovariance {
+                            xx_m2,
+                            xy_m2,
+                            yy_m2,
+                            heading_rad2,
+                        },
+                    ),
+                    tag_in_body: Point2::ORIGIN,
+                    reset_counter: odometry.reset_counter,
+                }),
+            }
+        }
+    }
+}

@@ -1,0 +1,21 @@
+//! The engine: decode, align clocks, estimate, publish, as one deterministic value.
+//!
+//! [`Pipeline`] takes what links, people and recordings give it and gives back events and bytes to send. It reads no
+//! clock, opens nothing and knows no runtime; live runs, replays, simulations and tests drive the very same object.
+//!
+//! ```text
+//! bytes > framing > messages > readings > clock > estimator > publisher > events, bytes
+//! ```
+
+pub mod clock;
+pub mod config;
+mod engine;
+mod interpret;
+mod link_state;
+mod publish;
+
+pub use config::{
+    AcceptedVersions, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputKind,
+    OutputStream, PipelineConfig,
+};
+pub use engine::{BuildError, Pipeline};

@@ -1,0 +1,98 @@
+//! What the pipeline keeps for one link: scanner, encoder, sequence numbers, session, counters.
+
+use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::framing::{Scanner, ScannerConfig, SequenceTracker, WireVersion};
+use posebridge_protocol::message::Heartbeat;
+use posebridge_protocol::session::{Session, SessionConfig};
+use posebridge_telemetry::{HostClock, LinkHealth, LinkState, Span, Stamp};
+
+use crate::config::{AcceptedVersions, LinkConfig, PipelineConfig};
+use crate::publish::Publisher;
+
+/// MAV_TYPE_ONBOARD_CONTROLLER.
+const ONBOARD_CONTROLLER: u8 = 18;
+/// MAV_AUTOPILOT_INVALID: not an autopilot.
+const NOT_AN_AUTOPILOT: u8 = 8;
+/// MAV_STATE_ACTIVE.
+const ACTIVE: u8 = 4;
+/// The common interval of heartbeats.
+const HEARTBEAT_PERIOD: Span = Span::from_millis(1_000);
+/// Five missed heartbeats: the usual limit of ground stations.
+const PEER_TIMEOUT: Span = Span::from_millis(5_000);
+
+/// One link.
+pub(crate) struct Link {
+    pub(crate) config: LinkConfig,
+    pub(crate) scanner: Scanner,
+    pub(crate) encoder: Encoder,
+    pub(crate) sequences: SequenceTracker,
+    pub(crate) session: Session<HostClock>,
+    pub(crate) publisher: Publisher,
+    pub(crate) state: LinkState,
+    pub(crate) health: LinkHealth,
+    /// What earlier scanners of this link had counted.
+    scanned_before: LinkHealth,
+}
+
+impl Link {
+    pub(crate) fn new(
+        config: &LinkConfig,
+        pipeline: &PipelineConfig,
+        now: Stamp<HostClock>,
+    ) -> Self {
+        Self {
+            config: config.clone(),
+            scanner: new_scanner(config),
+            encoder: Encoder::new(WireVersion::V2),
+            sequences: SequenceTracker::new(),
+            session: Session::new(session_config(pipeline), now),
+            publisher: Publisher::new(&config.outputs),
+            state: LinkState::Down,
+            health: LinkHealth::default(),
+            scanned_before: LinkHealth::default(),
+        }
+    }
+
+    /// The link was lost: what was half received will never be completed.
+    pub(crate) fn restart(&mut self) {
+        self.refresh_health();
+        self.scanned_before = self.health;
+        self.scanner = new_scanner(&self.config);
+        self.sequences = SequenceTracker::new();
+    }
+
+    /// Brings the scanner's counters into the health record.
+    pub(crate) fn refresh_health(&mut self) {
+        let counters = self.scanner.counters();
+        self.health.frames_in = self.scanned_before.frames_in + counters.frames;
+        self.health.checksum_errors =
+            self.scanned_before.checksum_errors + counters.checksum_errors;
+        self.health.garbage_bytes = self.scanned_before.garbage_bytes + counters.garbage_bytes;
+        self.health.unknown_ids = self.scanned_before.unknown_ids + counters.unknown_ids;
+        self.health.stalls = self.scanned_before.stalls + counters.stalls;
+    }
+}
+
+fn new_scanner(config: &LinkConfig) -> Scanner {
+    Scanner::new(ScannerConfig {
+        accept_v1: config.version == AcceptedVersions::V1AndV2,
+        transport: config.framing,
+        ..ScannerConfig::default()
+    })
+}
+
+fn session_config(pipeline: &PipelineConfig) -> SessionConfig {
+    SessionConfig {
+        own: pipeline.own,
+        heartbeat: Heartbeat {
+            vehicle_type: ONBOARD_CONTROLLER,
+            autopilot: NOT_AN_AUTOPILOT,
+            base_mode: 0,
+            system_status: ACTIVE,
+        },
+        heartbeat_period: HEARTBEAT_PERIOD,
+        timesync_period: Some(pipeline.timesync_period),
+        peer_timeout: PEER_TIMEOUT,
+        wanted: pipeline.wanted.clone(),
+    }
+}
