@@ -1,0 +1,256 @@
+//! Every flag of the program, and nothing else.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use posebridge_link::TRANSPORTS;
+
+use crate::config::Setting;
+
+/// Ground station for robots that are too weak to filter for themselves.
+///
+/// Without a subcommand it runs the station with a simulated brick on a pseudo-terminal.
+#[derive(Debug, Parser)]
+#[command(name = "posebridge", version, about, long_about, after_long_help = links_help())]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run the station: telemetry in, pose estimates back, everything recorded.
+    #[command(after_long_help = links_help())]
+    Run(RunArgs),
+    /// Run the simulated brick as a process of its own.
+    #[command(after_long_help = links_help())]
+    Sim(SimArgs),
+    /// Play a recording of a real robot out of a link, as a brick would.
+    #[command(after_long_help = links_help())]
+    Play(PlayArgs),
+    /// Run the estimators over a recording, offline.
+    Replay(ReplayArgs),
+    /// Print, check or describe the configuration.
+    Config(ConfigArgs),
+    /// Print a completion script for a shell.
+    Completions(CompletionsArgs),
+}
+
+impl Default for Command {
+    fn default() -> Self {
+        Self::Run(RunArgs::default())
+    }
+}
+
+/// Flags that change the configuration.
+#[derive(Args, Clone, Debug, Default)]
+pub struct ConfigFlags {
+    /// Configuration file; without it the embedded default (`posebridge config print`).
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Set one key of the configuration, e.g. robot.track_width_m=0.112; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
+    pub settings: Vec<Setting>,
+}
+
+/// Flags of `run`.
+#[derive(Args, Clone, Debug, Default)]
+pub struct RunArgs {
+    /// Configuration.
+    #[command(flatten)]
+    pub config: ConfigFlags,
+    /// Call this link; may be repeated, replaces the links of the configuration.
+    #[arg(long = "link", value_name = "URL")]
+    pub links: Vec<String>,
+    /// Wait for a call on this link; may be repeated.
+    #[arg(long = "listen", value_name = "URL")]
+    pub listen: Vec<String>,
+    /// Take the robot from this file's [robot] table: a robot profile or a recording's descriptor.
+    #[arg(long, value_name = "FILE")]
+    pub robot: Option<PathBuf>,
+    /// Filter to use; see `posebridge config schema`.
+    #[arg(long, value_name = "NAME")]
+    pub filter: Option<String>,
+    /// Seed of the simulated brick, instead of its scenario's.
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Folder for recording and pictures, instead of one named after the time.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Do not record.
+    #[arg(long)]
+    pub no_record: bool,
+    /// Write every event as a line of text.
+    #[arg(long, value_name = "FILE")]
+    pub events: Option<PathBuf>,
+    /// End after this many seconds.
+    #[arg(long, value_name = "SECONDS")]
+    pub duration: Option<f64>,
+    /// End when no link has brought a byte for this many seconds, once one has.
+    #[arg(long, value_name = "SECONDS")]
+    pub until_silent: Option<f64>,
+}
+
+/// How the simulated brick steers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SteerBy {
+    /// By its own dead reckoning.
+    Odometry,
+    /// By the estimate that comes back.
+    Estimate,
+}
+
+/// Flags of `sim`.
+#[derive(Args, Clone, Debug)]
+pub struct SimArgs {
+    /// A bundled scenario's name (square, circle, figure-eight, waypoints, straight, rough) or a TOML file.
+    #[arg(default_value = "square")]
+    pub scenario: String,
+    /// Wait for the station on this link, e.g. pty:brick.tty or tcp://127.0.0.1:5760.
+    #[arg(
+        long,
+        value_name = "URL",
+        required_unless_present = "link",
+        conflicts_with = "link"
+    )]
+    pub listen: Option<String>,
+    /// Call the station on this link, e.g. udp://127.0.0.1:14550.
+    #[arg(long, value_name = "URL")]
+    pub link: Option<String>,
+    /// Seed, instead of the scenario's.
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Laps, instead of the scenario's.
+    #[arg(long)]
+    pub laps: Option<u32>,
+    /// By what to steer, instead of what the scenario says.
+    #[arg(long, value_enum)]
+    pub steer: Option<SteerBy>,
+    /// Write the truth to this CSV file at the end; it never goes over the link.
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+}
+
+/// Flags that choose what to read of a recording of a real robot.
+#[derive(Args, Clone, Debug)]
+pub struct DataFlags {
+    /// Where a descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Which runs of a descriptor: all whose names begin so.
+    #[arg(long = "run", value_name = "PREFIX")]
+    pub run: Option<String>,
+    /// Use every n-th fix and score on the rest, instead of what the descriptor says; 0 uses none.
+    #[arg(long, value_name = "N")]
+    pub use_every: Option<usize>,
+    /// Set one key of the robot's table, e.g. track_width_m=0.155 or noise.fix_position_m=0.02; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
+    pub settings: Vec<Setting>,
+}
+
+/// Flags of `play`.
+#[derive(Args, Clone, Debug)]
+pub struct PlayArgs {
+    /// A recording's descriptor (config/recordings/*.toml).
+    pub descriptor: PathBuf,
+    /// Wait for the station on this link.
+    #[arg(
+        long,
+        value_name = "URL",
+        required_unless_present = "link",
+        conflicts_with = "link"
+    )]
+    pub listen: Option<String>,
+    /// Call the station on this link.
+    #[arg(long, value_name = "URL")]
+    pub link: Option<String>,
+    /// What to read.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// How much faster than real time.
+    #[arg(long, default_value_t = 1.0, value_name = "FACTOR")]
+    pub speed: f64,
+    /// Begin at once instead of when the station has been heard.
+    #[arg(long)]
+    pub at_once: bool,
+}
+
+/// Flags of `replay`.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// A recording (*.mcap) or a recording's descriptor (*.toml).
+    pub recording: PathBuf,
+    /// What to read of a descriptor's data.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// Estimators to run; may be repeated.
+    #[arg(long = "filter", value_name = "NAME")]
+    pub filters: Vec<String>,
+    /// Truth written by `posebridge sim --truth`, to score a recording against.
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Write every event as a line of text.
+    #[arg(long, value_name = "FILE")]
+    pub events: Option<PathBuf>,
+    /// Write the picture here.
+    #[arg(long, value_name = "FILE.svg")]
+    pub figure: Option<PathBuf>,
+    /// Print one JSON object (docs/replay-json.md) instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Flags of `config`.
+#[derive(Args, Clone, Debug)]
+pub struct ConfigArgs {
+    /// What to do with it.
+    #[command(subcommand)]
+    pub action: ConfigAction,
+}
+
+/// What to do with the configuration.
+#[derive(Clone, Debug, Subcommand)]
+pub enum ConfigAction {
+    /// Print every key with its value and where it comes from.
+    Print(ConfigFlags),
+    /// Check a configuration and say nothing if it is good.
+    Check(ConfigFlags),
+    /// Print the JSON schema.
+    Schema,
+}
+
+/// Flags of `completions`.
+#[derive(Args, Clone, Debug)]
+pub struct CompletionsArgs {
+    /// The shell.
+    pub shell: clap_complete::Shell,
+}
+
+/// The kinds of link, from the table.
+fn links_help() -> String {
+    use std::fmt::Write as _;
+    let mut help = String::from(
+        "Links:\n  sim://NAME             a simulated brick of our own, on a pseudo-terminal (sim://square)\n",
+    );
+    for transport in TRANSPORTS {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            help,
+            "  {:<22} {}",
+            transport.example(),
+            transport.summary()
+        );
+        for option in transport.options() {
+            let _ = writeln!(
+                help,
+                "      ?{}={}  {}",
+                option.name,
+                option.kind.default_text(),
+                option.help
+            );
+        }
+    }
+    help
+}

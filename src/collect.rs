@@ -1,0 +1,143 @@
+//! What a run leaves behind for tables and pictures, gathered from its events.
+
+use posebridge_analysis::{FixMark, SourceTally, TimedPose, Track};
+use posebridge_telemetry::{
+    Arena, Estimate, Event, FusionRecord, LinkHealth, Observed, Point2, Span,
+};
+
+/// So many estimates are kept; from then on every second one is, and so on: a run of days must not fill the memory.
+const KEPT: usize = 50_000;
+/// A track is not interpolated across a longer silence.
+pub const LONGEST_GAP: Span = Span::from_millis(1_000);
+
+/// Gathers.
+#[derive(Debug, Default)]
+pub struct Collector {
+    /// Estimates whose position and heading were valid.
+    pub estimates: Thinned<Estimate>,
+    /// Fixes with what became of them.
+    pub fixes: Thinned<FixMark>,
+    /// How the observations of each sensor fared.
+    pub sources: Vec<SourceTally>,
+    /// How many observations came.
+    pub observations: u64,
+    /// The last word on each link's health.
+    pub health: LinkHealth,
+    last_fix: Option<Point2<Arena>>,
+}
+
+impl Collector {
+    /// Takes an event.
+    pub fn take(&mut self, event: &Event) {
+        match event {
+            Event::Observed { observation, .. } => {
+                self.observations += 1;
+                self.last_fix = match observation.observed {
+                    Observed::Fix(fix) => Some(fix.position),
+                    _ => None,
+                };
+            }
+            Event::Fused { record, .. } => self.take_record(record),
+            Event::Estimated { estimate, .. }
+                if estimate.validity.position && estimate.validity.heading =>
+            {
+                self.estimates.push(*estimate);
+            }
+            Event::Health { health, .. } => self.health = *health,
+            _ => {}
+        }
+    }
+
+    fn take_record(&mut self, record: &FusionRecord) {
+        match self
+            .sources
+            .iter_mut()
+            .find(|tally| tally.sensor == record.sensor)
+        {
+            Some(tally) => tally.add(record),
+            None => {
+                let mut tally = SourceTally::new(record.sensor);
+                tally.add(record);
+                self.sources.push(tally);
+            }
+        }
+        if let Some(position) = self.last_fix {
+            self.fixes.push(FixMark {
+                stamp: record.stamp,
+                position,
+                verdict: record.verdict,
+            });
+        }
+    }
+
+    /// The estimates as a track.
+    #[must_use]
+    pub fn track(&self) -> Track {
+        let samples = self.estimates.items().iter().map(|estimate| TimedPose {
+            stamp: estimate.stamp,
+            pose: estimate.pose,
+        });
+        Track::new(samples, LONGEST_GAP)
+    }
+}
+
+/// A list that keeps every item, then every second, then every fourth, so that it never holds more than a fixed number.
+#[derive(Debug)]
+pub struct Thinned<T> {
+    items: Vec<T>,
+    stride: usize,
+    seen: usize,
+}
+
+impl<T> Default for Thinned<T> {
+    fn default() -> Self {
+        Self {
+            items: Vec::new(),
+            stride: 1,
+            seen: 0,
+        }
+    }
+}
+
+impl<T> Thinned<T> {
+    fn push(&mut self, item: T) {
+        if self.seen.is_multiple_of(self.stride) {
+            self.items.push(item);
+        }
+        self.seen += 1;
+        if self.items.len() >= KEPT {
+            let mut index = 0;
+            self.items.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.stride *= 2;
+        }
+    }
+
+    /// The items that were kept, oldest first.
+    #[must_use]
+    pub fn items(&self) -> &[T] {
+        &self.items
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thinned_list_stays_small_and_even() {
+        let mut list = Thinned::default();
+        for item in 0..4 * KEPT {
+            list.push(item);
+        }
+        assert!(list.items().len() < KEPT);
+        let steps: Vec<usize> = list
+            .items()
+            .windows(2)
+            .map(|pair| pair[1] - pair[0])
+            .collect();
+        assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
+    }
+}

@@ -1,0 +1,78 @@
+//! `posebridge config`: print the configuration with origins, check it, or print its schema.
+
+use super::{Failure, Stage};
+use crate::cli::{ConfigAction, ConfigArgs, ConfigFlags};
+use crate::config::{self, Config, Loaded};
+
+/// Prints, checks or describes.
+///
+/// # Errors
+/// The configuration makes no sense.
+#[expect(clippy::print_stdout, reason = "the result is data and goes to stdout")]
+pub fn execute(args: &ConfigArgs) -> Result<(), Failure> {
+    match &args.action {
+        ConfigAction::Print(flags) => {
+            let loaded = checked(flags)?;
+            print!("{}", config::print(&loaded).while_running()?);
+        }
+        ConfigAction::Check(flags) => {
+            checked(flags)?;
+        }
+        ConfigAction::Schema => {
+            let schema = serde_json::to_string_pretty(&schema()).while_running()?;
+            println!("{schema}");
+        }
+    }
+    Ok(())
+}
+
+fn checked(flags: &ConfigFlags) -> Result<Loaded, Failure> {
+    let loaded = config::load(flags.config.as_deref(), &flags.settings).at_start()?;
+    loaded.config.targets().at_start()?;
+    loaded.config.pipeline().at_start()?;
+    Ok(loaded)
+}
+
+/// The schema, with the filters and their tunables from their tables.
+#[must_use]
+pub fn schema() -> serde_json::Value {
+    let mut schema = schemars::schema_for!(Config).to_value();
+    let filters: Vec<_> = posebridge_estimator::FILTERS
+        .iter()
+        .map(|entry| entry.name)
+        .collect();
+    if let Some(section) = schema.pointer_mut("/$defs/FilterSection") {
+        section["properties"]["name"]["enum"] = serde_json::json!(filters);
+        for row in posebridge_estimator::PARAMS {
+            section["properties"][row.key] = serde_json::json!({
+                "type": "number",
+                "description": row.doc,
+                "default": row.default,
+                "minimum": row.range.start(),
+                "maximum": row.range.end(),
+                "unit": row.unit,
+            });
+        }
+        section["additionalProperties"] = serde_json::json!(false);
+    }
+    schema
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_schema_lists_every_tunable_of_the_filters() {
+        let schema = schema();
+        for row in posebridge_estimator::PARAMS {
+            let tunable = &schema["$defs"]["FilterSection"]["properties"][row.key];
+            assert_eq!(
+                tunable["default"],
+                serde_json::json!(row.default),
+                "{}",
+                row.key
+            );
+        }
+    }
+}

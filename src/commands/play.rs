@@ -1,0 +1,167 @@
+//! `posebridge play`: a recording of a real robot out of a link, as a brick would send it.
+//!
+//! Observations leave at the instants at which they arrived, in real time or faster, stamped by the recording's own clock. The
+//! player describes the robot, answers requests for its time and tells of itself once per second. Truth and withheld fixes stay
+//! here.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context, Result, bail};
+use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
+use posebridge_protocol::brick_player::BrickPlayer;
+use posebridge_telemetry::{HostClock, LinkId, Span, Stamp};
+
+use super::{Failure, Stage};
+use crate::cli::PlayArgs;
+use crate::data::{DataSet, RobotRun};
+
+/// The player looks after its session at least this often.
+const SESSION_PERIOD: Span = Span::from_millis(20);
+/// What was sent last must reach the station before the link closes.
+const AFTERGLOW: Span = Span::from_millis(300);
+
+/// Plays.
+///
+/// # Errors
+/// The descriptor, its files or the link make no sense.
+pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
+    if !(args.speed.is_finite() && args.speed > 0.0) {
+        return Err(anyhow::anyhow!(
+            "`--speed {}` must be more than zero",
+            args.speed
+        ))
+        .at_start();
+    }
+    let data = DataSet::open(&args.descriptor, &args.data).at_start()?;
+    let runs: Result<Vec<RobotRun>> = data
+        .runs
+        .iter()
+        .map(|name| data.load(name, &args.data))
+        .collect();
+    let runs = runs.at_start()?;
+    let (text, role) = match (&args.listen, &args.link) {
+        (Some(url), _) => (url, Role::Listen),
+        (None, Some(url)) => (url, Role::Dial),
+        (None, None) => return Err(anyhow::anyhow!("give --listen URL or --link URL")).at_start(),
+    };
+    let url = LinkUrl::parse(text).at_start()?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .at_start()?;
+    runtime.block_on(async {
+        let timer = HostTimer::start();
+        let name = url.to_string();
+        let mut port = Port::new(
+            PortConfig {
+                id: LinkId(0),
+                url,
+                role,
+            },
+            timer,
+        );
+        port.open_first()
+            .await
+            .with_context(|| format!("opening `{name}`"))
+            .at_start()?;
+        let mut player = Player {
+            port,
+            timer,
+            speed: args.speed,
+        };
+        for run in &runs {
+            tokio::select! {
+                result = player.play(run, args.at_once) => result.while_running()?,
+                () = super::run::interrupted() => return Ok(()),
+            }
+        }
+        Ok(())
+    })
+}
+
+struct Player {
+    port: Port,
+    timer: HostTimer,
+    speed: f64,
+}
+
+impl Player {
+    #[expect(clippy::print_stderr, reason = "talk goes to stderr")]
+    async fn play(&mut self, run: &RobotRun, at_once: bool) -> Result<()> {
+        let Some(first) = run.run.observations.first() else {
+            bail!("run `{}` is empty", run.run.name)
+        };
+        let mut brick = BrickPlayer::new(
+            first.observation.stamp,
+            run.filter_config.geometry,
+            &run.run.name,
+        );
+        if !at_once {
+            eprintln!("waiting for a station");
+            self.wait_for_station().await;
+        }
+        eprintln!(
+            "playing {}: {} observations",
+            run.run.name,
+            run.run.observations.len()
+        );
+        let start = self.timer.now();
+        let mut unsent: BTreeMap<&'static str, u64> = BTreeMap::new();
+        for timed in &run.run.observations {
+            let due = start + self.real_span(timed.arrival - first.arrival);
+            self.serve_until(due, start, &mut brick).await;
+            if !brick.send(&timed.observation) {
+                *unsent.entry(timed.observation.observed.kind()).or_default() += 1;
+            }
+            self.flush(&mut brick);
+        }
+        self.serve_until(self.timer.now() + AFTERGLOW, start, &mut brick)
+            .await;
+        for (kind, count) in unsent {
+            eprintln!("{count} observations of kind {kind} have no message and were not sent");
+        }
+        Ok(())
+    }
+
+    fn real_span(&self, span: Span) -> Span {
+        Span::from_secs_f64(span.as_secs_f64() / self.speed)
+    }
+
+    async fn wait_for_station(&mut self) {
+        while !matches!(self.port.next().await, PortEvent::Bytes { .. }) {}
+    }
+
+    /// Answers the station until `due`.
+    async fn serve_until(
+        &mut self,
+        due: Stamp<HostClock>,
+        start: Stamp<HostClock>,
+        brick: &mut BrickPlayer,
+    ) {
+        loop {
+            let now = self.timer.now();
+            let elapsed = Span::from_secs_f64((now - start).as_secs_f64() * self.speed);
+            brick.pass_time(elapsed);
+            self.flush(brick);
+            if now >= due {
+                return;
+            }
+            let wake = due.min(now + SESSION_PERIOD);
+            tokio::select! {
+                event = self.port.next() => {
+                    if let PortEvent::Bytes { bytes, .. } = event {
+                        brick.receive(&bytes);
+                    }
+                }
+                () = self.timer.sleep_until(wake) => {}
+            }
+        }
+    }
+
+    fn flush(&mut self, brick: &mut BrickPlayer) {
+        let bytes = brick.take_bytes();
+        if !bytes.is_empty() {
+            self.port.send(&bytes);
+        }
+    }
+}

@@ -1,0 +1,336 @@
+//! `posebridge replay`: the estimators over a recording, offline, with the same engine as live.
+//!
+//! A recording of ours (`*.mcap`) is given to the pipeline exactly as it was given live, so its events are those of the live run,
+//! bit for bit. A descriptor of a foreign recording (`*.toml`) is read into observations; each estimator is then scored against the
+//! truth or against the fixes that were withheld.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use posebridge_analysis::metrics::{errors_of_estimates, summarise};
+use posebridge_analysis::report::{estimator_table, source_table};
+use posebridge_analysis::{
+    ErrorSummary, EstimatorRow, FIGURES, RunLayers, SourceTally, TimedPose, Track, mean_over_runs,
+};
+use posebridge_link::HostTimer;
+use posebridge_pipeline::{DescriptionPolicy, Pipeline, PipelineConfig};
+use posebridge_recording::container::{Ending, Reader};
+use posebridge_telemetry::{Address, Input, Output, Point2, Span, Stamp};
+
+use super::{Failure, Stage};
+use crate::cli::ReplayArgs;
+use crate::collect::{Collector, LONGEST_GAP};
+use crate::config;
+use crate::data::{DataSet, RobotRun};
+use crate::report::json;
+use crate::score::{Scorer, pose_at};
+use crate::tasks::observer::{create, write_event};
+use crate::truth_file;
+
+/// The estimators of a foreign recording unless others are asked for.
+const USUAL_FILTERS: [&str; 2] = ["odometry", "pose"];
+
+/// What one estimator did over everything that was replayed.
+pub struct Outcome {
+    /// Its name.
+    pub name: String,
+    /// Its errors, the mean over the runs.
+    pub errors: ErrorSummary,
+    /// How each sensor's observations fared, over all runs.
+    pub sources: Vec<SourceTally>,
+}
+
+/// Everything that was replayed.
+pub struct Replayed {
+    /// The recording's name.
+    pub recording: String,
+    /// Names of the runs.
+    pub runs: Vec<String>,
+    /// How many observations one estimator was given.
+    pub observations: u64,
+    /// Rows that could not be used.
+    pub bad_rows: u64,
+    /// One per estimator.
+    pub outcomes: Vec<Outcome>,
+}
+
+/// Replays.
+///
+/// # Errors
+/// The recording cannot be read or makes no sense, or an output cannot be written.
+pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
+    let timer = HostTimer::start();
+    let is_descriptor = args
+        .recording
+        .extension()
+        .is_some_and(|extension| extension == "toml");
+    let replayed = if is_descriptor {
+        descriptor(args)
+    } else {
+        recording(args)
+    }
+    .at_start()?;
+    print(args, &replayed, timer.now() - Stamp::ZERO).while_running()
+}
+
+#[expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "the result is data and goes to stdout, talk to stderr"
+)]
+fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
+    if args.json {
+        println!("{}", json::text(replayed, wall, cpu_time()?)?);
+        return Ok(());
+    }
+    let rows: Vec<EstimatorRow<'_>> = replayed
+        .outcomes
+        .iter()
+        .map(|outcome| EstimatorRow {
+            name: &outcome.name,
+            errors: &outcome.errors,
+            runs: replayed.runs.len() as u64,
+        })
+        .collect();
+    println!(
+        "{}: {} observations, {} run(s)\n",
+        replayed.recording,
+        replayed.observations,
+        replayed.runs.len()
+    );
+    println!("{}", estimator_table(&rows));
+    for outcome in &replayed.outcomes {
+        println!("{}\n{}", outcome.name, source_table(&outcome.sources));
+    }
+    if replayed.bad_rows > 0 {
+        eprintln!("{} rows could not be used", replayed.bad_rows);
+    }
+    Ok(())
+}
+
+/// User and system time of this process.
+fn cpu_time() -> Result<Span> {
+    use nix::sys::resource::{UsageWho, getrusage};
+    let usage = getrusage(UsageWho::RUSAGE_SELF)?;
+    let micros = |time: nix::sys::time::TimeVal| {
+        Span::from_micros(time.tv_sec() * 1_000_000 + time.tv_usec())
+    };
+    Ok(micros(usage.user_time()) + micros(usage.system_time()))
+}
+
+/// A recording of ours.
+fn recording(args: &ReplayArgs) -> Result<Replayed> {
+    let name = args.recording.display().to_string();
+    let bytes = std::fs::read(&args.recording)
+        .with_context(|| format!("reading the recording `{name}`"))?;
+    let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
+    let loaded = config::load_text(
+        "the recording's own configuration",
+        &reader.header().config_toml,
+        &args.data.settings,
+    )?;
+    let mut pipeline = Pipeline::new(loaded.config.pipeline()?, Stamp::ZERO)?;
+    let mut collector = Collector::default();
+    let mut events = args.events.as_deref().map(create).transpose()?;
+    for item in &mut reader {
+        let (now, input) = item.with_context(|| format!("recording `{name}`"))?;
+        pipeline.handle(now, &input);
+        take_outputs(&mut pipeline, &mut collector, events.as_mut())?;
+    }
+    if let Some(mut events) = events {
+        events.flush()?;
+    }
+    if let Ending::Torn { offset, what } = reader.ending() {
+        tracing::warn!(offset, %what, "the recording was cut off; everything before was replayed");
+    }
+    let truth = args.truth.as_deref().map(read_truth).transpose()?;
+    let errors = truth.as_ref().map_or_else(ErrorSummary::default, |truth| {
+        summarise(&errors_of_estimates(collector.estimates.items(), truth))
+    });
+    draw(args, &name, &collector, truth.as_ref())?;
+    Ok(Replayed {
+        recording: name,
+        runs: vec!["recording".to_owned()],
+        observations: collector.observations,
+        bad_rows: 0,
+        outcomes: vec![Outcome {
+            name: loaded.config.filter.name,
+            errors,
+            sources: collector.sources,
+        }],
+    })
+}
+
+fn read_truth(path: &Path) -> Result<Track> {
+    let name = path.display();
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("reading the truth `{name}`"))?;
+    truth_file::read(&text).with_context(|| format!("truth `{name}`"))
+}
+
+fn take_outputs(
+    pipeline: &mut Pipeline,
+    collector: &mut Collector,
+    mut events: Option<&mut std::io::BufWriter<std::fs::File>>,
+) -> Result<()> {
+    while let Some(output) = pipeline.poll() {
+        if let Output::Event(event) = output {
+            collector.take(&event);
+            if let Some(file) = events.as_deref_mut() {
+                write_event(file, &event).context("writing the events")?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A foreign recording.
+fn descriptor(args: &ReplayArgs) -> Result<Replayed> {
+    let data = DataSet::open(&args.recording, &args.data)?;
+    let filters: Vec<String> = match args.filters.is_empty() {
+        true => USUAL_FILTERS
+            .iter()
+            .map(|name| (*name).to_owned())
+            .collect(),
+        false => args.filters.clone(),
+    };
+    let mut events = args.events.as_deref().map(create).transpose()?;
+    let mut observations = 0;
+    let mut bad_rows = 0;
+    let mut per_filter: Vec<(Vec<ErrorSummary>, Collector)> =
+        filters.iter().map(|_| Default::default()).collect();
+    for name in &data.runs {
+        let robot_run = data.load(name, &args.data)?;
+        observations += robot_run.run.observations.len() as u64;
+        bad_rows += tell_bad_rows(&robot_run);
+        for (filter, (summaries, collector)) in filters.iter().zip(&mut per_filter) {
+            let mut one = Collector::default();
+            let errors = replay_run(&robot_run, filter, &mut one, events.as_mut())?;
+            summaries.push(errors);
+            draw_run(
+                args,
+                &robot_run,
+                &one,
+                filter == filters.last().unwrap_or(filter),
+            )?;
+            merge(collector, one);
+        }
+    }
+    let outcomes = filters
+        .into_iter()
+        .zip(per_filter)
+        .map(|(name, (summaries, collector))| Outcome {
+            name,
+            errors: mean_over_runs(&summaries),
+            sources: collector.sources,
+        });
+    Ok(Replayed {
+        recording: data.descriptor.name.clone(),
+        outcomes: outcomes.collect(),
+        runs: data.runs,
+        observations,
+        bad_rows,
+    })
+}
+
+/// Names the rows that could not be used; they are counted and do not end the run.
+#[expect(clippy::print_stderr, reason = "talk goes to stderr")]
+fn tell_bad_rows(robot_run: &RobotRun) -> u64 {
+    let bad = &robot_run.run.bad_rows;
+    for row in &bad.named {
+        eprintln!("{}: {row}", robot_run.run.name);
+    }
+    for (reason, count) in &bad.counts {
+        eprintln!("{}: {count} rows: {}", robot_run.run.name, reason.name());
+    }
+    bad.total() as u64
+}
+
+fn replay_run(
+    robot_run: &RobotRun,
+    filter: &str,
+    collector: &mut Collector,
+    mut events: Option<&mut std::io::BufWriter<std::fs::File>>,
+) -> Result<ErrorSummary> {
+    let config = PipelineConfig {
+        own: Address::default(),
+        filter: filter.to_owned(),
+        filter_config: robot_run.filter_config,
+        description: DescriptionPolicy::Ignore,
+        robot_system: None,
+        tag_in_body: Point2::ORIGIN,
+        timesync_period: Span::from_millis(1_000),
+        wanted: vec![],
+        links: vec![],
+    };
+    let Some(first) = robot_run.run.observations.first() else {
+        bail!("the run is empty")
+    };
+    let mut pipeline = Pipeline::new(config, first.arrival)?;
+    let mut scorer = Scorer::new(&robot_run.run);
+    for timed in &robot_run.run.observations {
+        pipeline.handle(timed.arrival, &Input::Observation(timed.observation));
+        take_outputs(&mut pipeline, collector, events.as_deref_mut())?;
+        scorer.observed(
+            &timed.observation.observed,
+            timed.observation.stamp,
+            &pipeline,
+        );
+    }
+    scorer.finish(&pipeline);
+    Ok(summarise(&scorer.errors))
+}
+
+/// Adds one run's tallies to those of all runs.
+fn merge(all: &mut Collector, one: Collector) {
+    for tally in one.sources {
+        match all
+            .sources
+            .iter_mut()
+            .find(|known| known.sensor == tally.sensor)
+        {
+            Some(known) => known.absorb(&tally),
+            None => all.sources.push(tally),
+        }
+    }
+}
+
+fn draw_run(
+    args: &ReplayArgs,
+    robot_run: &RobotRun,
+    collector: &Collector,
+    is_last: bool,
+) -> Result<()> {
+    if !is_last {
+        return Ok(());
+    }
+    let run = &robot_run.run;
+    let truth = run.truth.iter().map(|truth| TimedPose {
+        stamp: truth.stamp,
+        pose: pose_at(truth.position, truth.heading),
+    });
+    let truth = Track::new(truth, LONGEST_GAP);
+    let truth = (!run.truth.is_empty()).then_some(&truth);
+    draw(args, &run.name, collector, truth)
+}
+
+fn draw(
+    args: &ReplayArgs,
+    title: &str,
+    collector: &Collector,
+    truth: Option<&Track>,
+) -> Result<()> {
+    let (Some(path), Some(figure)) = (&args.figure, FIGURES.first()) else {
+        return Ok(());
+    };
+    let layers = RunLayers {
+        title,
+        truth,
+        estimates: collector.estimates.items(),
+        fixes: collector.fixes.items(),
+        ..RunLayers::default()
+    };
+    std::fs::write(path, (figure.render)(&layers))
+        .with_context(|| format!("writing `{}`", path.display()))
+}

@@ -1,0 +1,289 @@
+//! `posebridge run`: the station.
+//!
+//! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records everything that came in, and shows one
+//! status block. With a simulated brick of its own it ends when the path is driven, prints who was how far off and draws two
+//! pictures; otherwise it runs until Ctrl-C, `--duration` or `--until-silent`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortSet, Role};
+use posebridge_pipeline::Pipeline;
+use posebridge_recording::container::Header;
+use posebridge_sim::{Scenario, Steering};
+use posebridge_telemetry::{LinkId, Span, Stamp};
+use tokio_util::sync::CancellationToken;
+
+use super::{Failure, Stage};
+use crate::cli::RunArgs;
+use crate::collect::Collector;
+use crate::config::{self, Config, LinkSection};
+use crate::link_target::{LinkTarget, load_scenario};
+use crate::report::live::LiveView;
+use crate::report::run::{self as report, Truth};
+use crate::tasks::observer::{Observer, ObserverConfig};
+use crate::tasks::recorder::Recorder;
+use crate::tasks::shard::{Ending, Shard};
+use crate::tasks::sim_brick::EmbeddedBrick;
+use crate::virtual_run;
+
+/// Version of the header's meaning; the container has one of its own.
+const HEADER_FORMAT: u32 = 1;
+
+/// Runs the station.
+///
+/// # Errors
+/// The configuration makes no sense, a link cannot be opened for good, or the recording cannot be written.
+pub fn execute(args: &RunArgs) -> Result<(), Failure> {
+    let config = configuration(args).at_start()?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .at_start()?;
+    runtime.block_on(station(args, &config))
+}
+
+/// The configuration with the command line's flags laid over it.
+fn configuration(args: &RunArgs) -> Result<Config> {
+    let mut config = config::load(args.config.config.as_deref(), &args.config.settings)?.config;
+    if !args.links.is_empty() || !args.listen.is_empty() {
+        let dialled = args.links.iter().map(|url| LinkSection::new(url));
+        let awaited = args.listen.iter().map(|url| LinkSection {
+            listen: true,
+            ..LinkSection::new(url)
+        });
+        config.links = dialled.chain(awaited).collect();
+    }
+    if let Some(path) = &args.robot {
+        config.robot = robot_of(path)?;
+    }
+    if let Some(name) = &args.filter {
+        config.filter.name.clone_from(name);
+    }
+    config.targets()?;
+    config.pipeline()?;
+    Ok(config)
+}
+
+/// The `[robot]` table of any TOML file.
+fn robot_of(path: &Path) -> Result<config::RobotFile> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("reading the robot from `{name}`"))?;
+    let table: toml::Table = toml::from_str(&text).with_context(|| format!("robot `{name}`"))?;
+    let Some(robot) = table.get("robot") else {
+        bail!("`{name}` has no [robot] table")
+    };
+    robot
+        .clone()
+        .try_into()
+        .with_context(|| format!("[robot] of `{name}`"))
+}
+
+/// The simulated brick of a run, if it has one.
+struct Embedded {
+    brick: EmbeddedBrick,
+    scenario: Scenario,
+    name: String,
+}
+
+async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
+    let timer = HostTimer::start();
+    let folder = output_folder(args, config, &timer).at_start()?;
+    let stop = CancellationToken::new();
+    let (ports, embedded) = open_links(args, config, timer, &folder, &stop)
+        .await
+        .at_start()?;
+    let mut pipeline = Pipeline::new(config.pipeline().at_start()?, Stamp::ZERO).at_start()?;
+    let recorder = start_recorder(args, config, &timer, &folder).at_start()?;
+    let progress = embedded
+        .as_ref()
+        .map(|embedded| embedded.brick.progress.clone());
+    let view = LiveView::new(progress);
+    let observer = Observer::start(ObserverConfig {
+        events: args.events.as_deref(),
+        view,
+    })
+    .at_start()?;
+    // Nothing has come yet, so nothing can have been said.
+    while pipeline.poll().is_some() {}
+    let ending = Ending {
+        stop: embedded
+            .as_ref()
+            .map_or_else(|| stop.clone(), |embedded| embedded.brick.finished.clone()),
+        at: args.duration.map(Stamp::from_secs_f64),
+        silence: args.until_silent.map(Span::from_secs_f64),
+    };
+    let mut shard = Shard {
+        pipeline,
+        ports,
+        timer,
+        recorder,
+        observer,
+    };
+    tokio::select! {
+        result = shard.run(&ending) => result.while_running()?,
+        () = interrupted() => {}
+    }
+    stop.cancel();
+    let Shard {
+        recorder,
+        observer,
+        ports,
+        ..
+    } = shard;
+    drop(ports);
+    let recorded = recorder.map(Recorder::finish).transpose().while_running()?;
+    let (collector, dropped) = observer.finish().while_running()?;
+    if dropped > 0 {
+        tracing::warn!(
+            dropped,
+            "events were not shown because the terminal was slow"
+        );
+    }
+    finish(config, &folder, &collector, embedded, recorded).while_running()
+}
+
+/// Opens what must open at once and starts simulated bricks.
+async fn open_links(
+    args: &RunArgs,
+    config: &Config,
+    timer: HostTimer,
+    folder: &Path,
+    stop: &CancellationToken,
+) -> Result<(PortSet, Option<Embedded>)> {
+    let mut ports = Vec::new();
+    let mut embedded = None;
+    for (index, (target, role)) in config.targets()?.into_iter().enumerate() {
+        let (url, role) = match target {
+            LinkTarget::Url(url) => (url, role),
+            LinkTarget::Sim(name) => {
+                if embedded.is_some() {
+                    bail!("only one link may be sim://");
+                }
+                let scenario = load_scenario(&name)?;
+                let scenario = args
+                    .seed
+                    .map_or_else(|| scenario.clone(), |seed| scenario.clone().with_seed(seed));
+                let path = folder.join("brick.tty");
+                let brick = EmbeddedBrick::start(scenario.clone(), &path, stop.clone())?;
+                embedded = Some(Embedded {
+                    brick,
+                    scenario,
+                    name,
+                });
+                (
+                    LinkUrl::parse(&format!("serial:{}", path.display()))?,
+                    Role::Dial,
+                )
+            }
+        };
+        ports.push(Port::new(
+            PortConfig {
+                id: LinkId(index as u16),
+                url,
+                role,
+            },
+            timer,
+        ));
+    }
+    let mut ports = PortSet::new(ports);
+    ports.open_first().await.map_err(|(id, error)| {
+        anyhow::Error::from(error).context(format!("opening link {}", id.0 + 1))
+    })?;
+    Ok((ports, embedded))
+}
+
+/// Ctrl-C or a request to terminate.
+pub(crate) async fn interrupted() {
+    use tokio::signal::unix::{SignalKind, signal};
+    let Ok(mut terminate) = signal(SignalKind::terminate()) else {
+        return std::future::pending().await;
+    };
+    tokio::select! {
+        _ = terminate.recv() => {}
+        result = tokio::signal::ctrl_c() => {
+            if result.is_err() {
+                std::future::pending::<()>().await;
+            }
+        }
+    }
+}
+
+fn output_folder(args: &RunArgs, config: &Config, timer: &HostTimer) -> Result<PathBuf> {
+    let folder = match &args.out {
+        Some(folder) => folder.clone(),
+        None => {
+            Path::new(&config.record.directory).join(format!("run-{}", timer.utc_start() / 1_000))
+        }
+    };
+    std::fs::create_dir_all(&folder)
+        .with_context(|| format!("creating the folder `{}`", folder.display()))?;
+    Ok(folder)
+}
+
+fn start_recorder(
+    args: &RunArgs,
+    config: &Config,
+    timer: &HostTimer,
+    folder: &Path,
+) -> Result<Option<Recorder>> {
+    if args.no_record || !config.record.enabled {
+        return Ok(None);
+    }
+    let header = Header {
+        format: HEADER_FORMAT,
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        utc_start_micros: timer.utc_start(),
+        config_toml: toml::to_string(config)
+            .context("writing the configuration into the recording")?,
+        links: config.links.iter().map(|link| link.url.clone()).collect(),
+    };
+    Recorder::start(&folder.join("recording.mcap"), &header).map(Some)
+}
+
+/// Tables and pictures.
+#[expect(
+    clippy::print_stdout,
+    reason = "the run's result is data and goes to stdout"
+)]
+fn finish(
+    config: &Config,
+    folder: &Path,
+    collector: &Collector,
+    embedded: Option<Embedded>,
+    recorded: Option<u64>,
+) -> Result<()> {
+    let mut title = "live run".to_owned();
+    let mut truth = None;
+    let mut other = None;
+    if let Some(embedded) = embedded {
+        title = format!("{}, seed {}", embedded.name, embedded.scenario.seed);
+        other = Some(steered_the_other_way(config, embedded.scenario)?);
+        truth = Some(Truth::of(&embedded.brick.finish()?));
+    }
+    println!("{}", report::sources(collector));
+    if let Some(truth) = &truth {
+        println!("{}", report::table(collector, truth, other.as_ref()));
+    }
+    for picture in report::draw(folder, &title, collector, truth.as_ref())? {
+        println!("picture    {}", picture.display());
+    }
+    if let Some(inputs) = recorded {
+        println!(
+            "recording  {} ({inputs} inputs)",
+            folder.join("recording.mcap").display()
+        );
+    }
+    Ok(())
+}
+
+/// The same world, steered by the brick's own odometry where the run steered by the estimate, and the other way round.
+fn steered_the_other_way(config: &Config, scenario: Scenario) -> Result<Truth> {
+    let other = match scenario.steering {
+        Steering::Odometry => Steering::Estimate,
+        Steering::Estimate => Steering::Odometry,
+    };
+    let run = virtual_run::run(scenario.with_steering(other), config.pipeline()?)?;
+    Ok(Truth::of(&run.simulation))
+}

@@ -1,0 +1,126 @@
+//! From files and flags to a [`Config`]; every error names the file, the line and the key.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use super::merge::Setting;
+use super::{Config, DEFAULT_TOML};
+
+/// A configuration and the text that it came from.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// The configuration.
+    pub config: Config,
+    /// The file's own table, for telling where a value comes from.
+    pub file: toml::Table,
+    /// Flags that were laid over it.
+    pub settings: Vec<Setting>,
+}
+
+/// Why a configuration could not be had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read the configuration `{path}`: {why}")]
+    Unreadable {
+        /// The file.
+        path: String,
+        /// What the system said.
+        why: std::io::Error,
+    },
+    /// The text makes no sense.
+    #[error("configuration `{path}`: {why}")]
+    Wrong {
+        /// The file.
+        path: String,
+        /// Line, column and what is wrong.
+        why: String,
+    },
+    /// A flag makes no sense.
+    #[error("`--set {setting}`: {why}")]
+    WrongSetting {
+        /// The flag's value.
+        setting: String,
+        /// What is wrong.
+        why: String,
+    },
+}
+
+/// Loads a file, or the embedded default where there is none, and lays settings over it.
+///
+/// # Errors
+/// The file cannot be read, or a value or a setting makes no sense.
+pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigError> {
+    match path {
+        Some(path) => {
+            let name = path.display().to_string();
+            let text = std::fs::read_to_string(path).map_err(|why| ConfigError::Unreadable {
+                path: name.clone(),
+                why,
+            })?;
+            load_text(&name, &text, settings)
+        }
+        None => load_text("config/default.toml (embedded)", DEFAULT_TOML, settings),
+    }
+}
+
+/// The same from a text.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded, ConfigError> {
+    let wrong = |why: String| ConfigError::Wrong {
+        path: name.to_owned(),
+        why,
+    };
+    let config: Config = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
+    let file: toml::Table = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
+    if settings.is_empty() {
+        return Ok(Loaded {
+            config,
+            file,
+            settings: vec![],
+        });
+    }
+    let mut merged = file.clone();
+    let mut config = config;
+    for setting in settings {
+        let failed = |why: String| ConfigError::WrongSetting {
+            setting: setting.to_string(),
+            why,
+        };
+        setting.lay_over(&mut merged).map_err(failed)?;
+        config = merged
+            .clone()
+            .try_into()
+            .map_err(|error: toml::de::Error| failed(error.message().to_owned()))?;
+    }
+    Ok(Loaded {
+        config,
+        file,
+        settings: settings.to_vec(),
+    })
+}
+
+/// What a TOML error says, with line and column in front.
+fn located(error: &toml::de::Error, text: &str) -> String {
+    let mut said = String::new();
+    if let Some(span) = error.span() {
+        let before = text.get(..span.start).unwrap_or_default();
+        let line = before.matches('\n').count() + 1;
+        let column = before
+            .chars()
+            .rev()
+            .take_while(|character| *character != '\n')
+            .count()
+            + 1;
+        // Writing to a String cannot fail.
+        let _ = write!(said, "line {line}, column {column}: ");
+        if let Some(source) = text.lines().nth(line - 1) {
+            let _ = write!(said, "{}\n    {}", error.message(), source.trim());
+            return said;
+        }
+    }
+    said + error.message()
+}

@@ -1,0 +1,350 @@
+//! The station's own part of the configuration, and how it becomes a pipeline.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context, Result, bail, ensure};
+use posebridge_estimator::{FilterConfig, Params, filter_named};
+use posebridge_link::{LinkUrl, Role};
+use posebridge_pipeline::{
+    AcceptedVersions, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputStream,
+    PipelineConfig,
+};
+use posebridge_protocol::framing::Framing;
+use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::robot::RobotFile;
+use crate::link_target::LinkTarget;
+
+/// Everything that a run needs to know.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Who the station is.
+    pub station: StationConfig,
+    /// The links, in the order of their ids.
+    #[serde(rename = "link")]
+    pub links: Vec<LinkSection>,
+    /// The robot.
+    pub robot: RobotFile,
+    /// The filter and its tunables.
+    pub filter: FilterSection,
+    /// The camera.
+    pub camera: CameraConfig,
+    /// The alignment of clocks.
+    pub clock: ClockConfig,
+    /// The recording.
+    pub record: RecordSection,
+}
+
+/// Who the station is on its links.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct StationConfig {
+    /// MAVLink system id; that of the robot, because the station is a part of it.
+    pub system: u8,
+    /// MAVLink component id.
+    pub component: u8,
+    /// Which system is the robot; 0 takes the first that speaks.
+    pub robot_system: u8,
+}
+
+/// One link.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct LinkSection {
+    /// What to open; see `posebridge run --help` for the kinds.
+    pub url: String,
+    /// Wait for the other side to call instead of calling it.
+    #[serde(default)]
+    pub listen: bool,
+    /// Accept MAVLink 1 too; the station always sends MAVLink 2.
+    #[serde(default)]
+    pub accept_mavlink1: bool,
+    /// What is sent there.
+    #[serde(default = "default_outputs")]
+    pub outputs: Vec<OutputSection>,
+}
+
+/// One kind of message that leaves on a link.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct OutputSection {
+    /// planar_pose, odometry, local_position, attitude, estimator_status or fusion_health.
+    pub message: String,
+    /// At least this long between two of them; 0 sends one with every estimate.
+    #[serde(default)]
+    pub interval_ms: u32,
+    /// For which instant.
+    #[serde(default)]
+    pub at: AtInstant,
+}
+
+/// For which instant an estimate is sent.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum AtInstant {
+    /// That of the last observation.
+    #[default]
+    Observed,
+    /// That at which it will arrive, by prediction.
+    Arrival,
+}
+
+/// The filter and its tunables.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(default)]
+pub struct FilterSection {
+    /// Name of a filter.
+    pub name: String,
+    /// Its tunables, by key.
+    #[serde(flatten)]
+    pub params: BTreeMap<String, f64>,
+}
+
+/// The camera.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraConfig {
+    /// Where the tag sits, forward of mid-axle.
+    pub tag_x_m: f64,
+    /// Where the tag sits, left of mid-axle.
+    pub tag_y_m: f64,
+}
+
+/// The alignment of clocks.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClockConfig {
+    /// How often to ask brick and camera for their time.
+    pub timesync_period_ms: u32,
+    /// At which interval the brick is asked to send its telemetry; 0 leaves it at its own.
+    pub telemetry_interval_ms: u32,
+}
+
+/// The recording.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordSection {
+    /// Whether to record.
+    pub enabled: bool,
+    /// The folder that holds one folder per run.
+    pub directory: String,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            station: StationConfig::default(),
+            links: vec![LinkSection::new("sim://square")],
+            robot: RobotFile::default(),
+            filter: FilterSection::default(),
+            camera: CameraConfig::default(),
+            clock: ClockConfig::default(),
+            record: RecordSection::default(),
+        }
+    }
+}
+
+impl Default for StationConfig {
+    /// 1/197: the same system as the robot, MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
+    fn default() -> Self {
+        Self {
+            system: 1,
+            component: 197,
+            robot_system: 0,
+        }
+    }
+}
+
+impl LinkSection {
+    /// A link with the usual outputs.
+    #[must_use]
+    pub fn new(url: &str) -> Self {
+        Self {
+            url: url.to_owned(),
+            listen: false,
+            accept_mavlink1: false,
+            outputs: default_outputs(),
+        }
+    }
+}
+
+/// What a brick needs to steer by.
+fn default_outputs() -> Vec<OutputSection> {
+    vec![OutputSection {
+        message: "planar_pose".to_owned(),
+        interval_ms: 0,
+        at: AtInstant::Observed,
+    }]
+}
+
+impl Default for FilterSection {
+    fn default() -> Self {
+        Self {
+            name: "pose".to_owned(),
+            params: BTreeMap::new(),
+        }
+    }
+}
+
+impl Default for ClockConfig {
+    fn default() -> Self {
+        Self {
+            timesync_period_ms: 200,
+            telemetry_interval_ms: 0,
+        }
+    }
+}
+
+impl Default for RecordSection {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            directory: "posebridge-runs".to_owned(),
+        }
+    }
+}
+
+impl Config {
+    /// The filter's configuration.
+    ///
+    /// # Errors
+    /// A value makes no sense; the message names its key.
+    pub fn filter_config(&self) -> Result<FilterConfig> {
+        ensure!(
+            filter_named(&self.filter.name).is_some(),
+            "`filter.name` is `{}`; there are: {}",
+            self.filter.name,
+            posebridge_estimator::FILTERS
+                .iter()
+                .map(|entry| entry.name)
+                .collect::<Vec<_>>()
+                .join(", "),
+        );
+        let mut params = Params::default();
+        for (key, value) in &self.filter.params {
+            params.set(key, *value).context("`[filter]`")?;
+        }
+        Ok(FilterConfig {
+            geometry: self.robot.geometry()?,
+            noise: self.robot.noise()?,
+            start: self.robot.start()?,
+            params,
+        })
+    }
+
+    /// The pipeline's configuration.
+    ///
+    /// # Errors
+    /// A value makes no sense; the message names its key.
+    pub fn pipeline(&self) -> Result<PipelineConfig> {
+        let links = self
+            .links
+            .iter()
+            .enumerate()
+            .map(|(index, link)| link.pipeline(index));
+        let interval = Span::from_millis(i64::from(self.clock.telemetry_interval_ms));
+        let wanted = match self.clock.telemetry_interval_ms {
+            0 => vec![],
+            _ => vec![
+                (posebridge_protocol::dialect::ids::PB_WHEEL_TICKS, interval),
+                (posebridge_protocol::dialect::ids::PB_INERTIAL, interval),
+            ],
+        };
+        ensure!(
+            self.clock.timesync_period_ms >= 10,
+            "`clock.timesync_period_ms` must be at least 10"
+        );
+        Ok(PipelineConfig {
+            own: Address::new(self.station.system, self.station.component),
+            filter: self.filter.name.clone(),
+            filter_config: self.filter_config()?,
+            description: match self.robot.adopt_description {
+                true => DescriptionPolicy::Adopt,
+                false => DescriptionPolicy::Ignore,
+            },
+            robot_system: (self.station.robot_system != 0)
+                .then_some(SystemId(self.station.robot_system)),
+            tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
+            timesync_period: Span::from_millis(i64::from(self.clock.timesync_period_ms)),
+            wanted,
+            links: links.collect::<Result<_>>()?,
+        })
+    }
+
+    /// What each link opens.
+    ///
+    /// # Errors
+    /// A URL cannot be understood; the message names the link.
+    pub fn targets(&self) -> Result<Vec<(LinkTarget, Role)>> {
+        ensure!(
+            !self.links.is_empty(),
+            "there is no link: give `--link URL` or a `[[link]]` in the configuration"
+        );
+        let target = |(index, link): (usize, &LinkSection)| {
+            let target = LinkTarget::parse(&link.url)
+                .with_context(|| format!("link {} `{}`", index + 1, link.url))?;
+            Ok((
+                target,
+                if link.listen {
+                    Role::Listen
+                } else {
+                    Role::Dial
+                },
+            ))
+        };
+        self.links.iter().enumerate().map(target).collect()
+    }
+}
+
+impl LinkSection {
+    fn pipeline(&self, index: usize) -> Result<LinkConfig> {
+        let is_datagram = match LinkTarget::parse(&self.url) {
+            Ok(LinkTarget::Url(url)) => is_datagram(&url),
+            _ => false,
+        };
+        let outputs = self.outputs.iter().map(OutputSection::pipeline);
+        Ok(LinkConfig {
+            id: LinkId(index as u16),
+            framing: if is_datagram {
+                Framing::Datagram
+            } else {
+                Framing::Stream
+            },
+            version: match self.accept_mavlink1 {
+                true => AcceptedVersions::V1AndV2,
+                false => AcceptedVersions::V2,
+            },
+            outputs: outputs
+                .collect::<Result<_>>()
+                .with_context(|| format!("link {} `{}`", index + 1, self.url))?,
+        })
+    }
+}
+
+fn is_datagram(url: &LinkUrl) -> bool {
+    url.transport().scheme() == "udp"
+}
+
+impl OutputSection {
+    fn pipeline(&self) -> Result<OutputStream> {
+        let Some((_, kind)) = OUTPUTS.iter().find(|(name, _)| *name == self.message) else {
+            let known: Vec<_> = OUTPUTS.iter().map(|(name, _)| *name).collect();
+            bail!(
+                "`outputs.message` is `{}`; there are: {}",
+                self.message,
+                known.join(", ")
+            );
+        };
+        Ok(OutputStream {
+            kind: *kind,
+            interval: Span::from_millis(i64::from(self.interval_ms)),
+            instant: match self.at {
+                AtInstant::Observed => OutputInstant::Observed,
+                AtInstant::Arrival => OutputInstant::Arrival,
+            },
+        })
+    }
+}

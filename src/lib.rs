@@ -1,0 +1,16 @@
+//! The shell: it wires links, engine, recorder, simulated brick and reports together.
+//!
+//! No formula and no byte layout stands here: physics is in the crates, and what happens to data between a socket and a reply is
+//! the pipeline's business. The shell opens files and links, owns the threads and talks to people.
+
+pub mod cli;
+pub mod collect;
+pub mod commands;
+pub mod config;
+pub mod data;
+pub mod link_target;
+pub mod report;
+pub mod score;
+pub mod tasks;
+pub mod truth_file;
+pub mod virtual_run;

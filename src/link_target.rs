@@ -1,0 +1,54 @@
+//! What a link's URL opens: a real link, or a simulated brick behind a pseudo-terminal.
+
+use std::fmt;
+
+use anyhow::{Context, Result};
+use posebridge_link::LinkUrl;
+use posebridge_sim::Scenario;
+
+/// The scheme that starts a simulated brick of our own.
+const SIM_SCHEME: &str = "sim://";
+
+/// What a link opens.
+#[derive(Clone, Debug)]
+pub enum LinkTarget {
+    /// A link of `posebridge-link`.
+    Url(LinkUrl),
+    /// A brick that this program simulates: the scenario's name or file.
+    Sim(String),
+}
+
+impl LinkTarget {
+    /// Understands `sim://NAME`, `sim://FILE.toml` and the URLs of every transport.
+    ///
+    /// # Errors
+    /// The scheme is unknown or an option makes no sense.
+    pub fn parse(text: &str) -> Result<Self> {
+        if let Some(scenario) = text.strip_prefix(SIM_SCHEME) {
+            return Ok(Self::Sim(scenario.to_owned()));
+        }
+        Ok(Self::Url(LinkUrl::parse(text)?))
+    }
+}
+
+impl fmt::Display for LinkTarget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Url(url) => write!(f, "{url}"),
+            Self::Sim(scenario) => write!(f, "{SIM_SCHEME}{scenario}"),
+        }
+    }
+}
+
+/// A bundled scenario by its name, or one from a TOML file.
+///
+/// # Errors
+/// There is no such name or file, or the file makes no sense; the message names both and the key.
+pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
+    if !name_or_file.ends_with(".toml") {
+        return Ok(Scenario::bundled(name_or_file)?);
+    }
+    let text = std::fs::read_to_string(name_or_file)
+        .with_context(|| format!("reading scenario `{name_or_file}`"))?;
+    Scenario::from_toml(&text).with_context(|| format!("scenario `{name_or_file}`"))
+}

@@ -1,0 +1,205 @@
+//! The live status block: time, link, clocks, pose, last fix.
+
+use std::fmt::Write as _;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use posebridge_telemetry::{
+    Estimate, Event, HostClock, LinkHealth, LinkId, LinkState, Span, Stamp, Verdict,
+};
+use tokio::sync::watch;
+
+/// Without a terminal a plain line is written this often instead.
+const PLAIN_PERIOD: Span = Span::from_millis(5_000);
+/// The bar's resolution.
+const BAR_STEPS: u64 = 1_000;
+
+/// The block.
+pub struct LiveView {
+    bar: ProgressBar,
+    progress: Option<watch::Receiver<f64>>,
+    now: Stamp<HostClock>,
+    written: Stamp<HostClock>,
+    link: LinkId,
+    link_state: LinkState,
+    health: LinkHealth,
+    rate: Rate,
+    clock: Option<(Span, f64, Span)>,
+    estimate: Option<Estimate>,
+    last_fix: Option<(Verdict, Span)>,
+    defects: u64,
+}
+
+/// Received bytes per second between two health events.
+#[derive(Clone, Copy, Debug, Default)]
+struct Rate {
+    bytes_per_s: f64,
+    frames_per_s: f64,
+}
+
+impl LiveView {
+    /// A block for a run whose progress is known, or not.
+    #[must_use]
+    pub fn new(progress: Option<watch::Receiver<f64>>) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
+        let template = match progress {
+            Some(_) => "{msg}\n  {wide_bar} {percent:>3} %",
+            None => "{msg}",
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style);
+        }
+        Self {
+            bar,
+            progress,
+            now: Stamp::ZERO,
+            written: Stamp::ZERO,
+            link: LinkId(0),
+            link_state: LinkState::Down,
+            health: LinkHealth::default(),
+            rate: Rate::default(),
+            clock: None,
+            estimate: None,
+            last_fix: None,
+            defects: 0,
+        }
+    }
+
+    /// Takes an event.
+    pub fn take(&mut self, now: Stamp<HostClock>, event: &Event) {
+        self.now = now;
+        match event {
+            Event::Link { link, state } if *link == self.link => self.link_state = *state,
+            Event::Health { link, health } if *link == self.link => {
+                self.rate = Rate {
+                    bytes_per_s: health.bytes_in.saturating_sub(self.health.bytes_in) as f64,
+                    frames_per_s: health.frames_in.saturating_sub(self.health.frames_in) as f64,
+                };
+                self.health = *health;
+            }
+            Event::BrickClockAligned {
+                offset,
+                skew_ppm,
+                uncertainty,
+                ..
+            } => {
+                self.clock = Some((*offset, *skew_ppm, *uncertainty));
+            }
+            Event::Fused { record, .. } if record.kind == "fix" => {
+                self.last_fix = Some((record.verdict, record.lag));
+            }
+            Event::Estimated { estimate, .. } => self.estimate = Some(*estimate),
+            Event::Defect { .. } => self.defects += 1,
+            Event::RobotSeen { robot } => self.say(&format!("heard {robot}")),
+            Event::RobotLost { robot, silence } => {
+                self.say(&format!(
+                    "lost {robot}, silent for {:.1} s",
+                    silence.as_secs_f64()
+                ));
+            }
+            Event::BrickRestarted { robot } => self.say(&format!(
+                "{robot} was restarted: clock and counters re-based"
+            )),
+            Event::Text { source, text, .. } => self.say(&format!("{source} says: {text}")),
+            _ => {}
+        }
+    }
+
+    /// Draws the block, or without a terminal a line now and then.
+    pub fn draw(&mut self) {
+        if self.bar.is_hidden() {
+            if self.now - self.written >= PLAIN_PERIOD {
+                self.written = self.now;
+                write_line(&self.block().replace('\n', " |"));
+            }
+            return;
+        }
+        if let Some(progress) = &self.progress {
+            let share = (*progress.borrow()).clamp(0.0, 1.0);
+            self.bar.set_position((share * BAR_STEPS as f64) as u64);
+        }
+        self.bar.set_message(self.block());
+    }
+
+    /// Takes the block away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    fn say(&self, line: &str) {
+        if self.bar.is_hidden() {
+            write_line(line);
+        } else {
+            self.bar.println(line);
+        }
+    }
+
+    fn block(&self) -> String {
+        let mut block = String::new();
+        // Writing to a String cannot fail.
+        let state = match self.link_state {
+            LinkState::Up => "up",
+            LinkState::Down => "DOWN",
+        };
+        let _ = write!(
+            block,
+            "  time {:7.1} s   link {state}  {:.0} B/s  {:.0} frames/s  lost {}  damaged {}",
+            self.now.as_secs_f64(),
+            self.rate.bytes_per_s,
+            self.rate.frames_per_s,
+            self.health.frames_lost,
+            self.health.checksum_errors,
+        );
+        match self.clock {
+            Some((offset, skew_ppm, uncertainty)) => {
+                let _ = write!(
+                    block,
+                    "\n  clock {:+.4} s {skew_ppm:+.0} ppm ± {:.2} ms",
+                    offset.as_secs_f64(),
+                    uncertainty.as_millis_f64(),
+                );
+            }
+            None => block.push_str("\n  clock not aligned"),
+        }
+        match &self.estimate {
+            Some(estimate) => block.push_str(&pose_line(estimate)),
+            None => block.push_str("\n  pose  unknown"),
+        }
+        match self.last_fix {
+            Some((verdict, lag)) => {
+                let _ = write!(
+                    block,
+                    "   fix {} {:.0} ms late",
+                    verdict.reason(),
+                    lag.as_millis_f64()
+                );
+            }
+            None => block.push_str("   no fix yet"),
+        }
+        block
+    }
+}
+
+fn pose_line(estimate: &Estimate) -> String {
+    let flag = if estimate.is_dead_reckoning {
+        "  dead reckoning"
+    } else {
+        ""
+    };
+    format!(
+        "\n  pose  x {:.3} ± {:.3} m   y {:.3} ± {:.3} m   heading {:.1} ± {:.1} deg{flag}",
+        estimate.pose.x.0,
+        estimate.x_sigma_m(),
+        estimate.pose.y.0,
+        estimate.y_sigma_m(),
+        estimate.pose.heading.rad().to_degrees(),
+        estimate.heading_sigma_rad().to_degrees(),
+    )
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "talk to the person who runs the program goes to stderr"
+)]
+fn write_line(line: &str) {
+    eprintln!("{line}");
+}

@@ -1,0 +1,5 @@
+//! What people see of a run: the live status block, the table and the pictures at the end.
+
+pub mod json;
+pub mod live;
+pub mod run;

@@ -1,0 +1,125 @@
+//! The thread that watches the events: the live status block, the event file, and what the report needs at the end.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_telemetry::{Event, HostClock, Span, Stamp};
+
+use crate::collect::Collector;
+use crate::report::live::LiveView;
+
+/// So many events wait for the terminal before they are dropped and counted.
+const WAITING: usize = 65_536;
+/// The status block is drawn this often.
+const DRAW_PERIOD: Span = Span::from_millis(200);
+
+/// A running observer.
+pub struct Observer {
+    sender: SyncSender<(Stamp<HostClock>, Event)>,
+    thread: JoinHandle<Result<Collector>>,
+    dropped: u64,
+}
+
+/// What the observer shows and writes.
+pub struct ObserverConfig<'a> {
+    /// Every event goes there as a line of text.
+    pub events: Option<&'a Path>,
+    /// The status block.
+    pub view: LiveView,
+}
+
+impl Observer {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// The event file cannot be created.
+    pub fn start(config: ObserverConfig<'_>) -> Result<Self> {
+        let events = config.events.map(create).transpose()?;
+        let (sender, receiver) = sync_channel(WAITING);
+        let view = config.view;
+        let thread = std::thread::Builder::new()
+            .name("observer".to_owned())
+            .spawn(move || watch(&receiver, events, view))
+            .context("starting the observer's thread")?;
+        Ok(Self {
+            sender,
+            thread,
+            dropped: 0,
+        })
+    }
+
+    /// Shows an event; drops it if the terminal is far behind.
+    pub fn show(&mut self, now: Stamp<HostClock>, event: Event) {
+        match self.sender.try_send((now, event)) {
+            Ok(()) => {}
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.dropped += 1,
+        }
+    }
+
+    /// Ends the thread and gives what it gathered, with the number of events that were dropped.
+    ///
+    /// # Errors
+    /// The event file could not be written.
+    pub fn finish(self) -> Result<(Collector, u64)> {
+        drop(self.sender);
+        let collector = self
+            .thread
+            .join()
+            .map_err(|_panic| anyhow!("the observer's thread died"))??;
+        Ok((collector, self.dropped))
+    }
+}
+
+/// Creates an event file.
+///
+/// # Errors
+/// It cannot be created.
+pub fn create(path: &Path) -> Result<BufWriter<File>> {
+    let file = File::create(path)
+        .with_context(|| format!("creating the event file `{}`", path.display()))?;
+    Ok(BufWriter::new(file))
+}
+
+/// Writes an event as a line: every number with all its digits, so that two runs can be compared bit for bit.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> {
+    writeln!(file, "{event:?}")
+}
+
+fn watch(
+    events: &Receiver<(Stamp<HostClock>, Event)>,
+    mut file: Option<BufWriter<File>>,
+    mut view: LiveView,
+) -> Result<Collector> {
+    let mut collector = Collector::default();
+    let mut drawn = Stamp::<HostClock>::ZERO;
+    loop {
+        match events.recv_timeout(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
+            Ok((now, event)) => {
+                if let Some(file) = &mut file {
+                    write_event(file, &event)?;
+                }
+                collector.take(&event);
+                view.take(now, &event);
+                if now - drawn >= DRAW_PERIOD {
+                    view.draw();
+                    drawn = now;
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => view.draw(),
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    view.finish();
+    if let Some(mut file) = file {
+        file.flush()?;
+    }
+    Ok(collector)
+}

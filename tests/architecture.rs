@@ -1,0 +1,331 @@
+//! The walls of the house, checked against what Cargo says about it.
+//!
+//! [`LAYERS`] is the dependency table of `ARCHITECTURE.md`. The tests here fail with one sentence per violated edge, so
+//! that a wall falls only by a decision that somebody can see in a diff. They read manifests and sources as text; they
+//! do not judge what the code does, and they need no network.
+#![expect(
+    clippy::expect_used,
+    reason = "helpers outside #[test] stop with a reason when the checkout itself is broken"
+)]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use cargo_metadata::{Dependency, DependencyKind, Metadata, MetadataCommand, Package};
+
+/// One crate and what it may name.
+struct Layer {
+    /// The package name without `posebridge-`; the root package is `posebridge`.
+    name: &'static str,
+    kind: Kind,
+    /// Which of our crates it may name.
+    may_name: &'static [&'static str],
+}
+
+/// Whether a crate may touch the world.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// Bytes and time come in as arguments, actions go out as values.
+    Pure,
+    /// May name a runtime, a socket, a port, a thread.
+    Io,
+}
+
+/// Who may name whom. A row stands here before its crate does; a crate without a row is a failure.
+const LAYERS: &[Layer] = &[
+    pure("telemetry", &[]),
+    pure("protocol", &["telemetry"]),
+    pure("estimator", &["telemetry"]),
+    pure("recording", &["telemetry"]),
+    pure("pipeline", &["telemetry", "protocol", "estimator"]),
+    pure(
+        "analysis",
+        &["telemetry", "estimator", "pipeline", "recording"],
+    ),
+    // Never estimator or pipeline: nobody marks their own exam.
+    pure("sim", &["telemetry", "protocol"]),
+    io("link", &["telemetry"]),
+    io("dashboard", &["telemetry", "recording"]),
+    io(
+        ROOT,
+        &[
+            "telemetry",
+            "protocol",
+            "estimator",
+            "recording",
+            "pipeline",
+            "analysis",
+            "sim",
+            "link",
+            "dashboard",
+        ],
+    ),
+];
+
+/// The package at the top of the workspace.
+const ROOT: &str = "posebridge";
+
+/// Foreign crates that bring a runtime, a socket, a port or a thread; only [`Kind::Io`] crates may name them directly.
+const IO_CRATES: &[&str] = &[
+    "tokio",
+    "tokio-serial",
+    "tokio-util",
+    "serialport",
+    "nix",
+    "socket2",
+    "bluer",
+    "axum",
+    "hyper",
+    "mio",
+];
+
+/// Crates that need a system library or a C tool chain; none may be in the default build.
+const SYSTEM_CRATES: &[&str] = &["libudev-sys", "libdbus-sys", "openssl-sys", "bindgen"];
+
+/// Paths that reach the clock or the world, each as it is written where it is used.
+const IMPURE_PATHS: &[&str] = &[
+    "Instant::now",
+    "SystemTime::now",
+    "thread::",
+    "net::",
+    "fs::",
+];
+
+const fn pure(name: &'static str, may_name: &'static [&'static str]) -> Layer {
+    Layer {
+        name,
+        kind: Kind::Pure,
+        may_name,
+    }
+}
+
+const fn io(name: &'static str, may_name: &'static [&'static str]) -> Layer {
+    Layer {
+        name,
+        kind: Kind::Io,
+        may_name,
+    }
+}
+
+#[test]
+fn every_crate_names_only_what_its_row_allows() {
+    let metadata = workspace();
+    let members = members(&metadata);
+    let mut violations = Vec::new();
+    for (name, package) in &members {
+        let Some(layer) = layer(name) else {
+            violations.push(format!(
+                "{name} has no row in LAYERS: add one there and in ARCHITECTURE.md"
+            ));
+            continue;
+        };
+        for dependency in &package.dependencies {
+            let named = short(&dependency.name);
+            let is_ours = members.contains_key(named);
+            if is_ours && binds(layer, dependency) && !layer.may_name.contains(&named) {
+                violations.push(format!(
+                    "{name} names {named}, but may name only [{}]",
+                    layer.may_name.join(", ")
+                ));
+            }
+        }
+    }
+    assert_none(&violations);
+}
+
+#[test]
+fn only_io_crates_name_a_runtime_a_socket_or_a_port() {
+    let metadata = workspace();
+    let mut violations = Vec::new();
+    for (name, package) in members(&metadata) {
+        let is_pure = layer(name).is_none_or(|layer| layer.kind == Kind::Pure);
+        for dependency in &package.dependencies {
+            let is_io = IO_CRATES.contains(&dependency.name.as_str());
+            if is_pure && is_io && dependency.kind == DependencyKind::Normal {
+                violations.push(format!(
+                    "{name} is pure but depends on {}: hand it bytes and time instead",
+                    dependency.name
+                ));
+            }
+        }
+    }
+    assert_none(&violations);
+}
+
+#[test]
+fn pure_sources_touch_neither_clock_nor_world() {
+    let metadata = workspace();
+    let mut violations = Vec::new();
+    for (name, package) in members(&metadata) {
+        if layer(name).is_none_or(|layer| layer.kind != Kind::Pure) {
+            continue;
+        }
+        let folder = package.manifest_path.with_file_name("src");
+        let files = rust_files(folder.as_std_path());
+        assert!(!files.is_empty(), "{name} has no sources under {folder}");
+        for file in files {
+            for (line, path) in impure_lines(&read(&file)) {
+                violations.push(format!(
+                    "{name} is pure but {}:{line} says `{path}`: take time and bytes as arguments",
+                    file.strip_prefix(&metadata.workspace_root)
+                        .unwrap_or(&file)
+                        .display()
+                ));
+            }
+        }
+    }
+    assert_none(&violations);
+}
+
+#[test]
+fn the_source_scan_sees_code_and_skips_comments_and_tests() {
+    let source = "//! fs:: in prose\nuse std::fs::File;\nlet offs::x;\n#[cfg(test)]\nmod tests;\n\
+                  std::thread::spawn(f);\n#[cfg(test)]\nmod tests {\n    use std::net::TcpStream;\n}\n";
+    assert_eq!(impure_lines(source), [(2, "fs::"), (6, "thread::")]);
+}
+
+#[test]
+fn the_default_build_needs_no_system_library() {
+    let output = Command::new(env!("CARGO"))
+        .args(["tree", "--workspace", "--offline", "--locked"])
+        .args(["--edges", "normal,build", "--prefix", "none"])
+        .args(["--format", "{p}"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("cargo runs: it runs this test");
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "cargo tree failed: {complaint}");
+    let tree = String::from_utf8_lossy(&output.stdout);
+    let names: Vec<&str> = tree
+        .lines()
+        .filter_map(|line| line.split(' ').next())
+        .collect();
+    assert!(names.contains(&ROOT), "cargo tree shows no {ROOT}:\n{tree}");
+    let violations: Vec<String> = SYSTEM_CRATES
+        .iter()
+        .filter(|name| names.contains(name))
+        .map(|name| format!("{name} is in the default build: `cargo tree -i {name}` says why"))
+        .collect();
+    assert_none(&violations);
+}
+
+#[test]
+fn the_architecture_page_has_the_row_of_every_crate() {
+    let page = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("ARCHITECTURE.md"));
+    let metadata = workspace();
+    let mut violations = Vec::new();
+    for layer in members(&metadata).keys().filter_map(|name| layer(name)) {
+        let row = page_row(layer);
+        if !page.lines().any(|line| line.starts_with(&row)) {
+            violations.push(format!(
+                "ARCHITECTURE.md has no line that starts with `{row}`"
+            ));
+        }
+    }
+    assert_none(&violations);
+}
+
+/// The start of a layer's line in the code map of `ARCHITECTURE.md`.
+fn page_row(layer: &Layer) -> String {
+    let kind = match layer.kind {
+        Kind::Pure => "pure",
+        Kind::Io => "IO",
+    };
+    let may_name = match layer.may_name {
+        [] => "nothing of ours".to_owned(),
+        _ if layer.name == ROOT => "all".to_owned(),
+        names => names.join(", "),
+    };
+    format!("| `{}` | {kind} | {may_name} |", layer.name)
+}
+
+/// Whether a dependency binds its crate to the table. Tests may look further than the code that they test, except in
+/// the simulator, whose tests must not be written with the filter in view.
+fn binds(layer: &Layer, dependency: &Dependency) -> bool {
+    dependency.kind != DependencyKind::Development || layer.name == "sim"
+}
+
+/// What Cargo knows about the members alone; resolves nothing and so needs no network.
+fn workspace() -> Metadata {
+    MetadataCommand::new()
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .no_deps()
+        .other_options(["--offline".to_owned()])
+        .exec()
+        .expect("cargo metadata reads the manifests that Cargo has just built from")
+}
+
+/// The workspace's members by short name.
+fn members(metadata: &Metadata) -> BTreeMap<&str, &Package> {
+    let packages = metadata.workspace_packages();
+    assert!(packages.len() > 1, "the workspace has no members");
+    packages
+        .into_iter()
+        .map(|package| (short(&package.name), package))
+        .collect()
+}
+
+/// A package's name as the table writes it.
+fn short(package: &str) -> &str {
+    package.strip_prefix("posebridge-").unwrap_or(package)
+}
+
+fn layer(name: &str) -> Option<&'static Layer> {
+    LAYERS.iter().find(|layer| layer.name == name)
+}
+
+/// Lines, counted from 1, whose code names an impure path. Unit tests stand last in a file and are left out.
+fn impure_lines(source: &str) -> Vec<(usize, &'static str)> {
+    let lines: Vec<&str> = source.lines().map(str::trim).collect();
+    let end = lines
+        .windows(2)
+        .position(|pair| pair[0] == "#[cfg(test)]" && pair[1].ends_with('{'))
+        .unwrap_or(lines.len());
+    let mut found = Vec::new();
+    for (index, line) in lines[..end].iter().enumerate() {
+        let is_code = !line.starts_with("//");
+        for path in IMPURE_PATHS {
+            if is_code && names_path(line, path) {
+                found.push((index + 1, *path));
+            }
+        }
+    }
+    found
+}
+
+/// Whether `path` stands in `line` as a path of its own and not as the tail of a longer name.
+fn names_path(line: &str, path: &str) -> bool {
+    line.match_indices(path).any(|(start, _)| {
+        let before = line[..start].chars().next_back();
+        before.is_none_or(|c| !c.is_alphanumeric() && c != '_')
+    })
+}
+
+/// Every Rust file below a folder, except files that hold nothing but unit tests.
+fn rust_files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).expect("a source folder can be listed") {
+            let path = entry.expect("a source folder can be listed").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|end| end == "rs") && !path.ends_with("tests.rs")
+            {
+                files.push(path);
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).expect("a file of the checkout can be read")
+}
+
+fn assert_none(violations: &[String]) {
+    assert!(violations.is_empty(), "\n{}", violations.join("\n"));
+}
