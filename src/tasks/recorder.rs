@@ -30,8 +30,7 @@ impl Recorder {
         let name = path.display().to_string();
         let file =
             File::create(path).with_context(|| format!("creating the recording `{name}`"))?;
-        let writer = Writer::create(file, header)
-            .with_context(|| format!("recording `{name}`"))?;
+        let writer = Writer::create(file, header).with_context(|| format!("recording `{name}`"))?;
         let (sender, receiver) = sync_channel(WAITING);
         let thread = std::thread::Builder::new()
             .name("recorder".to_owned())
@@ -62,10 +61,7 @@ impl Recorder {
     }
 }
 
-fn write(
-    mut writer: Writer<File>,
-    inputs: &Receiver<(Stamp<HostClock>, Input)>,
-) -> Result<u64> {
+fn write(mut writer: Writer<File>, inputs: &Receiver<(Stamp<HostClock>, Input)>) -> Result<u64> {
     let mut recorded = 0;
     let mut flushed = Stamp::<HostClock>::ZERO;
     loop {

@@ -12,6 +12,8 @@ use tokio_util::sync::CancellationToken;
 
 /// The world is stepped in bites of this length: half of the shortest interval that a brick's scheduler resolves at 200 Hz.
 const BITE: Span = Span::from_millis(2);
+/// The simulation's own step.
+const STEP: Span = Span::from_millis(1);
 /// After the path's end the brick still talks for this long, so that the last late fixes are used.
 const AFTERGLOW: Span = Span::from_millis(600);
 
@@ -122,8 +124,9 @@ pub async fn drive(
     }
 }
 
+/// The world follows the host's clock and never runs ahead of it: nothing may be sent before it was measured.
 fn step_to(simulation: &mut Simulation, elapsed: Span) {
-    while simulation.elapsed() < elapsed {
+    while simulation.elapsed() + STEP <= elapsed {
         simulation.step();
     }
 }

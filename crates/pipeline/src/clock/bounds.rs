@@ -23,6 +23,9 @@ const WINDOW_S: f64 = 100.0;
 const BUCKET_S: f64 = 0.5;
 /// No clock of a brick is further off: resonators reach 2000 ppm and 10 ppm per degree.
 const LARGEST_SKEW: f64 = 0.003;
+/// Bounds may contradict each other by so much before the clock is taken to have stepped, s: a brick that reads its clock once per
+/// pass of its main loop answers with a reading as old as a pass.
+const CONTRADICTION_S: f64 = 0.020;
 /// Bisection steps on the slope: 2^-40 of 6000 ppm is far below a nanosecond over the window.
 const BISECTIONS: u32 = 40;
 
@@ -101,8 +104,19 @@ impl ClockBounds {
         }
         let room = |slope: f64| self.upper_at(slope, t_s).0 - self.lower_at(slope, t_s).0;
         let slope = self.slope_with_most_room(t_s);
-        if room(slope) < 0.0 {
+        let most_room_s = room(slope);
+        if most_room_s < -CONTRADICTION_S {
             return None;
+        }
+        if most_room_s < 0.0 {
+            let offset_s = 0.5 * (self.upper_at(slope, t_s).0 + self.lower_at(slope, t_s).0);
+            self.slope = slope;
+            return Some(Line {
+                at_s: t_s,
+                offset_s,
+                slope,
+                uncertainty_s: -most_room_s,
+            });
         }
         // All slopes that leave room: from the best one outwards to where it vanishes.
         let lowest = bisect(-LARGEST_SKEW, slope, |slope| room(slope) >= 0.0);
