@@ -79,6 +79,21 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
     })
 }
 
+/// How the recording's time runs against the host's.
+#[derive(Clone, Copy)]
+struct DataClock {
+    start: Stamp<HostClock>,
+    speed: f64,
+    whole: Span,
+}
+
+impl DataClock {
+    /// Recorded time since the first observation; it stands still after the last.
+    fn elapsed(&self, now: Stamp<HostClock>) -> Span {
+        Span::from_secs_f64((now - self.start).as_secs_f64() * self.speed).min(self.whole)
+    }
+}
+
 struct Player {
     port: Port,
     timer: HostTimer,
@@ -106,16 +121,26 @@ impl Player {
             run.run.observations.len()
         );
         let start = self.timer.now();
+        let whole = run
+            .run
+            .observations
+            .last()
+            .map_or(Span::ZERO, |last| last.arrival - first.arrival);
+        let clock = DataClock {
+            start,
+            speed: self.speed,
+            whole,
+        };
         let mut unsent: BTreeMap<&'static str, u64> = BTreeMap::new();
         for timed in &run.run.observations {
             let due = start + self.real_span(timed.arrival - first.arrival);
-            self.serve_until(due, start, &mut brick).await;
+            self.serve_until(due, clock, &mut brick).await;
             if !brick.send(&timed.observation) {
                 *unsent.entry(timed.observation.observed.kind()).or_default() += 1;
             }
             self.flush(&mut brick);
         }
-        self.serve_until(self.timer.now() + AFTERGLOW, start, &mut brick)
+        self.serve_until(self.timer.now() + AFTERGLOW, clock, &mut brick)
             .await;
         for (kind, count) in unsent {
             eprintln!("{count} observations of kind {kind} have no message and were not sent");
@@ -135,13 +160,12 @@ impl Player {
     async fn serve_until(
         &mut self,
         due: Stamp<HostClock>,
-        start: Stamp<HostClock>,
+        clock: DataClock,
         brick: &mut BrickPlayer,
     ) {
         loop {
             let now = self.timer.now();
-            let elapsed = Span::from_secs_f64((now - start).as_secs_f64() * self.speed);
-            brick.pass_time(elapsed);
+            brick.pass_time(clock.elapsed(now));
             self.flush(brick);
             if now >= due {
                 return;
@@ -149,7 +173,9 @@ impl Player {
             let wake = due.min(now + SESSION_PERIOD);
             tokio::select! {
                 event = self.port.next() => {
-                    if let PortEvent::Bytes { bytes, .. } = event {
+                    if let PortEvent::Bytes { bytes, arrival, .. } = event {
+                        // The answer to a request for the time must carry the time of now.
+                        brick.pass_time(clock.elapsed(arrival));
                         brick.receive(&bytes);
                     }
                 }

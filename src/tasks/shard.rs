@@ -44,6 +44,7 @@ impl Shard {
     pub async fn run(&mut self, ending: &Ending) -> Result<()> {
         let mut last_byte: Option<Stamp<HostClock>> = None;
         let mut speakers: BTreeMap<LinkId, PeerId> = BTreeMap::new();
+        let mut states: BTreeMap<LinkId, LinkState> = BTreeMap::new();
         loop {
             let silent_at = ending
                 .silence
@@ -57,6 +58,9 @@ impl Shard {
                         continue;
                     }
                     let (at, input) = input_of(link, event);
+                    if !changes_state(link, &input, &mut states) {
+                        continue;
+                    }
                     if matches!(input, Input::Bytes { .. }) {
                         last_byte = Some(at);
                     }
@@ -117,6 +121,14 @@ fn has_the_link(link: LinkId, event: &PortEvent, speakers: &mut BTreeMap<LinkId,
         *speaker = *peer;
     }
     *speaker == *peer
+}
+
+/// Whether an input about a link's state tells anything new: a port tells each new reason of one loss.
+fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, LinkState>) -> bool {
+    match input {
+        Input::Link { state, .. } => states.insert(link, *state) != Some(*state),
+        _ => true,
+    }
 }
 
 /// What a port's event is to the pipeline.

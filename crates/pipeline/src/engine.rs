@@ -135,7 +135,6 @@ impl Pipeline {
         let links = self
             .links
             .values()
-            .filter(|link| link.state == LinkState::Up)
             .flat_map(|link| [link.scanner.deadline(), link.session.deadline()])
             .flatten();
         links.chain(self.next_health).min()
@@ -202,7 +201,7 @@ impl Pipeline {
         if let Some(link) = self.links.get_mut(&id) {
             link.session.handle(now, source, message);
         }
-        self.drain_session(now, id);
+        self.drain_session(id);
         match message {
             Message::StatusText { severity, text } => {
                 self.tell(Event::Text {
@@ -443,9 +442,6 @@ impl Pipeline {
             let Some(link) = self.links.get_mut(id) else {
                 continue;
             };
-            if link.state == LinkState::Down {
-                continue;
-            }
             let is_stalled = link
                 .scanner
                 .deadline()
@@ -454,7 +450,7 @@ impl Pipeline {
             if is_stalled {
                 self.handle_bytes(now, *id, None);
             }
-            self.drain_session(now, *id);
+            self.drain_session(*id);
         }
         if let Some(due) = self.next_health.filter(|due| *due <= now) {
             // From the due time, not from now: the period must not drift with the load.
@@ -480,9 +476,11 @@ impl Pipeline {
         self.tell(Event::Health { link: id, health });
     }
 
-    fn drain_session(&mut self, now: Stamp<HostClock>, id: LinkId) {
+    fn drain_session(&mut self, id: LinkId) {
         while let Some(output) = self.links.get_mut(&id).and_then(|link| link.session.poll()) {
             match output {
+                // Nobody hears it; the session says it again when the link is back.
+                SessionOutput::Send(_) if self.is_down(id) => {}
                 SessionOutput::Send(message) => self.transmit(id, &message),
                 SessionOutput::PeerSeen { peer, .. } => {
                     self.tell(Event::RobotSeen {
@@ -513,7 +511,12 @@ impl Pipeline {
                 SessionOutput::IntervalRequested { .. } => {}
             }
         }
-        let _ = now;
+    }
+
+    fn is_down(&self, id: LinkId) -> bool {
+        self.links
+            .get(&id)
+            .is_none_or(|link| link.state == LinkState::Down)
     }
 
     fn handle_exchange(
