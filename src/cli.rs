@@ -102,23 +102,27 @@ pub enum SteerBy {
     Estimate,
 }
 
+/// The one link of a brick to its station.
+#[derive(Args, Clone, Debug)]
+#[group(required = true, multiple = false)]
+pub struct StationLink {
+    /// Wait for the station on this link, e.g. pty:brick.tty or tcp://127.0.0.1:5760.
+    #[arg(long, value_name = "URL")]
+    pub listen: Option<String>,
+    /// Call the station on this link, e.g. udp://127.0.0.1:14550.
+    #[arg(long, value_name = "URL")]
+    pub link: Option<String>,
+}
+
 /// Flags of `sim`.
 #[derive(Args, Clone, Debug)]
 pub struct SimArgs {
     /// A bundled scenario's name (square, circle, figure-eight, waypoints, straight, rough) or a TOML file.
     #[arg(default_value = "square")]
     pub scenario: String,
-    /// Wait for the station on this link, e.g. pty:brick.tty or tcp://127.0.0.1:5760.
-    #[arg(
-        long,
-        value_name = "URL",
-        required_unless_present = "link",
-        conflicts_with = "link"
-    )]
-    pub listen: Option<String>,
-    /// Call the station on this link, e.g. udp://127.0.0.1:14550.
-    #[arg(long, value_name = "URL")]
-    pub link: Option<String>,
+    /// The link to the station.
+    #[command(flatten)]
+    pub link: StationLink,
     /// Seed, instead of the scenario's.
     #[arg(long)]
     pub seed: Option<u64>,
@@ -155,17 +159,9 @@ pub struct DataFlags {
 pub struct PlayArgs {
     /// A recording's descriptor (config/recordings/*.toml).
     pub descriptor: PathBuf,
-    /// Wait for the station on this link.
-    #[arg(
-        long,
-        value_name = "URL",
-        required_unless_present = "link",
-        conflicts_with = "link"
-    )]
-    pub listen: Option<String>,
-    /// Call the station on this link.
-    #[arg(long, value_name = "URL")]
-    pub link: Option<String>,
+    /// The link to the station.
+    #[command(flatten)]
+    pub link: StationLink,
     /// What to read.
     #[command(flatten)]
     pub data: DataFlags,

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use anyhow::{Context, Result};
-use posebridge_link::LinkUrl;
+use posebridge_link::{LinkUrl, UrlError};
 use posebridge_sim::Scenario;
 
 /// The scheme that starts a simulated brick of our own.
@@ -23,11 +23,19 @@ impl LinkTarget {
     ///
     /// # Errors
     /// The scheme is unknown or an option makes no sense.
-    pub fn parse(text: &str) -> Result<Self> {
+    pub fn parse(text: &str) -> Result<Self, UrlError> {
         if let Some(scenario) = text.strip_prefix(SIM_SCHEME) {
             return Ok(Self::Sim(scenario.to_owned()));
         }
-        Ok(Self::Url(LinkUrl::parse(text)?))
+        LinkUrl::parse(text)
+            .map(Self::Url)
+            .map_err(|error| match error {
+                UrlError::UnknownScheme { scheme, known } => UrlError::UnknownScheme {
+                    scheme,
+                    known: format!("sim, {known}"),
+                },
+                error => error,
+            })
     }
 }
 

@@ -6,6 +6,7 @@ pub mod play;
 pub mod replay;
 pub mod run;
 pub mod sim;
+mod station_link;
 
 use crate::cli::{Cli, Command};
 

@@ -6,11 +6,12 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context, Result, bail};
-use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
+use anyhow::{Result, bail};
+use posebridge_link::{HostTimer, Port, PortEvent};
 use posebridge_protocol::brick_player::BrickPlayer;
-use posebridge_telemetry::{HostClock, LinkId, Span, Stamp};
+use posebridge_telemetry::{HostClock, Span, Stamp};
 
+use super::station_link::{self, say};
 use super::{Failure, Stage};
 use crate::cli::PlayArgs;
 use crate::data::{DataSet, RobotRun};
@@ -39,31 +40,14 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
         .map(|name| data.load(name, &args.data))
         .collect();
     let runs = runs.at_start()?;
-    let (text, role) = match (&args.listen, &args.link) {
-        (Some(url), _) => (url, Role::Listen),
-        (None, Some(url)) => (url, Role::Dial),
-        (None, None) => return Err(anyhow::anyhow!("give --listen URL or --link URL")).at_start(),
-    };
-    let url = LinkUrl::parse(text).at_start()?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .at_start()?;
     runtime.block_on(async {
         let timer = HostTimer::start();
-        let name = url.to_string();
-        let mut port = Port::new(
-            PortConfig {
-                id: LinkId(0),
-                url,
-                role,
-            },
-            timer,
-        );
-        port.open_first()
-            .await
-            .with_context(|| format!("opening `{name}`"))
-            .at_start()?;
+        let mut port = station_link::port(&args.link, timer).at_start()?;
+        say(&station_link::open(&mut port).await.at_start()?);
         let mut player = Player {
             port,
             timer,
@@ -101,7 +85,6 @@ struct Player {
 }
 
 impl Player {
-    #[expect(clippy::print_stderr, reason = "talk goes to stderr")]
     async fn play(&mut self, run: &RobotRun, at_once: bool) -> Result<()> {
         let Some(first) = run.run.observations.first() else {
             bail!("run `{}` is empty", run.run.name)
@@ -112,14 +95,14 @@ impl Player {
             &run.run.name,
         );
         if !at_once {
-            eprintln!("waiting for a station");
+            say("waiting for a station");
             self.wait_for_station().await;
         }
-        eprintln!(
+        say(&format!(
             "playing {}: {} observations",
             run.run.name,
             run.run.observations.len()
-        );
+        ));
         let start = self.timer.now();
         let whole = run
             .run
@@ -143,7 +126,9 @@ impl Player {
         self.serve_until(self.timer.now() + AFTERGLOW, clock, &mut brick)
             .await;
         for (kind, count) in unsent {
-            eprintln!("{count} observations of kind {kind} have no message and were not sent");
+            say(&format!(
+                "{count} observations of kind {kind} have no message and were not sent"
+            ));
         }
         Ok(())
     }

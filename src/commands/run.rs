@@ -60,7 +60,11 @@ fn configuration(args: &RunArgs) -> Result<Config> {
     if let Some(name) = &args.filter {
         config.filter.name.clone_from(name);
     }
-    config.targets()?;
+    for (target, _) in config.targets()? {
+        if let LinkTarget::Sim(name) = target {
+            config = config.with_tag_of(&load_scenario(&name)?);
+        }
+    }
     config.pipeline()?;
     Ok(config)
 }

@@ -6,14 +6,14 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, Role};
+use posebridge_link::HostTimer;
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::LinkId;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::station_link::{self, say};
 use super::{Failure, Stage};
-use crate::cli::{SimArgs, SteerBy};
+use crate::cli::{SimArgs, StationLink, SteerBy};
 use crate::link_target::load_scenario;
 use crate::tasks::sim_brick::drive;
 use crate::truth_file;
@@ -24,17 +24,11 @@ use crate::truth_file;
 /// The scenario or the link makes no sense, or the truth cannot be written.
 pub fn execute(args: &SimArgs) -> Result<(), Failure> {
     let scenario = scenario(args).at_start()?;
-    let (text, role) = match (&args.listen, &args.link) {
-        (Some(url), _) => (url, Role::Listen),
-        (None, Some(url)) => (url, Role::Dial),
-        (None, None) => return Err(anyhow::anyhow!("give --listen URL or --link URL")).at_start(),
-    };
-    let url = LinkUrl::parse(text).at_start()?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .at_start()?;
-    let simulation = runtime.block_on(brick(scenario, url, role))?;
+    let simulation = runtime.block_on(brick(scenario, &args.link))?;
     if let Some(path) = &args.truth {
         write_truth(path, &simulation).while_running()?;
     }
@@ -58,22 +52,11 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
     Ok(scenario)
 }
 
-async fn brick(scenario: Scenario, url: LinkUrl, role: Role) -> Result<Simulation, Failure> {
+async fn brick(scenario: Scenario, link: &StationLink) -> Result<Simulation, Failure> {
     let timer = HostTimer::start();
-    let name = url.to_string();
-    let mut port = Port::new(
-        PortConfig {
-            id: LinkId(0),
-            url,
-            role,
-        },
-        timer,
-    );
-    port.open_first()
-        .await
-        .with_context(|| format!("opening `{name}`"))
-        .at_start()?;
-    tracing::info!(link = name, seed = scenario.seed, "the brick is up");
+    let mut port = station_link::port(link, timer).at_start()?;
+    let place = station_link::open(&mut port).await.at_start()?;
+    say(&format!("brick up, seed {}, {place}", scenario.seed));
     let mut simulation = Simulation::new(scenario);
     let stop = CancellationToken::new();
     let (progress, _) = watch::channel(0.0);

@@ -10,6 +10,7 @@ use posebridge_pipeline::{
     PipelineConfig,
 };
 use posebridge_protocol::framing::Framing;
+use posebridge_sim::Scenario;
 use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -272,6 +273,18 @@ impl Config {
             wanted,
             links: links.collect::<Result<_>>()?,
         })
+    }
+
+    /// A simulated robot's tag is where its scenario says, unless the configuration says otherwise.
+    #[must_use]
+    pub fn with_tag_of(mut self, scenario: &Scenario) -> Self {
+        if self.camera == CameraConfig::default() {
+            self.camera = CameraConfig {
+                tag_x_m: scenario.camera.tag_x_m,
+                tag_y_m: scenario.camera.tag_y_m,
+            };
+        }
+        self
     }
 
     /// What each link opens.

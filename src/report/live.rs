@@ -26,7 +26,14 @@ pub struct LiveView {
     clock: Option<(Span, f64, Span)>,
     estimate: Option<Estimate>,
     last_fix: Option<(Verdict, Span)>,
-    defects: u64,
+    voice: Voice,
+}
+
+/// Whether the block says anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Voice {
+    Speaking,
+    Silent,
 }
 
 /// Received bytes per second between two health events.
@@ -60,7 +67,16 @@ impl LiveView {
             clock: None,
             estimate: None,
             last_fix: None,
-            defects: 0,
+            voice: Voice::Speaking,
+        }
+    }
+
+    /// A block that says nothing, for measurements.
+    #[must_use]
+    pub fn silent() -> Self {
+        Self {
+            voice: Voice::Silent,
+            ..Self::new(None)
         }
     }
 
@@ -88,7 +104,6 @@ impl LiveView {
                 self.last_fix = Some((record.verdict, record.lag));
             }
             Event::Estimated { estimate, .. } => self.estimate = Some(*estimate),
-            Event::Defect { .. } => self.defects += 1,
             Event::RobotSeen { robot } => self.say(&format!("heard {robot}")),
             Event::RobotLost { robot, silence } => {
                 self.say(&format!(
@@ -106,6 +121,9 @@ impl LiveView {
 
     /// Draws the block, or without a terminal a line now and then.
     pub fn draw(&mut self) {
+        if self.voice == Voice::Silent {
+            return;
+        }
         if self.bar.is_hidden() {
             if self.now - self.written >= PLAIN_PERIOD {
                 self.written = self.now;
@@ -126,6 +144,9 @@ impl LiveView {
     }
 
     fn say(&self, line: &str) {
+        if self.voice == Voice::Silent {
+            return;
+        }
         if self.bar.is_hidden() {
             write_line(line);
         } else {

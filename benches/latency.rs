@@ -1,0 +1,253 @@
+//! From the last byte of a telemetry frame to the estimate's datagram, beside a bare echo of the same sizes.
+//!
+//! A brick on a loopback UDP socket sends PB_WHEEL_TICKS and waits for PB_PLANAR_POSE; the station is the program's own shard with its
+//! recorder and observer attached. The echo answers each datagram with one as long as the estimate, on a runtime of the same kind. Both
+//! take turns in one run, so that a busy machine slows both. Run with `cargo bench --bench latency`.
+//!
+//! Most of what is measured is the wake-up of a sleeping thread by the kernel; the ratio is what the station adds.
+
+#![expect(
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::disallowed_methods,
+    reason = "a benchmark stops when its set-up is broken, prints its figures, and measures with the host's clock"
+)]
+
+use std::net::{SocketAddr, UdpSocket};
+use std::time::{Duration, Instant};
+
+use posebridge::config::{Config, LinkSection};
+use posebridge::report::live::LiveView;
+use posebridge::tasks::observer::{Observer, ObserverConfig};
+use posebridge::tasks::recorder::Recorder;
+use posebridge::tasks::shard::{Ending, Shard};
+use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortSet, Role};
+use posebridge_pipeline::Pipeline;
+use posebridge_protocol::dialect::{Encoder, decode};
+use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::message::{Message, WheelTicks, WireStamp};
+use posebridge_recording::container::Header;
+use posebridge_telemetry::{Address, EncoderTicks, LinkId, Stamp};
+use tokio_util::sync::CancellationToken;
+
+const ROUNDS: usize = 20;
+const EXCHANGES_PER_ROUND: usize = 500;
+/// Between two frames of a brick; the loop below keeps it, so that history and clock see a real telemetry rate.
+const PERIOD_MICROS: u32 = 1_000;
+/// PB_PLANAR_POSE with its envelope.
+const ESTIMATE_BYTES: usize = 64;
+
+fn main() {
+    let stop = CancellationToken::new();
+    let echo = start_echo();
+    let (station, thread) = start_station(stop.clone());
+    let mut brick = Brick::new();
+    let (mut ours, mut bare) = (Vec::new(), Vec::new());
+    for round in 0..=ROUNDS {
+        let station_round = brick.exchange_with(station, Answer::Estimate);
+        let echo_round = brick.exchange_with(echo, Answer::Anything);
+        // The first round warms caches and fills the filter's history.
+        if round > 0 {
+            ours.extend(station_round);
+            bare.extend(echo_round);
+        }
+    }
+    stop.cancel();
+    thread.join().expect("the station's thread ends");
+    report(&mut ours, &mut bare);
+}
+
+fn report(ours: &mut [Duration], bare: &mut [Duration]) {
+    let percentile =
+        |sorted: &[Duration], share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];
+    ours.sort_unstable();
+    bare.sort_unstable();
+    println!(
+        "{:<28} {:>9} {:>9}",
+        "telemetry to estimate, UDP", "p50 us", "p99 us"
+    );
+    for (name, sorted) in [("station, recorder attached", &ours), ("bare echo", &bare)] {
+        let micros = |share| percentile(sorted, share).as_secs_f64() * 1e6;
+        println!("{name:<28} {:>9.1} {:>9.1}", micros(0.5), micros(0.99));
+    }
+    let ratio =
+        |share| percentile(ours, share).as_secs_f64() / percentile(bare, share).as_secs_f64();
+    println!("{:<28} {:>9.2} {:>9.2}", "ratio", ratio(0.5), ratio(0.99));
+    println!("{} exchanges each", ours.len());
+}
+
+/// Which datagram ends an exchange.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Answer {
+    Estimate,
+    Anything,
+}
+
+struct Brick {
+    socket: UdpSocket,
+    encoder: Encoder,
+    micros: u32,
+    ticks: i64,
+}
+
+impl Brick {
+    fn new() -> Self {
+        let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
+        socket
+            .set_read_timeout(Some(Duration::from_secs(5)))
+            .expect("a time limit");
+        Self {
+            socket,
+            encoder: Encoder::new(WireVersion::V2),
+            micros: 0,
+            ticks: 0,
+        }
+    }
+
+    fn exchange_with(&mut self, peer: SocketAddr, wanted: Answer) -> Vec<Duration> {
+        (0..EXCHANGES_PER_ROUND)
+            .map(|_| self.exchange(peer, wanted))
+            .collect()
+    }
+
+    fn exchange(&mut self, peer: SocketAddr, wanted: Answer) -> Duration {
+        let round_began = Instant::now();
+        self.micros = self.micros.wrapping_add(PERIOD_MICROS);
+        self.ticks += 1;
+        let message = Message::WheelTicks(WheelTicks {
+            stamp: WireStamp::Micros32(self.micros),
+            left: EncoderTicks(self.ticks),
+            right: EncoderTicks(self.ticks),
+        });
+        let mut frame = Vec::new();
+        self.encoder
+            .encode(Address::new(1, 1), &message, &mut frame);
+        let mut buffer = [0; 512];
+        let sent = Instant::now();
+        self.socket.send_to(&frame, peer).expect("the frame leaves");
+        let elapsed = loop {
+            let (length, from) = self
+                .socket
+                .recv_from(&mut buffer)
+                .expect("an answer within five seconds");
+            let elapsed = sent.elapsed();
+            if from == peer && (wanted == Answer::Anything || is_estimate(&buffer[..length])) {
+                break elapsed;
+            }
+        };
+        // Idle time, as on a real link: the station must be woken.
+        while round_began.elapsed() < Duration::from_micros(u64::from(PERIOD_MICROS)) {
+            std::hint::spin_loop();
+        }
+        elapsed
+    }
+}
+
+fn is_estimate(datagram: &[u8]) -> bool {
+    let mut found = false;
+    Scanner::new(ScannerConfig::default()).push(Stamp::ZERO, datagram, &mut |scanned| {
+        if let Scanned::Frame(frame) = scanned {
+            found |= matches!(decode(&frame), Ok(Some(Message::PlanarPose(_))));
+        }
+    });
+    found
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("a runtime")
+}
+
+fn start_echo() -> SocketAddr {
+    let (tell, told) = std::sync::mpsc::sync_channel(1);
+    std::thread::spawn(move || {
+        runtime().block_on(async {
+            let socket = tokio::net::UdpSocket::bind("127.0.0.1:0")
+                .await
+                .expect("a loopback socket");
+            tell.send(socket.local_addr().expect("an address"))
+                .expect("somebody waits");
+            let mut buffer = [0; 512];
+            while let Ok((_, peer)) = socket.recv_from(&mut buffer).await {
+                socket
+                    .send_to(&buffer[..ESTIMATE_BYTES], peer)
+                    .await
+                    .expect("the echo leaves");
+            }
+        });
+    });
+    told.recv().expect("the echo starts")
+}
+
+fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandle<()>) {
+    let (tell, told) = std::sync::mpsc::sync_channel(1);
+    let thread = std::thread::spawn(move || {
+        let folder =
+            std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a scratch folder");
+        runtime().block_on(async {
+            let timer = HostTimer::start();
+            let url = "udp://127.0.0.1:0";
+            let config = Config {
+                links: vec![LinkSection {
+                    listen: true,
+                    ..LinkSection::new(url)
+                }],
+                ..Config::default()
+            };
+            let url = LinkUrl::parse(url).expect("a URL");
+            let port = Port::new(
+                PortConfig {
+                    id: LinkId(0),
+                    url,
+                    role: Role::Listen,
+                },
+                timer,
+            );
+            let mut ports = PortSet::new(vec![port]);
+            ports.open_first().await.expect("the link opens");
+            let address = ports
+                .iter()
+                .next()
+                .and_then(Port::local_address)
+                .expect("an address");
+            let pipeline = Pipeline::new(config.pipeline().expect("a pipeline"), Stamp::ZERO)
+                .expect("a pipeline");
+            let recorder = Recorder::start(&folder.join("latency.mcap"), &Header::default())
+                .expect("a recorder");
+            let observer = Observer::start(ObserverConfig {
+                events: None,
+                view: LiveView::silent(),
+            })
+            .expect("an observer");
+            let mut shard = Shard {
+                pipeline,
+                ports,
+                timer,
+                recorder: Some(recorder),
+                observer,
+            };
+            tell.send(address).expect("somebody waits");
+            shard
+                .run(&Ending {
+                    stop,
+                    at: None,
+                    silence: None,
+                })
+                .await
+                .expect("the shard runs");
+            let Shard {
+                recorder, observer, ..
+            } = shard;
+            recorder
+                .map(Recorder::finish)
+                .transpose()
+                .expect("the recording is whole");
+            observer.finish().expect("the observer ends");
+        });
+        std::fs::remove_dir_all(&folder).expect("the scratch folder goes");
+    });
+    (told.recv().expect("the station starts"), thread)
+}

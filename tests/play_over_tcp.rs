@@ -1,0 +1,90 @@
+//! A recording of a real robot, played over TCP as a brick would send it, gives the estimates of its replay.
+#![expect(
+    clippy::expect_used,
+    clippy::unwrap_used,
+    reason = "a test stops where its set-up is broken"
+)]
+
+mod support;
+
+use support::{Running, posebridge, root};
+
+#[test]
+fn a_played_recording_is_estimated_as_its_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let descriptor = root().join("config/recordings/optiodom.toml");
+    let run = "circular/250620202104/run-01";
+    let mut player = Running::start(
+        posebridge(folder.path())
+            .arg("play")
+            .arg(&descriptor)
+            .arg("--data")
+            .arg(root().join("tests/data"))
+            .args([
+                "--run",
+                run,
+                "--listen",
+                "tcp://127.0.0.1:0",
+                "--speed",
+                "20",
+            ]),
+    );
+    let address = player
+        .wait_for("listening on")
+        .trim()
+        .replace("listening on ", "");
+    let mut station = Running::start(
+        posebridge(folder.path())
+            .args(["run", "--link", &format!("tcp://{address}"), "--robot"])
+            .arg(&descriptor)
+            .args([
+                "--out",
+                "run",
+                "--events",
+                "live.txt",
+                "--until-silent",
+                "1",
+            ]),
+    );
+    station.output();
+    player.output();
+    let replay = posebridge(folder.path())
+        .arg("replay")
+        .arg(&descriptor)
+        .arg("--data")
+        .arg(root().join("tests/data"))
+        .args(["--run", run, "--filter", "pose", "--events", "replayed.txt"])
+        .output()
+        .unwrap();
+    assert!(
+        replay.status.success(),
+        "{}",
+        String::from_utf8_lossy(&replay.stderr)
+    );
+    let last = |name: &str| {
+        let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
+        let line = text
+            .lines()
+            .rfind(|line| line.starts_with("Estimated"))
+            .expect("something was estimated")
+            .to_owned();
+        ["brick@", "x: Meters(", "y: Meters("].map(|field| number_after(&line, field))
+    };
+    let ([live_s, live_x_m, live_y_m], [replayed_s, x_m, y_m]) =
+        (last("live.txt"), last("replayed.txt"));
+    assert_eq!(live_s, replayed_s);
+    // The wire carries geometry as 32-bit floats: after 4 m of path that is a tenth of a micrometre.
+    assert!(
+        (live_x_m - x_m).abs() < 1e-6 && (live_y_m - y_m).abs() < 1e-6,
+        "{live_x_m} {x_m} {live_y_m} {y_m}"
+    );
+}
+
+fn number_after(line: &str, field: &str) -> f64 {
+    let text = line.split(field).nth(1).expect("the field is there");
+    text.split(['s', ')'])
+        .next()
+        .expect("it has a value")
+        .parse()
+        .expect("it is a number")
+}

@@ -1,0 +1,91 @@
+//! The strongest promise of the house: the events of a live run are those of its replay, bit for bit.
+#![expect(
+    clippy::expect_used,
+    clippy::unwrap_used,
+    reason = "a test stops where its set-up is broken"
+)]
+
+mod support;
+
+use posebridge_recording::container::Reader;
+use posebridge_telemetry::Input;
+use support::{SKEWED_SQUARE, posebridge};
+
+#[test]
+fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("skewed.toml"), SKEWED_SQUARE).unwrap();
+    let live = posebridge(folder.path())
+        .args([
+            "run",
+            "--link",
+            "sim://skewed.toml",
+            "--out",
+            "run",
+            "--events",
+            "live.txt",
+        ])
+        .output()
+        .unwrap();
+    assert!(
+        live.status.success(),
+        "{}",
+        String::from_utf8_lossy(&live.stderr)
+    );
+    let replay = posebridge(folder.path())
+        .args(["replay", "run/recording.mcap", "--events", "replayed.txt"])
+        .output()
+        .unwrap();
+    assert!(
+        replay.status.success(),
+        "{}",
+        String::from_utf8_lossy(&replay.stderr)
+    );
+
+    let live = std::fs::read_to_string(folder.path().join("live.txt")).unwrap();
+    let replayed = std::fs::read_to_string(folder.path().join("replayed.txt")).unwrap();
+    for (number, (live, replayed)) in live.lines().zip(replayed.lines()).enumerate() {
+        assert_eq!(live, replayed, "event {number}");
+    }
+    assert_eq!(live.lines().count(), replayed.lines().count());
+
+    // The comparison must have had something to compare: fixes that were used across the wrap, and a clock known to be fast.
+    let used = live.lines().filter(|line| {
+        line.starts_with("Fused") && line.contains("\"fix\"") && line.contains("Accepted")
+    });
+    assert!(used.count() > 40);
+    let last_clock = live
+        .lines()
+        .rfind(|line| line.starts_with("BrickClockAligned"))
+        .expect("clocks were aligned");
+    let skew_ppm: f64 = field(last_clock, "skew_ppm: ");
+    assert!((skew_ppm - 2000.0).abs() < 300.0, "{skew_ppm} ppm");
+    assert_eq!(
+        live.lines()
+            .filter(|line| line.starts_with("BrickRestarted"))
+            .count(),
+        0
+    );
+    assert!(chunks_that_are_not_frames(&folder.path().join("run/recording.mcap")) > 0);
+}
+
+fn field(line: &str, name: &str) -> f64 {
+    let text = line.split(name).nth(1).expect("the field is there");
+    text.split([',', ' '])
+        .next()
+        .expect("it has a value")
+        .parse()
+        .expect("it is a number")
+}
+
+/// Chunks of the recording that hold more or less than one frame: the boundaries are those of the reads.
+fn chunks_that_are_not_frames(path: &std::path::Path) -> usize {
+    let bytes = std::fs::read(path).unwrap();
+    Reader::open(&bytes)
+        .unwrap()
+        .filter(|item| match item {
+            Ok((_, Input::Bytes { bytes, .. })) => usize::from(bytes[1]) + 12 != bytes.len(),
+            _ => false,
+        })
+        .count()
+}

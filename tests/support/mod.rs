@@ -1,0 +1,124 @@
+//! The program under test as a user would start it, in a folder of its own.
+
+#![allow(dead_code, reason = "each test file uses its own part of this")]
+#![allow(
+    clippy::allow_attributes,
+    reason = "whether a helper is used depends on the file that includes it"
+)]
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, Command, Stdio};
+
+/// The repository's root.
+pub(crate) fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The program, to be started in `folder`.
+pub(crate) fn posebridge(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_posebridge"));
+    command
+        .current_dir(folder)
+        .env_remove("POSEBRIDGE_DATA")
+        .env_remove("POSEBRIDGE_LOG");
+    command
+}
+
+/// A running program whose talk can be waited for; killed when dropped.
+pub(crate) struct Running {
+    child: Child,
+    lines: BufReader<ChildStderr>,
+    heard: String,
+}
+
+impl Running {
+    /// Starts a program.
+    pub(crate) fn start(command: &mut Command) -> Self {
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let stderr = child.stderr.take().expect("stderr is piped");
+        Self {
+            child,
+            lines: BufReader::new(stderr),
+            heard: String::new(),
+        }
+    }
+
+    /// Reads what it says until a line holds `text`, and returns that line.
+    pub(crate) fn wait_for(&mut self, text: &str) -> String {
+        loop {
+            let mut line = String::new();
+            let read = self.lines.read_line(&mut line).expect("stderr is text");
+            assert!(
+                read > 0,
+                "it ended before it said `{text}`; it said:\n{}",
+                self.heard
+            );
+            self.heard.push_str(&line);
+            if line.contains(text) {
+                return line;
+            }
+        }
+    }
+
+    /// Kills it as `kill -9` does.
+    pub(crate) fn kill(mut self) {
+        self.child.kill().expect("it can be killed");
+        self.child.wait().expect("it can be waited for");
+    }
+
+    /// Asks it to end, as Ctrl-C does, and returns its standard output.
+    pub(crate) fn interrupt(mut self) -> String {
+        let pid = nix::unistd::Pid::from_raw(i32::try_from(self.child.id()).expect("a process id"));
+        nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGINT).expect("it can be signalled");
+        self.output()
+    }
+
+    /// Waits for its end and returns its standard output.
+    pub(crate) fn output(&mut self) -> String {
+        use std::io::Read as _;
+        let mut text = String::new();
+        let mut stdout = self.child.stdout.take().expect("stdout is piped");
+        // What it still says must be read, or it would wait for us.
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                self.lines
+                    .read_to_string(&mut self.heard)
+                    .expect("stderr is text")
+            });
+            stdout.read_to_string(&mut text).expect("stdout is text");
+        });
+        let status = self.child.wait().expect("it can be waited for");
+        assert!(status.success(), "{status}; it said:\n{}", self.heard);
+        text
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Already gone is as good.
+        drop(self.child.kill());
+        drop(self.child.wait());
+    }
+}
+
+/// A short square whose brick runs 2000 ppm fast and whose 32-bit counter wraps on the way.
+pub(crate) const SKEWED_SQUARE: &str = r#"
+seed = 7
+steering = "estimate"
+
+[path.square]
+side_m = 0.3
+
+[drive]
+laps = 1
+speed_m_per_s = 0.2
+
+[brick]
+clock_skew_ppm = 2000.0
+clock_start_micros = 4290967296
+"#;

@@ -1,0 +1,94 @@
+//! Brick and station as two processes over a pseudo-terminal: kill and restart either, the other goes on.
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test stops where its set-up is broken"
+)]
+
+mod support;
+
+use std::path::Path;
+
+use support::{Running, posebridge};
+
+fn brick(folder: &Path) -> Running {
+    let mut brick = Running::start(posebridge(folder).args([
+        "sim",
+        "square",
+        "--listen",
+        "pty:brick.tty",
+        "--laps",
+        "50",
+    ]));
+    brick.wait_for("brick up");
+    brick
+}
+
+fn station(folder: &Path, name: &str) -> Running {
+    let events = format!("{name}.txt");
+    let mut station = Running::start(posebridge(folder).args([
+        "run",
+        "--link",
+        "serial:brick.tty",
+        "--out",
+        name,
+        "--events",
+        &events,
+    ]));
+    station.wait_for("heard link 0 1/1");
+    station
+}
+
+#[test]
+fn a_killed_brick_comes_back_and_the_station_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = brick(folder.path());
+    let mut station = station(folder.path(), "run");
+    station.wait_for("fix accepted");
+    first.kill();
+    station.wait_for("link DOWN");
+    let _second = brick(folder.path());
+    station.wait_for("was restarted: clock and counters re-based");
+    station.wait_for("heard link 0 1/1");
+    station.wait_for("fix accepted");
+    station.interrupt();
+    let events = std::fs::read_to_string(folder.path().join("run.txt")).unwrap();
+    let states: Vec<&str> = events
+        .lines()
+        .filter(|line| line.starts_with("Link "))
+        .collect();
+    assert_eq!(
+        states.len(),
+        3,
+        "one event per change of state: {states:#?}"
+    );
+}
+
+#[test]
+fn a_killed_station_comes_back_and_the_brick_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let _brick = brick(folder.path());
+    let mut first = station(folder.path(), "first");
+    // The first line of the status block: five seconds have passed.
+    first.wait_for("fix accepted");
+    first.kill();
+    let mut second = station(folder.path(), "second");
+    second.wait_for("fix accepted");
+    let table = second.interrupt();
+    assert!(table.contains("camera"), "{table}");
+    let events = std::fs::read_to_string(folder.path().join("second.txt")).unwrap();
+    let first_stamp = events
+        .lines()
+        .find(|line| line.starts_with("Observed"))
+        .unwrap();
+    let brick_s: f64 = first_stamp
+        .split("brick@")
+        .nth(1)
+        .unwrap()
+        .split('s')
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap();
+    // Its clock began at 5 s and was not restarted with the station.
+    assert!(brick_s > 9.0, "{brick_s}");
+}
