@@ -188,47 +188,7 @@ fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandl
             std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a scratch folder");
         runtime().block_on(async {
-            let timer = HostTimer::start();
-            let url = "udp://127.0.0.1:0";
-            let config = Config {
-                links: vec![LinkSection {
-                    listen: true,
-                    ..LinkSection::new(url)
-                }],
-                ..Config::default()
-            };
-            let url = LinkUrl::parse(url).expect("a URL");
-            let port = Port::new(
-                PortConfig {
-                    id: LinkId(0),
-                    url,
-                    role: Role::Listen,
-                },
-                timer,
-            );
-            let mut ports = PortSet::new(vec![port]);
-            ports.open_first().await.expect("the link opens");
-            let address = ports
-                .iter()
-                .next()
-                .and_then(Port::local_address)
-                .expect("an address");
-            let pipeline = Pipeline::new(config.pipeline().expect("a pipeline"), Stamp::ZERO)
-                .expect("a pipeline");
-            let recorder = Recorder::start(&folder.join("latency.mcap"), &Header::default())
-                .expect("a recorder");
-            let observer = Observer::start(ObserverConfig {
-                events: None,
-                view: LiveView::silent(),
-            })
-            .expect("an observer");
-            let mut shard = Shard {
-                pipeline,
-                ports,
-                timer,
-                recorder: Some(recorder),
-                observer,
-            };
+            let (mut shard, address) = shard(&folder.join("latency.mcap")).await;
             tell.send(address).expect("somebody waits");
             shard
                 .run(&Ending {
@@ -250,4 +210,47 @@ fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandl
         std::fs::remove_dir_all(&folder).expect("the scratch folder goes");
     });
     (told.recv().expect("the station starts"), thread)
+}
+
+/// The program's own shard on a loopback UDP port, with recorder and observer.
+async fn shard(recording: &std::path::Path) -> (Shard, SocketAddr) {
+    let timer = HostTimer::start();
+    let url = "udp://127.0.0.1:0";
+    let links = vec![LinkSection {
+        listen: true,
+        ..LinkSection::new(url)
+    }];
+    let config = Config {
+        links,
+        ..Config::default()
+    };
+    let url = LinkUrl::parse(url).expect("a URL");
+    let port = Port::new(
+        PortConfig {
+            id: LinkId(0),
+            url,
+            role: Role::Listen,
+        },
+        timer,
+    );
+    let mut ports = PortSet::new(vec![port]);
+    ports.open_first().await.expect("the link opens");
+    let address = ports
+        .iter()
+        .next()
+        .and_then(Port::local_address)
+        .expect("an address");
+    let observed = ObserverConfig {
+        events: None,
+        view: LiveView::silent(),
+    };
+    let shard = Shard {
+        pipeline: Pipeline::new(config.pipeline().expect("a pipeline"), Stamp::ZERO)
+            .expect("a pipeline"),
+        ports,
+        timer,
+        recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),
+        observer: Observer::start(observed).expect("an observer"),
+    };
+    (shard, address)
 }

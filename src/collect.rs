@@ -32,34 +32,41 @@ impl Collector {
         match event {
             Event::Observed { observation, .. } => {
                 self.observations += 1;
-                self.last_fix = match observation.observed {
-                    Observed::Fix(fix) => Some(fix.position),
-                    _ => None,
+                self.last_fix = if let Observed::Fix(fix) = observation.observed {
+                    Some(fix.position)
+                } else {
+                    None
                 };
             }
             Event::Fused { record, .. } => self.take_record(record),
-            Event::Estimated { estimate, .. }
-                if estimate.validity.position && estimate.validity.heading =>
-            {
-                self.estimates.push(*estimate);
+            Event::Estimated { estimate, .. } => {
+                if estimate.validity.position && estimate.validity.heading {
+                    self.estimates.push(*estimate);
+                }
             }
             Event::Health { health, .. } => self.health = *health,
-            _ => {}
+            Event::RobotSeen { .. }
+            | Event::RobotLost { .. }
+            | Event::BrickRestarted { .. }
+            | Event::BrickClockAligned { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Link { .. }
+            | Event::Defect { .. }
+            | Event::Text { .. } => {}
         }
     }
 
     fn take_record(&mut self, record: &FusionRecord) {
-        match self
+        let known = self
             .sources
             .iter_mut()
-            .find(|tally| tally.sensor == record.sensor)
-        {
-            Some(tally) => tally.add(record),
-            None => {
-                let mut tally = SourceTally::new(record.sensor);
-                tally.add(record);
-                self.sources.push(tally);
-            }
+            .find(|tally| tally.sensor == record.sensor);
+        if let Some(tally) = known {
+            tally.add(record);
+        } else {
+            let mut tally = SourceTally::new(record.sensor);
+            tally.add(record);
+            self.sources.push(tally);
         }
         if let Some(position) = self.last_fix {
             self.fixes.push(FixMark {

@@ -1,6 +1,7 @@
 //! What a link's URL opens: a real link, or a simulated brick behind a pseudo-terminal.
 
 use std::fmt;
+use std::path::Path;
 
 use anyhow::{Context, Result};
 use posebridge_link::{LinkUrl, UrlError};
@@ -27,15 +28,14 @@ impl LinkTarget {
         if let Some(scenario) = text.strip_prefix(SIM_SCHEME) {
             return Ok(Self::Sim(scenario.to_owned()));
         }
-        LinkUrl::parse(text)
-            .map(Self::Url)
-            .map_err(|error| match error {
-                UrlError::UnknownScheme { scheme, known } => UrlError::UnknownScheme {
-                    scheme,
-                    known: format!("sim, {known}"),
-                },
-                error => error,
-            })
+        match LinkUrl::parse(text) {
+            Ok(url) => Ok(Self::Url(url)),
+            Err(UrlError::UnknownScheme { scheme, known }) => {
+                let known = format!("sim, {known}");
+                Err(UrlError::UnknownScheme { scheme, known })
+            }
+            Err(error) => Err(error),
+        }
     }
 }
 
@@ -53,7 +53,10 @@ impl fmt::Display for LinkTarget {
 /// # Errors
 /// There is no such name or file, or the file makes no sense; the message names both and the key.
 pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
-    if !name_or_file.ends_with(".toml") {
+    if Path::new(name_or_file)
+        .extension()
+        .is_none_or(|extension| extension != "toml")
+    {
         return Ok(Scenario::bundled(name_or_file)?);
     }
     let text = std::fs::read_to_string(name_or_file)

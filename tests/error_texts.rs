@@ -1,8 +1,7 @@
 //! What a user reads when something is wrong: clear, with the key or the path, exit code 2. Snapshots of the texts.
 #![expect(
-    clippy::expect_used,
     clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
+    reason = "helpers outside #[test] stop where the set-up is broken"
 )]
 
 mod support;

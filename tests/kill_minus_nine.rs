@@ -1,9 +1,4 @@
 //! A recording is readable after `kill -9`, up to at most one second before.
-#![expect(
-    clippy::expect_used,
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
 
 mod support;
 

@@ -1,8 +1,7 @@
 //! A recording of a real robot, played over TCP as a brick would send it, gives the estimates of its replay.
 #![expect(
     clippy::expect_used,
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
+    reason = "helpers outside #[test] stop where the set-up is broken"
 )]
 
 mod support;
@@ -61,23 +60,26 @@ fn a_played_recording_is_estimated_as_its_replay() {
         "{}",
         String::from_utf8_lossy(&replay.stderr)
     );
-    let last = |name: &str| {
-        let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
-        let line = text
-            .lines()
-            .rfind(|line| line.starts_with("Estimated"))
-            .expect("something was estimated")
-            .to_owned();
-        ["brick@", "x: Meters(", "y: Meters("].map(|field| number_after(&line, field))
-    };
-    let ([live_s, live_x_m, live_y_m], [replayed_s, x_m, y_m]) =
-        (last("live.txt"), last("replayed.txt"));
+    let ([live_s, live_x_m, live_y_m], [replayed_s, x_m, y_m]) = (
+        last_estimate(&folder.path().join("live.txt")),
+        last_estimate(&folder.path().join("replayed.txt")),
+    );
     assert_eq!(live_s, replayed_s);
     // The wire carries geometry as 32-bit floats: after 4 m of path that is a tenth of a micrometre.
     assert!(
         (live_x_m - x_m).abs() < 1e-6 && (live_y_m - y_m).abs() < 1e-6,
         "{live_x_m} {x_m} {live_y_m} {y_m}"
     );
+}
+
+/// Time, x and y of the last estimate.
+fn last_estimate(events: &std::path::Path) -> [f64; 3] {
+    let text = std::fs::read_to_string(events).expect("the events are there");
+    let line = text
+        .lines()
+        .rfind(|line| line.starts_with("Estimated"))
+        .expect("something was estimated");
+    ["brick@", "x: Meters(", "y: Meters("].map(|field| number_after(line, field))
 }
 
 fn number_after(line: &str, field: &str) -> f64 {

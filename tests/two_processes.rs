@@ -1,8 +1,4 @@
 //! Brick and station as two processes over a pseudo-terminal: kill and restart either, the other goes on.
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
 
 mod support;
 

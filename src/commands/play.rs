@@ -53,9 +53,16 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
             timer,
             speed: args.speed,
         };
+        if !args.at_once {
+            say("waiting for a station");
+            tokio::select! {
+                () = player.wait_for_station() => {}
+                () = super::run::interrupted() => return Ok(()),
+            }
+        }
         for run in &runs {
             tokio::select! {
-                result = player.play(run, args.at_once) => result.while_running()?,
+                result = player.play(run) => result.while_running()?,
                 () = super::run::interrupted() => return Ok(()),
             }
         }
@@ -85,7 +92,7 @@ struct Player {
 }
 
 impl Player {
-    async fn play(&mut self, run: &RobotRun, at_once: bool) -> Result<()> {
+    async fn play(&mut self, run: &RobotRun) -> Result<()> {
         let Some(first) = run.run.observations.first() else {
             bail!("run `{}` is empty", run.run.name)
         };
@@ -94,10 +101,6 @@ impl Player {
             run.filter_config.geometry,
             &run.run.name,
         );
-        if !at_once {
-            say("waiting for a station");
-            self.wait_for_station().await;
-        }
         say(&format!(
             "playing {}: {} observations",
             run.run.name,

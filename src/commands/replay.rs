@@ -188,12 +188,13 @@ fn take_outputs(
 /// A foreign recording.
 fn descriptor(args: &ReplayArgs) -> Result<Replayed> {
     let data = DataSet::open(&args.recording, &args.data)?;
-    let filters: Vec<String> = match args.filters.is_empty() {
-        true => USUAL_FILTERS
+    let filters: Vec<String> = if args.filters.is_empty() {
+        USUAL_FILTERS
             .iter()
             .map(|name| (*name).to_owned())
-            .collect(),
-        false => args.filters.clone(),
+            .collect()
+    } else {
+        args.filters.clone()
     };
     let mut events = args.events.as_deref().map(create).transpose()?;
     let mut observations = 0;
@@ -208,12 +209,9 @@ fn descriptor(args: &ReplayArgs) -> Result<Replayed> {
             let mut one = Collector::default();
             let errors = replay_run(&robot_run, filter, &mut one, events.as_mut())?;
             summaries.push(errors);
-            draw_run(
-                args,
-                &robot_run,
-                &one,
-                filter == filters.last().unwrap_or(filter),
-            )?;
+            if Some(filter) == filters.last() {
+                draw_run(args, &robot_run, &one)?;
+            }
             merge(collector, one);
         }
     }
@@ -296,15 +294,7 @@ fn merge(all: &mut Collector, one: Collector) {
     }
 }
 
-fn draw_run(
-    args: &ReplayArgs,
-    robot_run: &RobotRun,
-    collector: &Collector,
-    is_last: bool,
-) -> Result<()> {
-    if !is_last {
-        return Ok(());
-    }
+fn draw_run(args: &ReplayArgs, robot_run: &RobotRun, collector: &Collector) -> Result<()> {
     let run = &robot_run.run;
     let truth = run.truth.iter().map(|truth| TimedPose {
         stamp: truth.stamp,

@@ -40,7 +40,10 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
         .enable_all()
         .build()
         .at_start()?;
-    runtime.block_on(station(args, &config))
+    let result = runtime.block_on(station(args, &config));
+    // An attempt to open a device that hangs must not keep the program alive.
+    runtime.shutdown_background();
+    result
 }
 
 /// The configuration with the command line's flags laid over it.
@@ -55,7 +58,7 @@ fn configuration(args: &RunArgs) -> Result<Config> {
         config.links = dialled.chain(awaited).collect();
     }
     if let Some(path) = &args.robot {
-        config.robot = robot_of(path)?;
+        config.robot = config::robot_of(path)?;
     }
     if let Some(name) = &args.filter {
         config.filter.name.clone_from(name);
@@ -67,50 +70,6 @@ fn configuration(args: &RunArgs) -> Result<Config> {
     }
     config.pipeline()?;
     Ok(config)
-}
-
-/// The `[robot]` table of any TOML file.
-fn robot_of(path: &Path) -> Result<config::RobotFile> {
-    let name = path.display();
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("reading the robot from `{name}`"))?;
-    let table: toml::Table = toml::from_str(&text).with_context(|| format!("robot `{name}`"))?;
-    let Some(robot) = table.get("robot") else {
-        bail!("`{name}` has no [robot] table")
-    };
-    let mut robot: config::RobotFile = robot
-        .clone()
-        .try_into()
-        .with_context(|| format!("[robot] of `{name}`"))?;
-    // A descriptor keeps the start beside the robot, because it belongs to the recording.
-    if let (None, Some(start)) = (
-        robot.start,
-        table.get("start").and_then(toml::Value::as_table),
-    ) {
-        robot.start = start_of(start);
-    }
-    Ok(robot)
-}
-
-/// The `[start]` of a descriptor, where it names a pose; one that is taken from the data is left to the first fixes.
-fn start_of(start: &toml::Table) -> Option<config::RobotStart> {
-    let number = |key: &str| {
-        let value = start.get(key)?;
-        value
-            .as_float()
-            .or(value.as_integer().map(|whole| whole as f64))
-    };
-    let degrees = |stem: &str| {
-        number(&format!("{stem}_deg"))
-            .or_else(|| number(&format!("{stem}_rad")).map(f64::to_degrees))
-    };
-    Some(config::RobotStart {
-        x_m: number("x_m")?,
-        y_m: number("y_m")?,
-        heading_deg: degrees("heading")?,
-        position_sigma_m: number("position_sigma_m")?,
-        heading_sigma_deg: degrees("heading_sigma")?,
-    })
 }
 
 /// The simulated brick of a run, if it has one.
@@ -127,19 +86,20 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
     let (ports, embedded) = open_links(args, config, timer, &folder, &stop)
         .await
         .at_start()?;
-    let mut pipeline = Pipeline::new(config.pipeline().at_start()?, Stamp::ZERO).at_start()?;
-    let recorder = start_recorder(args, config, &timer, &folder).at_start()?;
     let progress = embedded
         .as_ref()
         .map(|embedded| embedded.brick.progress.clone());
-    let view = LiveView::new(progress);
-    let observer = Observer::start(ObserverConfig {
+    let observed = ObserverConfig {
         events: args.events.as_deref(),
-        view,
-    })
-    .at_start()?;
-    // Nothing has come yet, so nothing can have been said.
-    while pipeline.poll().is_some() {}
+        view: LiveView::new(progress),
+    };
+    let mut shard = Shard {
+        pipeline: Pipeline::new(config.pipeline().at_start()?, Stamp::ZERO).at_start()?,
+        ports,
+        timer,
+        recorder: start_recorder(args, config, &timer, &folder).at_start()?,
+        observer: Observer::start(observed).at_start()?,
+    };
     let ending = Ending {
         stop: embedded
             .as_ref()
@@ -147,18 +107,17 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         at: args.duration.map(Stamp::from_secs_f64),
         silence: args.until_silent.map(Span::from_secs_f64),
     };
-    let mut shard = Shard {
-        pipeline,
-        ports,
-        timer,
-        recorder,
-        observer,
-    };
     tokio::select! {
         result = shard.run(&ending) => result.while_running()?,
         () = interrupted() => {}
     }
     stop.cancel();
+    let (collector, recorded) = close(shard).while_running()?;
+    finish(config, &folder, &collector, embedded, recorded).while_running()
+}
+
+/// Closes the links, then lets recorder and observer finish what waits.
+fn close(shard: Shard) -> Result<(Collector, Option<u64>)> {
     let Shard {
         recorder,
         observer,
@@ -166,15 +125,15 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         ..
     } = shard;
     drop(ports);
-    let recorded = recorder.map(Recorder::finish).transpose().while_running()?;
-    let (collector, dropped) = observer.finish().while_running()?;
+    let recorded = recorder.map(Recorder::finish).transpose()?;
+    let (collector, dropped) = observer.finish()?;
     if dropped > 0 {
         tracing::warn!(
             dropped,
             "events were not shown because the terminal was slow"
         );
     }
-    finish(config, &folder, &collector, embedded, recorded).while_running()
+    Ok((collector, recorded))
 }
 
 /// Opens what must open at once and starts simulated bricks.

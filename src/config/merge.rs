@@ -97,17 +97,16 @@ pub fn print(loaded: &Loaded) -> anyhow::Result<String> {
 fn print_table(table: &toml::Table, path: &mut Vec<String>, loaded: &Loaded, lines: &mut String) {
     for (key, value) in table {
         path.push(key.clone());
-        match value {
-            toml::Value::Table(inner) => print_table(inner, path, loaded, lines),
-            _ => {
-                let origin = match origin_of(path, loaded) {
-                    Origin::Default => "default",
-                    Origin::File => "file",
-                    Origin::Flag => "flag",
-                };
-                // Writing to a String cannot fail.
-                let _ = writeln!(lines, "{} = {value}    # {origin}", path.join("."));
-            }
+        if let toml::Value::Table(inner) = value {
+            print_table(inner, path, loaded, lines);
+        } else {
+            let origin = match origin_of(path, loaded) {
+                Origin::Default => "default",
+                Origin::File => "file",
+                Origin::Flag => "flag",
+            };
+            // Writing to a String cannot fail.
+            let _ = writeln!(lines, "{} = {value}    # {origin}", path.join("."));
         }
         path.pop();
     }

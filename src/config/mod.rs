@@ -7,11 +7,13 @@
 mod load;
 mod merge;
 mod robot;
+mod robot_of;
 mod station;
 
 pub use load::{ConfigError, Loaded, load, load_text};
 pub use merge::{Origin, Setting, print};
 pub use robot::{RobotFile, RobotNoise, RobotStart};
+pub use robot_of::robot_of;
 pub use station::{
     AtInstant, CameraConfig, ClockConfig, Config, FilterSection, LinkSection, OutputSection,
     RecordSection, StationConfig,

@@ -262,9 +262,10 @@ impl Config {
             own: Address::new(self.station.system, self.station.component),
             filter: self.filter.name.clone(),
             filter_config: self.filter_config()?,
-            description: match self.robot.adopt_description {
-                true => DescriptionPolicy::Adopt,
-                false => DescriptionPolicy::Ignore,
+            description: if self.robot.adopt_description {
+                DescriptionPolicy::Adopt
+            } else {
+                DescriptionPolicy::Ignore
             },
             robot_system: (self.station.robot_system != 0)
                 .then_some(SystemId(self.station.robot_system)),
@@ -326,9 +327,10 @@ impl LinkSection {
             } else {
                 Framing::Stream
             },
-            version: match self.accept_mavlink1 {
-                true => AcceptedVersions::V1AndV2,
-                false => AcceptedVersions::V2,
+            version: if self.accept_mavlink1 {
+                AcceptedVersions::V1AndV2
+            } else {
+                AcceptedVersions::V2
             },
             outputs: outputs
                 .collect::<Result<_>>()

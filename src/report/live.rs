@@ -115,7 +115,12 @@ impl LiveView {
                 "{robot} was restarted: clock and counters re-based"
             )),
             Event::Text { source, text, .. } => self.say(&format!("{source} says: {text}")),
-            _ => {}
+            Event::Link { .. }
+            | Event::Health { .. }
+            | Event::Fused { .. }
+            | Event::Observed { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Defect { .. } => {}
         }
     }
 

@@ -125,10 +125,10 @@ fn has_the_link(link: LinkId, event: &PortEvent, speakers: &mut BTreeMap<LinkId,
 
 /// Whether an input about a link's state tells anything new: a port tells each new reason of one loss.
 fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, LinkState>) -> bool {
-    match input {
-        Input::Link { state, .. } => states.insert(link, *state) != Some(*state),
-        _ => true,
+    if let Input::Link { state, .. } = input {
+        return states.insert(link, *state) != Some(*state);
     }
+    true
 }
 
 /// What a port's event is to the pipeline.

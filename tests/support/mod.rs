@@ -1,5 +1,9 @@
 //! The program under test as a user would start it, in a folder of its own.
 
+#![allow(
+    clippy::expect_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
 #![allow(dead_code, reason = "each test file uses its own part of this")]
 #![allow(
     clippy::allow_attributes,
