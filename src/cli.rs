@@ -234,7 +234,7 @@ fn links_help() -> String {
         // Writing to a String cannot fail.
         let _ = writeln!(
             help,
-            "  {:<22} {}",
+            "  {}\n      {}",
             transport.example(),
             transport.summary()
         );

@@ -2,19 +2,16 @@
 
 use clap::CommandFactory;
 
-use super::Failure;
+use super::{Failure, Stage};
 use crate::cli::{Cli, CompletionsArgs};
+use crate::stdout;
 
 /// Prints the script.
 ///
 /// # Errors
-/// Never.
+/// Standard output cannot be written.
 pub fn execute(args: &CompletionsArgs) -> Result<(), Failure> {
-    clap_complete::generate(
-        args.shell,
-        &mut Cli::command(),
-        "posebridge",
-        &mut std::io::stdout(),
-    );
-    Ok(())
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "posebridge", &mut script);
+    stdout::print(&String::from_utf8_lossy(&script)).while_running()
 }

@@ -3,24 +3,24 @@
 use super::{Failure, Stage};
 use crate::cli::{ConfigAction, ConfigArgs, ConfigFlags};
 use crate::config::{self, Config, Loaded};
+use crate::stdout;
 
 /// Prints, checks or describes.
 ///
 /// # Errors
 /// The configuration makes no sense.
-#[expect(clippy::print_stdout, reason = "the result is data and goes to stdout")]
 pub fn execute(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.action {
         ConfigAction::Print(flags) => {
             let loaded = checked(flags)?;
-            print!("{}", config::print(&loaded).while_running()?);
+            stdout::print(&config::print(&loaded).while_running()?).while_running()?;
         }
         ConfigAction::Check(flags) => {
             checked(flags)?;
         }
         ConfigAction::Schema => {
             let schema = serde_json::to_string_pretty(&schema()).while_running()?;
-            println!("{schema}");
+            stdout::print(&(schema + "\n")).while_running()?;
         }
     }
     Ok(())

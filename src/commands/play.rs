@@ -47,7 +47,7 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
     runtime.block_on(async {
         let timer = HostTimer::start();
         let mut port = station_link::port(&args.link, timer).at_start()?;
-        say(&station_link::open(&mut port).await.at_start()?);
+        say(&station_link::open(&args.link, &mut port).await.at_start()?);
         let mut player = Player {
             port,
             timer,

@@ -4,7 +4,8 @@
 //! bit for bit. A descriptor of a foreign recording (`*.toml`) is read into observations; each estimator is then scored against the
 //! truth or against the fixes that were withheld.
 
-use std::io::Write;
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
@@ -18,6 +19,7 @@ use posebridge_pipeline::{DescriptionPolicy, Pipeline, PipelineConfig};
 use posebridge_recording::container::{Ending, Reader};
 use posebridge_telemetry::{Address, Input, Output, Point2, Span, Stamp};
 
+use super::station_link::say;
 use super::{Failure, Stage};
 use crate::cli::ReplayArgs;
 use crate::collect::{Collector, LONGEST_GAP};
@@ -25,6 +27,7 @@ use crate::config;
 use crate::data::{DataSet, RobotRun};
 use crate::report::json;
 use crate::score::{Scorer, pose_at};
+use crate::stdout;
 use crate::tasks::observer::{create, write_event};
 use crate::truth_file;
 
@@ -74,38 +77,38 @@ pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     print(args, &replayed, timer.now() - Stamp::ZERO).while_running()
 }
 
-#[expect(
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "the result is data and goes to stdout, talk to stderr"
-)]
 fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
     if args.json {
-        println!("{}", json::text(replayed, wall, cpu_time()?)?);
+        stdout::print(&(json::text(replayed, wall, cpu_time()?)? + "\n"))?;
         return Ok(());
     }
-    let rows: Vec<EstimatorRow<'_>> = replayed
-        .outcomes
-        .iter()
-        .map(|outcome| EstimatorRow {
-            name: &outcome.name,
-            errors: &outcome.errors,
-            runs: replayed.runs.len() as u64,
-        })
-        .collect();
-    println!(
-        "{}: {} observations, {} run(s)\n",
-        replayed.recording,
-        replayed.observations,
-        replayed.runs.len()
+    let runs = replayed.runs.len();
+    let mut rows = Vec::new();
+    for Outcome { name, errors, .. } in &replayed.outcomes {
+        rows.push(EstimatorRow {
+            name,
+            errors,
+            runs: runs as u64,
+        });
+    }
+    let mut text = format!(
+        "{}: {} observations, {runs} run(s)\n\n",
+        replayed.recording, replayed.observations
     );
-    println!("{}", estimator_table(&rows));
+    text += &estimator_table(&rows);
     for outcome in &replayed.outcomes {
-        println!("{}\n{}", outcome.name, source_table(&outcome.sources));
+        // Writing to a String cannot fail.
+        let _ = write!(
+            text,
+            "\n{}\n{}",
+            outcome.name,
+            source_table(&outcome.sources)
+        );
     }
     if replayed.bad_rows > 0 {
-        eprintln!("{} rows could not be used", replayed.bad_rows);
+        say(&format!("{} rows could not be used", replayed.bad_rows));
     }
+    stdout::print(&text)?;
     Ok(())
 }
 
@@ -233,14 +236,17 @@ fn descriptor(args: &ReplayArgs) -> Result<Replayed> {
 }
 
 /// Names the rows that could not be used; they are counted and do not end the run.
-#[expect(clippy::print_stderr, reason = "talk goes to stderr")]
 fn tell_bad_rows(robot_run: &RobotRun) -> u64 {
     let bad = &robot_run.run.bad_rows;
     for row in &bad.named {
-        eprintln!("{}: {row}", robot_run.run.name);
+        say(&format!("{}: {row}", robot_run.run.name));
     }
     for (reason, count) in &bad.counts {
-        eprintln!("{}: {count} rows: {}", robot_run.run.name, reason.name());
+        say(&format!(
+            "{}: {count} rows: {}",
+            robot_run.run.name,
+            reason.name()
+        ));
     }
     bad.total() as u64
 }

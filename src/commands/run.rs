@@ -4,6 +4,7 @@
 //! status block. With a simulated brick of its own it ends when the path is driven, prints who was how far off and draws two
 //! pictures; otherwise it runs until Ctrl-C, `--duration` or `--until-silent`.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -21,6 +22,7 @@ use crate::config::{self, Config, LinkSection};
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::live::LiveView;
 use crate::report::run::{self as report, Truth};
+use crate::stdout;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::Recorder;
 use crate::tasks::shard::{Ending, Shard};
@@ -235,10 +237,6 @@ fn start_recorder(
 }
 
 /// Tables and pictures.
-#[expect(
-    clippy::print_stdout,
-    reason = "the run's result is data and goes to stdout"
-)]
 fn finish(
     config: &Config,
     folder: &Path,
@@ -254,19 +252,20 @@ fn finish(
         other = Some(steered_the_other_way(config, embedded.scenario)?);
         truth = Some(Truth::of(&embedded.brick.finish()?));
     }
-    println!("{}", report::sources(collector));
+    let mut text = report::sources(collector) + "\n";
     if let Some(truth) = &truth {
-        println!("{}", report::table(collector, truth, other.as_ref()));
+        text += &report::table(collector, truth, other.as_ref());
+        text += "\n";
     }
     for picture in report::draw(folder, &title, collector, truth.as_ref())? {
-        println!("picture    {}", picture.display());
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "picture    {}", picture.display());
     }
     if let Some(inputs) = recorded {
-        println!(
-            "recording  {} ({inputs} inputs)",
-            folder.join("recording.mcap").display()
-        );
+        let recording = folder.join("recording.mcap");
+        let _ = writeln!(text, "recording  {} ({inputs} inputs)", recording.display());
     }
+    stdout::print(&text)?;
     Ok(())
 }
 

@@ -55,7 +55,7 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
 async fn brick(scenario: Scenario, link: &StationLink) -> Result<Simulation, Failure> {
     let timer = HostTimer::start();
     let mut port = station_link::port(link, timer).at_start()?;
-    let place = station_link::open(&mut port).await.at_start()?;
+    let place = station_link::open(link, &mut port).await.at_start()?;
     say(&format!("brick up, seed {}, {place}", scenario.seed));
     let mut simulation = Simulation::new(scenario);
     let stop = CancellationToken::new();

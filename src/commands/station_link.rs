@@ -28,14 +28,14 @@ pub(super) fn port(flags: &StationLink, timer: HostTimer) -> Result<Port> {
 ///
 /// # Errors
 /// No waiting will help: an address in use, no permission.
-pub(super) async fn open(port: &mut Port) -> Result<String> {
+pub(super) async fn open(flags: &StationLink, port: &mut Port) -> Result<String> {
     let name = port.url().to_string();
     port.open_first()
         .await
         .with_context(|| format!("opening `{name}`"))?;
-    Ok(match port.local_address() {
-        Some(address) => format!("listening on {address}"),
-        None => format!("on {name}"),
+    Ok(match (&flags.listen, port.local_address()) {
+        (Some(_), Some(address)) => format!("listening on {address}"),
+        _ => format!("on {name}"),
     })
 }
 

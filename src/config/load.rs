@@ -52,17 +52,20 @@ pub enum ConfigError {
 /// # Errors
 /// The file cannot be read, or a value or a setting makes no sense.
 pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigError> {
-    match path {
-        Some(path) => {
-            let name = path.display().to_string();
-            let text = std::fs::read_to_string(path).map_err(|why| ConfigError::Unreadable {
-                path: name.clone(),
-                why,
-            })?;
-            load_text(&name, &text, settings)
-        }
-        None => load_text("config/default.toml (embedded)", DEFAULT_TOML, settings),
-    }
+    let Some(path) = path else {
+        let loaded = load_text("config/default.toml (embedded)", DEFAULT_TOML, settings)?;
+        // What stands there is the default: nobody has chosen it.
+        return Ok(Loaded {
+            file: toml::Table::new(),
+            ..loaded
+        });
+    };
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|why| ConfigError::Unreadable {
+        path: name.clone(),
+        why,
+    })?;
+    load_text(&name, &text, settings)
 }
 
 /// The same from a text.
