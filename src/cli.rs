@@ -67,7 +67,7 @@ pub struct RunArgs {
     /// Wait for a call on this link; may be repeated.
     #[arg(long = "listen", value_name = "URL")]
     pub listen: Vec<String>,
-    /// Take the robot from this file's [robot] table: a robot profile or a recording's descriptor.
+    /// Take the robot from this file's `[robot]` table: a robot profile or a recording's descriptor.
     #[arg(long, value_name = "FILE")]
     pub robot: Option<PathBuf>,
     /// Filter to use; see `posebridge config schema`.
@@ -149,7 +149,8 @@ pub struct DataFlags {
     /// Use every n-th fix and score on the rest, instead of what the descriptor says; 0 uses none.
     #[arg(long, value_name = "N")]
     pub use_every: Option<usize>,
-    /// Set one key of the robot's table, e.g. track_width_m=0.155 or noise.fix_position_m=0.02; may be repeated.
+    /// Set one key of the robot's table, e.g. track_width_m=0.155 or noise.fix_position_m=0.02, or a tunable of the filter, e.g.
+    /// filter.gate_prob=0.99; may be repeated. For a recording of ours: a key of its configuration.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
     pub settings: Vec<Setting>,
 }

@@ -66,7 +66,14 @@ impl DataSet {
     /// A file is missing or a column is not there, or the robot's table makes no sense.
     pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
         let mut table = self.descriptor.robot_for(run);
+        let mut params = Params::default();
         for setting in &flags.settings {
+            if let ([section, key], Some(value)) = (setting.path.as_slice(), number(&setting.value))
+                && section == "filter"
+            {
+                params.set(key, value)?;
+                continue;
+            }
             setting
                 .lay_over(&mut table)
                 .map_err(|why| anyhow::anyhow!("`--set {setting}`: {why}"))?;
@@ -102,8 +109,14 @@ impl DataSet {
             geometry,
             noise: robot.noise()?,
             start,
-            params: Params::default(),
+            params,
         };
         Ok(RobotRun { run, filter_config })
     }
+}
+
+fn number(value: &toml::Value) -> Option<f64> {
+    value
+        .as_float()
+        .or(value.as_integer().map(|whole| whole as f64))
 }

@@ -9,7 +9,7 @@ use posebridge::commands::{self, Failure};
 fn main() -> ExitCode {
     let cli = Cli::parse();
     tracing_subscriber::fmt()
-        .with_env_filter(tracing_subscriber::EnvFilter::from_env("POSEBRIDGE_LOG"))
+        .with_env_filter(log_filter())
         .with_writer(std::io::stderr)
         .init();
     match commands::execute(cli) {
@@ -19,6 +19,12 @@ fn main() -> ExitCode {
             ExitCode::from(failure.exit_code())
         }
     }
+}
+
+/// What POSEBRIDGE_LOG asks for; without it warnings and errors.
+fn log_filter() -> tracing_subscriber::EnvFilter {
+    tracing_subscriber::EnvFilter::try_from_env("POSEBRIDGE_LOG")
+        .unwrap_or_else(|_unset| tracing_subscriber::EnvFilter::new("warn"))
 }
 
 #[expect(

@@ -39,7 +39,7 @@ pub fn write(samples: &[TruthSample]) -> String {
 /// The true track.
 ///
 /// # Errors
-/// The text is not what [`write`] makes; the message names the line.
+/// The text is not what [`write()`] makes; the message names the line.
 pub fn read(text: &str) -> Result<Track> {
     let mut lines = text.lines().enumerate();
     match lines.next() {

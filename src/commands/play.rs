@@ -126,8 +126,7 @@ impl Player {
             }
             self.flush(&mut brick);
         }
-        self.serve_until(self.timer.now() + AFTERGLOW, clock, &mut brick)
-            .await;
+        self.fall_silent().await;
         for (kind, count) in unsent {
             say(&format!(
                 "{count} observations of kind {kind} have no message and were not sent"
@@ -142,6 +141,17 @@ impl Player {
 
     async fn wait_for_station(&mut self) {
         while !matches!(self.port.next().await, PortEvent::Bytes { .. }) {}
+    }
+
+    /// Lets what was sent last go out. The recording's clock stands: nobody is told the time any more.
+    async fn fall_silent(&mut self) {
+        let end = self.timer.now() + AFTERGLOW;
+        while self.timer.now() < end {
+            tokio::select! {
+                _ = self.port.next() => {}
+                () = self.timer.sleep_until(end) => {}
+            }
+        }
     }
 
     /// Answers the station until `due`.

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use posebridge_analysis::metrics::{errors_of_estimates, summarise};
 use posebridge_analysis::report::{estimator_table, source_table};
 use posebridge_analysis::{
@@ -128,12 +128,22 @@ fn recording(args: &ReplayArgs) -> Result<Replayed> {
     let bytes = std::fs::read(&args.recording)
         .with_context(|| format!("reading the recording `{name}`"))?;
     let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
-    let loaded = config::load_text(
+    let header = &reader.header().config_toml;
+    let mut config = config::load_text(
         "the recording's own configuration",
-        &reader.header().config_toml,
+        header,
         &args.data.settings,
-    )?;
-    let mut pipeline = Pipeline::new(loaded.config.pipeline()?, Stamp::ZERO)?;
+    )?
+    .config;
+    if let [filter] = args.filters.as_slice() {
+        config.filter.name.clone_from(filter);
+    } else {
+        ensure!(
+            args.filters.is_empty(),
+            "a recording of ours is replayed with one filter: give --filter once"
+        );
+    }
+    let mut pipeline = Pipeline::new(config.pipeline()?, Stamp::ZERO)?;
     let mut collector = Collector::default();
     let mut events = args.events.as_deref().map(create).transpose()?;
     for item in &mut reader {
@@ -158,7 +168,7 @@ fn recording(args: &ReplayArgs) -> Result<Replayed> {
         observations: collector.observations,
         bad_rows: 0,
         outcomes: vec![Outcome {
-            name: loaded.config.filter.name,
+            name: config.filter.name,
             errors,
             sources: collector.sources,
         }],

@@ -61,6 +61,15 @@ fn configuration(args: &RunArgs) -> Result<Config> {
     }
     if let Some(path) = &args.robot {
         config.robot = config::robot_of(path)?;
+        // What is set by hand is meant for the robot of the file, too.
+        for setting in args
+            .config
+            .settings
+            .iter()
+            .filter(|setting| setting.path.first().is_some_and(|part| part == "robot"))
+        {
+            config = config::lay_over(&config, setting)?;
+        }
     }
     if let Some(name) = &args.filter {
         config.filter.name.clone_from(name);

@@ -79,31 +79,31 @@ pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded,
     };
     let config: Config = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
     let file: toml::Table = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
-    if settings.is_empty() {
-        return Ok(Loaded {
-            config,
-            file,
-            settings: vec![],
-        });
-    }
-    let mut merged = file.clone();
     let mut config = config;
     for setting in settings {
-        let failed = |why: String| ConfigError::WrongSetting {
-            setting: setting.to_string(),
-            why,
-        };
-        setting.lay_over(&mut merged).map_err(failed)?;
-        config = merged
-            .clone()
-            .try_into()
-            .map_err(|error: toml::de::Error| failed(error.message().to_owned()))?;
+        config = lay_over(&config, setting)?;
     }
     Ok(Loaded {
         config,
         file,
         settings: settings.to_vec(),
     })
+}
+
+/// A configuration with one key set.
+///
+/// # Errors
+/// There is no such key, or the value makes no sense there.
+pub fn lay_over(config: &Config, setting: &Setting) -> Result<Config, ConfigError> {
+    let failed = |why: String| ConfigError::WrongSetting {
+        setting: setting.to_string(),
+        why,
+    };
+    let mut table = toml::Table::try_from(config).map_err(|error| failed(error.to_string()))?;
+    setting.lay_over(&mut table).map_err(failed)?;
+    table
+        .try_into()
+        .map_err(|error: toml::de::Error| failed(error.message().to_owned()))
 }
 
 /// What a TOML error says, with line and column in front.

@@ -10,7 +10,7 @@ mod robot;
 mod robot_of;
 mod station;
 
-pub use load::{ConfigError, Loaded, load, load_text};
+pub use load::{ConfigError, Loaded, lay_over, load, load_text};
 pub use merge::{Origin, Setting, print};
 pub use robot::{RobotFile, RobotNoise, RobotStart};
 pub use robot_of::robot_of;

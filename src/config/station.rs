@@ -340,7 +340,7 @@ impl LinkSection {
 }
 
 fn is_datagram(url: &LinkUrl) -> bool {
-    url.transport().scheme() == "udp"
+    url.transport().is_datagram()
 }
 
 impl OutputSection {

@@ -4,7 +4,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use posebridge_analysis::metrics::{errors_of_estimates, errors_of_track, summarise};
+use posebridge_analysis::metrics::{
+    PathError, errors_of_estimates, errors_of_track, path_error, summarise,
+};
 use posebridge_analysis::report::{run_table, source_table};
 use posebridge_analysis::{ErrorSummary, FIGURES, RunLayers, RunRow, TimedPose, Track};
 use posebridge_sim::{Simulation, Steering, TruthSample};
@@ -20,8 +22,8 @@ pub struct Truth {
     pub odometry: Track,
     /// Where it should have been.
     pub path: Vec<Point2<Arena>>,
-    /// How far from the path it drove, rms and largest, m.
-    pub path_error_m: (f64, f64),
+    /// How far from the path it drove.
+    pub path_error: PathError,
     /// By what it steered.
     pub steering: Steering,
 }
@@ -31,6 +33,8 @@ impl Truth {
     #[must_use]
     pub fn of(simulation: &Simulation) -> Self {
         let samples = simulation.truth();
+        let positions: Vec<Point2<Arena>> =
+            samples.iter().map(|sample| sample.pose.origin()).collect();
         let track = |pose: fn(&TruthSample) -> posebridge_telemetry::Pose<Arena>| {
             Track::new(
                 samples.iter().map(|sample| TimedPose {
@@ -44,21 +48,10 @@ impl Truth {
             track: track(|sample| sample.pose),
             odometry: track(|sample| sample.odometry),
             path: simulation.path().to_vec(),
-            path_error_m: path_error(samples),
+            path_error: path_error(&positions, simulation.path()),
             steering: simulation.scenario().steering,
         }
     }
-}
-
-fn path_error(samples: &[TruthSample]) -> (f64, f64) {
-    let squares: f64 = samples
-        .iter()
-        .map(|sample| sample.cross_track_m * sample.cross_track_m)
-        .sum();
-    let largest = samples.iter().fold(0.0_f64, |largest, sample| {
-        largest.max(sample.cross_track_m.abs())
-    });
-    ((squares / samples.len().max(1) as f64).sqrt(), largest)
 }
 
 /// Errors of the estimate and of the brick's own odometry.
@@ -93,12 +86,15 @@ pub fn table(collector: &Collector, truth: &Truth, other: Option<&Truth>) -> Str
             Steering::Odometry => "the brick's own odometry",
             Steering::Estimate => "the estimate",
         };
-        let (rms_m, max_m) = run.path_error_m;
+        let millimetres = |metres: Option<f64>| {
+            metres.map_or_else(|| "-".to_owned(), |m| format!("{:.1}", m * 1e3))
+        };
+        let PathError { rms_m, max_m, .. } = run.path_error;
         let _ = writeln!(
             text,
-            "  {name:<28} {:>8.1}  {:>8.1}",
-            rms_m * 1e3,
-            max_m * 1e3
+            "  {name:<28} {:>8}  {:>8}",
+            millimetres(rms_m),
+            millimetres(max_m)
         );
     }
     text
