@@ -1,6 +1,6 @@
 //! Every tunable of the filters, declared once.
 //!
-//! Documentation, range checks, the configuration's schema and parameter messages follow from [`PARAMS`]. Geometry and
+//! The keys of `[filter]`, their range checks and the configuration's schema follow from [`PARAMS`]. Geometry and
 //! sensor noise are not here: they belong to a robot, not to a filter.
 
 use std::ops::RangeInclusive;
@@ -8,25 +8,25 @@ use std::ops::RangeInclusive;
 /// The tunables of the filters, SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
-    /// See `gate.probability` in [`PARAMS`].
+    /// See `gate_prob` in [`PARAMS`].
     pub gate_probability: f64,
-    /// See `history.length_s` in [`PARAMS`].
+    /// See `history_s` in [`PARAMS`].
     pub history_s: f64,
-    /// See `gyro.window_s` in [`PARAMS`].
+    /// See `gyro_window_s` in [`PARAMS`].
     pub gyro_window_s: f64,
-    /// See `slip.nis` in [`PARAMS`].
+    /// See `slip_nis` in [`PARAMS`].
     pub slip_nis: f64,
-    /// See `speed.acceleration_m_per_s2` in [`PARAMS`].
+    /// See `accel_m_s2` in [`PARAMS`].
     pub acceleration_m_per_s2: f64,
-    /// See `speed.turn_acceleration_rad_per_s2` in [`PARAMS`].
+    /// See `turn_accel_rad_s2` in [`PARAMS`].
     pub turn_acceleration_rad_per_s2: f64,
-    /// See `wheel.max_rad_per_s` in [`PARAMS`].
+    /// See `max_wheel_rad_s` in [`PARAMS`].
     pub max_wheel_rad_per_s: f64,
-    /// See `fix.timeout_s` in [`PARAMS`].
+    /// See `fix_timeout_s` in [`PARAMS`].
     pub fix_timeout_s: f64,
-    /// See `reset.after_s` in [`PARAMS`].
+    /// See `reset_after_s` in [`PARAMS`].
     pub reset_after_s: f64,
-    /// See `reset.after_fixes` in [`PARAMS`].
+    /// See `reset_after_n` in [`PARAMS`].
     pub reset_after_fixes: f64,
 }
 

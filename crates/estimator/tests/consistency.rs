@@ -1,24 +1,34 @@
 //! The flagship against truth it was told the noise of: errors must fit their covariance.
 //!
 //! The robot, its path and its noise are those of the Monte-Carlo in docs/maths/pose.md section 7, with the geometry known.
+#![expect(
+    clippy::expect_used,
+    reason = "helpers outside #[test] stop when the filter gives no estimate"
+)]
 
-mod support;
+#[path = "support/drive.rs"]
+mod drive;
+#[path = "support/robot.rs"]
+mod robot;
+#[path = "support/score.rs"]
+mod score;
 
-use support::{Camera, Run, Scenario};
+use drive::{Camera, Scenario, drive};
+use robot::config;
+use score::{Score, mean, play, score};
 
 /// 95 % band of the average NEES over `runs` independent runs, as a ratio to three degrees of freedom, widened by what errors
 /// correlated over a run leave: Bar-Shalom, Li, Kirubarajan (2001), chapter 5, give [0.79, 1.24] for 50 independent samples.
 const BAND: std::ops::RangeInclusive<f64> = 0.79..=1.24;
 
-fn mean_over(scenario: &Scenario, runs: u64) -> Run {
-    let results: Vec<Run> = (0..runs).map(|seed| support::run(scenario, seed)).collect();
-    let mean = |pick: fn(&Run) -> f64| results.iter().map(pick).sum::<f64>() / results.len() as f64;
-    Run {
-        position_rms_m: mean(|run| run.position_rms_m.powi(2)).sqrt(),
-        heading_rms_rad: mean(|run| run.heading_rms_rad.powi(2)).sqrt(),
-        anees: mean(|run| run.anees),
-        fix_nis_per_dof: mean(|run| run.fix_nis_per_dof),
-    }
+fn mean_over(scenario: &Scenario, runs: u64) -> Score {
+    let scores: Vec<Score> = (0..runs)
+        .map(|seed| {
+            let drive = drive(scenario, seed);
+            score(&drive, &play(&drive, &config()), 0)
+        })
+        .collect();
+    mean(&scores)
 }
 
 #[test]

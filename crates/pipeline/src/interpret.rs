@@ -96,7 +96,7 @@ impl Interpreter {
                     xx_m2,
                     xy_m2,
                     yy_m2,
-                    heading_rad2,
+                    heading_rad2: known_or_infinite(heading_rad2),
                 });
         Reading {
             sensor: SensorId::CAMERA,
@@ -111,6 +111,15 @@ impl Interpreter {
                 reset_counter: seen.reset_counter,
             }),
         }
+    }
+}
+
+/// A heading's variance of zero or NaN is what senders write who know that of the position alone.
+fn known_or_infinite(heading_rad2: f64) -> f64 {
+    if heading_rad2 > 0.0 {
+        heading_rad2
+    } else {
+        f64::INFINITY
     }
 }
 
@@ -165,7 +174,7 @@ fn odometry_reading(odometry: &Odometry) -> Reading {
                             xx_m2,
                             xy_m2,
                             yy_m2,
-                            heading_rad2,
+                            heading_rad2: known_or_infinite(heading_rad2),
                         },
                     ),
                     tag_in_body: Point2::ORIGIN,
@@ -173,5 +182,71 @@ fn odometry_reading(odometry: &Odometry) -> Reading {
                 }),
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Heading, Meters};
+
+    const INTERPRETER: Interpreter = Interpreter {
+        geometry: DriveGeometry {
+            left_wheel_radius: Meters(0.03),
+            right_wheel_radius: Meters(0.02),
+            track_width: Meters(0.1),
+            tick: Radians(0.5),
+        },
+        tag_in_body: Point2::new(Meters(0.07), Meters(0.0)),
+    };
+
+    fn fix_with(covariance: Option<[f64; 4]>) -> Fix {
+        let message = Message::VisionPosition(VisionFix {
+            stamp: WireStamp::Micros64(7),
+            x: Meters(1.0),
+            y: Meters(2.0),
+            heading: Some(Heading::from_rad(0.3)),
+            covariance,
+            reset_counter: 0,
+        });
+        let [Some(reading), None] = INTERPRETER.readings(&message) else {
+            panic!("a fix is one reading");
+        };
+        assert_eq!(reading.stamped_by, StampedBy::Observer);
+        let Observed::Fix(fix) = reading.observed else {
+            panic!("a fix is a fix");
+        };
+        fix
+    }
+
+    #[test]
+    fn a_heading_variance_that_says_nothing_is_infinite() {
+        for (written, expected) in [
+            (0.01, 0.01),
+            (0.0, f64::INFINITY),
+            (f64::NAN, f64::INFINITY),
+        ] {
+            let fix = fix_with(Some([1e-4, 0.0, 1e-4, written]));
+            let covariance = fix.covariance.unwrap();
+            assert_eq!(covariance.heading_rad2, expected, "{written}");
+        }
+        assert_eq!(fix_with(None).covariance, None);
+        assert_eq!(fix_with(None).tag_in_body, INTERPRETER.tag_in_body);
+    }
+
+    #[test]
+    fn distances_of_wheels_of_unequal_size_become_their_rotations() {
+        let message = Message::WheelDistance {
+            stamp: WireStamp::Micros64(7),
+            left: Meters(0.3),
+            right: Meters(-0.1),
+        };
+        let [Some(reading), None] = INTERPRETER.readings(&message) else {
+            panic!("both wheels are one reading");
+        };
+        let Observed::WheelAngles { left, right } = reading.observed else {
+            panic!("wheels turn");
+        };
+        assert!((left.0 - 10.0).abs() < 1e-12 && (right.0 + 5.0).abs() < 1e-12);
     }
 }

@@ -48,10 +48,10 @@ impl Publisher {
         let counts = self.counts.entry(record.sensor).or_default();
         match record.verdict {
             Verdict::Accepted | Verdict::ResetTo | Verdict::Rebased => {
-                counts.0 = counts.0.wrapping_add(1)
+                counts.0 = counts.0.wrapping_add(1);
             }
             Verdict::Gated | Verdict::TooOld | Verdict::Malformed => {
-                counts.1 = counts.1.wrapping_add(1)
+                counts.1 = counts.1.wrapping_add(1);
             }
             Verdict::Unused => {}
         }

@@ -1,10 +1,12 @@
 //! Every filter: a trait, a file each, and the one table that names them.
 
+mod intake;
 pub mod odometry;
 pub mod pose;
 
 use posebridge_telemetry::{
-    Arena, BrickClock, DriveGeometry, Estimate, FusionRecord, Observation, Pose, SensorNoise, Stamp,
+    Arena, BrickClock, DriveGeometry, Estimate, FusionRecord, Observation, Pose, SensorNoise,
+    Stamp, Verdict,
 };
 
 use crate::params::Params;
@@ -14,8 +16,12 @@ pub trait Filter: Send {
     /// Uses an observation at its own time, however late it came, and says what became of it.
     fn observe(&mut self, observation: &Observation) -> FusionRecord;
 
-    /// Moves the estimate; counted as a reset.
-    fn set_pose(&mut self, start: &StartPose);
+    /// Moves the estimate, after everything that was observed up to [`Filter::latest`]; counted as a reset.
+    ///
+    /// [`Verdict::ResetTo`], or [`Verdict::Malformed`] when a number is not finite or a standard deviation is negative:
+    /// nothing is then changed.
+    #[must_use]
+    fn set_pose(&mut self, start: &StartPose) -> Verdict;
 
     /// The brick's clock starts anew: what was observed is forgotten, the pose is kept with more doubt.
     fn restart_clock(&mut self);
@@ -23,7 +29,8 @@ pub trait Filter: Send {
     /// The latest instant of which an observation spoke.
     fn latest(&self) -> Option<Stamp<BrickClock>>;
 
-    /// The belief for an instant: past ones as far as the history reaches, later ones by prediction.
+    /// The belief for an instant: past ones as far as the history reaches, later ones by prediction. `None` before the first
+    /// observation and for instants older than the history.
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate>;
 }
 

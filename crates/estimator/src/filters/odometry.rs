@@ -8,13 +8,18 @@ use std::collections::VecDeque;
 use nalgebra::{Matrix2, SMatrix};
 use posebridge_telemetry::{
     Arena, BrickClock, Estimate, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose,
-    RadiansPerSecond, Span, Stamp, Validity, Verdict,
+    PoseJump, RadiansPerSecond, Span, Stamp, Validity, Verdict,
 };
 
+use super::intake::{self, RESTART_HEADING_RAD, RESTART_POSITION_M};
 use super::{Filter, FilterConfig, StartPose};
 use crate::models::differential_drive::{body_step, step_noise};
 use crate::models::se2::{StepRule, displace};
 use crate::motion::{Added, MotionReading, MotionTrack};
+use crate::update::symmetrise;
+
+/// Speeds are stale when no motion was observed for this long.
+const SPEEDS_VALID: Span = Span::from_millis(500);
 
 #[derive(Clone, Copy, Debug)]
 struct Reckoned {
@@ -43,7 +48,10 @@ pub struct OdometryFilter {
     track: MotionTrack,
     /// Oldest first, never empty: one entry per motion observation within the history.
     reckoned: VecDeque<Reckoned>,
+    /// The pose was given, by the configuration or by a person.
+    is_placed: bool,
     reset_counter: u8,
+    last_jump: Option<PoseJump>,
 }
 
 impl OdometryFilter {
@@ -57,7 +65,9 @@ impl OdometryFilter {
             config: *config,
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             reckoned: VecDeque::from([start]),
+            is_placed: config.start.is_some(),
             reset_counter: 0,
+            last_jump: None,
         }
     }
 
@@ -105,21 +115,23 @@ impl OdometryFilter {
         );
         next.covariance =
             by_state * from.covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
+        symmetrise(&mut next.covariance);
         next.forward_m_per_s = step.forward_m / dt_s;
         next.turn_rad_per_s = step.turn_rad / dt_s;
         next
     }
 
     fn add(&mut self, stamp: Stamp<BrickClock>, reading: &MotionReading) -> Verdict {
-        let verdict = match self.track.add(stamp, reading) {
-            Added::Outranked => return Verdict::Unused,
-            Added::Duplicate => return Verdict::Malformed,
-            Added::TooOld => return Verdict::TooOld,
-            Added::Rebased => Verdict::Rebased,
-            Added::After(_) => Verdict::Accepted,
-        };
-        self.reckon_anew_from(stamp);
-        verdict
+        // What lies before a pose that was set cannot change it.
+        let oldest = self.reckoned.front().and_then(|belief| belief.stamp);
+        if oldest.is_some_and(|oldest| stamp < oldest) {
+            return Verdict::TooOld;
+        }
+        let added = self.track.add(stamp, reading);
+        if let Added::After(_) | Added::Rebased(_) = added {
+            self.reckon_anew_from(stamp);
+        }
+        intake::verdict_of(added)
     }
 
     /// A late reading changes only what lies behind it: reckons again from the last belief before it.
@@ -146,48 +158,57 @@ impl OdometryFilter {
 }
 
 fn reckoned_at(start: &StartPose) -> Reckoned {
-    let position_m2 = start.position_sigma_m.powi(2);
-    let heading_rad2 = start.heading_sigma_rad.powi(2);
     Reckoned {
         stamp: None,
         pose: start.pose,
-        covariance: SMatrix::from_diagonal(&nalgebra::Vector3::new(
-            position_m2,
-            position_m2,
-            heading_rad2,
-        )),
+        covariance: doubt(start.position_sigma_m, start.heading_sigma_rad),
         forward_m_per_s: 0.0,
         turn_rad_per_s: 0.0,
     }
 }
 
+/// The covariance of a pose whose coordinates are known so well.
+fn doubt(position_sigma_m: f64, heading_sigma_rad: f64) -> SMatrix<f64, 3, 3> {
+    let position_m2 = position_sigma_m.powi(2);
+    let heading_rad2 = heading_sigma_rad.powi(2);
+    SMatrix::from_diagonal(&nalgebra::Vector3::new(
+        position_m2,
+        position_m2,
+        heading_rad2,
+    ))
+}
+
 impl Filter for OdometryFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let lag = self
-            .latest()
-            .map_or(Span::ZERO, |latest| latest - observation.stamp);
-        let verdict = match super::pose::motion_reading(&observation.observed) {
-            Some(reading) if super::pose::is_finite(&observation.observed) => {
-                self.add(observation.stamp, &reading)
-            }
-            Some(_) => Verdict::Malformed,
-            None => Verdict::Unused,
+        let latest = self.latest();
+        let refused = intake::refuse_outright(observation, latest, self.config.params.history_s);
+        let verdict = match (refused, intake::motion_reading(&observation.observed)) {
+            (Some(verdict), _) => verdict,
+            (None, Some(reading)) => self.add(observation.stamp, &reading),
+            (None, None) => Verdict::Unused,
         };
-        super::pose::bare_record(observation, lag, verdict)
+        intake::bare_record(observation, intake::lag_of(observation, latest), verdict)
     }
 
-    fn set_pose(&mut self, start: &StartPose) {
-        let stamp = self.last().stamp;
+    fn set_pose(&mut self, start: &StartPose) -> Verdict {
+        if !intake::is_usable(start) {
+            return Verdict::Malformed;
+        }
+        let last = self.last();
         self.reckoned.clear();
         self.reckoned.push_back(Reckoned {
-            stamp,
+            stamp: last.stamp,
             ..reckoned_at(start)
         });
+        self.is_placed = true;
         self.reset_counter = self.reset_counter.wrapping_add(1);
+        self.last_jump = Some(intake::jump_between(last.pose, start.pose));
+        Verdict::ResetTo
     }
 
     fn restart_clock(&mut self) {
-        let last = self.last();
+        let mut last = self.last();
+        last.covariance += doubt(RESTART_POSITION_M, RESTART_HEADING_RAD);
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
         self.reckoned = VecDeque::from([Reckoned {
             stamp: None,
@@ -219,14 +240,16 @@ impl Filter for OdometryFilter {
             turn_rate: RadiansPerSecond(belief.turn_rad_per_s),
             covariance,
             validity: Validity {
-                position: self.config.start.is_some(),
-                heading: self.config.start.is_some(),
-                speeds: true,
+                position: self.is_placed,
+                heading: self.is_placed,
+                speeds: self
+                    .latest()
+                    .is_some_and(|latest| stamp - latest <= SPEEDS_VALID),
             },
             is_dead_reckoning: true,
             fix_age: None,
             reset_counter: self.reset_counter,
-            last_jump: None,
+            last_jump: self.last_jump,
         })
     }
 }

@@ -30,6 +30,8 @@ pub struct GyroWindow {
     pub until: Stamp<BrickClock>,
     /// The encoders' turn, rad.
     pub encoder_turn_rad: f64,
+    /// The encoders' distance, m.
+    pub encoder_forward_m: f64,
     /// Whether a wheel moved.
     pub moved: Moved,
 }
@@ -51,6 +53,7 @@ impl GyroWindow {
             start: at,
             until: at,
             encoder_turn_rad: 0.0,
+            encoder_forward_m: 0.0,
             moved: Moved::No,
         }
     }

@@ -3,7 +3,7 @@
 //! ```text
 //! forward  z = d / dt             h(x) = v            R = ((r tick)^2 / 12 + var d) / dt^2 + floor
 //! turn     z = dth / dt           h(x) = w            R = ((r tick / b)^2 / 3 + var dth) / dt^2 + floor
-//! gyro     z = rate               h(x) = w + b_g      R = sigma_g^2 + res^2 / 12
+//! gyro     z = rate               h(x) = w + b_g      R = sigma_g^2 + res^2 / 12 + floor
 //! ```
 //! The difference of two floored counts has variance tick²/6; the mean of two wheels a half of that.
 //!

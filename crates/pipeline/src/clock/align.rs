@@ -206,7 +206,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
 
-    /// A link as bricks-and-links has it: a fixed delay and an exponential one each way, in order; and a brick clock.
+    /// A Bluetooth-like link: a fixed delay and an exponential one each way, in order; and a brick clock.
     struct Link {
         rng: Pcg64,
         skew_ppm: f64,

@@ -1,8 +1,9 @@
 //! What each kind of observation does to the state of the pose filter.
 
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, Vector2};
 use posebridge_telemetry::{
-    BrickClock, Fix, FusionRecord, Meters, Pose, PoseJump, Radians, Span, Stamp, Verdict,
+    BrickClock, Fix, FusionRecord, Heading, Meters, Pose, Span, Stamp, Verdict,
+    quantities::wrap_rad,
 };
 
 use super::state::{FORWARD, HEADING, Located, N, PoseState, Refused, TURN, WINDOW_ERROR, X, Y};
@@ -43,8 +44,7 @@ const AGREEMENT_SIGMAS: f64 = 5.0;
 
 /// Motion was observed: the pose has been carried there already; speeds and gyro window follow.
 pub fn motion(state: &mut PoseState, stamp: Stamp<BrickClock>, context: &Context<'_>) {
-    if let Some(before) = state.last_motion.filter(|before| *before < stamp) {
-        let travel = context.track.travel_between(before, stamp);
+    if let Some((before, travel)) = context.track.step_to(stamp) {
         let step = body_step(travel, &context.config.geometry);
         let noise = step_noise(travel, &context.config.geometry, &context.config.noise);
         let dt_s = (stamp - before).as_secs_f64();
@@ -53,7 +53,7 @@ pub fn motion(state: &mut PoseState, stamp: Stamp<BrickClock>, context: &Context
         apply_to_row(&mut state.mean, &mut state.covariance, FORWARD, &forward);
         let gyro_speaks = context
             .gyro
-            .known_to()
+            .last_until(stamp)
             .is_some_and(|last| last + GYRO_SILENT > stamp);
         if !gyro_speaks {
             let turn = speed::turn(&state.mean, step, &noise, dt_s, geometry);
@@ -87,18 +87,34 @@ pub fn use_gyro_window(state: &mut PoseState, context: &Context<'_>) {
         return;
     };
     if nis > context.config.params.slip_nis {
-        let slip_rad2 = measurement.innovation[0].powi(2);
-        for (row, column) in [
-            (HEADING, HEADING),
-            (WINDOW_ERROR, WINDOW_ERROR),
-            (HEADING, WINDOW_ERROR),
-            (WINDOW_ERROR, HEADING),
-        ] {
+        allow_for_slip(state, measurement.innovation[0].powi(2), nis, context);
+    }
+    if apply(&mut state.mean, &mut state.covariance, &measurement) {
+        state.mean[HEADING] = wrap_rad(state.mean[HEADING]);
+    }
+}
+
+/// The wheels counted a turn too much that may be all of the disagreement. Whichever wheel it was, the distance is then wrong
+/// by half of what that wheel slipped, and the window's path was laid out in a wrong direction. For these the share that chance
+/// explains does not count: a false alarm must not cost position.
+fn allow_for_slip(state: &mut PoseState, slip_rad2: f64, nis: f64, context: &Context<'_>) {
+    let forward_m = state.window.map_or(0.0, |window| window.encoder_forward_m);
+    for row in [HEADING, WINDOW_ERROR] {
+        for column in [HEADING, WINDOW_ERROR] {
             state.covariance[(row, column)] += slip_rad2;
         }
     }
-    if apply(&mut state.mean, &mut state.covariance, &measurement) {
-        state.mean[HEADING] = posebridge_telemetry::quantities::wrap_rad(state.mean[HEADING]);
+    let beyond_chance_rad2 = slip_rad2 * (1.0 - context.config.params.slip_nis / nis);
+    let along_m2 = 0.25 * beyond_chance_rad2 * context.config.geometry.track_width.0.powi(2);
+    let across_m2 = 0.25 * beyond_chance_rad2 * forward_m * forward_m;
+    let (sin, cos) = state.mean[HEADING].sin_cos();
+    let along = Vector2::new(cos, sin);
+    let across = Vector2::new(-sin, cos);
+    let spread = along * along.transpose() * along_m2 + across * across.transpose() * across_m2;
+    for (row, i) in [(X, 0), (Y, 1)] {
+        for (column, j) in [(X, 0), (Y, 1)] {
+            state.covariance[(row, column)] += spread[(i, j)];
+        }
     }
 }
 
@@ -209,7 +225,7 @@ fn use_if_near<const M: usize>(
     if !apply(&mut state.mean, &mut state.covariance, measurement) {
         return Verdict::Malformed;
     }
-    state.mean[HEADING] = posebridge_telemetry::quantities::wrap_rad(state.mean[HEADING]);
+    state.mean[HEADING] = wrap_rad(state.mean[HEADING]);
     Verdict::Accepted
 }
 
@@ -238,33 +254,16 @@ fn refuse(state: &mut PoseState, record: &FusionRecord, context: &Context<'_>) -
 
 /// Moves the estimate to a fix: a reset, counted, with its jump.
 fn move_to(state: &mut PoseState, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
-    let before = state.mean;
-    match seen.heading {
-        Some(_) => {
-            locate(state, seen, noise);
-        }
-        None => {
-            // The heading may be as wrong as the position: find it anew.
-            state.located = Located::No;
-            locate(state, seen, noise);
-        }
-    }
-    state.reset_counter = state.reset_counter.wrapping_add(1);
-    state.last_jump = Some(PoseJump {
-        dx_m: state.mean[X] - before[X],
-        dy_m: state.mean[Y] - before[Y],
-        turn: Radians(posebridge_telemetry::quantities::wrap_rad(
-            state.mean[HEADING] - before[HEADING],
-        )),
-    });
+    let before = state.pose();
+    // Without a heading in the fix this is an anchor only: the heading may be as wrong as the position, it is found anew.
+    locate(state, seen, noise);
+    state.count_jump_from(before);
     Verdict::ResetTo
 }
 
 /// Takes position, and heading if there is one, from a fix.
 fn locate(state: &mut PoseState, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
-    let heading_rad = seen
-        .heading
-        .map_or(state.mean[HEADING], posebridge_telemetry::Heading::rad);
+    let heading_rad = seen.heading.map_or(state.mean[HEADING], Heading::rad);
     let (sin, cos) = heading_rad.sin_cos();
     let (lever_x, lever_y) = (seen.tag_in_body.x.0, seen.tag_in_body.y.0);
     let x_m = seen.position.x.0 - (lever_x * cos - lever_y * sin);
@@ -277,11 +276,7 @@ fn locate(state: &mut PoseState, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
     };
     let position_var_m2 = 0.5 * noise.position.trace() + lever_var_m2;
     state.place(&StartPose {
-        pose: Pose::new(
-            Meters(x_m),
-            Meters(y_m),
-            posebridge_telemetry::Heading::from_rad(heading_rad),
-        ),
+        pose: Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad)),
         position_sigma_m: position_var_m2.max(0.0).sqrt(),
         heading_sigma_rad: match seen.heading {
             Some(_) => noise.heading_rad2.max(0.0).sqrt(),
@@ -323,7 +318,7 @@ fn find_heading(
         pose: Pose::new(
             seen.position.x,
             seen.position.y,
-            posebridge_telemetry::Heading::from_rad(heading_rad),
+            Heading::from_rad(heading_rad),
         ),
         position_sigma_m: (position_var_m2 + lever_var_m2).sqrt(),
         heading_sigma_rad: turn_var_rad2.sqrt(),

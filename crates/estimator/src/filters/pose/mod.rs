@@ -7,58 +7,27 @@
 //! Source: docs/maths/pose.md.
 
 pub mod fuse;
+mod history;
 pub mod state;
 
+use std::cmp::Ordering;
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{
-    BrickClock, Estimate, Fix, FusionRecord, Heading, Meters, MetersPerSecond, Observation,
-    Observed, Pose, PoseJump, Radians, RadiansPerSecond, Span, Stamp, Validity, Verdict,
-    quantities::wrap_rad,
+    BrickClock, Estimate, FusionRecord, MetersPerSecond, Observation, Observed, RadiansPerSecond,
+    Span, Stamp, Validity, Verdict,
 };
 
 use self::fuse::Context;
-use self::state::{FORWARD, HEADING, Located, PoseState, TURN, X, Y};
-use super::{Filter, FilterConfig, StartPose};
-use crate::motion::{Added, GyroTrack, MotionReading, MotionTrack};
+use self::history::{Action, Entry};
+use self::state::{FORWARD, Located, PoseState, TURN};
+use super::{Filter, FilterConfig, StartPose, intake};
+use crate::motion::{Added, GyroTrack, MotionTrack};
 
-/// A stamp further ahead than this is damage, not the future.
-const FURTHEST_AHEAD: Span = Span::from_millis(3_600_000);
-/// After the brick's clock restarted the robot may have been carried: sigma of its position, m, and heading, rad.
-const RESTART_POSITION_M: f64 = 0.1;
-const RESTART_HEADING_RAD: f64 = 0.3;
+/// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
+const LONGEST_HOLE: Span = Span::from_millis(10_000);
 /// Speeds are stale when no motion was observed for this long.
 const SPEEDS_VALID: Span = Span::from_millis(500);
-
-/// What stands in the history.
-#[derive(Clone, Copy, Debug)]
-enum Action {
-    SetPose(StartPose),
-    TurnRate(f64),
-    Motion,
-    Fix(Fix, Span),
-}
-
-impl Action {
-    /// Order among observations of one instant, so that the order of arrival does not matter.
-    const fn rank(&self) -> u8 {
-        match self {
-            Self::SetPose(_) => 0,
-            Self::TurnRate(_) => 1,
-            Self::Motion => 2,
-            Self::Fix(..) => 3,
-        }
-    }
-}
-
-#[derive(Clone, Debug)]
-struct Entry {
-    stamp: Stamp<BrickClock>,
-    action: Action,
-    sensor: u8,
-    /// The state after this entry.
-    after: PoseState,
-}
 
 /// The flagship filter.
 pub struct PoseFilter {
@@ -68,7 +37,7 @@ pub struct PoseFilter {
     gates: fuse::Gates,
     /// The state before the first entry.
     base: PoseState,
-    /// By stamp, then rank, then sensor.
+    /// In the order of [`Entry::order`].
     entries: VecDeque<Entry>,
 }
 
@@ -92,35 +61,16 @@ impl PoseFilter {
         self.entries.back().map_or(&self.base, |entry| &entry.after)
     }
 
-    /// Why an observation cannot be used whatever the state, if so.
-    fn refuse_outright(&self, observation: &Observation) -> Option<Verdict> {
-        if !is_finite(&observation.observed) || observation.stamp_sigma < Span::ZERO {
-            return Some(Verdict::Malformed);
-        }
-        if self
-            .latest()
-            .is_some_and(|latest| observation.stamp - latest > FURTHEST_AHEAD)
-        {
-            return Some(Verdict::Malformed);
-        }
-        // The base is the state at the horizon: what is older than it has nowhere to go.
-        self.base
-            .stamp
-            .filter(|oldest| observation.stamp < *oldest)
-            .map(|_| Verdict::TooOld)
-    }
-
-    /// Puts an entry where it belongs and applies again whatever it changes.
+    /// Puts an entry where it belongs and applies again whatever it changes: everything after `changed_after`.
     fn insert(
         &mut self,
         entry: Entry,
         changed_after: Option<Stamp<BrickClock>>,
         record: &mut FusionRecord,
     ) {
-        let key = (entry.stamp, entry.action.rank(), entry.sensor);
         let index = self
             .entries
-            .partition_point(|other| (other.stamp, other.action.rank(), other.sensor) <= key);
+            .partition_point(|other| other.order(&entry) != Ordering::Greater);
         self.entries.insert(index, entry);
         let first_changed = changed_after.map_or(index, |after| {
             self.entries.partition_point(|other| other.stamp <= after)
@@ -139,32 +89,45 @@ impl PoseFilter {
             gates: &self.gates,
         };
         for (index, entry) in self.entries.iter_mut().enumerate().skip(first) {
-            state.advance(entry.stamp, context.track, context.config);
-            match (&mut recorded, entry.action) {
-                (Some((wanted, record)), action) if *wanted == index => {
-                    act(&mut state, entry.stamp, action, &context, record);
-                }
-                (_, action) => {
-                    act(
-                        &mut state,
-                        entry.stamp,
-                        action,
-                        &context,
-                        &mut scratch_record(entry.stamp),
-                    );
-                }
+            let mut scratch = scratch_record(entry.stamp);
+            let record = match &mut recorded {
+                Some((wanted, record)) if *wanted == index => &mut **record,
+                _ => &mut scratch,
+            };
+            let mut next = state;
+            next.advance(entry.stamp, context.track, context.config);
+            act(&mut next, entry.stamp, entry.action, &context, record);
+            if entry.is_without_effect(record.verdict) {
+                // Not even the way to its instant is kept: two steps would round otherwise than one.
+                state.refused = next.refused;
+                state.stamp = state.stamp.or(next.stamp);
+            } else {
+                state = next;
             }
             entry.after = state;
         }
     }
 
+    /// Up to where nothing can change when only observations from `horizon` on are accepted. One of them changes what was
+    /// interpolated since the reading before it, so each sensor's last reading up to the horizon is where its past is settled.
+    fn settled_at(&self, horizon: Stamp<BrickClock>) -> Stamp<BrickClock> {
+        [
+            self.track.last_until(horizon),
+            self.gyro.last_until(horizon),
+        ]
+        .into_iter()
+        .flatten()
+        .fold(horizon, Stamp::min)
+        .max(horizon - LONGEST_HOLE)
+    }
+
     fn forget(&mut self) {
         let Some(latest) = self.latest() else { return };
-        let horizon = latest - Span::from_secs_f64(self.config.params.history_s);
+        let settled = self.settled_at(latest - Span::from_secs_f64(self.config.params.history_s));
         while self
             .entries
             .front()
-            .is_some_and(|entry| entry.stamp < horizon)
+            .is_some_and(|entry| entry.stamp < settled)
         {
             if let Some(entry) = self.entries.pop_front() {
                 self.base = entry.after;
@@ -182,56 +145,76 @@ impl PoseFilter {
     }
 
     fn take(&mut self, observation: &Observation, record: &mut FusionRecord) {
-        let (action, changed_after) = match observation.observed {
-            Observed::TurnRate(rate) => match self.gyro.add(observation.stamp, rate.0) {
-                Added::After(before) => (Action::TurnRate(rate.0), before),
-                other => return record.verdict = verdict_of(other),
-            },
-            Observed::Fix(fix) => (
+        if let Observed::Fix(fix) = observation.observed {
+            self.take_fix(
+                observation,
                 Action::Fix(fix, observation.stamp_sigma),
-                Some(observation.stamp),
-            ),
-            observed => match motion_reading(&observed) {
-                Some(reading) => match self.track.add(observation.stamp, &reading) {
-                    Added::After(before) => (Action::Motion, before),
-                    Added::Rebased => {
-                        record.verdict = Verdict::Rebased;
-                        (Action::Motion, None)
-                    }
-                    other => return record.verdict = verdict_of(other),
-                },
-                None => return record.verdict = Verdict::Unused,
-            },
+                record,
+            );
+        } else if let Observed::TurnRate(rate) = observation.observed {
+            let added = self.gyro.add(observation.stamp, rate.0);
+            self.take_motion(observation, Action::TurnRate(rate.0), added, record);
+        } else if let Some(reading) = intake::motion_reading(&observation.observed) {
+            let added = self.track.add(observation.stamp, &reading);
+            self.take_motion(observation, Action::Motion, added, record);
+        } else {
+            record.verdict = Verdict::Unused;
+        }
+    }
+
+    fn take_fix(&mut self, observation: &Observation, action: Action, record: &mut FusionRecord) {
+        let entry = self.entry(observation, action);
+        if self.entries.iter().rev().any(|other| other.repeats(&entry)) {
+            record.verdict = Verdict::Malformed;
+            return;
+        }
+        self.insert(entry, Some(observation.stamp), record);
+    }
+
+    fn take_motion(
+        &mut self,
+        observation: &Observation,
+        action: Action,
+        added: Added,
+        record: &mut FusionRecord,
+    ) {
+        record.verdict = intake::verdict_of(added);
+        let changed_after = match added {
+            Added::After(before) => before,
+            Added::Rebased(before) => Some(before),
+            Added::Outranked | Added::Duplicate | Added::TooOld => return,
         };
-        let entry = Entry {
+        self.insert(self.entry(observation, action), changed_after, record);
+    }
+
+    fn entry(&self, observation: &Observation, action: Action) -> Entry {
+        Entry {
             stamp: observation.stamp,
             action,
             sensor: observation.sensor.0,
             after: self.base,
-        };
-        self.insert(entry, changed_after, record);
+        }
     }
 }
 
 impl Filter for PoseFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let lag = self.latest().map_or(Span::ZERO, |latest| {
-            (latest - observation.stamp).max(Span::ZERO)
-        });
-        let mut record = bare_record(observation, lag, Verdict::Accepted);
-        match self.refuse_outright(observation) {
+        let latest = self.latest();
+        let lag = intake::lag_of(observation, latest);
+        let mut record = intake::bare_record(observation, lag, Verdict::Accepted);
+        match intake::refuse_outright(observation, latest, self.config.params.history_s) {
             Some(verdict) => record.verdict = verdict,
             None => self.take(observation, &mut record),
         }
         record
     }
 
-    fn set_pose(&mut self, start: &StartPose) {
+    fn set_pose(&mut self, start: &StartPose) -> Verdict {
+        if !intake::is_usable(start) {
+            return Verdict::Malformed;
+        }
         match self.latest() {
-            None => {
-                self.base.place(start);
-                self.base.reset_counter = self.base.reset_counter.wrapping_add(1);
-            }
+            None => self.base.jump_to(start),
             Some(stamp) => {
                 let entry = Entry {
                     stamp,
@@ -242,25 +225,12 @@ impl Filter for PoseFilter {
                 self.insert(entry, None, &mut scratch_record(stamp));
             }
         }
+        Verdict::ResetTo
     }
 
     fn restart_clock(&mut self) {
         let mut state = *self.state();
-        state.stamp = None;
-        state.last_fix = None;
-        state.last_motion = None;
-        state.mean[FORWARD] = 0.0;
-        state.mean[TURN] = 0.0;
-        state.forget_rows(&[FORWARD, TURN]);
-        let fresh = PoseState::initial(&self.config);
-        state.covariance[(FORWARD, FORWARD)] = fresh.covariance[(FORWARD, FORWARD)];
-        state.covariance[(TURN, TURN)] = fresh.covariance[(TURN, TURN)];
-        state.covariance[(X, X)] += RESTART_POSITION_M.powi(2);
-        state.covariance[(Y, Y)] += RESTART_POSITION_M.powi(2);
-        state.covariance[(HEADING, HEADING)] += RESTART_HEADING_RAD.powi(2);
-        state.forget_rows(&[state::WINDOW_ERROR]);
-        state.mean[state::WINDOW_ERROR] = 0.0;
-        state.window = None;
+        state.restart_clock(&PoseState::initial(&self.config));
         self.base = state;
         self.entries.clear();
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
@@ -268,7 +238,10 @@ impl Filter for PoseFilter {
     }
 
     fn latest(&self) -> Option<Stamp<BrickClock>> {
-        self.state().stamp
+        self.entries
+            .back()
+            .map(|entry| entry.stamp)
+            .or(self.base.stamp)
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
@@ -277,7 +250,7 @@ impl Filter for PoseFilter {
             .checked_sub(1)
             .and_then(|i| self.entries.get(i))
             .map_or(&self.base, |entry| &entry.after);
-        from.stamp?;
+        from.stamp.filter(|known_from| *known_from <= stamp)?;
         let mut state = *from;
         let context = Context {
             config: &self.config,
@@ -303,16 +276,7 @@ fn act(
         Action::TurnRate(rate) => fuse::turn_rate(state, rate, context),
         Action::Motion => fuse::motion(state, stamp, context),
         Action::Fix(fix, stamp_sigma) => fuse::fix(state, &fix, stamp_sigma, context, record),
-        Action::SetPose(start) => {
-            let before = state.mean;
-            state.place(&start);
-            state.reset_counter = state.reset_counter.wrapping_add(1);
-            state.last_jump = Some(PoseJump {
-                dx_m: state.mean[X] - before[X],
-                dy_m: state.mean[Y] - before[Y],
-                turn: Radians(wrap_rad(state.mean[HEADING] - before[HEADING])),
-            });
-        }
+        Action::SetPose(start) => state.jump_to(&start),
     }
 }
 
@@ -321,11 +285,7 @@ fn published(state: &PoseState, stamp: Stamp<BrickClock>, config: &FilterConfig)
     let timeout = Span::from_secs_f64(config.params.fix_timeout_s);
     Estimate {
         stamp,
-        pose: Pose::new(
-            Meters(state.mean[X]),
-            Meters(state.mean[Y]),
-            Heading::from_rad(state.mean[HEADING]),
-        ),
+        pose: state.pose(),
         forward_speed: MetersPerSecond(state.mean[FORWARD]),
         turn_rate: RadiansPerSecond(state.mean[TURN]),
         covariance: fuse::published_covariance(&state.covariance),
@@ -343,93 +303,6 @@ fn published(state: &PoseState, stamp: Stamp<BrickClock>, config: &FilterConfig)
     }
 }
 
-/// What a motion observation says, or `None` for the other kinds.
-#[must_use]
-pub(crate) fn motion_reading(observed: &Observed) -> Option<MotionReading> {
-    match *observed {
-        Observed::WheelAngles { left, right } => Some(MotionReading::Wheels {
-            left_rad: left.0,
-            right_rad: right.0,
-        }),
-        Observed::OdometerPose(pose) => Some(MotionReading::Odometer(pose)),
-        Observed::BodyVelocity { forward, turn } => Some(MotionReading::Velocity {
-            forward_m_per_s: forward.0,
-            turn_rad_per_s: turn.0,
-        }),
-        Observed::TurnRate(_)
-        | Observed::WheelAccelerations { .. }
-        | Observed::Fix(_)
-        | Observed::Landmark { .. }
-        | Observed::BeaconRange { .. }
-        | Observed::WallRange(_)
-        | Observed::CompassHeading(_)
-        | Observed::Temperature(_) => None,
-    }
-}
-
-/// Larger numbers than this are damage: no arena, wheel or rate of ours comes near, and their squares must stay finite.
-const LARGEST: f64 = 1e9;
-
-/// Whether every number of an observation is one that arithmetic can bear.
-#[must_use]
-pub(crate) fn is_finite(observed: &Observed) -> bool {
-    let bearable = |values: &[f64]| values.iter().all(|value| value.abs() <= LARGEST);
-    match *observed {
-        Observed::WheelAngles { left, right } => bearable(&[left.0, right.0]),
-        Observed::OdometerPose(pose) => bearable(&[pose.x.0, pose.y.0, pose.heading.rad()]),
-        Observed::BodyVelocity { forward, turn } => bearable(&[forward.0, turn.0]),
-        Observed::TurnRate(rate) => bearable(&[rate.0]),
-        Observed::WheelAccelerations { left, right } => bearable(&[left.0, right.0]),
-        Observed::Fix(fix) => is_finite_fix(&fix),
-        Observed::Landmark { range, bearing, .. } => {
-            bearable(&[range.0, bearing.0]) && range.0 >= 0.0
-        }
-        Observed::BeaconRange { range, .. } | Observed::WallRange(range) => {
-            bearable(&[range.0]) && range.0 >= 0.0
-        }
-        Observed::CompassHeading(heading) => bearable(&[heading.rad()]),
-        Observed::Temperature(temperature) => bearable(&[temperature.0]),
-    }
-}
-
-fn is_finite_fix(fix: &Fix) -> bool {
-    let bearable = |value: f64| value.abs() <= LARGEST;
-    let heading = fix.heading.is_none_or(|heading| bearable(heading.rad()));
-    let covariance = fix.covariance.is_none_or(|own| {
-        let determinant = own.xx_m2 * own.yy_m2 - own.xy_m2 * own.xy_m2;
-        let heading = own.heading_rad2 > 0.0;
-        bearable(own.xx_m2)
-            && bearable(own.yy_m2)
-            && bearable(own.xy_m2)
-            && own.xx_m2 > 0.0
-            && determinant > 0.0
-            && heading
-    });
-    bearable(fix.position.x.0)
-        && bearable(fix.position.y.0)
-        && bearable(fix.tag_in_body.x.0)
-        && bearable(fix.tag_in_body.y.0)
-        && heading
-        && covariance
-}
-
-/// A record of an observation for which nothing was predicted.
-#[must_use]
-pub(crate) fn bare_record(observation: &Observation, lag: Span, verdict: Verdict) -> FusionRecord {
-    FusionRecord {
-        sensor: observation.sensor,
-        kind: observation.observed.kind(),
-        stamp: observation.stamp,
-        lag,
-        verdict,
-        innovation: [0.0; 3],
-        innovation_covariance: [[0.0; 3]; 3],
-        nis: 0.0,
-        degrees_of_freedom: 0,
-        log_likelihood: 0.0,
-    }
-}
-
 /// A record that nobody reads: an entry that is applied again was reported when it came.
 fn scratch_record(stamp: Stamp<BrickClock>) -> FusionRecord {
     FusionRecord {
@@ -443,15 +316,5 @@ fn scratch_record(stamp: Stamp<BrickClock>) -> FusionRecord {
         nis: 0.0,
         degrees_of_freedom: 0,
         log_likelihood: 0.0,
-    }
-}
-
-fn verdict_of(added: Added) -> Verdict {
-    match added {
-        Added::After(_) => Verdict::Accepted,
-        Added::Rebased => Verdict::Rebased,
-        Added::Outranked => Verdict::Unused,
-        Added::Duplicate => Verdict::Malformed,
-        Added::TooOld => Verdict::TooOld,
     }
 }

@@ -11,12 +11,15 @@
 //! docs/maths/pose.md sections 1 to 3.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
-use posebridge_telemetry::{BrickClock, PoseJump, Span, Stamp, quantities::wrap_rad};
+use posebridge_telemetry::{
+    Arena, BrickClock, Heading, Meters, Pose, PoseJump, Span, Stamp, quantities::wrap_rad,
+};
 
+use crate::filters::intake::{RESTART_HEADING_RAD, RESTART_POSITION_M, jump_between};
 use crate::filters::{FilterConfig, StartPose};
-use crate::models::differential_drive::{body_step, step_noise};
+use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
 use crate::models::se2::{BodyStep, StepRule, displace};
-use crate::motion::MotionTrack;
+use crate::motion::{Leg, MotionTrack};
 use crate::observations::gyro_window::{GyroWindow, Moved};
 
 /// Number of states.
@@ -127,6 +130,47 @@ impl PoseState {
         state
     }
 
+    /// Where the robot is believed to be.
+    #[must_use]
+    pub fn pose(&self) -> Pose<Arena> {
+        Pose::new(
+            Meters(self.mean[X]),
+            Meters(self.mean[Y]),
+            Heading::from_rad(self.mean[HEADING]),
+        )
+    }
+
+    /// Puts the robot somewhere; counted as a jump that is not motion.
+    pub fn jump_to(&mut self, start: &StartPose) {
+        let before = self.pose();
+        self.place(start);
+        self.count_jump_from(before);
+    }
+
+    /// Counts a jump that is not motion, from `before` to the pose that is now believed.
+    pub fn count_jump_from(&mut self, before: Pose<Arena>) {
+        self.reset_counter = self.reset_counter.wrapping_add(1);
+        self.last_jump = Some(jump_between(before, self.pose()));
+    }
+
+    /// The brick was switched off and on: its speeds and its gyro's bias are as unknown as in the `fresh` state, and it may have
+    /// been carried a little.
+    pub fn restart_clock(&mut self, fresh: &Self) {
+        for row in [FORWARD, TURN, GYRO_BIAS] {
+            self.forget_rows(&[row]);
+            self.mean[row] = fresh.mean[row];
+            self.covariance[(row, row)] = fresh.covariance[(row, row)];
+        }
+        self.covariance[(X, X)] += RESTART_POSITION_M.powi(2);
+        self.covariance[(Y, Y)] += RESTART_POSITION_M.powi(2);
+        self.covariance[(HEADING, HEADING)] += RESTART_HEADING_RAD.powi(2);
+        self.close_window();
+        self.stamp = None;
+        self.last_fix = None;
+        self.last_motion = None;
+        self.refused = Refused::default();
+    }
+
     /// Puts the robot somewhere; what was known about its pose is forgotten.
     pub fn place(&mut self, start: &StartPose) {
         self.forget_rows(&[X, Y, HEADING, WINDOW_ERROR]);
@@ -152,9 +196,14 @@ impl PoseState {
 
     /// Closes the gyro window; the next one begins at the same instant.
     pub fn restart_window(&mut self, at: Stamp<BrickClock>) {
+        self.close_window();
+        self.window = Some(GyroWindow::starting(at));
+    }
+
+    fn close_window(&mut self) {
         self.forget_rows(&[WINDOW_ERROR]);
         self.mean[WINDOW_ERROR] = 0.0;
-        self.window = Some(GyroWindow::starting(at));
+        self.window = None;
     }
 
     /// Carries the state forward to `to`: by the known travel as far as it reaches, then by the held speeds.
@@ -166,12 +215,30 @@ impl PoseState {
         if to <= from {
             return;
         }
-        let known_to = track.known_to().unwrap_or(from).clamp(from, to);
-        if known_to > from {
-            self.move_by_travel(from, known_to, track, config);
-        }
-        if to > known_to {
-            self.move_unseen(known_to, to, config);
+        let mut at = from;
+        while at < to {
+            at = match track.leg(at, to) {
+                Leg::Known {
+                    until,
+                    travel,
+                    path_var_m2,
+                } => {
+                    self.move_by_travel(travel, until, config);
+                    self.covariance[(X, X)] += path_var_m2;
+                    self.covariance[(Y, Y)] += path_var_m2;
+                    until
+                }
+                Leg::Gap { until } => {
+                    // What the gyro says about a window means nothing without the encoders' turn over all of it.
+                    self.close_window();
+                    self.move_unseen(at, until, config);
+                    until
+                }
+                Leg::Ahead { until } => {
+                    self.move_unseen(at, until, config);
+                    until
+                }
+            };
         }
         let dt_s = (to - from).as_secs_f64();
         let walk = config.noise.gyro_bias_walk_rad_per_s_sqrt_s;
@@ -185,12 +252,10 @@ impl PoseState {
 
     fn move_by_travel(
         &mut self,
-        from: Stamp<BrickClock>,
+        travel: WheelTravel,
         to: Stamp<BrickClock>,
-        track: &MotionTrack,
         config: &FilterConfig,
     ) {
-        let travel = track.travel_between(from, to);
         let step = body_step(travel, &config.geometry);
         let noise = step_noise(travel, &config.geometry, &config.noise);
         let moved = displace(self.mean[HEADING], step, StepRule::Arc);
@@ -218,6 +283,7 @@ impl PoseState {
         self.mean[HEADING] += step.turn_rad;
         if let Some(window) = &mut self.window {
             window.encoder_turn_rad += step.turn_rad;
+            window.encoder_forward_m += step.forward_m;
             window.until = to;
             if travel.left_m != 0.0 || travel.right_m != 0.0 {
                 window.moved = Moved::Yes;

@@ -1,0 +1,168 @@
+//! The gyro's rate over time.
+
+use std::collections::VecDeque;
+
+use posebridge_telemetry::{BrickClock, Span, Stamp};
+
+use super::Added;
+
+/// The last sample is held for this long and no longer: three periods of a 50 Hz gyro.
+const HOLD: Span = Span::from_millis(60);
+/// Neighbours further apart than this leave a hole. A sample is the mean since the one before it only where the sender sums
+/// the turn; elsewhere it says nothing about a long gap. Five lost frames in a row at 20 Hz are still bridged.
+const LONGEST_MEAN: Span = Span::from_millis(300);
+
+/// The gyro's turn between two instants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GyroTurn {
+    /// Integral of the rate, bias included, rad.
+    pub turn_rad: f64,
+    /// Sum of the squared lengths of the samples' parts, s²: times the variance of one sample, the variance of `turn_rad`.
+    pub squared_secs: f64,
+}
+
+/// The gyro's rate over time: each sample is the mean since the one before it.
+#[derive(Clone, Debug, Default)]
+pub struct GyroTrack {
+    samples: VecDeque<(Stamp<BrickClock>, f64)>,
+    has_forgotten: bool,
+}
+
+impl GyroTrack {
+    /// Adds a sample.
+    pub fn add(&mut self, stamp: Stamp<BrickClock>, rate_rad_per_s: f64) -> Added {
+        let index = self.samples.partition_point(|sample| sample.0 < stamp);
+        if self
+            .samples
+            .get(index)
+            .is_some_and(|sample| sample.0 == stamp)
+        {
+            return Added::Duplicate;
+        }
+        let before = index
+            .checked_sub(1)
+            .and_then(|i| self.samples.get(i))
+            .map(|sample| sample.0);
+        if before.is_none() && self.has_forgotten {
+            return Added::TooOld;
+        }
+        self.samples.insert(index, (stamp, rate_rad_per_s));
+        Added::After(before)
+    }
+
+    /// The stamp of the last sample up to and including an instant.
+    #[must_use]
+    pub fn last_until(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
+        let index = self.samples.partition_point(|sample| sample.0 <= stamp);
+        let last = self.samples.get(index.checked_sub(1)?)?;
+        Some(last.0)
+    }
+
+    /// Whether the whole span is covered: no hole in it, the last sample held for a moment.
+    #[must_use]
+    pub fn covers(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> bool {
+        let next = self.samples.partition_point(|sample| sample.0 <= from);
+        let Some(first) = next.checked_sub(1).and_then(|i| self.samples.get(i)) else {
+            return false;
+        };
+        let mut last = first.0;
+        for &(stamp, _) in self.samples.range(next..) {
+            if stamp - last > LONGEST_MEAN {
+                break;
+            }
+            last = stamp;
+            if last >= to {
+                return true;
+            }
+        }
+        to <= last + HOLD
+    }
+
+    /// The turn between two instants of a covered span.
+    #[must_use]
+    pub fn turn_between(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> GyroTurn {
+        let mut turn = GyroTurn {
+            turn_rad: 0.0,
+            squared_secs: 0.0,
+        };
+        let mut at = from;
+        let mut index = self.samples.partition_point(|sample| sample.0 <= from);
+        let mut held = self.samples.back().map_or(0.0, |sample| sample.1);
+        while at < to {
+            let (until, rate) = match self.samples.get(index) {
+                Some(&(stamp, rate)) => (stamp.min(to), rate),
+                None => (to, held),
+            };
+            let secs = (until - at).as_secs_f64();
+            turn.turn_rad += rate * secs;
+            turn.squared_secs += secs * secs;
+            held = rate;
+            at = until;
+            index += 1;
+        }
+        turn
+    }
+
+    /// Forgets what is not needed for instants from `horizon` on; the sample before it stays.
+    pub fn forget_before(&mut self, horizon: Stamp<BrickClock>) {
+        while self
+            .samples
+            .get(1)
+            .is_some_and(|second| second.0 <= horizon)
+        {
+            self.samples.pop_front();
+            self.has_forgotten = true;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(millis: i64) -> Stamp<BrickClock> {
+        Stamp::from_millis(millis)
+    }
+
+    fn gyro(samples: &[(i64, f64)]) -> GyroTrack {
+        let mut gyro = GyroTrack::default();
+        for &(stamp, rate) in samples {
+            gyro.add(ms(stamp), rate);
+        }
+        gyro
+    }
+
+    #[test]
+    fn the_gyro_is_held_for_a_moment_and_no_longer() {
+        let gyro = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0)]);
+        assert!(
+            gyro.covers(ms(0), ms(100))
+                && !gyro.covers(ms(0), ms(101))
+                && !gyro.covers(ms(-1), ms(40))
+        );
+        let turn = gyro.turn_between(ms(10), ms(50));
+        assert!((turn.turn_rad - (0.01 + 0.04 + 0.02)).abs() < 1e-12);
+        assert!((turn.squared_secs - (1e-4 + 4e-4 + 1e-4)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_hole_between_two_samples_is_not_covered_until_it_is_filled() {
+        let mut gyro = gyro(&[(0, 0.0), (100, 0.0), (500, 0.0), (600, 0.0)]);
+        assert!(gyro.covers(ms(0), ms(160)) && gyro.covers(ms(500), ms(600)));
+        assert!(!gyro.covers(ms(0), ms(161)) && !gyro.covers(ms(50), ms(550)));
+        gyro.add(ms(250), 0.0);
+        assert!(gyro.covers(ms(50), ms(550)));
+    }
+
+    #[test]
+    fn what_the_track_says_does_not_depend_on_the_order_of_arrival() {
+        let in_order = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0)]);
+        let backwards = gyro(&[(40, 2.0), (20, 1.0), (0, 9.0)]);
+        assert_eq!(
+            in_order.turn_between(ms(3), ms(39)),
+            backwards.turn_between(ms(3), ms(39))
+        );
+        assert_eq!(in_order.last_until(ms(39)), Some(ms(20)));
+        assert_eq!(in_order.last_until(ms(-1)), None);
+    }
+}

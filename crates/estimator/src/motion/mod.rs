@@ -1,0 +1,32 @@
+//! What is known about the wheels' travel and the gyro's rate over time, apart from any filter state.
+//!
+//! A filter asks these tracks for the travel between any two instants; between two readings it is linear. So a fix whose
+//! stamp lies inside an encoder interval is applied at its own time, and a late reading changes nothing but the intervals
+//! that it belongs to. What a track says depends on the readings that it holds and not on the order in which they came.
+//! The tracks hold no filter state and judge nothing but what a wheel can do.
+
+mod gyro;
+mod reading;
+mod track;
+
+pub use gyro::{GyroTrack, GyroTurn};
+pub use reading::{MotionReading, MotionSource};
+pub use track::{Leg, MotionTrack};
+
+use posebridge_telemetry::{BrickClock, Stamp};
+
+/// What became of a reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Added {
+    /// Taken; what is known changed after this instant, the stamp of the reading before it. `None`: it is the first.
+    After(Option<Stamp<BrickClock>>),
+    /// Taken, but the motion since the reading before it, at this instant, is unknown: the counters jumped, or a better
+    /// source took over.
+    Rebased(Stamp<BrickClock>),
+    /// A better source moves the robot.
+    Outranked,
+    /// A reading with this stamp is there already.
+    Duplicate,
+    /// Older than anything that is still kept, or from before a better source took over.
+    TooOld,
+}

@@ -1,0 +1,140 @@
+//! A motion reading and the travel that two of them tell.
+
+use posebridge_telemetry::{DriveGeometry, Heading, Odom, Pose};
+
+use crate::models::differential_drive::WheelTravel;
+
+/// Which kind of observation moves the robot; a better one takes over from a worse one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum MotionSource {
+    /// Commanded or foreign speeds, held.
+    Velocity,
+    /// Increments of a foreign odometer's pose.
+    Odometer,
+    /// Encoder counts.
+    Wheels,
+}
+
+/// A motion observation, as its sensor gives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MotionReading {
+    /// Total rotation of each wheel, rad.
+    Wheels {
+        /// Left wheel.
+        left_rad: f64,
+        /// Right wheel.
+        right_rad: f64,
+    },
+    /// A foreign odometer's pose.
+    Odometer(Pose<Odom>),
+    /// Speeds, held until the next reading.
+    Velocity {
+        /// Forward, m/s.
+        forward_m_per_s: f64,
+        /// Turn, rad/s.
+        turn_rad_per_s: f64,
+    },
+}
+
+impl MotionReading {
+    /// The kind of this reading.
+    #[must_use]
+    pub const fn source(&self) -> MotionSource {
+        match self {
+            Self::Wheels { .. } => MotionSource::Wheels,
+            Self::Odometer(_) => MotionSource::Odometer,
+            Self::Velocity { .. } => MotionSource::Velocity,
+        }
+    }
+
+    /// Travel from this reading to the next one, `dt_s` later; `None` when they are of different kinds.
+    pub(super) fn travel_to(
+        &self,
+        next: &Self,
+        dt_s: f64,
+        geometry: &DriveGeometry,
+    ) -> Option<WheelTravel> {
+        match (*self, *next) {
+            (
+                Self::Wheels {
+                    left_rad: left_before_rad,
+                    right_rad: right_before_rad,
+                },
+                Self::Wheels {
+                    left_rad,
+                    right_rad,
+                },
+            ) => Some(WheelTravel {
+                left_m: geometry.left_wheel_radius.0 * (left_rad - left_before_rad),
+                right_m: geometry.right_wheel_radius.0 * (right_rad - right_before_rad),
+            }),
+            (Self::Odometer(from), Self::Odometer(to)) => {
+                Some(arc_between(from, to, geometry.track_width.0))
+            }
+            (
+                Self::Velocity {
+                    forward_m_per_s,
+                    turn_rad_per_s,
+                },
+                Self::Velocity { .. },
+            ) => {
+                let half_m_per_s = 0.5 * turn_rad_per_s * geometry.track_width.0;
+                Some(WheelTravel {
+                    left_m: (forward_m_per_s - half_m_per_s) * dt_s,
+                    right_m: (forward_m_per_s + half_m_per_s) * dt_s,
+                })
+            }
+            (Self::Wheels { .. } | Self::Odometer(_) | Self::Velocity { .. }, _) => None,
+        }
+    }
+}
+
+/// Travel of two wheels that would move an odometer from one pose to the other along an arc.
+fn arc_between(from: Pose<Odom>, to: Pose<Odom>, track_width_m: f64) -> WheelTravel {
+    let turn_rad = (to.heading - from.heading).0;
+    let (dx_m, dy_m) = (to.x.0 - from.x.0, to.y.0 - from.y.0);
+    let mean_heading = Heading::from_rad(from.heading.rad() + 0.5 * turn_rad).rad();
+    let chord_m = dx_m.hypot(dy_m);
+    let along_m = dx_m * mean_heading.cos() + dy_m * mean_heading.sin();
+    let half = 0.5 * turn_rad;
+    let arc_over_chord = if half.abs() < 1e-6 {
+        1.0
+    } else {
+        half / half.sin()
+    };
+    let forward_m = (chord_m * arc_over_chord).copysign(along_m);
+    let half_turn_m = half * track_width_m;
+    WheelTravel {
+        left_m: forward_m - half_turn_m,
+        right_m: forward_m + half_turn_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Meters, Radians};
+
+    #[test]
+    fn an_odometer_pose_gives_the_arc_between_two_poses() {
+        let geometry = DriveGeometry {
+            left_wheel_radius: Meters(0.03),
+            right_wheel_radius: Meters(0.03),
+            track_width: Meters(0.1),
+            tick: Radians(0.017_453_3),
+        };
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let here = MotionReading::Odometer(Pose::default());
+        let there = MotionReading::Odometer(Pose::new(
+            Meters(-1.0),
+            Meters(-1.0),
+            Heading::from_rad(quarter),
+        ));
+        let travel = here.travel_to(&there, 1.0, &geometry).unwrap();
+        assert!(
+            (0.5 * (travel.left_m + travel.right_m) + quarter).abs() < 1e-9,
+            "backwards along the arc"
+        );
+        assert!(((travel.right_m - travel.left_m) / 0.1 - quarter).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,258 @@
+//! What the flagship believes does not depend on the order in which observations arrive, bit for bit.
+#![expect(
+    clippy::expect_used,
+    reason = "helpers outside #[test] stop when the filter gives no estimate"
+)]
+
+#[path = "support/drive.rs"]
+mod drive;
+#[path = "support/robot.rs"]
+mod robot;
+
+use drive::{Camera, Scenario, drive, stamp};
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_telemetry::{
+    BrickClock, Fix, Meters, Observation, Observed, Radians, SensorId, Span, Stamp, Verdict,
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use robot::config;
+
+/// The history of 3 s: every delay is shorter by a millisecond at least.
+const LATEST_BY_MS: i64 = 3_000;
+
+fn scenario() -> Scenario {
+    Scenario {
+        laps: 1,
+        camera: Some(Camera {
+            every: 2,
+            delay: 0,
+            spread: 0,
+            outliers: 0.1,
+        }),
+    }
+}
+
+/// Forty seconds of driving with a turn, in the order of time: fixes of which some are outliers, wheels and gyro at the same
+/// instants as the fixes.
+fn observations(seed: u64) -> Vec<Observation> {
+    let drive = drive(&scenario(), seed);
+    let observations = drive
+        .arrivals
+        .iter()
+        .map(|arrival| arrival.observation)
+        .filter(|observation| observation.stamp < stamp(800));
+    observations.collect()
+}
+
+/// The observations as a link with random delays delivers them.
+fn shuffled(observations: &[Observation], seed: u64) -> Vec<Observation> {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let mut arrivals: Vec<(Stamp<BrickClock>, Observation)> = observations
+        .iter()
+        .map(|observation| {
+            let delay = Span::from_millis(rng.random_range(0..LATEST_BY_MS));
+            (observation.stamp + delay, *observation)
+        })
+        .collect();
+    arrivals.sort_by_key(|arrival| arrival.0);
+    arrivals
+        .into_iter()
+        .map(|(_, observation)| observation)
+        .collect()
+}
+
+/// Everything that a filter believes at the end, in digits that tell any two numbers apart.
+fn belief(config: &FilterConfig, observations: &[Observation]) -> String {
+    let mut filter = PoseFilter::new(config);
+    for observation in observations {
+        let record = filter.observe(observation);
+        assert_ne!(record.verdict, Verdict::TooOld, "{observation:?}");
+    }
+    let latest = filter.latest().expect("something was observed");
+    let lately: Vec<_> = (-58..=10)
+        .map(|k| filter.estimate_at(latest + Span::from_millis(k * 50)))
+        .collect();
+    assert!(lately.iter().all(Option::is_some));
+    format!("{:?} {lately:?}", filter.state())
+}
+
+fn assert_order_does_not_matter(config: &FilterConfig, observations: &[Observation]) {
+    let expected = belief(config, observations);
+    for seed in 0..6 {
+        assert!(
+            belief(config, &shuffled(observations, seed)) == expected,
+            "another belief with the order of seed {seed}"
+        );
+    }
+}
+
+fn shift(observations: &mut [Observation], sensor: SensorId, by: Span) {
+    for observation in observations {
+        if observation.sensor == sensor {
+            observation.stamp = observation.stamp + by;
+        }
+    }
+}
+
+#[test]
+fn in_order_the_robot_ends_where_the_truth_is() {
+    let observations = observations(1);
+    let mut filter = PoseFilter::new(&config());
+    for observation in &observations {
+        filter.observe(observation);
+    }
+    let (x_m, y_m, _) = drive(&scenario(), 1).poses[798];
+    let found = filter
+        .estimate_at(stamp(799))
+        .expect("something was observed");
+    let error_m = (found.pose.x.0 - x_m).hypot(found.pose.y.0 - y_m);
+    assert!(error_m < 0.01, "{error_m}");
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_when_all_sensors_share_their_instants() {
+    for seed in [1, 2] {
+        assert_order_does_not_matter(&config(), &observations(seed));
+    }
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_when_every_sensor_has_instants_of_its_own() {
+    let mut observations = observations(3);
+    shift(&mut observations, SensorId::GYRO, Span::from_micros(13_337));
+    shift(
+        &mut observations,
+        SensorId::CAMERA,
+        Span::from_micros(-21_123),
+    );
+    observations.sort_by_key(|observation| observation.stamp);
+    assert_order_does_not_matter(&config(), &observations);
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_while_the_heading_is_still_to_be_found() {
+    let mut observations = observations(4);
+    for observation in &mut observations {
+        if let Observed::Fix(fix) = observation.observed {
+            observation.observed = Observed::Fix(Fix {
+                heading: None,
+                ..fix
+            });
+        }
+    }
+    let mut config = config();
+    config.start = None;
+    assert_order_does_not_matter(&config, &observations);
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_across_holes_and_jumps_of_the_counters() {
+    let mut observations = observations(5);
+    // No gyro for two seconds, no wheels for one, and then counters that begin again; at the end no gyro but for the last two.
+    observations.retain(|observation| match observation.sensor {
+        SensorId::GYRO => {
+            !(stamp(200)..stamp(240)).contains(&observation.stamp)
+                && !(stamp(770)..stamp(798)).contains(&observation.stamp)
+        }
+        SensorId::WHEELS => !(stamp(300)..stamp(320)).contains(&observation.stamp),
+        _ => true,
+    });
+    for observation in &mut observations {
+        let is_after_the_jump = observation.stamp >= stamp(500);
+        if let Observed::WheelAngles { left, right } = observation.observed
+            && is_after_the_jump
+        {
+            observation.observed = Observed::WheelAngles {
+                left: left - Radians(400.0),
+                right: right + Radians(300.0),
+            };
+        }
+    }
+    assert_order_does_not_matter(&config(), &observations);
+}
+
+#[test]
+fn two_fixes_of_one_instant_count_in_either_order_and_one_that_comes_twice_counts_once() {
+    let mut before = observations(6);
+    while before
+        .last()
+        .is_some_and(|last| last.sensor != SensorId::CAMERA)
+    {
+        before.pop();
+    }
+    let one = before.pop().expect("the camera looked");
+    let two = moved_by(&one, 0.001);
+    let together =
+        |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
+    assert!(together([one, two]) == together([two, one]));
+    assert!(together([one, two]) != belief(&config(), &[before.clone(), vec![one]].concat()));
+
+    let mut filter = PoseFilter::new(&config());
+    for observation in before.iter().chain([&one]) {
+        filter.observe(observation);
+    }
+    let once = format!("{:?}", filter.state());
+    assert_eq!(filter.observe(&one).verdict, Verdict::Malformed);
+    assert_eq!(format!("{:?}", filter.state()), once);
+}
+
+/// The same fix, seen a little further east.
+fn moved_by(seen: &Observation, east_m: f64) -> Observation {
+    let Observed::Fix(mut fix) = seen.observed else {
+        return *seen;
+    };
+    fix.position.x += Meters(east_m);
+    Observation {
+        observed: Observed::Fix(fix),
+        ..*seen
+    }
+}
+
+#[test]
+fn a_late_fix_does_what_the_same_fix_does_in_time() {
+    let in_time = observations(7);
+    let mut late = in_time.clone();
+    let index = late
+        .iter()
+        .position(|observation| {
+            observation.sensor == SensorId::CAMERA && observation.stamp == stamp(750)
+        })
+        .expect("the camera looks at every second step");
+    let fix = late.remove(index);
+    late.push(fix);
+    assert!(
+        stamp(799) - fix.stamp > Span::from_millis(2_000),
+        "it is late"
+    );
+    assert!(belief(&config(), &in_time) == belief(&config(), &late));
+    late.pop();
+    assert!(belief(&config(), &in_time) != belief(&config(), &late));
+}
+
+#[test]
+fn an_observation_older_than_the_history_is_refused_and_changes_nothing() {
+    let mut filter = PoseFilter::new(&config());
+    let observations = observations(8);
+    for observation in &observations {
+        filter.observe(observation);
+    }
+    let latest = filter.latest().expect("something was observed");
+    let before = format!("{:?} {:?}", filter.state(), filter.estimate_at(latest));
+    for kind in [SensorId::CAMERA, SensorId::WHEELS, SensorId::GYRO] {
+        let mut old = *observations
+            .iter()
+            .find(|observation| observation.sensor == kind)
+            .expect("every sensor spoke");
+        old.stamp = latest - Span::from_millis(3_001);
+        let record = filter.observe(&old);
+        assert_eq!(record.verdict, Verdict::TooOld);
+        assert_eq!(record.verdict.reason(), "too old");
+        assert_eq!(record.lag, Span::from_millis(3_001));
+    }
+    assert_eq!(
+        format!("{:?} {:?}", filter.state(), filter.estimate_at(latest)),
+        before
+    );
+}

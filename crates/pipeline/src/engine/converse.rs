@@ -1,0 +1,137 @@
+//! The conversation beside the telemetry: what the sessions want done, and what they learn about clocks.
+
+use posebridge_protocol::session::SessionOutput;
+use posebridge_telemetry::{Address, Event, HostClock, LinkId, LinkState, RobotId, Stamp};
+
+use super::Pipeline;
+use crate::clock::align::Alignment;
+use crate::clock::unwrap::Unwrapped;
+
+/// A time request and its answer.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Exchange {
+    sent: Stamp<HostClock>,
+    received: Stamp<HostClock>,
+    peer_nanos: i64,
+}
+
+impl Pipeline {
+    pub(super) fn drain_session(&mut self, now: Stamp<HostClock>, id: LinkId) {
+        while let Some(output) = self.links.get_mut(&id).and_then(|link| link.session.poll()) {
+            match output {
+                // Nobody hears it; the session says it again when the link is back.
+                SessionOutput::Send(_) if self.is_down(id) => {}
+                SessionOutput::Send(message) => self.transmit(id, &message),
+                SessionOutput::PeerSeen { peer, .. } => {
+                    self.tell(Event::RobotSeen {
+                        robot: RobotId {
+                            link: id,
+                            address: peer,
+                        },
+                    });
+                }
+                SessionOutput::PeerLost { peer, silence } => {
+                    self.tell(Event::RobotLost {
+                        robot: RobotId {
+                            link: id,
+                            address: peer,
+                        },
+                        silence,
+                    });
+                }
+                SessionOutput::TimeExchanged {
+                    peer,
+                    sent,
+                    received,
+                    peer_nanos,
+                } => {
+                    let exchange = Exchange {
+                        sent,
+                        received,
+                        peer_nanos,
+                    };
+                    self.handle_exchange(now, id, peer, exchange);
+                }
+                // Nobody asks the station for intervals: its outputs are configured.
+                SessionOutput::IntervalRequested { .. } => {}
+            }
+        }
+    }
+
+    fn is_down(&self, id: LinkId) -> bool {
+        self.links
+            .get(&id)
+            .is_none_or(|link| link.state == LinkState::Down)
+    }
+
+    fn handle_exchange(
+        &mut self,
+        now: Stamp<HostClock>,
+        id: LinkId,
+        peer: Address,
+        exchange: Exchange,
+    ) {
+        // No clock of a brick or a camera counts backwards from its power-up: a negative instant is damage.
+        if exchange.peer_nanos < 0 {
+            return;
+        }
+        let from = RobotId {
+            link: id,
+            address: peer,
+        };
+        if self.robot == Some(from) {
+            self.align_brick(now, from, exchange);
+        } else {
+            self.align_observer(id, peer, exchange);
+        }
+    }
+
+    fn align_brick(&mut self, now: Stamp<HostClock>, robot: RobotId, exchange: Exchange) {
+        let Exchange {
+            sent,
+            received,
+            peer_nanos,
+        } = exchange;
+        let (unwrapped, alignment) = self.brick_clock.exchanged(sent, received, peer_nanos);
+        if matches!(unwrapped, Unwrapped::Restarted(_)) {
+            self.brick_restarted(now, robot);
+        }
+        if let Some(Alignment {
+            remote,
+            host,
+            offset,
+            skew_ppm,
+            uncertainty,
+            round_trip,
+        }) = alignment
+        {
+            self.tell(Event::BrickClockAligned {
+                robot,
+                offset,
+                skew_ppm,
+                uncertainty,
+                round_trip: Some(round_trip),
+                brick: remote,
+                host,
+            });
+        }
+    }
+
+    fn align_observer(&mut self, id: LinkId, camera: Address, exchange: Exchange) {
+        let Exchange {
+            sent,
+            received,
+            peer_nanos,
+        } = exchange;
+        let clock = self.observers.entry((id, camera)).or_default();
+        if let (_, Some(alignment)) = clock.exchanged(sent, received, peer_nanos) {
+            self.tell(Event::CameraClockAligned {
+                camera,
+                offset: alignment.offset,
+                uncertainty: alignment.uncertainty,
+                stamp: alignment.remote,
+                host: alignment.host,
+            });
+        }
+    }
+}

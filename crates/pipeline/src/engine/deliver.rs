@@ -1,0 +1,76 @@
+//! Estimates and messages on their way out.
+
+use posebridge_protocol::message::Message;
+use posebridge_telemetry::{Estimate, Event, HostClock, LinkId, LinkState, Output, Stamp};
+
+use super::Pipeline;
+use crate::config::{OutputInstant, OutputStream};
+use crate::publish::{self, Prediction};
+
+impl Pipeline {
+    /// One estimate per input that brought news, for the latest instant that was observed.
+    pub(super) fn publish_news(&mut self, now: Stamp<HostClock>) {
+        if !std::mem::take(&mut self.is_news) {
+            return;
+        }
+        let Some(estimate) = self
+            .filter
+            .latest()
+            .and_then(|latest| self.filter.estimate_at(latest))
+        else {
+            return;
+        };
+        let robot = self.robot.unwrap_or_default();
+        self.tell(Event::Estimated { robot, estimate });
+        let ids: Vec<LinkId> = self.links.keys().copied().collect();
+        for id in ids {
+            let due = match self.links.get_mut(&id) {
+                Some(link) if link.state == LinkState::Up => link.publisher.due(now),
+                _ => continue,
+            };
+            for stream in due {
+                if let Some(message) = self.message_for(&stream, &estimate, now) {
+                    self.transmit(id, &message);
+                }
+            }
+        }
+    }
+
+    fn message_for(
+        &self,
+        stream: &OutputStream,
+        observed: &Estimate,
+        now: Stamp<HostClock>,
+    ) -> Option<Message> {
+        let arrival = now + publish::travel_time(self.brick_clock.round_trip());
+        let ahead = match stream.instant {
+            OutputInstant::Observed => None,
+            OutputInstant::Arrival => self.brick_clock.remote_at(arrival).map(|(brick, _)| brick),
+        };
+        let predicted = ahead
+            .filter(|brick| *brick > observed.stamp)
+            .and_then(|brick| self.filter.estimate_at(brick));
+        if let Some(predicted) = predicted {
+            return publish::message(stream.kind, &predicted, Prediction::Ahead, arrival);
+        }
+        let host = self.brick_clock.host_at(observed.stamp);
+        let host = host.map_or(now, |(host, _)| host);
+        publish::message(stream.kind, observed, Prediction::None, host)
+    }
+
+    pub(super) fn transmit(&mut self, id: LinkId, message: &Message) {
+        let own = self.config.own;
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        if link.state == LinkState::Down {
+            link.health.drops_out += 1;
+            return;
+        }
+        let mut bytes = Vec::new();
+        link.encoder.encode(own, message, &mut bytes);
+        link.health.bytes_out += bytes.len() as u64;
+        link.health.frames_out += 1;
+        self.outputs.push_back(Output::Transmit { link: id, bytes });
+    }
+}

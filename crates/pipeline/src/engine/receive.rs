@@ -1,0 +1,330 @@
+//! Bytes to observations: what came on a link, as far as the filter.
+
+use posebridge_estimator::{StartPose, filter_named};
+use posebridge_protocol::dialect;
+use posebridge_protocol::framing::{FrameRef, Scanned};
+use posebridge_protocol::message::{Message, RobotDescription};
+use posebridge_telemetry::{
+    Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
+    Output, Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId,
+};
+
+use super::Pipeline;
+use crate::clock::unwrap::Unwrapped;
+use crate::config::DescriptionPolicy;
+use crate::interpret::{Reading, StampedBy};
+
+/// An integral of the gyro over a longer gap than this says nothing about the rate.
+const LONGEST_GYRO_GAP: Span = Span::from_millis(1_000);
+/// The integral on the wire has 32 bits of microradians.
+const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
+
+impl Pipeline {
+    pub(super) fn handle_bytes(&mut self, now: Stamp<HostClock>, id: LinkId, bytes: Option<&[u8]>) {
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        if let Some(bytes) = bytes {
+            link.health.bytes_in += bytes.len() as u64;
+        }
+        let mut arrived: Vec<(Address, Message)> = Vec::new();
+        let mut events: Vec<Event> = Vec::new();
+        let sequences = &mut link.sequences;
+        let frames_lost = &mut link.health.frames_lost;
+        let mut sink = |scanned: Scanned<'_>| match scanned {
+            Scanned::Frame(frame) => {
+                let frames = sequences.missing_before(frame.source, frame.sequence);
+                if frames > 0 {
+                    *frames_lost += u64::from(frames);
+                    events.push(Event::Defect {
+                        link: id,
+                        defect: Defect::Lost {
+                            source: frame.source,
+                            frames,
+                        },
+                    });
+                }
+                take_frame(id, &frame, &mut arrived, &mut events);
+            }
+            Scanned::Unknown(_) => {}
+            Scanned::Defect(defect) => events.push(Event::Defect { link: id, defect }),
+        };
+        match bytes {
+            Some(bytes) => link.scanner.push(now, bytes, &mut sink),
+            None => link.scanner.tick(now, &mut sink),
+        }
+        self.outputs.extend(events.into_iter().map(Output::Event));
+        for (source, message) in arrived {
+            self.handle_message(now, id, source, &message);
+        }
+    }
+
+    pub(super) fn handle_message(
+        &mut self,
+        now: Stamp<HostClock>,
+        id: LinkId,
+        source: Address,
+        message: &Message,
+    ) {
+        if source == self.config.own {
+            // A link that echoes: what the station said itself is no news, least of all its own estimate.
+            return;
+        }
+        if let Some(link) = self.links.get_mut(&id) {
+            link.session.handle(now, source, message);
+        }
+        self.drain_session(now, id);
+        if let Message::StatusText { severity, text } = message {
+            self.tell(Event::Text {
+                source,
+                severity: *severity,
+                text: text.clone(),
+            });
+        }
+        if let Message::RobotDescription(description) = message {
+            self.handle_description(id, source, description);
+        }
+        for reading in self.interpreter.readings(message).into_iter().flatten() {
+            self.handle_reading(now, id, source, &reading);
+        }
+    }
+
+    pub(super) fn handle_reading(
+        &mut self,
+        now: Stamp<HostClock>,
+        id: LinkId,
+        source: Address,
+        reading: &Reading,
+    ) {
+        let from_robot = self
+            .robot
+            .is_some_and(|robot| robot.link == id && robot.address == source);
+        match reading.stamped_by {
+            StampedBy::Brick => {
+                if let Some(robot) = self.adopt_robot(id, source) {
+                    self.handle_brick_reading(now, robot, reading);
+                }
+            }
+            StampedBy::Observer if from_robot => {
+                if let Some(robot) = self.robot {
+                    self.handle_brick_reading(now, robot, reading);
+                }
+            }
+            StampedBy::Observer => self.handle_observer_reading(now, id, source, reading),
+        }
+    }
+
+    /// The robot that a sender of odometry is: the first of the configured system, and nobody else after it.
+    pub(super) fn adopt_robot(&mut self, link: LinkId, address: Address) -> Option<RobotId> {
+        if self
+            .config
+            .robot_system
+            .is_some_and(|wanted: SystemId| wanted != address.system)
+        {
+            return None;
+        }
+        let candidate = RobotId { link, address };
+        (*self.robot.get_or_insert(candidate) == candidate).then_some(candidate)
+    }
+
+    pub(super) fn handle_brick_reading(
+        &mut self,
+        now: Stamp<HostClock>,
+        robot: RobotId,
+        reading: &Reading,
+    ) {
+        let stamp = match self.brick_clock.arrived(reading.stamp, now) {
+            Unwrapped::Continued(stamp) => stamp,
+            Unwrapped::Restarted(stamp) => {
+                self.brick_restarted(now, robot);
+                stamp
+            }
+        };
+        let observed = self.whole_turn_rate(stamp, reading);
+        let observation = Observation {
+            sensor: reading.sensor,
+            stamp,
+            stamp_sigma: Span::ZERO,
+            observed,
+        };
+        self.observe(robot, robot.address, now, observation);
+    }
+
+    /// The mean rate since the sensor's last observation that arrived: from the integral, where the sender has one.
+    pub(super) fn whole_turn_rate(
+        &mut self,
+        stamp: Stamp<BrickClock>,
+        reading: &Reading,
+    ) -> Observed {
+        let Some(turn) = reading.gyro_turn else {
+            return reading.observed;
+        };
+        let before = self.last_gyro_turn;
+        // One that was overtaken on its way must not become the base of the next.
+        if before.is_none_or(|(last, _)| stamp > last) {
+            self.last_gyro_turn = Some((stamp, turn));
+        }
+        let Some((last_stamp, last_turn)) = before else {
+            return reading.observed;
+        };
+        let gap = stamp - last_stamp;
+        if gap <= Span::ZERO || gap > LONGEST_GYRO_GAP {
+            return reading.observed;
+        }
+        let turned_rad = (turn.0 - last_turn.0 + 0.5 * GYRO_TURN_PERIOD_RAD)
+            .rem_euclid(GYRO_TURN_PERIOD_RAD)
+            - 0.5 * GYRO_TURN_PERIOD_RAD;
+        Observed::TurnRate(RadiansPerSecond(turned_rad / gap.as_secs_f64()))
+    }
+
+    pub(super) fn handle_observer_reading(
+        &mut self,
+        now: Stamp<HostClock>,
+        link: LinkId,
+        source: Address,
+        reading: &Reading,
+    ) {
+        let clock = self.observers.entry((link, source)).or_default();
+        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) =
+            clock.arrived(reading.stamp, now);
+        let on_brick = clock.host_at(stamp).and_then(|(host, camera_off)| {
+            let (brick, brick_off) = self.brick_clock.remote_at(host)?;
+            Some((brick, sigma_of(camera_off + brick_off)))
+        });
+        match (on_brick, self.robot) {
+            (Some((stamp, stamp_sigma)), Some(robot)) => {
+                let observation = Observation {
+                    sensor: reading.sensor,
+                    stamp,
+                    stamp_sigma,
+                    observed: reading.observed,
+                };
+                self.observe(robot, source, now, observation);
+            }
+            _ => self.tell(Event::Defect {
+                link,
+                defect: Defect::Unaligned { source },
+            }),
+        }
+    }
+
+    pub(super) fn observe(
+        &mut self,
+        robot: RobotId,
+        source: Address,
+        arrival: Stamp<HostClock>,
+        observation: Observation,
+    ) {
+        self.tell(Event::Observed {
+            robot,
+            source,
+            arrival,
+            observation,
+        });
+        let record = self.filter.observe(&observation);
+        let mut health = Vec::new();
+        for (id, link) in &mut self.links {
+            health.extend(
+                link.publisher
+                    .fusion_health(&record)
+                    .map(|message| (*id, message)),
+            );
+        }
+        for (id, message) in health {
+            self.transmit(id, &message);
+        }
+        self.tell(Event::Fused { robot, record });
+        self.is_news = true;
+    }
+
+    /// The brick was switched off and on: it has forgotten what was asked of it.
+    pub(super) fn brick_restarted(&mut self, now: Stamp<HostClock>, robot: RobotId) {
+        self.filter.restart_clock();
+        self.last_gyro_turn = None;
+        if let Some(link) = self.links.get_mut(&robot.link) {
+            link.session.peer_restarted(now, robot.address);
+        }
+        self.tell(Event::BrickRestarted { robot });
+    }
+
+    fn handle_description(&mut self, link: LinkId, source: Address, said: &RobotDescription) {
+        if self.described || self.config.description == DescriptionPolicy::Ignore {
+            return;
+        }
+        let Some(geometry) = geometry_of(said) else {
+            return;
+        };
+        if self.adopt_robot(link, source).is_none() {
+            return;
+        }
+        self.described = true;
+        if geometry != self.config.filter_config.geometry {
+            self.config.filter_config.geometry = geometry;
+            self.interpreter.geometry = geometry;
+            self.rebuild_filter();
+        }
+    }
+
+    /// A filter of the new geometry goes on where the old one was, if that knew where it was.
+    fn rebuild_filter(&mut self) {
+        let mut filter_config = self.config.filter_config;
+        let estimate = self
+            .filter
+            .latest()
+            .and_then(|latest| self.filter.estimate_at(latest))
+            .filter(|estimate| estimate.validity.position && estimate.validity.heading);
+        if let Some(estimate) = estimate {
+            filter_config.start = Some(StartPose {
+                pose: estimate.pose,
+                position_sigma_m: estimate.x_sigma_m().max(estimate.y_sigma_m()),
+                heading_sigma_rad: estimate.heading_sigma_rad(),
+            });
+        }
+        if let Some(entry) = filter_named(&self.config.filter) {
+            self.filter = (entry.build)(&filter_config);
+        }
+    }
+}
+
+/// The geometry that a robot says it has, if every length of it can be one.
+fn geometry_of(said: &RobotDescription) -> Option<DriveGeometry> {
+    let geometry = DriveGeometry {
+        left_wheel_radius: said.left_wheel_radius,
+        right_wheel_radius: said.right_wheel_radius,
+        track_width: said.track_width,
+        tick: Radians(std::f64::consts::TAU / said.ticks_per_turn),
+    };
+    let lengths = [
+        geometry.left_wheel_radius.0,
+        geometry.right_wheel_radius.0,
+        geometry.track_width.0,
+        geometry.tick.0,
+    ];
+    lengths
+        .iter()
+        .all(|length| length.is_finite() && *length > 0.0)
+        .then_some(geometry)
+}
+
+fn take_frame(
+    link: LinkId,
+    frame: &FrameRef<'_>,
+    arrived: &mut Vec<(Address, Message)>,
+    events: &mut Vec<Event>,
+) {
+    match dialect::decode(frame) {
+        Ok(Some(message)) => arrived.push((frame.source, message)),
+        Ok(None) => {}
+        Err(error) => {
+            let defect = Defect::Payload {
+                message_id: error.message_id(),
+            };
+            events.push(Event::Defect { link, defect });
+        }
+    }
+}
+
+/// Standard deviation of an instant that lies anywhere within plus or minus `bound`: uniform.
+fn sigma_of(bound: Span) -> Span {
+    Span::from_secs_f64(bound.as_secs_f64() / 3.0_f64.sqrt())
+}
