@@ -68,6 +68,7 @@ impl BrickPlayer {
             timesync_period: None,
             peer_timeout: PEER_TIMEOUT,
             wanted: vec![],
+            offered: vec![],
         };
         let mut player = Self {
             start,

@@ -40,6 +40,7 @@ fn quiet() -> SessionConfig {
         timesync_period: None,
         peer_timeout: Span::from_millis(3_000),
         wanted: Vec::new(),
+        offered: vec![],
     }
 }
 
@@ -370,6 +371,7 @@ fn a_brick_accepts_intervals_that_are_meant_for_it() {
     let mut brick = Station::new(SessionConfig {
         own: ROBOT,
         heartbeat: ROVER,
+        offered: vec![42_101],
         ..quiet()
     });
     let wanted = |target| {
@@ -396,6 +398,27 @@ fn a_brick_accepts_intervals_that_are_meant_for_it() {
     for other in [Address::new(0, 0), CAMERA, Address::new(2, 1)] {
         assert!(brick.hear(STATION, &wanted(other)).is_empty(), "{other}");
     }
+}
+
+#[test]
+fn an_interval_of_a_message_that_is_not_offered_is_refused() {
+    let mut brick = Station::new(SessionConfig {
+        own: ROBOT,
+        heartbeat: ROVER,
+        offered: vec![42_100],
+        ..quiet()
+    });
+    let wanted = Message::SetMessageInterval(SetMessageInterval {
+        target: ROBOT,
+        message_id: 42_101,
+        interval: Some(Span::from_millis(50)),
+    });
+    let unsupported = Output::Send(Message::CommandAck(CommandAck {
+        command: SET_MESSAGE_INTERVAL,
+        result: 3,
+        target: Some(STATION),
+    }));
+    assert_eq!(brick.hear(STATION, &wanted), [unsupported]);
 }
 
 #[test]

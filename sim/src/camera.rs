@@ -63,7 +63,12 @@ impl Camera {
     /// A camera that is switched on at the beginning of the world.
     pub(crate) fn new(settings: CameraSettings, seed: u64) -> Self {
         let clock = SkewedClock::new(settings.clock());
-        let node = Node::new(CAMERA, HEARTBEAT, clock.reading(Span::ZERO));
+        let node = Node::new(
+            CAMERA,
+            HEARTBEAT,
+            clock.reading(Span::ZERO),
+            &[ids::VISION_POSITION_ESTIMATE],
+        );
         Self {
             interval: Some(Span::from_secs_f64(1.0 / settings.rate_hz)),
             next_exposure: Span::ZERO,

@@ -30,7 +30,8 @@ pub(crate) struct Node<C: Clock> {
 impl<C: Clock> Node<C> {
     /// A participant that was powered up at `now`. All stamps that it is given are what its own clock shows to others,
     /// wraps included: with them it answers TIMESYNC.
-    pub(crate) fn new(own: Address, heartbeat: Heartbeat, now: Stamp<C>) -> Self {
+    /// Only the `offered` messages can be asked for at another interval.
+    pub(crate) fn new(own: Address, heartbeat: Heartbeat, now: Stamp<C>, offered: &[u32]) -> Self {
         let config = SessionConfig {
             own,
             heartbeat,
@@ -38,6 +39,7 @@ impl<C: Clock> Node<C> {
             timesync_period: None,
             peer_timeout: Span::from_millis(5_000),
             wanted: Vec::new(),
+            offered: offered.to_vec(),
         };
         Self {
             own,

@@ -58,6 +58,8 @@ pub struct Pipeline {
     brick_clock: ClockAligner<BrickClock>,
     observers: BTreeMap<(LinkId, Address), ClockAligner<CameraClock>>,
     last_gyro_turn: Option<(Stamp<BrickClock>, Radians)>,
+    /// Normalised innovation squared of the last fix over its gate; 0 before the first.
+    fix_ratio: f64,
     described: bool,
     /// Something was observed since the last estimate left.
     is_news: bool,
@@ -99,6 +101,7 @@ impl Pipeline {
             brick_clock: ClockAligner::default(),
             observers: BTreeMap::new(),
             last_gyro_turn: None,
+            fix_ratio: 0.0,
             described: false,
             is_news: false,
             next_health: (!config.links.is_empty()).then(|| now + HEALTH_PERIOD),

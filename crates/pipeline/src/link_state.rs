@@ -7,7 +7,7 @@ use posebridge_protocol::session::{Session, SessionConfig};
 use posebridge_telemetry::{HostClock, LinkHealth, LinkState, Span, Stamp};
 
 use crate::config::{AcceptedVersions, LinkConfig, PipelineConfig};
-use crate::publish::Publisher;
+use crate::publish::{self, Publisher};
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.
 const ONBOARD_CONTROLLER: u8 = 18;
@@ -94,5 +94,6 @@ fn session_config(pipeline: &PipelineConfig) -> SessionConfig {
         timesync_period: Some(pipeline.timesync_period),
         peer_timeout: PEER_TIMEOUT,
         wanted: pipeline.wanted.clone(),
+        offered: publish::SETTABLE.iter().map(|(id, _)| *id).collect(),
     }
 }

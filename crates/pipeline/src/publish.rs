@@ -1,5 +1,6 @@
 //! From estimates to messages: which leave on a link, how often, and for which instant.
 
+use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{
     EstimatorStatus, FusionHealth, Message, Odometry, OdometryPose, PlanarPose, PoseFlags,
     WireStamp,
@@ -10,11 +11,23 @@ use posebridge_telemetry::{
 };
 use std::collections::BTreeMap;
 
-use crate::config::{OutputKind, OutputStream};
+use crate::config::{OutputInstant, OutputKind, OutputStream};
+
+/// The messages whose interval a peer may set with SET_MESSAGE_INTERVAL, for its own link.
+pub(crate) const SETTABLE: [(u32, OutputKind); 6] = [
+    (ids::PB_PLANAR_POSE, OutputKind::PlanarPose),
+    (ids::ODOMETRY, OutputKind::Odometry),
+    (ids::LOCAL_POSITION_NED, OutputKind::LocalPosition),
+    (ids::ATTITUDE, OutputKind::Attitude),
+    (ids::ESTIMATOR_STATUS, OutputKind::EstimatorStatus),
+    (ids::PB_FUSION_HEALTH, OutputKind::FusionHealth),
+];
 
 /// Keeps the intervals of one link's outputs.
 #[derive(Clone, Debug)]
 pub(crate) struct Publisher {
+    /// What is sent unless a peer asks for something else.
+    configured: Vec<OutputStream>,
     streams: Vec<(OutputStream, Option<Stamp<HostClock>>)>,
     /// Used and refused observations per sensor, for PB_FUSION_HEALTH.
     counts: BTreeMap<SensorId, (u16, u16)>,
@@ -23,9 +36,34 @@ pub(crate) struct Publisher {
 impl Publisher {
     pub(crate) fn new(streams: &[OutputStream]) -> Self {
         Self {
+            configured: streams.to_vec(),
             streams: streams.iter().map(|stream| (*stream, None)).collect(),
             counts: BTreeMap::new(),
         }
+    }
+
+    /// Follows a peer's request: another interval, none at all, or (zero) what is configured.
+    pub(crate) fn set_interval(&mut self, message_id: u32, interval: Option<Span>) {
+        let Some((_, kind)) = SETTABLE.iter().find(|(id, _)| *id == message_id) else {
+            return;
+        };
+        let configured = self
+            .configured
+            .iter()
+            .find(|stream| stream.kind == *kind)
+            .copied();
+        self.streams.retain(|(stream, _)| stream.kind != *kind);
+        let asked = |interval| OutputStream {
+            kind: *kind,
+            interval,
+            instant: configured.map_or(OutputInstant::Observed, |stream| stream.instant),
+        };
+        let stream = match interval {
+            None => None,
+            Some(Span::ZERO) => configured,
+            Some(interval) => Some(asked(interval)),
+        };
+        self.streams.extend(stream.map(|stream| (stream, None)));
     }
 
     /// Which outputs are due; they count as sent.
@@ -83,14 +121,28 @@ pub(crate) enum Prediction {
     Ahead,
 }
 
-/// The message of an estimate. `host` is the instant at which it holds on the host's clock, for messages whose stamps are those of the
-/// sender's own clock.
+/// What a message says besides the estimate itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Circumstances {
+    /// Whether the estimate was predicted ahead.
+    pub(crate) prediction: Prediction,
+    /// When it holds on the host's clock, for messages whose stamps are those of the sender's own clock.
+    pub(crate) host: Stamp<HostClock>,
+    /// Normalised innovation squared of the last fix over its gate: above 1 it was refused.
+    pub(crate) fix_ratio: f64,
+}
+
+/// The message of an estimate.
 pub(crate) fn message(
     kind: OutputKind,
     estimate: &Estimate,
-    prediction: Prediction,
-    host: Stamp<HostClock>,
+    circumstances: &Circumstances,
 ) -> Option<Message> {
+    let Circumstances {
+        prediction,
+        host,
+        fix_ratio,
+    } = *circumstances;
     let since_boot = WireStamp::Millis32(host.as_micros().div_euclid(1_000) as u32);
     match kind {
         OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, prediction))),
@@ -113,7 +165,7 @@ pub(crate) fn message(
         OutputKind::EstimatorStatus => Some(Message::EstimatorStatus(EstimatorStatus {
             stamp: WireStamp::Micros64(host.as_micros().unsigned_abs()),
             flags: flags(estimate, prediction),
-            position_ratio: 0.0,
+            position_ratio: fix_ratio,
             position_sigma: Meters(estimate.x_sigma_m().hypot(estimate.y_sigma_m())),
         })),
         OutputKind::FusionHealth => None,

@@ -49,6 +49,8 @@ pub struct SessionConfig {
     pub peer_timeout: Span,
     /// Messages that every newly seen robot is asked for, with their intervals.
     pub wanted: Vec<(u32, Span)>,
+    /// Messages whose interval others may set; a request for any other is answered as unsupported.
+    pub offered: Vec<u32>,
 }
 
 /// What a [`Session`] wants done or known.
@@ -228,6 +230,10 @@ impl<C: Clock> Session<C> {
         let own = self.config.own;
         // Ours, or for all components of our system; "everybody" is not answered for, lest a whole class starts to send.
         if wanted.target.system != own.system || !self.is_us_or_all(wanted.target) {
+            return;
+        }
+        if !self.config.offered.contains(&wanted.message_id) {
+            self.acknowledge(by, COMMAND_SET_MESSAGE_INTERVAL, result::UNSUPPORTED);
             return;
         }
         self.acknowledge(by, COMMAND_SET_MESSAGE_INTERVAL, result::ACCEPTED);

@@ -66,12 +66,18 @@ impl Firmware {
     pub(crate) fn new(scenario: &Scenario, path: Path, now: Stamp<BrickClock>) -> Self {
         let geometry = scenario.drive_geometry();
         let control = SpeedControl::new(&scenario.robot);
+        let schedule = Schedule::new(&scenario.brick, now);
         Self {
             settings: scenario.brick,
             geometry,
             noise: scenario.sensor_noise(),
-            node: Node::new(BRICK, HEARTBEAT, shown(scenario.brick.wire, now)),
-            schedule: Schedule::new(&scenario.brick, now),
+            node: Node::new(
+                BRICK,
+                HEARTBEAT,
+                shown(scenario.brick.wire, now),
+                &schedule.message_ids(),
+            ),
+            schedule,
             reckoning: DeadReckoning::new(&geometry),
             belief: Belief::new(scenario.steering, path.start()),
             follower: Follower::new(scenario.drive, path),
@@ -118,8 +124,13 @@ impl Firmware {
     /// A power cycle: clock, counters, session and message intervals begin anew. The program's place on the path and its
     /// odometry are kept, as a program that stores its progress would keep them.
     pub(crate) fn restart(&mut self, now: Stamp<BrickClock>) {
-        self.node = Node::new(BRICK, HEARTBEAT, self.shown(now));
         self.schedule = Schedule::new(&self.settings, now);
+        self.node = Node::new(
+            BRICK,
+            HEARTBEAT,
+            self.shown(now),
+            &self.schedule.message_ids(),
+        );
         self.reckoning.counters_zeroed();
         self.belief.clock_restarted();
         self.follower.clock_restarted();

@@ -65,6 +65,11 @@ impl Schedule {
         }
     }
 
+    /// The messages that the brick has.
+    pub(crate) fn message_ids(&self) -> Vec<u32> {
+        self.slots.iter().map(|slot| slot.message_id).collect()
+    }
+
     /// Follows a request; one for a message that the brick does not have changes nothing.
     pub(crate) fn follow(&mut self, request: IntervalRequest, now: Stamp<BrickClock>) {
         for slot in &mut self.slots {

@@ -87,6 +87,13 @@ impl<C: Clock> ClockAligner<C> {
         unwrapped
     }
 
+    /// The instant of a stamp that may be long past, such as that of a fix that the robot passes on: it says nothing about how the
+    /// clocks run, and being old is no sign of a restart. `None` before any other stamp of this clock.
+    #[must_use]
+    pub fn placed(&self, stamp: WireStamp) -> Option<Stamp<C>> {
+        self.unwrapper.nearest(stamp)
+    }
+
     /// A request that left at `sent` was answered with the remote clock's `remote_nanos`; the answer came at `received`.
     /// Returns the new alignment, or `None` while there is none.
     pub fn exchanged(

@@ -44,24 +44,11 @@ impl Unwrapper {
         stamp: WireStamp,
         arrival: Stamp<HostClock>,
     ) -> Unwrapped<C> {
-        let (wire_micros, whole) = match stamp {
-            WireStamp::Micros32(micros) => (i64::from(micros), i64::from(micros)),
-            WireStamp::Millis32(millis) => (i64::from(millis) * 1_000, i64::from(millis) * 1_000),
-            // Beyond i64 microseconds there is no instant; damage, which the restart rule then catches.
-            WireStamp::Micros64(micros) => {
-                let whole = i64::try_from(micros).unwrap_or(i64::MAX / 2_000);
-                (whole, whole.min(i64::MAX / 2_000))
-            }
-        };
+        let whole = micros_of(stamp);
         let Some(last) = self.last else {
             return Unwrapped::Continued(self.keep(whole, arrival));
         };
-        let ahead = (wire_micros - last.remote_micros).rem_euclid(PERIOD_MICROS);
-        let step_micros = if ahead >= PERIOD_MICROS / 2 {
-            ahead - PERIOD_MICROS
-        } else {
-            ahead
-        };
+        let step_micros = shortest_step(last.remote_micros, whole);
         let step = Span::from_micros(step_micros);
         let elapsed = (arrival - last.arrival).max(Span::ZERO);
         let furthest =
@@ -76,12 +63,41 @@ impl Unwrapper {
         Unwrapped::Continued(Stamp::from_micros(remote_micros))
     }
 
+    /// The instant of a stamp near the last one, whichever side; nothing is learnt from it.
+    pub(super) fn nearest<C: Clock>(&self, stamp: WireStamp) -> Option<Stamp<C>> {
+        let last = self.last?;
+        let step_micros = shortest_step(last.remote_micros, micros_of(stamp));
+        Some(Stamp::from_micros(last.remote_micros + step_micros))
+    }
+
     fn keep<C: Clock>(&mut self, remote_micros: i64, arrival: Stamp<HostClock>) -> Stamp<C> {
         self.last = Some(Seen {
             remote_micros,
             arrival,
         });
         Stamp::from_micros(remote_micros)
+    }
+}
+
+/// What a counter shows, in microseconds.
+fn micros_of(stamp: WireStamp) -> i64 {
+    match stamp {
+        WireStamp::Micros32(micros) => i64::from(micros),
+        WireStamp::Millis32(millis) => i64::from(millis) * 1_000,
+        // Beyond i64 nanoseconds there is no instant; damage, which the restart rule then catches.
+        WireStamp::Micros64(micros) => i64::try_from(micros)
+            .unwrap_or(i64::MAX)
+            .min(i64::MAX / 2_000),
+    }
+}
+
+/// The step from one instant to a counter's value modulo its period, the short way.
+fn shortest_step(from_micros: i64, to_micros: i64) -> i64 {
+    let ahead = (to_micros - from_micros).rem_euclid(PERIOD_MICROS);
+    if ahead >= PERIOD_MICROS / 2 {
+        ahead - PERIOD_MICROS
+    } else {
+        ahead
     }
 }
 

@@ -52,8 +52,15 @@ impl Pipeline {
                     };
                     self.handle_exchange(now, id, peer, exchange);
                 }
-                // Nobody asks the station for intervals: its outputs are configured.
-                SessionOutput::IntervalRequested { .. } => {}
+                SessionOutput::IntervalRequested {
+                    message_id,
+                    interval,
+                    ..
+                } => {
+                    if let Some(link) = self.links.get_mut(&id) {
+                        link.publisher.set_interval(message_id, interval);
+                    }
+                }
             }
         }
     }

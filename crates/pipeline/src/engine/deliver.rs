@@ -5,7 +5,7 @@ use posebridge_telemetry::{Estimate, Event, HostClock, LinkId, LinkState, Output
 
 use super::Pipeline;
 use crate::config::{OutputInstant, OutputStream};
-use crate::publish::{self, Prediction};
+use crate::publish::{self, Circumstances, Prediction};
 
 impl Pipeline {
     /// One estimate per input that brought news, for the latest instant that was observed.
@@ -51,11 +51,21 @@ impl Pipeline {
             .filter(|brick| *brick > observed.stamp)
             .and_then(|brick| self.filter.estimate_at(brick));
         if let Some(predicted) = predicted {
-            return publish::message(stream.kind, &predicted, Prediction::Ahead, arrival);
+            let circumstances = Circumstances {
+                prediction: Prediction::Ahead,
+                host: arrival,
+                fix_ratio: self.fix_ratio,
+            };
+            return publish::message(stream.kind, &predicted, &circumstances);
         }
         let host = self.brick_clock.host_at(observed.stamp);
         let host = host.map_or(now, |(host, _)| host);
-        publish::message(stream.kind, observed, Prediction::None, host)
+        let circumstances = Circumstances {
+            prediction: Prediction::None,
+            host,
+            fix_ratio: self.fix_ratio,
+        };
+        publish::message(stream.kind, observed, &circumstances)
     }
 
     pub(super) fn transmit(&mut self, id: LinkId, message: &Message) {

@@ -1,5 +1,6 @@
 //! Bytes to observations: what came on a link, as far as the filter.
 
+use posebridge_estimator::gate::chi_square_quantile;
 use posebridge_estimator::{StartPose, filter_named};
 use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{FrameRef, Scanned};
@@ -105,11 +106,7 @@ impl Pipeline {
                     self.handle_brick_reading(now, robot, reading);
                 }
             }
-            StampedBy::Observer if from_robot => {
-                if let Some(robot) = self.robot {
-                    self.handle_brick_reading(now, robot, reading);
-                }
-            }
+            StampedBy::Observer if from_robot => self.handle_relayed_reading(now, source, reading),
             StampedBy::Observer => self.handle_observer_reading(now, id, source, reading),
         }
     }
@@ -148,6 +145,26 @@ impl Pipeline {
             observed,
         };
         self.observe(robot, robot.address, now, observation);
+    }
+
+    /// A fix that the robot passes on, stamped by its own clock: it may be older than any reordering explains.
+    fn handle_relayed_reading(
+        &mut self,
+        now: Stamp<HostClock>,
+        source: Address,
+        reading: &Reading,
+    ) {
+        let (Some(robot), Some(stamp)) = (self.robot, self.brick_clock.placed(reading.stamp))
+        else {
+            return;
+        };
+        let observation = Observation {
+            sensor: reading.sensor,
+            stamp,
+            stamp_sigma: Span::ZERO,
+            observed: reading.observed,
+        };
+        self.observe(robot, source, now, observation);
     }
 
     /// The mean rate since the sensor's last observation that arrived: from the integral, where the sender has one.
@@ -222,6 +239,11 @@ impl Pipeline {
             observation,
         });
         let record = self.filter.observe(&observation);
+        if matches!(observation.observed, Observed::Fix(_)) && record.degrees_of_freedom > 0 {
+            let probability = self.config.filter_config.params.gate_probability;
+            self.fix_ratio =
+                record.nis / chi_square_quantile(record.degrees_of_freedom, probability);
+        }
         let mut health = Vec::new();
         for (id, link) in &mut self.links {
             health.extend(
