@@ -18,7 +18,7 @@ pub struct Params {
     pub slip_nis: f64,
     /// See `accel_m_s2` in [`PARAMS`].
     pub acceleration_m_per_s2: f64,
-    /// See `turn_accel_rad_s2` in [`PARAMS`].
+    /// See `turn_acc_rad_s2` in [`PARAMS`].
     pub turn_acceleration_rad_per_s2: f64,
     /// See `max_wheel_rad_s` in [`PARAMS`].
     pub max_wheel_rad_per_s: f64,
@@ -109,7 +109,7 @@ pub const PARAMS: &[Param] = &[
         "how fast the forward speed may change, one standard deviation after one second"
     ),
     param!(
-        "turn_accel_rad_s2",
+        "turn_acc_rad_s2",
         "rad/s2",
         6.0,
         0.01..=500.0,
@@ -229,6 +229,11 @@ mod tests {
     fn every_row_reaches_a_field_of_its_own_and_its_default_is_in_range() {
         for (index, row) in PARAMS.iter().enumerate() {
             assert!(row.range.contains(&row.default), "{}", row.key);
+            assert!(
+                row.key.len() <= 16,
+                "{} does not fit a PARAM message",
+                row.key
+            );
             let mut params = Params::default();
             (row.write)(&mut params, -1.0);
             for (other_index, other) in PARAMS.iter().enumerate() {
