@@ -196,8 +196,7 @@ fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandl
                     at: None,
                     silence: None,
                 })
-                .await
-                .expect("the shard runs");
+                .await;
             let Shard {
                 recorder, observer, ..
             } = shard;
@@ -251,6 +250,7 @@ async fn shard(recording: &std::path::Path) -> (Shard, SocketAddr) {
         timer,
         recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),
         observer: Observer::start(observed).expect("an observer"),
+        recording_failure: None,
     };
     (shard, address)
 }

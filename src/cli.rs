@@ -86,10 +86,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
     /// End after this many seconds.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub duration: Option<f64>,
     /// End when no link has brought a byte for this many seconds, once one has.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub until_silent: Option<f64>,
 }
 
@@ -127,7 +127,7 @@ pub struct SimArgs {
     #[arg(long)]
     pub seed: Option<u64>,
     /// Laps, instead of the scenario's.
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub laps: Option<u32>,
     /// By what to steer, instead of what the scenario says.
     #[arg(long, value_enum)]
@@ -166,8 +166,8 @@ pub struct PlayArgs {
     /// What to read.
     #[command(flatten)]
     pub data: DataFlags,
-    /// How much faster than real time.
-    #[arg(long, default_value_t = 1.0, value_name = "FACTOR")]
+    /// How much faster than real time; other than 1 the station cannot align the clocks, which a recording with one clock does not need.
+    #[arg(long, default_value_t = 1.0, value_name = "FACTOR", value_parser = positive)]
     pub speed: f64,
     /// Begin at once instead of when the station has been heard.
     #[arg(long)]
@@ -191,7 +191,7 @@ pub struct ReplayArgs {
     /// Write every event as a line of text.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
-    /// Write the picture here.
+    /// Write the picture here: of the last run and the last estimator.
     #[arg(long, value_name = "FILE.svg")]
     pub figure: Option<PathBuf>,
     /// Print one JSON object (docs/replay-json.md) instead of tables.
@@ -223,6 +223,14 @@ pub enum ConfigAction {
 pub struct CompletionsArgs {
     /// The shell.
     pub shell: clap_complete::Shell,
+}
+
+/// A number of more than zero.
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
+        _ => Err("must be a number of more than zero".to_owned()),
+    }
 }
 
 /// The kinds of link, from the table.

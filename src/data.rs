@@ -8,6 +8,7 @@ use posebridge_recording::dataset::{self, Descriptor, LoadOptions};
 
 use crate::cli::DataFlags;
 use crate::config::RobotFile;
+use crate::stderr::say;
 
 /// A descriptor with the runs that were asked for.
 pub struct DataSet {
@@ -119,4 +120,20 @@ fn number(value: &toml::Value) -> Option<f64> {
     value
         .as_float()
         .or(value.as_integer().map(|whole| whole as f64))
+}
+
+/// Names the rows that could not be used; they are counted and do not end the run.
+pub fn tell_bad_rows(robot_run: &RobotRun) -> u64 {
+    let bad = &robot_run.run.bad_rows;
+    for row in &bad.named {
+        say(&format!("{}: {row}", robot_run.run.name));
+    }
+    for (reason, count) in &bad.counts {
+        say(&format!(
+            "{}: {count} rows: {}",
+            robot_run.run.name,
+            reason.name()
+        ));
+    }
+    bad.total() as u64
 }

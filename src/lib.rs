@@ -11,6 +11,7 @@ pub mod data;
 pub mod link_target;
 pub mod report;
 pub mod score;
+pub mod stderr;
 pub mod stdout;
 pub mod tasks;
 pub mod truth_file;

@@ -1,21 +1,24 @@
 //! The program `posebridge`: parse, run, exit code.
 
+use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::Parser;
 use posebridge::cli::Cli;
-use posebridge::commands::{self, Failure};
+use posebridge::commands;
+use posebridge::stderr::say;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
     tracing_subscriber::fmt()
         .with_env_filter(log_filter())
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .init();
     match commands::execute(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            report(&failure);
+            say(&format!("posebridge: {:#}", failure.error()));
             ExitCode::from(failure.exit_code())
         }
     }
@@ -25,12 +28,4 @@ fn main() -> ExitCode {
 fn log_filter() -> tracing_subscriber::EnvFilter {
     tracing_subscriber::EnvFilter::try_from_env("POSEBRIDGE_LOG")
         .unwrap_or_else(|_unset| tracing_subscriber::EnvFilter::new("warn"))
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "the one place where a failure is told to a person"
-)]
-fn report(failure: &Failure) {
-    eprintln!("posebridge: {:#}", failure.error());
 }

@@ -41,7 +41,7 @@ fn a_killed_brick_comes_back_and_the_station_goes_on() {
     let mut station = station(folder.path(), "run");
     station.wait_for("fix accepted");
     first.kill();
-    station.wait_for("link DOWN");
+    station.wait_for("link 0 DOWN");
     let _second = brick(folder.path());
     station.wait_for("was restarted: clock and counters re-based");
     station.wait_for("heard link 0 1/1");

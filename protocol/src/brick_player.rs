@@ -23,6 +23,15 @@ pub const ADDRESS: Address = Address::new(1, 1);
 const GROUND_ROVER: u8 = 10;
 /// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
+/// What the player says of itself.
+const HEARTBEAT: Heartbeat = Heartbeat {
+    vehicle_type: GROUND_ROVER,
+    autopilot: 0,
+    base_mode: 0,
+    system_status: ACTIVE,
+};
+/// As often as the simulated brick describes itself: a station that comes later must know the geometry.
+const DESCRIPTION_PERIOD: Span = Span::from_millis(5_000);
 /// The common interval of heartbeats.
 const HEARTBEAT_PERIOD: Span = Span::from_millis(1_000);
 /// Nobody is lost while a recording plays.
@@ -41,6 +50,8 @@ pub struct BrickPlayer {
     now: Stamp<BrickClock>,
     /// Where held speeds have led: a message for commanded speeds does not exist, one for an odometer does.
     held: Option<Held>,
+    description: RobotDescription,
+    described: Stamp<BrickClock>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -52,33 +63,17 @@ struct Held {
 }
 
 impl BrickPlayer {
-    /// A brick whose clock shows `start` when the playing begins; it describes itself at once.
+    /// A brick whose clock shows `start` when the playing begins.
     #[must_use]
     pub fn new(start: Stamp<BrickClock>, geometry: DriveGeometry, name: &str) -> Self {
-        let heartbeat = Heartbeat {
-            vehicle_type: GROUND_ROVER,
-            autopilot: 0,
-            base_mode: 0,
-            system_status: ACTIVE,
-        };
         let config = SessionConfig {
             own: ADDRESS,
-            heartbeat,
+            heartbeat: HEARTBEAT,
             heartbeat_period: HEARTBEAT_PERIOD,
             timesync_period: None,
             peer_timeout: PEER_TIMEOUT,
             wanted: vec![],
             offered: vec![],
-        };
-        let mut player = Self {
-            start,
-            geometry,
-            session: Session::new(config, start),
-            scanner: Scanner::new(ScannerConfig::default()),
-            encoder: Encoder::new(WireVersion::V2),
-            bytes: Vec::new(),
-            now: start,
-            held: None,
         };
         let description = RobotDescription {
             name: name.chars().filter(char::is_ascii).take(16).collect(),
@@ -89,8 +84,26 @@ impl BrickPlayer {
             gyro_sigma: RadiansPerSecond(0.0),
             gyro_resolution: RadiansPerSecond(0.0),
         };
-        player.say(&Message::RobotDescription(description));
-        player
+        Self {
+            start,
+            geometry,
+            session: Session::new(config, start),
+            scanner: Scanner::new(ScannerConfig::default()),
+            encoder: Encoder::new(WireVersion::V2),
+            bytes: Vec::new(),
+            now: start,
+            held: None,
+            description,
+            described: start,
+        }
+    }
+
+    /// Tells who is there, for a station that answers only those whom it has heard, or that has just come.
+    pub fn announce(&mut self) {
+        self.described = self.now;
+        self.say(&Message::Heartbeat(HEARTBEAT));
+        let description = self.description.clone();
+        self.say(&Message::RobotDescription(description));
     }
 
     /// The brick's clock moves on to this long after the start.
@@ -98,6 +111,9 @@ impl BrickPlayer {
         self.now = self.now.max(self.start + elapsed);
         self.session.tick(self.now);
         self.drain();
+        if self.now - self.described >= DESCRIPTION_PERIOD {
+            self.announce();
+        }
     }
 
     /// Bytes from the station.

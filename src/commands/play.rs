@@ -11,13 +11,16 @@ use posebridge_link::{HostTimer, Port, PortEvent};
 use posebridge_protocol::brick_player::BrickPlayer;
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
-use super::station_link::{self, say};
-use super::{Failure, Stage};
+use super::run::Signals;
+use super::{Failure, Stage, station_link};
 use crate::cli::PlayArgs;
-use crate::data::{DataSet, RobotRun};
+use crate::data::{DataSet, RobotRun, tell_bad_rows};
+use crate::stderr::say;
 
 /// The player looks after its session at least this often.
 const SESSION_PERIOD: Span = Span::from_millis(20);
+/// While it waits the player tells that it is there once per second, as a heartbeat does.
+const ANNOUNCE_PERIOD: Span = Span::from_millis(1_000);
 /// What was sent last must reach the station before the link closes.
 const AFTERGLOW: Span = Span::from_millis(300);
 
@@ -26,26 +29,25 @@ const AFTERGLOW: Span = Span::from_millis(300);
 /// # Errors
 /// The descriptor, its files or the link make no sense.
 pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
-    if !(args.speed.is_finite() && args.speed > 0.0) {
-        return Err(anyhow::anyhow!(
-            "`--speed {}` must be more than zero",
-            args.speed
-        ))
-        .at_start();
-    }
     let data = DataSet::open(&args.descriptor, &args.data).at_start()?;
-    let runs: Result<Vec<RobotRun>> = data
-        .runs
-        .iter()
-        .map(|name| data.load(name, &args.data))
-        .collect();
-    let runs = runs.at_start()?;
+    let Some(name) = data.runs.first() else {
+        return Err(anyhow::anyhow!("the descriptor has no run")).at_start();
+    };
+    if data.runs.len() > 1 {
+        say(&format!(
+            "{} runs match; this plays {name}, choose another with --run",
+            data.runs.len()
+        ));
+    }
+    let run = data.load(name, &args.data).at_start()?;
+    tell_bad_rows(&run);
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .at_start()?;
     runtime.block_on(async {
         let timer = HostTimer::start();
+        let mut signals = Signals::listen().at_start()?;
         let mut port = station_link::port(&args.link, timer).at_start()?;
         say(&station_link::open(&args.link, &mut port).await.at_start()?);
         let mut player = Player {
@@ -53,20 +55,10 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
             timer,
             speed: args.speed,
         };
-        if !args.at_once {
-            say("waiting for a station");
-            tokio::select! {
-                () = player.wait_for_station() => {}
-                () = super::run::interrupted() => return Ok(()),
-            }
+        tokio::select! {
+            result = player.play(&run, args) => result.while_running(),
+            () = signals.received() => Ok(()),
         }
-        for run in &runs {
-            tokio::select! {
-                result = player.play(run) => result.while_running()?,
-                () = super::run::interrupted() => return Ok(()),
-            }
-        }
-        Ok(())
     })
 }
 
@@ -92,7 +84,7 @@ struct Player {
 }
 
 impl Player {
-    async fn play(&mut self, run: &RobotRun) -> Result<()> {
+    async fn play(&mut self, run: &RobotRun, args: &PlayArgs) -> Result<()> {
         let Some(first) = run.run.observations.first() else {
             bail!("run `{}` is empty", run.run.name)
         };
@@ -101,6 +93,11 @@ impl Player {
             run.filter_config.geometry,
             &run.run.name,
         );
+        if !args.at_once {
+            say("waiting for a station");
+            self.wait_for_station(&mut brick).await;
+        }
+        brick.announce();
         say(&format!(
             "playing {}: {} observations",
             run.run.name,
@@ -132,15 +129,37 @@ impl Player {
                 "{count} observations of kind {kind} have no message and were not sent"
             ));
         }
-        Ok(())
+        match self.port.counters().drops_out {
+            0 => Ok(()),
+            frames => bail!(
+                "{frames} chunks were not sent because the link was down or full: play slower"
+            ),
+        }
     }
 
     fn real_span(&self, span: Span) -> Span {
         Span::from_secs_f64(span.as_secs_f64() / self.speed)
     }
 
-    async fn wait_for_station(&mut self) {
-        while !matches!(self.port.next().await, PortEvent::Bytes { .. }) {}
+    /// Until a byte comes. A station that was called must be told that somebody is there.
+    async fn wait_for_station(&mut self, brick: &mut BrickPlayer) {
+        loop {
+            let next = self.timer.now() + ANNOUNCE_PERIOD;
+            tokio::select! {
+                event = self.port.next() => match event {
+                    PortEvent::Bytes { .. } => return,
+                    // Only a link that is up can be told; what a closed one refused is no loss.
+                    PortEvent::Up { .. } | PortEvent::Down { .. } | PortEvent::Finished { .. } => {}
+                },
+                () = self.timer.sleep_until(next) => {
+                    brick.announce();
+                    if self.port.is_up() {
+                        self.flush(brick);
+                    }
+                    drop(brick.take_bytes());
+                }
+            }
+        }
     }
 
     /// Lets what was sent last go out. The recording's clock stands: nobody is told the time any more.

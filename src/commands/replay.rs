@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail};
 use posebridge_analysis::metrics::{errors_of_estimates, summarise};
 use posebridge_analysis::report::{estimator_table, source_table};
 use posebridge_analysis::{
@@ -19,14 +19,14 @@ use posebridge_pipeline::{DescriptionPolicy, Pipeline, PipelineConfig};
 use posebridge_recording::container::{Ending, Reader};
 use posebridge_telemetry::{Address, Input, Output, Point2, Span, Stamp};
 
-use super::station_link::say;
 use super::{Failure, Stage};
 use crate::cli::ReplayArgs;
 use crate::collect::{Collector, LONGEST_GAP};
 use crate::config;
-use crate::data::{DataSet, RobotRun};
+use crate::data::{DataSet, RobotRun, tell_bad_rows};
 use crate::report::json;
 use crate::score::{Scorer, pose_at};
+use crate::stderr::say;
 use crate::stdout;
 use crate::tasks::observer::{create, write_event};
 use crate::truth_file;
@@ -69,11 +69,10 @@ pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
         .extension()
         .is_some_and(|extension| extension == "toml");
     let replayed = if is_descriptor {
-        descriptor(args)
+        descriptor(args)?
     } else {
-        recording(args)
-    }
-    .at_start()?;
+        recording(args)?
+    };
     print(args, &replayed, timer.now() - Stamp::ZERO).while_running()
 }
 
@@ -123,45 +122,52 @@ fn cpu_time() -> Result<Span> {
 }
 
 /// A recording of ours.
-fn recording(args: &ReplayArgs) -> Result<Replayed> {
+fn recording(args: &ReplayArgs) -> Result<Replayed, Failure> {
+    if args.data.run.is_some() || args.data.use_every.is_some() {
+        return Err(anyhow!(
+            "--run and --use-every choose from a descriptor's data, not from a recording of ours"
+        ))
+        .at_start();
+    }
     let name = args.recording.display().to_string();
     let bytes = std::fs::read(&args.recording)
-        .with_context(|| format!("reading the recording `{name}`"))?;
-    let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
-    let header = &reader.header().config_toml;
-    let mut config = config::load_text(
-        "the recording's own configuration",
-        header,
-        &args.data.settings,
-    )?
-    .config;
-    if let [filter] = args.filters.as_slice() {
-        config.filter.name.clone_from(filter);
-    } else {
-        ensure!(
-            args.filters.is_empty(),
-            "a recording of ours is replayed with one filter: give --filter once"
-        );
-    }
-    let mut pipeline = Pipeline::new(config.pipeline()?, Stamp::ZERO)?;
+        .with_context(|| format!("reading the recording `{name}`"))
+        .at_start()?;
+    let mut reader = Reader::open(&bytes)
+        .with_context(|| format!("recording `{name}`"))
+        .at_start()?;
+    let config = recorded_config(args, &reader.header().config_toml).at_start()?;
+    let truth = args
+        .truth
+        .as_deref()
+        .map(read_truth)
+        .transpose()
+        .at_start()?;
+    let mut events = args.events.as_deref().map(create).transpose().at_start()?;
+    let mut pipeline = Pipeline::new(config.pipeline().at_start()?, Stamp::ZERO).at_start()?;
     let mut collector = Collector::default();
-    let mut events = args.events.as_deref().map(create).transpose()?;
     for item in &mut reader {
-        let (now, input) = item.with_context(|| format!("recording `{name}`"))?;
-        pipeline.handle(now, &input);
-        take_outputs(&mut pipeline, &mut collector, events.as_mut())?;
+        match item {
+            Ok((now, input)) => pipeline.handle(now, &input),
+            // What is whole behind the damage is still worth replaying.
+            Err(error) => say(&format!(
+                "{name}: {error}; the replay is not that of the live run any more"
+            )),
+        }
+        take_outputs(&mut pipeline, &mut collector, events.as_mut()).while_running()?;
     }
     if let Some(mut events) = events {
-        events.flush()?;
+        events.flush().while_running()?;
     }
     if let Ending::Torn { offset, what } = reader.ending() {
-        tracing::warn!(offset, %what, "the recording was cut off; everything before was replayed");
+        say(&format!(
+            "{name}: cut off at byte {offset} ({what}); everything before was replayed"
+        ));
     }
-    let truth = args.truth.as_deref().map(read_truth).transpose()?;
     let errors = truth.as_ref().map_or_else(ErrorSummary::default, |truth| {
         summarise(&errors_of_estimates(collector.estimates.items(), truth))
     });
-    draw(args, &name, &collector, truth.as_ref())?;
+    draw(args, &name, &collector, truth.as_ref()).while_running()?;
     Ok(Replayed {
         recording: name,
         runs: vec!["recording".to_owned()],
@@ -173,6 +179,18 @@ fn recording(args: &ReplayArgs) -> Result<Replayed> {
             sources: collector.sources,
         }],
     })
+}
+
+/// The configuration that a recording was made with, and what the flags change of it.
+fn recorded_config(args: &ReplayArgs, header: &str) -> Result<config::Config> {
+    let origin = "the recording's own configuration";
+    let mut config = config::load_text(origin, header, &args.data.settings)?.config;
+    match args.filters.as_slice() {
+        [] => {}
+        [filter] => config.filter.name.clone_from(filter),
+        _ => bail!("a recording of ours is replayed with one filter: give --filter once"),
+    }
+    Ok(config)
 }
 
 fn read_truth(path: &Path) -> Result<Track> {
@@ -199,8 +217,14 @@ fn take_outputs(
 }
 
 /// A foreign recording.
-fn descriptor(args: &ReplayArgs) -> Result<Replayed> {
-    let data = DataSet::open(&args.recording, &args.data)?;
+fn descriptor(args: &ReplayArgs) -> Result<Replayed, Failure> {
+    if args.truth.is_some() {
+        return Err(anyhow!(
+            "--truth is for recordings of ours: a descriptor names its own truth"
+        ))
+        .at_start();
+    }
+    let data = DataSet::open(&args.recording, &args.data).at_start()?;
     let filters: Vec<String> = if args.filters.is_empty() {
         USUAL_FILTERS
             .iter()
@@ -209,21 +233,31 @@ fn descriptor(args: &ReplayArgs) -> Result<Replayed> {
     } else {
         args.filters.clone()
     };
-    let mut events = args.events.as_deref().map(create).transpose()?;
+    for filter in &filters {
+        let known = posebridge_estimator::filter_named(filter).is_some();
+        if !known {
+            return Err(anyhow!(
+                "unknown filter `{filter}`; `posebridge config schema` lists them"
+            ))
+            .at_start();
+        }
+    }
+    let mut events = args.events.as_deref().map(create).transpose().at_start()?;
     let mut observations = 0;
     let mut bad_rows = 0;
     let mut per_filter: Vec<(Vec<ErrorSummary>, Collector)> =
         filters.iter().map(|_| Default::default()).collect();
     for name in &data.runs {
-        let robot_run = data.load(name, &args.data)?;
+        let robot_run = data.load(name, &args.data).at_start()?;
         observations += robot_run.run.observations.len() as u64;
         bad_rows += tell_bad_rows(&robot_run);
         for (filter, (summaries, collector)) in filters.iter().zip(&mut per_filter) {
             let mut one = Collector::default();
-            let errors = replay_run(&robot_run, filter, &mut one, events.as_mut())?;
+            let errors =
+                replay_run(&robot_run, filter, &mut one, events.as_mut()).while_running()?;
             summaries.push(errors);
             if Some(filter) == filters.last() {
-                draw_run(args, &robot_run, &one)?;
+                draw_run(args, &robot_run, &one).while_running()?;
             }
             merge(collector, one);
         }
@@ -243,22 +277,6 @@ fn descriptor(args: &ReplayArgs) -> Result<Replayed> {
         observations,
         bad_rows,
     })
-}
-
-/// Names the rows that could not be used; they are counted and do not end the run.
-fn tell_bad_rows(robot_run: &RobotRun) -> u64 {
-    let bad = &robot_run.run.bad_rows;
-    for row in &bad.named {
-        say(&format!("{}: {row}", robot_run.run.name));
-    }
-    for (reason, count) in &bad.counts {
-        say(&format!(
-            "{}: {count} rows: {}",
-            robot_run.run.name,
-            reason.name()
-        ));
-    }
-    bad.total() as u64
 }
 
 fn replay_run(

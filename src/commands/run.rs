@@ -22,6 +22,7 @@ use crate::config::{self, Config, LinkSection};
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::live::LiveView;
 use crate::report::run::{self as report, Truth};
+use crate::stderr::say;
 use crate::stdout;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::Recorder;
@@ -88,15 +89,20 @@ struct Embedded {
     brick: EmbeddedBrick,
     scenario: Scenario,
     name: String,
+    link: LinkId,
 }
 
 async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = output_folder(args, config, &timer).at_start()?;
     let stop = CancellationToken::new();
-    let (ports, embedded) = open_links(args, config, timer, &folder, &stop)
-        .await
-        .at_start()?;
+    let mut signals = Signals::listen().at_start()?;
+    let opened = open_links(args, config, timer, &folder, &stop).await;
+    if opened.is_err() {
+        // Only a folder that is still empty goes.
+        drop(std::fs::remove_dir(&folder));
+    }
+    let (ports, embedded) = opened.at_start()?;
     let progress = embedded
         .as_ref()
         .map(|embedded| embedded.brick.progress.clone());
@@ -110,6 +116,7 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         timer,
         recorder: start_recorder(args, config, &timer, &folder).at_start()?,
         observer: Observer::start(observed).at_start()?,
+        recording_failure: None,
     };
     let ending = Ending {
         stop: embedded
@@ -119,12 +126,28 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         silence: args.until_silent.map(Span::from_secs_f64),
     };
     tokio::select! {
-        result = shard.run(&ending) => result.while_running()?,
-        () = interrupted() => {}
+        () = shard.run(&ending) => {}
+        () = signals.received() => {}
     }
+    // A lap that was cut short cannot be compared with a whole one.
+    let is_whole = embedded
+        .as_ref()
+        .is_some_and(|embedded| embedded.brick.finished.is_cancelled());
     stop.cancel();
+    let failure = shard.recording_failure.take();
     let (collector, recorded) = close(shard).while_running()?;
-    finish(config, &folder, &collector, embedded, recorded).while_running()
+    finish(
+        config,
+        &folder,
+        &collector,
+        embedded.map(|embedded| (embedded, is_whole)),
+        recorded,
+    )
+    .while_running()?;
+    failure
+        .map_or(Ok(()), Err)
+        .context("the recording is not whole")
+        .while_running()
 }
 
 /// Closes the links, then lets recorder and observer finish what waits.
@@ -135,6 +158,12 @@ fn close(shard: Shard) -> Result<(Collector, Option<u64>)> {
         ports,
         ..
     } = shard;
+    let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
+    if unsent > 0 {
+        say(&format!(
+            "{unsent} messages were not sent: a link was down or too slow"
+        ));
+    }
     drop(ports);
     let recorded = recorder.map(Recorder::finish).transpose()?;
     let (collector, dropped) = observer.finish()?;
@@ -174,6 +203,7 @@ async fn open_links(
                     brick,
                     scenario,
                     name,
+                    link: LinkId(index as u16),
                 });
                 (
                     LinkUrl::parse(&format!("serial:{}", path.display()))?,
@@ -194,21 +224,38 @@ async fn open_links(
     ports.open_first().await.map_err(|(id, error)| {
         anyhow::Error::from(error).context(format!("opening link {}", id.0 + 1))
     })?;
+    for (port, section) in ports.iter().zip(&config.links) {
+        if let (true, Some(address)) = (section.listen, port.local_address()) {
+            say(&format!("listening on {address}"));
+        }
+    }
     Ok((ports, embedded))
 }
 
-/// Ctrl-C or a request to terminate.
-pub(crate) async fn interrupted() {
-    use tokio::signal::unix::{SignalKind, signal};
-    let Ok(mut terminate) = signal(SignalKind::terminate()) else {
-        return std::future::pending().await;
-    };
-    tokio::select! {
-        _ = terminate.recv() => {}
-        result = tokio::signal::ctrl_c() => {
-            if result.is_err() {
-                std::future::pending::<()>().await;
-            }
+/// Ctrl-C and requests to terminate, listened for from the beginning: they must not get lost while links open.
+pub(crate) struct Signals {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+impl Signals {
+    /// Starts to listen.
+    ///
+    /// # Errors
+    /// The system refuses.
+    pub(crate) fn listen() -> Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt())?,
+            terminate: signal(SignalKind::terminate())?,
+        })
+    }
+
+    /// Until one comes.
+    pub(crate) async fn received(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
         }
     }
 }
@@ -250,15 +297,17 @@ fn finish(
     config: &Config,
     folder: &Path,
     collector: &Collector,
-    embedded: Option<Embedded>,
+    embedded: Option<(Embedded, bool)>,
     recorded: Option<u64>,
 ) -> Result<()> {
     let mut title = "live run".to_owned();
     let mut truth = None;
     let mut other = None;
-    if let Some(embedded) = embedded {
+    if let Some((embedded, is_whole)) = embedded {
         title = format!("{}, seed {}", embedded.name, embedded.scenario.seed);
-        other = Some(steered_the_other_way(config, embedded.scenario)?);
+        if is_whole {
+            other = Some(steered_the_other_way(config, &embedded)?);
+        }
         truth = Some(Truth::of(&embedded.brick.finish()?));
     }
     let mut text = report::sources(collector) + "\n";
@@ -279,11 +328,13 @@ fn finish(
 }
 
 /// The same world, steered by the brick's own odometry where the run steered by the estimate, and the other way round.
-fn steered_the_other_way(config: &Config, scenario: Scenario) -> Result<Truth> {
-    let other = match scenario.steering {
+fn steered_the_other_way(config: &Config, embedded: &Embedded) -> Result<Truth> {
+    let other = match embedded.scenario.steering {
         Steering::Odometry => Steering::Estimate,
         Steering::Estimate => Steering::Odometry,
     };
-    let run = virtual_run::run(scenario.with_steering(other), config.pipeline()?)?;
+    let mut pipeline = config.pipeline()?;
+    pipeline.links.retain(|link| link.id == embedded.link);
+    let run = virtual_run::run(embedded.scenario.clone().with_steering(other), pipeline)?;
     Ok(Truth::of(&run.simulation))
 }

@@ -11,10 +11,11 @@ use posebridge_sim::{Scenario, Simulation, Steering};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::station_link::{self, say};
-use super::{Failure, Stage};
+use super::run::Signals;
+use super::{Failure, Stage, station_link};
 use crate::cli::{SimArgs, StationLink, SteerBy};
 use crate::link_target::load_scenario;
+use crate::stderr::say;
 use crate::tasks::sim_brick::drive;
 use crate::truth_file;
 
@@ -54,6 +55,7 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
 
 async fn brick(scenario: Scenario, link: &StationLink) -> Result<Simulation, Failure> {
     let timer = HostTimer::start();
+    let mut signals = Signals::listen().at_start()?;
     let mut port = station_link::port(link, timer).at_start()?;
     let place = station_link::open(link, &mut port).await.at_start()?;
     say(&format!("brick up, seed {}, {place}", scenario.seed));
@@ -62,7 +64,7 @@ async fn brick(scenario: Scenario, link: &StationLink) -> Result<Simulation, Fai
     let (progress, _) = watch::channel(0.0);
     tokio::select! {
         () = drive(&mut simulation, &mut port, timer, &stop, &progress) => {}
-        () = super::run::interrupted() => {}
+        () = signals.received() => {}
     }
     Ok(simulation)
 }

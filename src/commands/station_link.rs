@@ -38,9 +38,3 @@ pub(super) async fn open(flags: &StationLink, port: &mut Port) -> Result<String>
         _ => format!("on {name}"),
     })
 }
-
-/// Talk to the person who runs the program.
-#[expect(clippy::print_stderr, reason = "talk goes to stderr")]
-pub(super) fn say(line: &str) {
-    eprintln!("{line}");
-}

@@ -9,7 +9,7 @@ use posebridge_pipeline::{
     AcceptedVersions, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputStream,
     PipelineConfig,
 };
-use posebridge_protocol::framing::Framing;
+use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_sim::Scenario;
 use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
 use schemars::JsonSchema;
@@ -60,9 +60,12 @@ pub struct LinkSection {
     /// Wait for the other side to call instead of calling it.
     #[serde(default)]
     pub listen: bool,
-    /// Accept MAVLink 1 too; the station always sends MAVLink 2.
+    /// Accept MAVLink 1 too.
     #[serde(default)]
     pub accept_mavlink1: bool,
+    /// Send MAVLink 1. It has no message ids above 255: choose outputs such as local_position and attitude.
+    #[serde(default)]
+    pub send_mavlink1: bool,
     /// What is sent there.
     #[serde(default = "default_outputs")]
     pub outputs: Vec<OutputSection>,
@@ -167,6 +170,7 @@ impl LinkSection {
             url: url.to_owned(),
             listen: false,
             accept_mavlink1: false,
+            send_mavlink1: false,
             outputs: default_outputs(),
         }
     }
@@ -331,6 +335,11 @@ impl LinkSection {
                 AcceptedVersions::V1AndV2
             } else {
                 AcceptedVersions::V2
+            },
+            speaks: if self.send_mavlink1 {
+                WireVersion::V1
+            } else {
+                WireVersion::V2
             },
             outputs: outputs
                 .collect::<Result<_>>()

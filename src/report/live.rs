@@ -1,5 +1,6 @@
 //! The live status block: time, link, clocks, pose, last fix.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -7,6 +8,8 @@ use posebridge_telemetry::{
     Estimate, Event, HostClock, LinkHealth, LinkId, LinkState, Span, Stamp, Verdict,
 };
 use tokio::sync::watch;
+
+use crate::stderr::say;
 
 /// Without a terminal a plain line is written this often instead.
 const PLAIN_PERIOD: Span = Span::from_millis(5_000);
@@ -19,10 +22,7 @@ pub struct LiveView {
     progress: Option<watch::Receiver<f64>>,
     now: Stamp<HostClock>,
     written: Stamp<HostClock>,
-    link: LinkId,
-    link_state: LinkState,
-    health: LinkHealth,
-    rate: Rate,
+    links: BTreeMap<LinkId, LinkView>,
     clock: Option<(Span, f64, Span)>,
     estimate: Option<Estimate>,
     last_fix: Option<(Verdict, Span)>,
@@ -36,11 +36,33 @@ enum Voice {
     Silent,
 }
 
-/// Received bytes per second between two health events.
-#[derive(Clone, Copy, Debug, Default)]
-struct Rate {
+/// What the block shows of one link.
+#[derive(Clone, Copy, Debug)]
+struct LinkView {
+    state: LinkState,
+    health: LinkHealth,
+    /// Received per second, between two health events.
     bytes_per_s: f64,
     frames_per_s: f64,
+}
+
+impl Default for LinkView {
+    fn default() -> Self {
+        Self {
+            state: LinkState::Down,
+            health: LinkHealth::default(),
+            bytes_per_s: 0.0,
+            frames_per_s: 0.0,
+        }
+    }
+}
+
+impl LinkView {
+    fn take(&mut self, health: &LinkHealth) {
+        self.bytes_per_s = health.bytes_in.saturating_sub(self.health.bytes_in) as f64;
+        self.frames_per_s = health.frames_in.saturating_sub(self.health.frames_in) as f64;
+        self.health = *health;
+    }
 }
 
 impl LiveView {
@@ -60,10 +82,7 @@ impl LiveView {
             progress,
             now: Stamp::ZERO,
             written: Stamp::ZERO,
-            link: LinkId(0),
-            link_state: LinkState::Down,
-            health: LinkHealth::default(),
-            rate: Rate::default(),
+            links: BTreeMap::new(),
             clock: None,
             estimate: None,
             last_fix: None,
@@ -84,14 +103,8 @@ impl LiveView {
     pub fn take(&mut self, now: Stamp<HostClock>, event: &Event) {
         self.now = now;
         match event {
-            Event::Link { link, state } if *link == self.link => self.link_state = *state,
-            Event::Health { link, health } if *link == self.link => {
-                self.rate = Rate {
-                    bytes_per_s: health.bytes_in.saturating_sub(self.health.bytes_in) as f64,
-                    frames_per_s: health.frames_in.saturating_sub(self.health.frames_in) as f64,
-                };
-                self.health = *health;
-            }
+            Event::Link { link, state } => self.links.entry(*link).or_default().state = *state,
+            Event::Health { link, health } => self.links.entry(*link).or_default().take(health),
             Event::BrickClockAligned {
                 offset,
                 skew_ppm,
@@ -115,9 +128,7 @@ impl LiveView {
                 "{robot} was restarted: clock and counters re-based"
             )),
             Event::Text { source, text, .. } => self.say(&format!("{source} says: {text}")),
-            Event::Link { .. }
-            | Event::Health { .. }
-            | Event::Fused { .. }
+            Event::Fused { .. }
             | Event::Observed { .. }
             | Event::CameraClockAligned { .. }
             | Event::Defect { .. } => {}
@@ -132,7 +143,7 @@ impl LiveView {
         if self.bar.is_hidden() {
             if self.now - self.written >= PLAIN_PERIOD {
                 self.written = self.now;
-                write_line(&self.block().replace('\n', " |"));
+                say(&self.block().replace('\n', " |"));
             }
             return;
         }
@@ -153,7 +164,7 @@ impl LiveView {
             return;
         }
         if self.bar.is_hidden() {
-            write_line(line);
+            say(line);
         } else {
             self.bar.println(line);
         }
@@ -162,19 +173,26 @@ impl LiveView {
     fn block(&self) -> String {
         let mut block = String::new();
         // Writing to a String cannot fail.
-        let state = match self.link_state {
-            LinkState::Up => "up",
-            LinkState::Down => "DOWN",
-        };
-        let _ = write!(
-            block,
-            "  time {:7.1} s   link {state}  {:.0} B/s  {:.0} frames/s  lost {}  damaged {}",
-            self.now.as_secs_f64(),
-            self.rate.bytes_per_s,
-            self.rate.frames_per_s,
-            self.health.frames_lost,
-            self.health.checksum_errors,
-        );
+        let _ = write!(block, "  time {:7.1} s", self.now.as_secs_f64());
+        for (id, link) in &self.links {
+            let state = match link.state {
+                LinkState::Up => "up",
+                LinkState::Down => "DOWN",
+            };
+            let gap = if *id == LinkId(0) {
+                "  "
+            } else {
+                "\n                  "
+            };
+            let _ = write!(
+                block,
+                "{gap} link {id} {state}  {:.0} B/s  {:.0} frames/s  lost {}  damaged {}",
+                link.bytes_per_s,
+                link.frames_per_s,
+                link.health.frames_lost,
+                link.health.checksum_errors,
+            );
+        }
         match self.clock {
             Some((offset, skew_ppm, uncertainty)) => {
                 let _ = write!(
@@ -220,12 +238,4 @@ fn pose_line(estimate: &Estimate) -> String {
         estimate.pose.heading.rad().to_degrees(),
         estimate.heading_sigma_rad().to_degrees(),
     )
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "talk to the person who runs the program goes to stderr"
-)]
-fn write_line(line: &str) {
-    eprintln!("{line}");
 }

@@ -7,3 +7,4 @@ pub mod observer;
 pub mod recorder;
 pub mod shard;
 pub mod sim_brick;
+pub mod speakers;

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -23,6 +23,8 @@ pub struct Observer {
     sender: SyncSender<(Stamp<HostClock>, Event)>,
     thread: JoinHandle<Result<Collector>>,
     dropped: u64,
+    /// With an event file nothing may be missing: then the shard waits for the disk.
+    waits: bool,
 }
 
 /// What the observer shows and writes.
@@ -50,14 +52,19 @@ impl Observer {
             sender,
             thread,
             dropped: 0,
+            waits: config.events.is_some(),
         })
     }
 
-    /// Shows an event; drops it if the terminal is far behind.
+    /// Shows an event; drops it if the terminal is far behind, unless there is an event file.
     pub fn show(&mut self, now: Stamp<HostClock>, event: Event) {
-        match self.sender.try_send((now, event)) {
-            Ok(()) => {}
-            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.dropped += 1,
+        let taken = if self.waits {
+            self.sender.send((now, event)).is_ok()
+        } else {
+            self.sender.try_send((now, event)).is_ok()
+        };
+        if !taken {
+            self.dropped += 1;
         }
     }
 
@@ -104,7 +111,7 @@ fn watch(
         match events.recv_timeout(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
             Ok((now, event)) => {
                 if let Some(file) = &mut file {
-                    write_event(file, &event)?;
+                    write_event(file, &event).context("writing the event file")?;
                 }
                 collector.take(&event);
                 view.take(now, &event);
@@ -119,7 +126,7 @@ fn watch(
     }
     view.finish();
     if let Some(mut file) = file {
-        file.flush()?;
+        file.flush().context("writing the event file")?;
     }
     Ok(collector)
 }

@@ -25,11 +25,11 @@ impl Recorder {
     /// Creates the file and starts the thread.
     ///
     /// # Errors
-    /// The file cannot be created.
+    /// The file cannot be created; one that is there already is never overwritten.
     pub fn start(path: &Path, header: &Header) -> Result<Self> {
         let name = path.display().to_string();
         let file =
-            File::create(path).with_context(|| format!("creating the recording `{name}`"))?;
+            File::create_new(path).with_context(|| format!("creating the recording `{name}`"))?;
         let writer = Writer::create(file, header).with_context(|| format!("recording `{name}`"))?;
         let (sender, receiver) = sync_channel(WAITING);
         let thread = std::thread::Builder::new()

@@ -1,15 +1,15 @@
 //! The loop that owns a pipeline and its ports: bytes in, reply out, in one wake-up.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::Result;
-use posebridge_link::{HostTimer, PeerId, PortEvent, PortSet};
+use posebridge_link::{HostTimer, PortEvent, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, Span, Stamp};
 use tokio_util::sync::CancellationToken;
 
 use super::observer::Observer;
 use super::recorder::Recorder;
+use super::speakers::Speakers;
 
 /// What ends a shard.
 #[derive(Clone, Debug)]
@@ -34,16 +34,17 @@ pub struct Shard {
     pub recorder: Option<Recorder>,
     /// The terminal.
     pub observer: Observer,
+    /// Why the recording ended before the run.
+    pub recording_failure: Option<anyhow::Error>,
 }
 
 impl Shard {
     /// Runs until the ending says so; the recorder and the observer then finish what waits.
-    ///
-    /// # Errors
-    /// The recording could not be written.
-    pub async fn run(&mut self, ending: &Ending) -> Result<()> {
+    /// A recorder that fails is put away with its reason: a full disk must not stop a robot that steers by us.
+    pub async fn run(&mut self, ending: &Ending) {
         let mut last_byte: Option<Stamp<HostClock>> = None;
-        let mut speakers: BTreeMap<LinkId, PeerId> = BTreeMap::new();
+        let mut speakers = Speakers::default();
+        let mut finished: BTreeSet<LinkId> = BTreeSet::new();
         let mut states: BTreeMap<LinkId, LinkState> = BTreeMap::new();
         loop {
             let silent_at = ending
@@ -53,9 +54,11 @@ impl Shard {
             let deadline = self.pipeline.deadline().into_iter().chain(end_at).min();
             let (now, input) = tokio::select! {
                 (link, event) = self.ports.next() => {
-                    let is_stream = self.ports.get_mut(link).is_some_and(|port| !port.is_datagram());
-                    if is_stream && !has_the_link(link, &event, &mut speakers) {
+                    if !self.is_heard(link, &event, &mut speakers) {
                         continue;
+                    }
+                    if matches!(event, PortEvent::Finished { .. }) {
+                        finished.insert(link);
                     }
                     let (at, input) = input_of(link, event);
                     if !changes_state(link, &input, &mut states) {
@@ -67,16 +70,36 @@ impl Shard {
                     (at, input)
                 }
                 () = sleep_until(self.timer, deadline) => (self.timer.now(), Input::Tick),
-                () = ending.stop.cancelled() => return Ok(()),
+                () = ending.stop.cancelled() => return,
             };
             if end_at.is_some_and(|end| now >= end) {
-                return Ok(());
+                return;
             }
-            self.take(now, input)?;
+            self.take(now, input);
+            if finished.len() == self.ports.iter().len() {
+                return;
+            }
         }
     }
 
-    fn take(&mut self, now: Stamp<HostClock>, input: Input) -> Result<()> {
+    fn is_heard(&mut self, link: LinkId, event: &PortEvent, speakers: &mut Speakers) -> bool {
+        match event {
+            PortEvent::Bytes { peer, arrival, .. } => {
+                let is_stream = self
+                    .ports
+                    .get_mut(link)
+                    .is_some_and(|port| !port.is_datagram());
+                !is_stream || speakers.hears(link, *peer, *arrival)
+            }
+            PortEvent::Down { .. } => {
+                speakers.forget(link);
+                true
+            }
+            PortEvent::Up { .. } | PortEvent::Finished { .. } => true,
+        }
+    }
+
+    fn take(&mut self, now: Stamp<HostClock>, input: Input) {
         self.pipeline.handle(now, &input);
         while let Some(output) = self.pipeline.poll() {
             match output {
@@ -88,9 +111,13 @@ impl Shard {
                 Output::Event(event) => self.observer.show(now, event),
             }
         }
-        match &self.recorder {
-            Some(recorder) => recorder.record(now, input),
-            None => Ok(()),
+        let is_lost = self
+            .recorder
+            .as_ref()
+            .is_some_and(|recorder| recorder.record(now, input).is_err());
+        if is_lost && let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
+            tracing::error!(error = format!("{error:#}"), "the recording ends here");
+            self.recording_failure = Some(error);
         }
     }
 }
@@ -100,27 +127,6 @@ async fn sleep_until(timer: HostTimer, deadline: Option<Stamp<HostClock>>) {
         Some(deadline) => timer.sleep_until(deadline).await,
         None => std::future::pending().await,
     }
-}
-
-/// Whether the pipeline should see an event of a stream link. Bytes of several peers would mix in one scanner, so only the newest
-/// peer is heard: a brick that calls again has a new number.
-fn has_the_link(link: LinkId, event: &PortEvent, speakers: &mut BTreeMap<LinkId, PeerId>) -> bool {
-    let PortEvent::Bytes { peer, .. } = event else {
-        if matches!(event, PortEvent::Down { .. }) {
-            speakers.remove(&link);
-        }
-        return true;
-    };
-    let speaker = speakers.entry(link).or_insert(*peer);
-    if peer.0 > speaker.0 {
-        tracing::info!(
-            link = link.0,
-            peer = peer.0,
-            "a newer peer takes this link over"
-        );
-        *speaker = *peer;
-    }
-    *speaker == *peer
 }
 
 /// Whether an input about a link's state tells anything new: a port tells each new reason of one loss.

@@ -1,7 +1,7 @@
 //! What a pipeline is built from. Plain values: parsing and merging of files is the program's business.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_protocol::framing::Framing;
+use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_telemetry::{Address, Body, LinkId, Point2, Span, SystemId};
 
 /// Everything that decides what a pipeline does with its inputs. Same configuration and same inputs: same outputs.
@@ -45,11 +45,13 @@ pub struct LinkConfig {
     pub framing: Framing,
     /// MAVLink 1 is accepted only when asked for.
     pub version: AcceptedVersions,
+    /// What the station speaks there; messages with ids above 255, our own among them, do not exist in MAVLink 1.
+    pub speaks: WireVersion,
     /// What is sent there.
     pub outputs: Vec<OutputStream>,
 }
 
-/// Which MAVLink versions a link accepts. It always sends version 2.
+/// Which MAVLink versions a link accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AcceptedVersions {
     /// Only MAVLink 2.

@@ -1,7 +1,7 @@
 //! What the pipeline keeps for one link: scanner, encoder, sequence numbers, session, counters.
 
 use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::framing::{Scanner, ScannerConfig, SequenceTracker, WireVersion};
+use posebridge_protocol::framing::{Scanner, ScannerConfig, SequenceTracker};
 use posebridge_protocol::message::Heartbeat;
 use posebridge_protocol::session::{Session, SessionConfig};
 use posebridge_telemetry::{HostClock, LinkHealth, LinkState, Span, Stamp};
@@ -43,7 +43,7 @@ impl Link {
         Self {
             config: config.clone(),
             scanner: new_scanner(config),
-            encoder: Encoder::new(WireVersion::V2),
+            encoder: Encoder::new(config.speaks),
             sequences: SequenceTracker::new(),
             session: Session::new(session_config(pipeline), now),
             publisher: Publisher::new(&config.outputs),

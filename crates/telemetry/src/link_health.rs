@@ -17,7 +17,7 @@ pub struct LinkHealth {
     pub checksum_errors: u64,
     /// Bytes outside every frame.
     pub garbage_bytes: u64,
-    /// Frames with a message id that we do not know (they are forwarded, not lost).
+    /// Frames with a message id that we do not know (counted; their checksum cannot be verified).
     pub unknown_ids: u64,
     /// Candidates given up because their bytes stopped coming.
     pub stalls: u64,

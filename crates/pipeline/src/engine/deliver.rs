@@ -78,7 +78,11 @@ impl Pipeline {
             return;
         }
         let mut bytes = Vec::new();
-        link.encoder.encode(own, message, &mut bytes);
+        if link.encoder.encode(own, message, &mut bytes) == 0 {
+            // A message that this link's MAVLink version does not have.
+            link.health.drops_out += 1;
+            return;
+        }
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
         self.outputs.push_back(Output::Transmit { link: id, bytes });

@@ -5,7 +5,7 @@ use posebridge_pipeline::{
     AcceptedVersions, DescriptionPolicy, LinkConfig, OutputInstant, OutputKind, OutputStream,
     Pipeline, PipelineConfig,
 };
-use posebridge_protocol::framing::Framing;
+use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_telemetry::{
     Address, DriveGeometry, Event, HostClock, Input, LinkId, LinkState, Meters, Output, Point2,
     Pose, Radians, SensorNoise, Span, Stamp,
@@ -68,6 +68,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
         id,
         framing: Framing::Stream,
         version: AcceptedVersions::V2,
+        speaks: WireVersion::V2,
         outputs,
     }
 }
