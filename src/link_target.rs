@@ -61,5 +61,8 @@ pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
     }
     let text = std::fs::read_to_string(name_or_file)
         .with_context(|| format!("reading scenario `{name_or_file}`"))?;
-    Scenario::from_toml(&text).with_context(|| format!("scenario `{name_or_file}`"))
+    // A way-points file lies beside its scenario unless its path says otherwise.
+    let folder = Path::new(name_or_file).parent().unwrap_or(Path::new(""));
+    let mut read = |path: &Path| std::fs::read_to_string(folder.join(path));
+    Scenario::from_toml_with(&text, &mut read).with_context(|| format!("scenario `{name_or_file}`"))
 }

@@ -122,6 +122,48 @@ fn a_recording_that_is_there_is_never_overwritten() {
 }
 
 #[test]
+fn way_points_lie_in_a_file_beside_their_scenario_and_folders_may_have_any_name() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("worlds")).unwrap();
+    let scenario = "seed = 1\nsteering = \"estimate\"\n[path.waypoints]\nfile = \"triangle.csv\"\n";
+    std::fs::write(folder.path().join("worlds/triangle.toml"), scenario).unwrap();
+    std::fs::write(
+        folder.path().join("worlds/triangle.csv"),
+        "x_m,y_m\n0,0\n0.5,0\n0.25,0.3\n",
+    )
+    .unwrap();
+    let output = posebridge(folder.path())
+        .args([
+            "run",
+            "--link",
+            "sim://worlds/triangle.toml",
+            "--duration",
+            "4",
+            "--out",
+            "what?&now",
+        ])
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert!(folder.path().join("what?&now/track.svg").exists());
+    std::fs::write(folder.path().join("worlds/triangle.csv"), "0,0\n0.5,zero\n").unwrap();
+    let output = posebridge(folder.path())
+        .args(["run", "--link", "sim://worlds/triangle.toml"])
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        said.contains("triangle.csv") && said.contains("line 2"),
+        "{said}"
+    );
+}
+
+#[test]
 fn impossible_flags_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     for flags in [

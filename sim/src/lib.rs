@@ -1,6 +1,6 @@
 //! A simulated robot: its physics, its sensors, its brick and an overhead camera, with the truth kept apart.
 //!
-//! A [`Scenario`] says what happens; a [`Simulation`] lets it happen, one millisecond per [`Simulation::step`]. To a
+//! A [`Scenario`] says what happens; a [`Simulation`] lets it happen, [`STEP`] by [`STEP`]. To a
 //! station the simulation is a robot behind a link: bytes out of [`Simulation::poll`], bytes into
 //! [`Simulation::receive`], the same MAVLink as a real brick. [`Simulation::truth`] is for scores and tests only.
 //!
@@ -39,3 +39,4 @@ pub use camera::{CAMERA, CameraFix};
 pub use firmware::BRICK;
 pub use scenario::{BUNDLED, Scenario, ScenarioError, Steering};
 pub use simulation::{Simulation, TruthSample};
+pub use world::STEP;

@@ -20,7 +20,7 @@ use crate::path::Path;
 use crate::scenario::{Scenario, Steering};
 use crate::sensors::SensorBoard;
 use crate::wheels::Pair;
-use crate::world::{Body, STEP_NANOS};
+use crate::world::{Body, STEP};
 
 /// What really happened at one instant. It is never sent to the station.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,9 +92,9 @@ impl Simulation {
         simulation
     }
 
-    /// Advances the world by one millisecond. Call [`Self::poll`] until it is empty afterwards.
+    /// Advances the world by [`STEP`](crate::STEP). Call [`Self::poll`] until it is empty afterwards.
     pub fn step(&mut self) {
-        self.world += Span::from_nanos(STEP_NANOS);
+        self.world += STEP;
         let now = self.brick_clock.reading(self.world);
         self.body.step(self.duty);
         self.board.sense(&self.body);

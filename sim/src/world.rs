@@ -11,17 +11,17 @@
 //! # Sources
 //! docs/simulated-brick.md, sections 1 and 2.
 
-use posebridge_telemetry::{Arena, Heading, Meters, Pose};
+use posebridge_telemetry::{Arena, Heading, Meters, Pose, Span};
 
 use crate::motor::{Backlash, Motor};
 use crate::random::Stream;
 use crate::scenario::{ErrorSettings, Scenario};
 use crate::wheels::Pair;
 
-/// The world's step, in nanoseconds: fine enough for motors and for the 1 ms encoders of the NXT.
-pub(crate) const STEP_NANOS: i64 = 1_000_000;
-/// The world's step, in seconds.
-pub(crate) const STEP_S: f64 = 1e-3;
+/// World time of one [`Simulation::step`](crate::Simulation::step): fine enough for motors and for the 1 ms encoders of the NXT.
+pub const STEP: Span = Span::from_millis(1);
+/// The same in seconds.
+pub(crate) const STEP_S: f64 = STEP.as_nanos() as f64 / 1e9;
 
 /// Kicks are spread over this time, in seconds.
 const KICK_S: f64 = 0.2;
@@ -359,34 +359,127 @@ mod tests {
         assert!((sigma - 0.02).abs() < 0.0015, "{sigma}");
     }
 
-    #[test]
-    fn slip_events_and_kicks_come_at_their_rates_and_sizes() {
-        let mut scenario = exact();
-        scenario.errors.kicks_per_min = 30.0;
-        let body = driven(&scenario, AHEAD, 60_000);
-        // 30 kicks of +-5.7 degrees: a random walk of about 30 degrees; none would leave exactly zero.
-        let kicked_deg = body.turned_rad().to_degrees().abs();
-        assert!(kicked_deg > 0.5 && kicked_deg < 120.0, "{kicked_deg}");
+    /// Minutes of motion and rate per minute of the tests of events: 6000 are expected over all seeds.
+    const SEEDS: u64 = 20;
+    const MINUTES: u32 = 10;
+    const PER_MIN: f64 = 30.0;
 
-        scenario.errors.kicks_per_min = 0.0;
-        scenario.errors.slip_events_per_min = 30.0;
-        let body = driven(&scenario, AHEAD, 60_000);
-        assert!(body.turned_rad().abs() > 0.01);
-        let lost_m = 0.028 * body.shaft_rad().left * 2.0 - travelled(&scenario, 60_000);
-        // About 30 events of 10 to 40 degrees, 25 on average: 30 x 25 degrees x 28 mm = 0.37 m.
-        assert!((0.15..0.65).contains(&lost_m), "{lost_m}");
+    /// Checks that events come as often, as large and as often to either side as they should, sizes in degrees, signed.
+    fn check_events(sizes_deg: &[f64], (low, high): (f64, f64)) {
+        let count = sizes_deg.len() as f64;
+        let expected = SEEDS as f64 * f64::from(MINUTES) * PER_MIN;
+        // A rare event per step is binomial: sigma is the root of the count, here 1.3 %; four of them.
+        let bound = 4.0 * expected.sqrt();
+        assert!((count - expected).abs() < bound, "{count} of {expected}");
+        let to_left = sizes_deg.iter().filter(|size| **size > 0.0).count() as f64;
+        assert!((to_left - 0.5 * count).abs() < 0.5 * bound, "{to_left}");
+
+        let mean = sizes_deg.iter().map(|size| size.abs()).sum::<f64>() / count;
+        let smallest = sizes_deg.iter().fold(f64::MAX, |m, size| m.min(size.abs()));
+        let largest = sizes_deg.iter().fold(0.0_f64, |m, size| m.max(size.abs()));
+        // Uniform: sigma of the mean is the width over the root of 12 times the count; the extremes come within a hundredth.
+        let (width, slack) = (high - low, 1e-9);
+        let mean_bound = 4.0 * width / (12.0 * count).sqrt();
+        assert!((mean - 0.5 * (low + high)).abs() < mean_bound, "{mean}");
+        assert!((low - slack..low + 0.01 * width).contains(&smallest));
+        assert!((high - 0.01 * width..high + slack).contains(&largest));
     }
 
-    /// Sum of the travel of both wheels.
-    fn travelled(scenario: &Scenario, millis: u32) -> f64 {
-        let mut body = Body::new(scenario, Pose::default());
-        let mut sum_m = 0.0;
-        for _ in 0..millis {
-            let before = body.pose();
-            body.step(AHEAD);
-            sum_m += 2.0 * before.origin().distance(body.pose().origin()).0;
+    fn steps() -> u32 {
+        (f64::from(MINUTES) * 60.0 / STEP_S).round() as u32
+    }
+
+    #[test]
+    fn slip_events_come_at_their_rate_and_size_on_either_wheel() {
+        let errors = ErrorSettings {
+            slip_events_per_min: PER_MIN,
+            ..ErrorSettings::none()
+        };
+        let turning = Pair {
+            left: 0.001,
+            right: 0.001,
+        };
+        let mut sizes_deg = vec![];
+        for seed in 0..SEEDS {
+            let mut slip = Slip::new(seed, errors);
+            for _ in 0..steps() {
+                slip.lost_rad = Pair::default();
+                let gripped = slip.grip(turning);
+                let lost = |left: f64, grip: f64| (left + turning.left - grip).to_degrees();
+                let left_deg = lost(slip.lost_rad.left, gripped.left);
+                let right_deg = lost(slip.lost_rad.right, gripped.right);
+                if left_deg + right_deg > 0.0 {
+                    sizes_deg.push(left_deg - right_deg);
+                }
+            }
         }
-        sum_m
+        check_events(&sizes_deg, (10.0, 40.0));
+    }
+
+    #[test]
+    fn kicks_come_at_their_rate_and_size_to_either_side() {
+        let errors = ErrorSettings {
+            kicks_per_min: PER_MIN,
+            ..ErrorSettings::none()
+        };
+        let turning = Pair {
+            left: 0.001,
+            right: 0.001,
+        };
+        let mut sizes_deg = vec![];
+        for seed in 0..SEEDS {
+            let mut slip = Slip::new(seed, errors);
+            for _ in 0..steps() {
+                slip.kick_rad = 0.0;
+                assert_eq!(slip.grip(turning), turning, "a kick costs no travel");
+                if slip.kick_rad != 0.0 {
+                    sizes_deg.push(slip.kick_rad.to_degrees());
+                }
+            }
+        }
+        check_events(&sizes_deg, (3.0, 8.0));
+    }
+
+    #[test]
+    fn nothing_happens_to_a_robot_at_rest() {
+        let mut scenario = exact();
+        scenario.errors.kicks_per_min = 6_000.0;
+        scenario.errors.slip_events_per_min = 6_000.0;
+        let body = driven(&scenario, Pair::default(), 10_000);
+        assert_eq!(body.slip.lost_rad, Pair::default());
+        assert_eq!(body.turned_rad(), 0.0);
+    }
+
+    #[test]
+    fn a_slip_event_takes_its_size_from_the_travel_of_one_wheel() {
+        let mut body = driven(&exact(), AHEAD, 1_000);
+        let before = (body.shaft_rad().left, body.turned_rad());
+        body.slip.lost_rad.left = 25_f64.to_radians();
+        for _ in 0..1_000 {
+            body.step(AHEAD);
+        }
+        assert!(body.shaft_rad().left - before.0 > 2.0);
+        let expected_rad = 25_f64.to_radians() * 0.028 / 0.112;
+        assert!((body.turned_rad() - before.1 - expected_rad).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_kick_turns_the_robot_by_its_size_within_a_fifth_of_a_second() {
+        let mut scenario = exact();
+        let mut body = driven(&scenario, AHEAD, 1_000);
+        scenario.errors.kicks_per_min = 60_000.0;
+        body.slip.errors = scenario.errors;
+        body.step(AHEAD);
+        body.slip.errors = ErrorSettings::none();
+        let size_deg = (body.turned_rad() + body.slip.kick_rad).to_degrees();
+        assert!((3.0..8.0).contains(&size_deg.abs()), "{size_deg}");
+        for _ in 0..198 {
+            body.step(AHEAD);
+        }
+        assert!(body.slip.kick_rad != 0.0, "not before its time");
+        body.step(AHEAD);
+        body.step(AHEAD);
+        assert!((body.turned_rad().to_degrees() - size_deg).abs() < 1e-9);
     }
 
     #[test]

@@ -205,10 +205,7 @@ async fn open_links(
                     name,
                     link: LinkId(index as u16),
                 });
-                (
-                    LinkUrl::parse(&format!("serial:{}", path.display()))?,
-                    Role::Dial,
-                )
+                (LinkUrl::serial(&path)?, Role::Dial)
             }
         };
         ports.push(Port::new(

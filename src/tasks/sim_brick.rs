@@ -5,15 +5,13 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
-use posebridge_sim::{Scenario, Simulation};
+use posebridge_sim::{STEP, Scenario, Simulation};
 use posebridge_telemetry::{HostClock, LinkId, Span, Stamp};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// The world is stepped in bites of this length: half of the shortest interval that a brick's scheduler resolves at 200 Hz.
+/// The world is stepped in bites of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
 const BITE: Span = Span::from_millis(2);
-/// The simulation's own step.
-const STEP: Span = Span::from_millis(1);
 /// After the path's end the brick still talks for this long, so that the last late fixes are used.
 const AFTERGLOW: Span = Span::from_millis(600);
 
@@ -32,7 +30,7 @@ impl EmbeddedBrick {
     /// # Errors
     /// The pseudo-terminal cannot be made or the thread cannot be started.
     pub fn start(scenario: Scenario, path: &Path, stop: CancellationToken) -> Result<Self> {
-        let url = LinkUrl::parse(&format!("pty:{}", path.display()))?;
+        let url = LinkUrl::pty(path)?;
         let finished = CancellationToken::new();
         let (told, progress) = watch::channel(0.0);
         let done = finished.clone();

@@ -49,6 +49,16 @@ pub enum OpenError {
         /// The link.
         url: String,
     },
+    /// Another program has made a pseudo-terminal at the path and holds it open.
+    #[error(
+        "{} is the pseudo-terminal of another program that is still running: stop that program (`fuser -v {}` names it) or choose another path",
+        .path.display(),
+        .path.display()
+    )]
+    LinkTaken {
+        /// The symbolic link.
+        path: PathBuf,
+    },
     /// The path exists, but is something else.
     #[error("{} is {found}, not {wanted}", .path.display())]
     WrongKind {
@@ -117,6 +127,7 @@ impl OpenError {
             | Self::AddressInUse { .. }
             | Self::AddressNotAvailable { .. }
             | Self::NoHost { .. }
+            | Self::LinkTaken { .. }
             | Self::WrongKind { .. }
             | Self::NoSuchFile { .. } => false,
             Self::PortInUse { .. }
@@ -126,6 +137,14 @@ impl OpenError {
             | Self::TimedOut { .. }
             | Self::Io { .. } => true,
         }
+    }
+
+    /// True if a program should not start over it: whatever cannot heal, and a serial port that is in use. Two programs
+    /// on one port are a mistake when the second is started; later it may be somebody who only probes a device that has
+    /// just been plugged in again, and is waited for.
+    #[must_use]
+    pub const fn stops_start(&self) -> bool {
+        matches!(self, Self::PortInUse { .. }) || !self.can_heal()
     }
 }
 

@@ -170,14 +170,15 @@ impl Port {
         self.counters
     }
 
-    /// Tries to open the link once, so that a program can refuse to start over a link that no waiting will heal.
+    /// Tries to open the link once, so that a program can refuse to start over a link that no waiting will heal, or over a
+    /// serial port that another program holds.
     ///
     /// Returns `Ok` when the link is up, and also when it is not yet but may come up later (a device that is not
     /// plugged in, a server that is not started): the port goes on trying then. Events are told by [`Port::next`] as
     /// ever.
     ///
     /// # Errors
-    /// An [`OpenError`] that [cannot heal](OpenError::can_heal).
+    /// An [`OpenError`] that [stops the start](OpenError::stops_start).
     pub async fn open_first(&mut self) -> Result<(), OpenError> {
         let first = poll_fn(|cx| {
             if self.pending.is_some()
@@ -189,7 +190,7 @@ impl Port {
         })
         .await;
         match first {
-            Err(error) if !error.can_heal() => {
+            Err(error) if error.stops_start() => {
                 self.state = State::Closed;
                 Err(error)
             }

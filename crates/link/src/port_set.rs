@@ -44,7 +44,7 @@ impl PortSet {
     /// Opens every port once, one after the other; see [`Port::open_first`].
     ///
     /// # Errors
-    /// The first error that no waiting will heal, with the link that it concerns.
+    /// The first error that [stops the start](OpenError::stops_start), with the link that it concerns.
     pub async fn open_first(&mut self) -> Result<(), (LinkId, OpenError)> {
         for port in &mut self.ports {
             let id = port.id();

@@ -10,9 +10,12 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::transports::{TRANSPORTS, Transport};
+use crate::transports::{PTY, SERIAL, TRANSPORTS, Transport};
 
 /// A link, checked against the table of transports; prints as it was written.
+///
+/// A link that was [made from a path](LinkUrl::pty) prints for people only: a path with a question mark or with bytes that
+/// are no text does not survive [`LinkUrl::parse`].
 #[derive(Clone)]
 pub struct LinkUrl {
     text: String,
@@ -212,7 +215,7 @@ impl LinkUrl {
         let (target, query) = rest.split_once('?').unwrap_or((rest, ""));
         let target = target.strip_prefix("//").unwrap_or(target);
         let target = match transport.target_kind() {
-            TargetKind::Path => parse_path(text, target, transport)?,
+            TargetKind::Path => check_path(text, Path::new(target), transport)?,
             TargetKind::Host => parse_host(text, target, transport)?,
         };
         Ok(Self {
@@ -220,6 +223,32 @@ impl LinkUrl {
             transport,
             target,
             options: parse_options(text, query, transport)?,
+        })
+    }
+
+    /// A pseudo-terminal of our own at `path`, which is taken as it is: a question mark begins no options.
+    ///
+    /// # Errors
+    /// [`UrlError::NoPath`] for an empty path or one with a zero byte.
+    pub fn pty(path: &Path) -> Result<Self, UrlError> {
+        Self::from_path(PTY, path)
+    }
+
+    /// The serial port at `path`, which is taken as it is, at the default speed.
+    ///
+    /// # Errors
+    /// [`UrlError::NoPath`] for an empty path or one with a zero byte.
+    pub fn serial(path: &Path) -> Result<Self, UrlError> {
+        Self::from_path(SERIAL, path)
+    }
+
+    fn from_path(transport: &'static dyn Transport, path: &Path) -> Result<Self, UrlError> {
+        let text = format!("{}:{}", transport.scheme(), path.display());
+        Ok(Self {
+            target: check_path(&text, path, transport)?,
+            text,
+            transport,
+            options: Vec::new(),
         })
     }
 
@@ -307,14 +336,15 @@ fn known_schemes() -> String {
     schemes.join(", ")
 }
 
-fn parse_path(text: &str, path: &str, transport: &dyn Transport) -> Result<Target, UrlError> {
-    if path.is_empty() || path.contains('\0') {
+fn check_path(text: &str, path: &Path, transport: &dyn Transport) -> Result<Target, UrlError> {
+    let bytes = path.as_os_str().as_encoded_bytes();
+    if bytes.is_empty() || bytes.contains(&0) {
         return Err(UrlError::NoPath {
             text: text.to_owned(),
             example: transport.example(),
         });
     }
-    Ok(Target::Path(PathBuf::from(path)))
+    Ok(Target::Path(path.to_owned()))
 }
 
 fn parse_host(text: &str, authority: &str, transport: &dyn Transport) -> Result<Target, UrlError> {

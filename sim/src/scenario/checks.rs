@@ -5,7 +5,7 @@
 use serde::de::{Deserialize, Deserializer, Error};
 
 /// Largest magnitude of any number in a scenario.
-const LARGEST: f64 = 1e6;
+pub(super) const LARGEST: f64 = 1e6;
 /// Smallest size of anything that must not be zero.
 const SMALLEST: f64 = 1e-6;
 
@@ -101,37 +101,13 @@ pub(super) fn tick_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
     }
 }
 
-/// Way-points: at least two, finite, and each at least a millimetre from the one before.
+/// A list of way-points.
 pub(super) fn waypoints<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Vec<[f64; 2]>, D::Error> {
     let points = Vec::<[f64; 2]>::deserialize(deserializer)?;
-    if !(2..=10_000).contains(&points.len()) {
-        return Err(D::Error::custom(format!(
-            "points_m has {} way-points; give 2 to 10000",
-            points.len()
-        )));
-    }
-    if let Some(bad) = points
-        .iter()
-        .find(|p| !p.iter().all(|c| c.abs() <= LARGEST))
-    {
-        return Err(D::Error::custom(format!(
-            "way-point {bad:?} is not within {LARGEST} m of the origin"
-        )));
-    }
-    let too_close = points
-        .windows(2)
-        .position(|pair| distance(pair[0], pair[1]) < 1e-3);
-    match too_close {
-        Some(index) => Err(D::Error::custom(format!(
-            "way-points {index} and {} are less than 1 mm apart; remove one",
-            index + 1
-        ))),
+    match super::waypoints::fault(&points) {
         None => Ok(points),
+        Some((_, reason)) => Err(D::Error::custom(reason)),
     }
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }

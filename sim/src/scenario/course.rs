@@ -39,7 +39,7 @@ pub enum Course {
     },
     /// Straight legs between points, with turns in place. Further laps begin with a leg back to the first point.
     Waypoints {
-        /// At least two points (x, y), in metres.
+        /// At least two points (x, y), in metres. A scenario may name a file instead, see [`super::Scenario::from_toml_with`].
         #[serde(deserialize_with = "checks::waypoints")]
         points_m: Vec<[f64; 2]>,
     },

@@ -8,6 +8,10 @@ mod checks;
 mod course;
 mod observers;
 mod robot;
+mod waypoints;
+
+use std::io;
+use std::path::{Path, PathBuf};
 
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 use serde::Deserialize;
@@ -57,12 +61,26 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    /// Reads a scenario from TOML.
+    /// Reads a scenario from TOML that names no other file; its way-points stand in `points_m`.
     ///
     /// # Errors
-    /// [`ScenarioError::Toml`] names the line and the key that is unknown, of the wrong type or out of its range.
+    /// [`ScenarioError::Toml`] and [`ScenarioError::Waypoints`] name the line and the key that is unknown, missing, of the wrong
+    /// type or out of its range; [`ScenarioError::WaypointsUnread`] says that a `file` of way-points cannot be had from here.
     pub fn from_toml(text: &str) -> Result<Self, ScenarioError> {
-        toml::from_str(text).map_err(ScenarioError::Toml)
+        Self::from_toml_with(text, &mut |_| Err(io::Error::other(TEXT_ALONE)))
+    }
+
+    /// Reads a scenario from TOML, whose `[path.waypoints]` may name a `file` of lines `x_m,y_m`. `read` is given that path as it
+    /// is written, so that the caller decides what it is relative to, and is called at most once. The scenario holds the points.
+    ///
+    /// # Errors
+    /// As for [`Self::from_toml`]; [`ScenarioError::WaypointsUnread`] if `read` fails, [`ScenarioError::WaypointsFile`] with the
+    /// line of the file that is no way-point, or out of range, or one too few or too many.
+    pub fn from_toml_with(
+        text: &str,
+        read: &mut dyn FnMut(&Path) -> io::Result<String>,
+    ) -> Result<Self, ScenarioError> {
+        waypoints::scenario_from(text, read)
     }
 
     /// The bundled scenario of this name, if there is one.
@@ -138,13 +156,45 @@ impl Scenario {
 /// One encoder count: NXT and EV3 motors resolve one degree of the output shaft.
 pub(crate) const TICK_RAD: f64 = std::f64::consts::PI / 180.0;
 
-/// Why a scenario cannot be had.
+/// Why a scenario without files beside it cannot have one.
+const TEXT_ALONE: &str =
+    "this scenario is read without files beside it; write the points into points_m";
+
+/// Why a scenario cannot be had. Lines count from 1.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScenarioError {
     /// The text is not TOML, a key is unknown, or a value does not fit; the message shows the line and the key.
     #[error("scenario is not usable: {0}")]
     Toml(toml::de::Error),
+    /// `[path.waypoints]` does not say, or says twice, where its points are.
+    #[error("scenario is not usable: line {line}: {reason}")]
+    Waypoints {
+        /// Line of the scenario.
+        line: usize,
+        /// What is wrong and what to do.
+        reason: &'static str,
+    },
+    /// The file of way-points could not be read.
+    #[error("scenario is not usable: line {line}: way-points in {} cannot be read: {source}", file.display())]
+    WaypointsUnread {
+        /// Line of the scenario that names the file.
+        line: usize,
+        /// The file, as the scenario names it.
+        file: PathBuf,
+        /// What the reader said.
+        source: io::Error,
+    },
+    /// A line in the file of way-points does not fit.
+    #[error("way-points are not usable: {}, line {line}: {reason}", file.display())]
+    WaypointsFile {
+        /// The file, as the scenario names it.
+        file: PathBuf,
+        /// Line of that file; its last one if way-points are missing.
+        line: usize,
+        /// What is wrong and what to do.
+        reason: String,
+    },
     /// No bundled scenario is called like this.
     #[error("no bundled scenario is called \"{name}\"; there are {known}")]
     UnknownName {

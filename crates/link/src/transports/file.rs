@@ -1,12 +1,14 @@
 //! Raw bytes from a file, or into one.
 //!
-//! Plays a captured byte stream as fast as it is asked for, or appends what is sent. It knows no time stamps: a
-//! recording with times is played by the programs that know its format.
+//! Plays a captured byte stream as fast as it is asked for, or appends what is sent. A disk always has an answer, so
+//! between two chunks the runtime gets a turn: else timers and signals would starve until the file ends. It knows no
+//! time stamps: a recording with times is played by the programs that know its format.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Read, Write};
 use std::path::Path;
-use std::task::{Context, Poll};
+use std::pin::pin;
+use std::task::{Context, Poll, ready};
 
 use crate::connection::{Audience, Connection, Incoming, PeerId, PortCounters};
 use crate::error::{FileKind, LinkLoss, OpenError};
@@ -92,6 +94,7 @@ fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
         detail: format!("playing {}", path.display()),
         chunk_bytes: request.url.integer(&CHUNK) as usize,
         timer: request.timer,
+        owes_turn: false,
     }))
 }
 
@@ -120,6 +123,20 @@ struct Played {
     detail: String,
     chunk_bytes: usize,
     timer: HostTimer,
+    /// A chunk was delivered and nobody else has had a turn since.
+    owes_turn: bool,
+}
+
+impl Played {
+    /// Pending once after each chunk; the runtime wakes us when it has looked after timers and sockets.
+    fn poll_turn(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+        if !self.owes_turn {
+            return Poll::Ready(());
+        }
+        self.owes_turn = false;
+        // A future of its own each time: its first poll leaves the waker with the runtime, there is no second.
+        pin!(tokio::task::yield_now()).poll(cx)
+    }
 }
 
 impl Connection for Played {
@@ -132,9 +149,11 @@ impl Connection for Played {
 
     fn poll(
         &mut self,
-        _cx: &mut Context<'_>,
+        cx: &mut Context<'_>,
         _counters: &mut PortCounters,
     ) -> Poll<Result<Incoming, LinkLoss>> {
+        ready!(self.poll_turn(cx));
+        self.owes_turn = true;
         let mut bytes = Vec::with_capacity(self.chunk_bytes);
         let chunk = (&mut self.file)
             .take(self.chunk_bytes as u64)

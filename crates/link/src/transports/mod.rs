@@ -3,6 +3,7 @@
 //! Help texts, the URL parser and the conformance tests read the table, so a transport is added by one file and one
 //! line here. A transport only opens; keeping the link alive is the business of [`crate::Port`].
 
+mod device_link;
 mod file;
 mod pty;
 mod serial;
@@ -21,13 +22,12 @@ use crate::host_timer::HostTimer;
 use crate::url::{LinkUrl, OptionHelp, TargetKind};
 
 /// Every transport. Adding one: a file in `transports/` and a line here.
-pub const TRANSPORTS: &[&dyn Transport] = &[
-    &serial::Serial,
-    &pty::Pty,
-    &tcp::Tcp,
-    &udp::Udp,
-    &file::File,
-];
+pub const TRANSPORTS: &[&dyn Transport] = &[SERIAL, PTY, &tcp::Tcp, &udp::Udp, &file::File];
+
+/// Serial ports, for links that are made from a path.
+pub(crate) const SERIAL: &dyn Transport = &serial::Serial;
+/// Pseudo-terminals of our own, for links that are made from a path.
+pub(crate) const PTY: &dyn Transport = &pty::Pty;
 
 /// How long one attempt to open may take before the link is told to be down, in seconds: about one Bluetooth page (the
 /// Bluetooth Core Specification's default page time-out is 5.12 s).

@@ -7,8 +7,7 @@
 
 use std::io::{self, Read, Write};
 use std::os::fd::OwnedFd;
-use std::os::unix::fs::symlink;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 
@@ -20,13 +19,11 @@ use tokio::io::unix::AsyncFd;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use crate::connection::Connection;
-use crate::error::{FileKind, OpenError};
+use crate::error::OpenError;
 use crate::stream::{StreamConnection, StreamLabel};
+use crate::transports::device_link::{DeviceLink, mark_held};
 use crate::transports::{OpenFuture, OpenRequest, Transport};
 use crate::url::TargetKind;
-
-/// Where Linux keeps the devices of pseudo-terminals.
-const PTS_DIRECTORY: &str = "/dev/pts";
 
 /// Whole frames that wait for a reader: none, because what waits here is out of date when the reader comes.
 const QUEUE_BYTES: usize = 0;
@@ -54,12 +51,17 @@ impl Transport for Pty {
 
 async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let path = request.url.path();
-    check_link(path)?;
     let failed = |source| OpenError::Io {
         what: format!("a pseudo-terminal at {}", path.display()),
         source,
     };
-    let (stream, device) = PtyStream::new(path).map_err(failed)?;
+    let (master, slave, device) = open_terminal().map_err(failed)?;
+    let link = DeviceLink::new(path, Path::new(&device))?;
+    let stream = PtyStream {
+        _link: link,
+        master: register(master).map_err(failed)?,
+        _slave: slave,
+    };
     // The reactor learns that the terminal takes data; without it the very first frame would be dropped.
     drop(stream.master.writable().await.map_err(failed)?);
     let detail = format!("{} is {device}", path.display());
@@ -71,61 +73,29 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     )))
 }
 
-/// Refuses to replace anything but a link that a pseudo-terminal has left behind.
-fn check_link(path: &Path) -> Result<(), OpenError> {
-    let directory = match path.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    if !directory.is_dir() {
-        return Err(OpenError::NoSuchFile {
-            path: directory.to_owned(),
-            advice: "create the directory first",
-        });
-    }
-    let Ok(metadata) = path.symlink_metadata() else {
-        return Ok(());
-    };
-    let is_ours = std::fs::read_link(path)
-        .is_ok_and(|target| target.starts_with(PTS_DIRECTORY) || !path.exists());
-    if is_ours {
-        return Ok(());
-    }
-    Err(OpenError::WrongKind {
-        path: path.to_owned(),
-        found: FileKind::from(metadata.file_type()),
-        wanted: "a link that may be replaced",
-    })
-}
-
 /// The master side, with everything that has to live as long as it does.
 struct PtyStream {
     // Dropped first, so that the name is gone before the device.
     _link: DeviceLink,
     master: AsyncFd<PtyMaster>,
-    // Keeps the line up and its raw mode alive while nobody else has it open.
+    // Keeps the line up and its raw mode alive while nobody else has it open, and tells others that we live.
     _slave: OwnedFd,
 }
 
-impl PtyStream {
-    fn new(path: &Path) -> io::Result<(Self, String)> {
-        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC;
-        let master = posix_openpt(flags | OFlag::O_NONBLOCK)?;
-        grantpt(&master)?;
-        unlockpt(&master)?;
-        let device = ptsname_r(&master)?;
-        let slave = nix::fcntl::open(Path::new(&device), flags, Mode::empty())?;
-        // A fresh terminal echoes, translates line ends and acts on Ctrl-C bytes.
-        let mut settings = tcgetattr(&slave)?;
-        cfmakeraw(&mut settings);
-        tcsetattr(&slave, SetArg::TCSANOW, &settings)?;
-        let stream = Self {
-            _link: DeviceLink::new(path, Path::new(&device))?,
-            master: register(master)?,
-            _slave: slave,
-        };
-        Ok((stream, device))
-    }
+/// Both sides of a fresh terminal and the slave's device.
+fn open_terminal() -> io::Result<(PtyMaster, OwnedFd, String)> {
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC;
+    let master = posix_openpt(flags | OFlag::O_NONBLOCK)?;
+    grantpt(&master)?;
+    unlockpt(&master)?;
+    let device = ptsname_r(&master)?;
+    let slave = nix::fcntl::open(Path::new(&device), flags, Mode::empty())?;
+    // A fresh terminal echoes, translates line ends and acts on Ctrl-C bytes.
+    let mut settings = tcgetattr(&slave)?;
+    cfmakeraw(&mut settings);
+    tcsetattr(&slave, SetArg::TCSANOW, &settings)?;
+    mark_held(&slave)?;
+    Ok((master, slave, device))
 }
 
 #[expect(
@@ -173,39 +143,5 @@ impl AsyncWrite for PtyStream {
 
     fn poll_shutdown(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         Poll::Ready(Ok(()))
-    }
-}
-
-/// The name of the terminal, removed on drop if it is still ours.
-struct DeviceLink {
-    path: PathBuf,
-    device: PathBuf,
-}
-
-impl DeviceLink {
-    /// Makes the link under another name first and renames it, so that nobody ever finds the path missing.
-    fn new(path: &Path, device: &Path) -> io::Result<Self> {
-        let mut draft = path.as_os_str().to_owned();
-        draft.push(format!(".{}.new", std::process::id()));
-        let draft = PathBuf::from(draft);
-        symlink(device, &draft)?;
-        if let Err(error) = std::fs::rename(&draft, path) {
-            // The rename's error is the one to tell; a draft that stays behind harms nobody.
-            drop(std::fs::remove_file(&draft));
-            return Err(error);
-        }
-        Ok(Self {
-            path: path.to_owned(),
-            device: device.to_owned(),
-        })
-    }
-}
-
-impl Drop for DeviceLink {
-    fn drop(&mut self) {
-        if std::fs::read_link(&self.path).is_ok_and(|target| target == self.device) {
-            // A drop cannot report; the next run replaces a link that stays behind.
-            drop(std::fs::remove_file(&self.path));
-        }
     }
 }

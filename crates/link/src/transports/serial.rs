@@ -219,17 +219,21 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_device_is_not_worth_waiting_for_but_a_busy_one_is() {
+    fn refused_and_busy_devices_stop_the_start_but_only_the_busy_one_heals() {
         let refused = io_error(
             Path::new("/dev/null"),
             io::ErrorKind::PermissionDenied.into(),
         );
         assert!(!refused.can_heal());
+        assert!(refused.stops_start());
         let busy = name_error(
             Path::new("/dev/ttyUSB0"),
             serialport::Error::new(ErrorKind::NoDevice, "Device or resource busy"),
         );
         assert!(busy.can_heal());
+        assert!(busy.stops_start());
+        let missing = io_error(Path::new("/dev/ttyUSB0"), io::ErrorKind::NotFound.into());
+        assert!(!missing.stops_start());
         assert_eq!(
             busy.to_string(),
             "port /dev/ttyUSB0 is in use by another program: close it there (`fuser -v /dev/ttyUSB0` names it)"

@@ -32,6 +32,31 @@ async fn a_file_is_played_to_its_end_in_chunks() {
     }
 }
 
+/// One flood of a hundred thousand chunks against one datagram: who reads only the file never sees the socket.
+#[tokio::test(flavor = "current_thread")]
+async fn a_file_leaves_the_runtime_its_turns() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("run.bin");
+    std::fs::write(&path, vec![0; 100_000]).expect("own directory");
+    let url = format!("file://{}?chunk=1", path.display());
+    let mut file = port(&url, Role::Dial, HostTimer::start());
+    up(&mut file).await;
+
+    let (near, far) = tokio::net::UnixDatagram::pair().expect("two sockets");
+    far.try_send(b"x").expect("room");
+    // Like signals and timers, a socket is heard only when the runtime gets round to asking the system.
+    let heard = tokio::spawn(async move { near.recv(&mut [0; 1]).await });
+    while !heard.is_finished() {
+        let event = file.next().await;
+        assert!(
+            matches!(event, PortEvent::Bytes { .. }),
+            "{event:?} before the socket was heard"
+        );
+    }
+    let count = heard.await.expect("it ends").expect("it reads");
+    assert_eq!(count, 1);
+}
+
 #[tokio::test]
 async fn appended_frames_stand_behind_what_was_there() {
     let directory = tempfile::tempdir().expect("a temporary directory");

@@ -1,6 +1,8 @@
 //! Serial ports and pseudo-terminals: cables that are pulled, names that are taken, buffers that are full.
 
+use std::ffi::OsStr;
 use std::future::poll_fn;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::task::Poll;
@@ -8,8 +10,8 @@ use std::task::Poll;
 use crate::support::{bytes, down, poll_once, port, up};
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
-use posebridge_link::{HostTimer, OpenError, Port, PortEvent, Role};
-use posebridge_telemetry::Span;
+use posebridge_link::{HostTimer, LinkUrl, OpenError, Port, PortConfig, PortEvent, Role, UrlError};
+use posebridge_telemetry::{LinkId, Span};
 
 /// A directory with room for one device name.
 struct Bench {
@@ -42,6 +44,15 @@ impl Bench {
             &format!("pty:{}", self.path().display()),
             Role::Listen,
             self.timer,
+        )
+    }
+
+    /// What is said about the port while another program holds it.
+    fn in_use(&self) -> String {
+        let path = self.path();
+        let path = path.display();
+        format!(
+            "port {path} is in use by another program: close it there (`fuser -v {path}` names it)"
         )
     }
 
@@ -226,17 +237,31 @@ async fn a_second_program_is_told_that_the_port_is_in_use() {
     let mut first = bench.serial();
     up(&mut first).await;
     let mut second = bench.serial();
-    let (reason, _) = down(&mut second).await;
-    let path = bench.path();
-    let path = path.display();
-    assert_eq!(
-        reason,
-        format!(
-            "port {path} is in use by another program: close it there (`fuser -v {path}` names it)"
-        )
-    );
+    let error = second.open_first().await.expect_err("the port is taken");
+    assert!(matches!(error, OpenError::PortInUse { .. }), "{error:?}");
+    assert_eq!(error.to_string(), bench.in_use());
+    // Whoever goes on all the same is told, and gets the port when it is free.
+    assert_eq!(down(&mut second).await.0, bench.in_use());
     drop(first);
     up(&mut second).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_port_that_is_taken_while_the_cable_is_out_is_waited_for() {
+    let bench = Bench::new();
+    let pty = bench.plugged_pty().await;
+    let mut station = bench.serial();
+    station.open_first().await.expect("nobody else is there");
+    up(&mut station).await;
+    drop(pty);
+    down(&mut station).await;
+
+    let _pty = bench.plugged_pty().await;
+    let mut rival = bench.serial();
+    up(&mut rival).await;
+    assert_eq!(down(&mut station).await.0, bench.in_use());
+    drop(rival);
+    up(&mut station).await;
 }
 
 #[tokio::test(start_paused = true)]
@@ -257,6 +282,8 @@ async fn a_link_that_was_left_behind_is_replaced() {
 async fn the_name_of_a_successor_is_left_alone() {
     let bench = Bench::new();
     let old = bench.plugged_pty().await;
+    // Somebody removes the name, so it is free while its first owner lives.
+    std::fs::remove_file(bench.path()).expect("our link");
     let new = bench.plugged_pty().await;
     drop(old);
     assert!(bench.path().is_symlink());
@@ -264,9 +291,72 @@ async fn the_name_of_a_successor_is_left_alone() {
     assert!(!bench.path().is_symlink());
 }
 
+#[tokio::test(start_paused = true)]
+async fn the_name_of_a_living_terminal_is_not_taken_over() {
+    let bench = Bench::new();
+    let mut first = bench.plugged_pty().await;
+    let device = std::fs::read_link(bench.path()).expect("our link");
+    let mut station = bench.serial();
+    up(&mut station).await;
+
+    let shown = bench.path();
+    let shown = shown.display();
+    check_refusal(
+        bench.pty(),
+        &format!(
+            "{shown} is the pseudo-terminal of another program that is still running: stop that program \
+             (`fuser -v {shown}` names it) or choose another path"
+        ),
+    )
+    .await;
+    assert_eq!(std::fs::read_link(bench.path()).ok(), Some(device));
+    first.send(b"undisturbed");
+    assert_eq!(poll_once(&mut first).await, None);
+    assert_eq!(bytes(&mut station, 11).await, b"undisturbed");
+
+    drop(first);
+    bench.plugged_pty().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_name_whose_number_went_to_a_terminal_window_is_replaced() {
+    let bench = Bench::new();
+    let window = nix::pty::openpty(None, None).expect("a foreign terminal");
+    let device = nix::unistd::ttyname(&window.slave).expect("it has a name");
+    symlink(&device, bench.path()).expect("a free name");
+    let pty = bench.plugged_pty().await;
+    assert_ne!(std::fs::read_link(bench.path()).expect("our link"), device);
+    drop(pty);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_from_a_path_opens_whatever_the_folder_is_called() {
+    let bench = Bench::new();
+    let awkward = OsStr::from_bytes(b"what?baud=9 \xff");
+    let folder = bench.directory.path().join(awkward);
+    std::fs::create_dir(&folder).expect("own directory");
+    let device = folder.join("brick.tty");
+    let open = |url: Result<LinkUrl, UrlError>, role| {
+        let config = PortConfig {
+            id: LinkId(1),
+            url: url.expect("a path"),
+            role,
+        };
+        Port::new(config, bench.timer)
+    };
+    let mut pty = open(LinkUrl::pty(&device), Role::Listen);
+    up(&mut pty).await;
+    assert!(device.is_symlink());
+    let mut station = open(LinkUrl::serial(&device), Role::Dial);
+    up(&mut station).await;
+    station.send(b"hello");
+    assert_eq!(poll_once(&mut station).await, None);
+    assert_eq!(bytes(&mut pty, 5).await, b"hello");
+}
+
 async fn check_refusal(mut port: Port, message: &str) {
     let error: OpenError = port.open_first().await.expect_err(message);
-    assert!(!error.can_heal());
+    assert!(!error.can_heal() && error.stops_start());
     assert_eq!(error.to_string(), message);
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use posebridge_link::{LinkUrl, TRANSPORTS, Target};
+use posebridge_link::{LinkUrl, TRANSPORTS, Target, UrlError};
 
 fn check_target(text: &str, scheme: &str, target: &Target) {
     let url = LinkUrl::parse(text).unwrap_or_else(|error| panic!("{text}: {error}"));
@@ -155,5 +155,30 @@ fn no_text_makes_the_parser_panic() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn a_link_from_a_path_takes_the_path_as_it_is() {
+    let path = Path::new("/srv/runs?baud=7/brick&co");
+    for (url, scheme) in [
+        (LinkUrl::pty(path), "pty"),
+        (LinkUrl::serial(path), "serial"),
+    ] {
+        let url = url.expect("a path");
+        assert_eq!(url.transport().scheme(), scheme);
+        assert_eq!(url.path(), path);
+        assert_eq!(
+            url.to_string(),
+            format!("{scheme}:/srv/runs?baud=7/brick&co")
+        );
+    }
+    assert_eq!(
+        LinkUrl::pty(Path::new("a/brick.tty")),
+        LinkUrl::parse("pty:a/brick.tty")
+    );
+    for bad in ["", "a\0b"] {
+        let error = LinkUrl::serial(Path::new(bad)).expect_err(bad);
+        assert!(matches!(error, UrlError::NoPath { .. }), "{error:?}");
     }
 }

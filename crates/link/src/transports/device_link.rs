@@ -1,0 +1,142 @@
+//! The symbolic link that gives a pseudo-terminal of ours its name.
+//!
+//! Two programs must not take one name from each other, yet a link that a killed program has left behind must not be in
+//! the way either. The number behind such a link says nothing: the system gives it to the next terminal window. So the
+//! maker of a terminal locks the slave side, and the lock goes with its last descriptor, however the maker ends. It is a
+//! lock of the open file description, which the `flock` of a serial port's user does not touch. This does not protect
+//! the links of foreign programs, which set no such lock.
+
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+
+use nix::errno::Errno;
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::libc;
+use nix::sys::stat::Mode;
+
+use crate::error::{FileKind, OpenError};
+
+/// Where Linux keeps the devices of pseudo-terminals.
+const PTS_DIRECTORY: &str = "/dev/pts";
+
+/// The name of a terminal, removed on drop if it is still ours.
+pub(super) struct DeviceLink {
+    path: PathBuf,
+    device: PathBuf,
+}
+
+impl DeviceLink {
+    /// Names `device`, whose slave side is [marked](mark_held), `path`.
+    ///
+    /// # Errors
+    /// There is no such directory, or at `path` stands something that is not ours to replace.
+    pub(super) fn new(path: &Path, device: &Path) -> Result<Self, OpenError> {
+        check_directory(path)?;
+        // A free name is taken in one step, so of two programs that start together only one gets it.
+        let made = match symlink(device, path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                check_replaceable(path)?;
+                replace(path, device)
+            }
+            made => made,
+        };
+        made.map_err(|source| OpenError::Io {
+            what: format!("a pseudo-terminal at {}", path.display()),
+            source,
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            device: device.to_owned(),
+        })
+    }
+}
+
+impl Drop for DeviceLink {
+    fn drop(&mut self) {
+        if std::fs::read_link(&self.path).is_ok_and(|target| target == self.device) {
+            // A drop cannot report; the next run replaces a link that stays behind.
+            drop(std::fs::remove_file(&self.path));
+        }
+    }
+}
+
+/// Tells other programs that the maker of this terminal lives, until `slave` is closed.
+pub(super) fn mark_held(slave: &OwnedFd) -> io::Result<()> {
+    fcntl(slave.as_fd(), FcntlArg::F_OFD_SETLK(&whole_device()))?;
+    Ok(())
+}
+
+/// True if the maker of the terminal at `path` lives, or if that cannot be found out.
+fn is_held(path: &Path) -> bool {
+    let flags = OFlag::O_RDONLY | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+    match nix::fcntl::open(path, flags, Mode::empty()) {
+        Ok(terminal) => {
+            let mut found = whole_device();
+            let asked = fcntl(terminal.as_fd(), FcntlArg::F_OFD_GETLK(&mut found));
+            asked.is_err() || found.l_type != libc::F_UNLCK as libc::c_short
+        }
+        // The device is gone, or only its master is.
+        Err(error) => ![Errno::ENOENT, Errno::EIO, Errno::ENXIO].contains(&error),
+    }
+}
+
+/// A write lock from the first byte to the last.
+const fn whole_device() -> libc::flock {
+    libc::flock {
+        l_type: libc::F_WRLCK as libc::c_short,
+        l_whence: libc::SEEK_SET as libc::c_short,
+        l_start: 0,
+        l_len: 0,
+        l_pid: 0,
+    }
+}
+
+fn check_directory(path: &Path) -> Result<(), OpenError> {
+    let directory = match path.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    if directory.is_dir() {
+        return Ok(());
+    }
+    Err(OpenError::NoSuchFile {
+        path: directory.to_owned(),
+        advice: "create the directory first",
+    })
+}
+
+/// Refuses to replace anything but a link that a pseudo-terminal has left behind.
+fn check_replaceable(path: &Path) -> Result<(), OpenError> {
+    let Ok(metadata) = path.symlink_metadata() else {
+        return Ok(());
+    };
+    let names_terminal =
+        std::fs::read_link(path).is_ok_and(|target| target.starts_with(PTS_DIRECTORY));
+    if names_terminal && is_held(path) {
+        return Err(OpenError::LinkTaken {
+            path: path.to_owned(),
+        });
+    }
+    if names_terminal || (metadata.is_symlink() && !path.exists()) {
+        return Ok(());
+    }
+    Err(OpenError::WrongKind {
+        path: path.to_owned(),
+        found: FileKind::from(metadata.file_type()),
+        wanted: "a link that may be replaced",
+    })
+}
+
+/// Makes the link under another name first and renames it, so that nobody ever finds the path missing.
+fn replace(path: &Path, device: &Path) -> io::Result<()> {
+    let mut draft = path.as_os_str().to_owned();
+    draft.push(format!(".{}.new", std::process::id()));
+    let draft = PathBuf::from(draft);
+    symlink(device, &draft)?;
+    std::fs::rename(&draft, path).inspect_err(|_told_by_the_caller| {
+        // The rename's error is the one to tell; a draft that stays behind harms nobody.
+        drop(std::fs::remove_file(&draft));
+    })
+}
