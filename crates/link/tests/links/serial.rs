@@ -349,9 +349,9 @@ async fn a_link_from_a_path_opens_whatever_the_folder_is_called() {
     assert!(device.is_symlink());
     let mut station = open(LinkUrl::serial(&device), Role::Dial);
     up(&mut station).await;
-    station.send(b"hello");
-    assert_eq!(poll_once(&mut station).await, None);
-    assert_eq!(bytes(&mut pty, 5).await, b"hello");
+    pty.send(b"hello");
+    assert_eq!(poll_once(&mut pty).await, None);
+    assert_eq!(bytes(&mut station, 5).await, b"hello");
 }
 
 async fn check_refusal(mut port: Port, message: &str) {
