@@ -6,9 +6,10 @@
 //! lock of the open file description, which the `flock` of a serial port's user does not touch. This does not protect
 //! the links of foreign programs, which set no such lock.
 
+use std::fs::Metadata;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{MetadataExt, symlink};
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
@@ -37,7 +38,7 @@ impl DeviceLink {
         // A free name is taken in one step, so of two programs that start together only one gets it.
         let made = match symlink(device, path) {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                check_replaceable(path)?;
+                check_replaceable(path, device)?;
                 replace(path, device)
             }
             made => made,
@@ -108,13 +109,15 @@ fn check_directory(path: &Path) -> Result<(), OpenError> {
 }
 
 /// Refuses to replace anything but a link that a pseudo-terminal has left behind.
-fn check_replaceable(path: &Path) -> Result<(), OpenError> {
+fn check_replaceable(path: &Path, device: &Path) -> Result<(), OpenError> {
     let Ok(metadata) = path.symlink_metadata() else {
         return Ok(());
     };
-    let names_terminal =
-        std::fs::read_link(path).is_ok_and(|target| target.starts_with(PTS_DIRECTORY));
-    if names_terminal && is_held(path) {
+    let target = std::fs::read_link(path).unwrap_or_default();
+    let names_terminal = target.starts_with(PTS_DIRECTORY);
+    // The number of a dead terminal may have come to us, or to another living brick after the link was made.
+    let is_stale = target == device || is_younger(&target, &metadata);
+    if names_terminal && !is_stale && is_held(path) {
         return Err(OpenError::LinkTaken {
             path: path.to_owned(),
         });
@@ -127,6 +130,12 @@ fn check_replaceable(path: &Path) -> Result<(), OpenError> {
         found: FileKind::from(metadata.file_type()),
         wanted: "a link that may be replaced",
     })
+}
+
+/// True if the terminal was made after the link that names it: then the number has been given out anew.
+fn is_younger(terminal: &Path, link: &Metadata) -> bool {
+    let made = |metadata: &Metadata| (metadata.ctime(), metadata.ctime_nsec());
+    std::fs::metadata(terminal).is_ok_and(|terminal| made(&terminal) > made(link))
 }
 
 /// Makes the link under another name first and renames it, so that nobody ever finds the path missing.
