@@ -111,6 +111,8 @@ impl DataSet {
             noise: robot.noise()?,
             start,
             params,
+            calibration: posebridge_telemetry::Calibration::default(),
+            world: std::sync::Arc::default(),
         };
         Ok(RobotRun { run, filter_config })
     }

@@ -288,7 +288,7 @@ fn replay_run(
     let config = PipelineConfig {
         own: Address::default(),
         filter: filter.to_owned(),
-        filter_config: robot_run.filter_config,
+        filter_config: robot_run.filter_config.clone(),
         description: DescriptionPolicy::Ignore,
         robot_system: None,
         tag_in_body: Point2::ORIGIN,

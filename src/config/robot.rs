@@ -180,6 +180,7 @@ impl RobotFile {
             gyro_bias_walk_rad_per_s_sqrt_s: n.gyro_bias_walk_rad_per_s_sqrt_s,
             fix_position_m: n.fix_position_m,
             fix_heading_rad: n.fix_heading_rad,
+            ..SensorNoise::EXACT
         })
     }
 

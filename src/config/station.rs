@@ -237,6 +237,8 @@ impl Config {
             noise: self.robot.noise()?,
             start: self.robot.start()?,
             params,
+            calibration: posebridge_telemetry::Calibration::default(),
+            world: std::sync::Arc::default(),
         })
     }
 

@@ -23,5 +23,7 @@ pub mod observations;
 pub mod params;
 pub mod update;
 
-pub use filters::{FILTERS, Filter, FilterConfig, FilterEntry, StartPose, filter_named};
+pub use filters::{
+    Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, StartPose, filter_named,
+};
 pub use params::{PARAMS, Param, Params};

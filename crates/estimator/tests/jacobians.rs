@@ -37,6 +37,7 @@ const QUIET: SensorNoise = SensorNoise {
     gyro_bias_walk_rad_per_s_sqrt_s: 0.0,
     fix_position_m: 0.005,
     fix_heading_rad: 0.02,
+    ..SensorNoise::EXACT
 };
 
 /// x, y, heading, forward speed, turn rate, gyro bias, window error: in every quadrant, at the seam of the circle, at rest,
@@ -148,6 +149,8 @@ fn speeds_and_rates_have_the_derivatives_of_their_predictions() {
 /// A configuration in which nothing adds noise, so that what remains of P' is F P F'.
 fn config(noise: SensorNoise) -> FilterConfig {
     FilterConfig {
+        calibration: posebridge_telemetry::Calibration::default(),
+        world: std::sync::Arc::default(),
         geometry: GEOMETRY,
         noise,
         start: None,

@@ -82,3 +82,18 @@ pub struct PoseJump {
     /// Change of heading, the short way.
     pub turn: Radians,
 }
+
+/// The belief of a filter that follows one quantity: a distance, a temperature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScalarEstimate {
+    /// The instant for which it holds.
+    pub stamp: Stamp<BrickClock>,
+    /// The quantity.
+    pub value: f64,
+    /// One standard deviation of it.
+    pub sigma: f64,
+    /// How fast it changes, per second; zero for what is constant.
+    pub rate_per_s: f64,
+    /// Its unit, as it is printed.
+    pub unit: &'static str,
+}

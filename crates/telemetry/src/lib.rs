@@ -6,6 +6,7 @@
 //!
 //! Conventions: x forward or east, y left or north, counter-clockwise positive, SI units, headings in (-pi, pi].
 
+pub mod calibration;
 pub mod clock;
 pub mod command;
 pub mod engine;
@@ -18,11 +19,13 @@ pub mod observation;
 pub mod quantities;
 pub mod robot;
 pub mod spaces;
+pub mod world;
 
+pub use calibration::{Calibration, Known};
 pub use clock::{BrickClock, CameraClock, HostClock, Span, Stamp};
 pub use command::Command;
 pub use engine::{Input, Output};
-pub use estimate::{Estimate, PoseJump, Validity};
+pub use estimate::{Estimate, PoseJump, ScalarEstimate, Validity};
 pub use event::{Defect, Event, LinkState};
 pub use fusion::{FusionRecord, Verdict};
 pub use ids::{Address, BeaconId, ComponentId, LandmarkId, LinkId, RobotId, SensorId, SystemId};
@@ -34,3 +37,4 @@ pub use quantities::{
 };
 pub use robot::{DriveGeometry, SensorNoise};
 pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};
+pub use world::{Wall, World};

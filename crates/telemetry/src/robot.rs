@@ -38,4 +38,41 @@ pub struct SensorNoise {
     pub fix_position_m: f64,
     /// A fix's heading, in rad, where the fix does not bring its own covariance.
     pub fix_heading_rad: f64,
+    /// An accelerometer at a wheel, per sample, in m/s².
+    pub accelerometer_m_per_s2: f64,
+    /// A compass heading, in rad.
+    pub compass_rad: f64,
+    /// The range to a landmark, in m.
+    pub landmark_range_m: f64,
+    /// The bearing of a landmark, in rad.
+    pub landmark_bearing_rad: f64,
+    /// The range to a beacon, in m.
+    pub beacon_range_m: f64,
+    /// The range to a wall, in m.
+    pub wall_range_m: f64,
+    /// A thermometer, in K.
+    pub temperature_k: f64,
+}
+
+impl SensorNoise {
+    /// No noise at all: what a robot's own numbers are filled into.
+    pub const EXACT: Self = Self {
+        wheel_travel_m_per_sqrt_m: 0.0,
+        travel_m_per_sqrt_m: 0.0,
+        turn_rad_per_sqrt_rad: 0.0,
+        heading_rad_per_sqrt_m: 0.0,
+        gyro_rad_per_s: 0.0,
+        gyro_resolution_rad_per_s: 0.0,
+        gyro_bias_rad_per_s: 0.0,
+        gyro_bias_walk_rad_per_s_sqrt_s: 0.0,
+        fix_position_m: 0.0,
+        fix_heading_rad: 0.0,
+        accelerometer_m_per_s2: 0.0,
+        compass_rad: 0.0,
+        landmark_range_m: 0.0,
+        landmark_bearing_rad: 0.0,
+        beacon_range_m: 0.0,
+        wall_range_m: 0.0,
+        temperature_k: 0.0,
+    };
 }

@@ -149,6 +149,7 @@ impl Scenario {
             gyro_bias_walk_rad_per_s_sqrt_s: self.gyro.bias_walk_deg_per_s_sqrt_s.to_radians(),
             fix_position_m: self.camera.position_sigma_m,
             fix_heading_rad: self.camera.heading_sigma_deg.to_radians(),
+            ..SensorNoise::EXACT
         }
     }
 }

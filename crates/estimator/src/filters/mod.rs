@@ -4,9 +4,11 @@ mod intake;
 pub mod odometry;
 pub mod pose;
 
+use std::sync::Arc;
+
 use posebridge_telemetry::{
-    Arena, BrickClock, DriveGeometry, Estimate, FusionRecord, Observation, Pose, SensorNoise,
-    Stamp, Verdict,
+    Arena, BrickClock, Calibration, DriveGeometry, Estimate, FusionRecord, Observation, Pose,
+    ScalarEstimate, SensorNoise, Stamp, Verdict, World,
 };
 
 use crate::params::Params;
@@ -32,6 +34,17 @@ pub trait Filter: Send {
     /// The belief for an instant: past ones as far as the history reaches, later ones by prediction. `None` before the first
     /// observation and for instants older than the history.
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate>;
+
+    /// What it has learned about the robot; `None` for a filter that learns nothing.
+    fn calibration(&self) -> Option<Calibration> {
+        None
+    }
+
+    /// The belief of a filter that follows one quantity instead of a pose, for an instant; `None` for the others.
+    fn scalar_at(&self, stamp: Stamp<BrickClock>) -> Option<ScalarEstimate> {
+        let _ = stamp;
+        None
+    }
 }
 
 /// Where a robot starts, and how well that is known.
@@ -46,7 +59,7 @@ pub struct StartPose {
 }
 
 /// What a filter is built from.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FilterConfig {
     /// The robot's nominal geometry.
     pub geometry: DriveGeometry,
@@ -56,6 +69,10 @@ pub struct FilterConfig {
     pub start: Option<StartPose>,
     /// The tunables.
     pub params: Params,
+    /// What is known beforehand about systematic errors, and how well. A sigma of zero: taken as given, not estimated.
+    pub calibration: Calibration,
+    /// What stands in the arena.
+    pub world: Arc<World>,
 }
 
 /// One row of [`FILTERS`].
@@ -64,8 +81,30 @@ pub struct FilterEntry {
     pub name: &'static str,
     /// What it is, in one line.
     pub summary: &'static str,
+    /// What it estimates.
+    pub estimates: Estimates,
+    /// What it does with an observation that comes late.
+    pub late: Late,
     /// Builds one.
     pub build: fn(&FilterConfig) -> Box<dyn Filter>,
+}
+
+/// What a filter estimates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Estimates {
+    /// The robot's pose, by [`Filter::estimate_at`].
+    Pose,
+    /// One quantity, by [`Filter::scalar_at`].
+    Scalar,
+}
+
+/// What a filter does with an observation that comes late.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Late {
+    /// It is used at its own time: the order of arrival does not matter.
+    Replayed,
+    /// It is used when it comes, as the paper does it.
+    OnArrival,
 }
 
 /// Every filter. Adding one: a file beside this one and a line here.
@@ -73,11 +112,15 @@ pub const FILTERS: &[FilterEntry] = &[
     FilterEntry {
         name: "odometry",
         summary: "dead reckoning by the wheels alone, as a brick does it",
+        estimates: Estimates::Pose,
+        late: Late::Replayed,
         build: |config| Box::new(odometry::OdometryFilter::new(config)),
     },
     FilterEntry {
         name: "pose",
         summary: "error-state EKF with speeds, gyro bias, exact replay of late fixes and a gate",
+        estimates: Estimates::Pose,
+        late: Late::Replayed,
         build: |config| Box::new(pose::PoseFilter::new(config)),
     },
 ];

@@ -62,7 +62,7 @@ impl OdometryFilter {
             .start
             .map_or_else(Reckoned::at_origin, |start| reckoned_at(&start));
         Self {
-            config: *config,
+            config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             reckoned: VecDeque::from([start]),
             is_placed: config.start.is_some(),

@@ -109,6 +109,7 @@ mod tests {
             gyro_bias_walk_rad_per_s_sqrt_s: 1.0,
             fix_position_m: 1.0,
             fix_heading_rad: 1.0,
+            ..SensorNoise::EXACT
         };
         assert_eq!(
             step_noise(WheelTravel::default(), &GEOMETRY, &noise),

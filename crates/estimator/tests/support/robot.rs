@@ -18,6 +18,7 @@ pub(crate) const NOISE: SensorNoise = SensorNoise {
     gyro_bias_walk_rad_per_s_sqrt_s: 0.01 * DEGREE,
     fix_position_m: 0.005,
     fix_heading_rad: DEGREE,
+    ..SensorNoise::EXACT
 };
 
 pub(crate) const GEOMETRY: DriveGeometry = DriveGeometry {
@@ -38,5 +39,7 @@ pub(crate) fn config() -> FilterConfig {
             heading_sigma_rad: 1e-4,
         }),
         params: Params::default(),
+        calibration: posebridge_telemetry::Calibration::default(),
+        world: std::sync::Arc::default(),
     }
 }

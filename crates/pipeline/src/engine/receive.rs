@@ -289,7 +289,7 @@ impl Pipeline {
 
     /// A filter of the new geometry goes on where the old one was, if that knew where it was.
     fn rebuild_filter(&mut self) {
-        let mut filter_config = self.config.filter_config;
+        let mut filter_config = self.config.filter_config.clone();
         let estimate = self
             .filter
             .latest()

@@ -37,6 +37,8 @@ pub(crate) fn config() -> PipelineConfig {
                 heading_sigma_rad: 0.02,
             }),
             params: Params::default(),
+            calibration: posebridge_telemetry::Calibration::default(),
+            world: std::sync::Arc::default(),
         },
         description: DescriptionPolicy::Ignore,
         robot_system: None,
@@ -61,6 +63,7 @@ const NOISE: SensorNoise = SensorNoise {
     gyro_bias_walk_rad_per_s_sqrt_s: 0.000_175,
     fix_position_m: 0.005,
     fix_heading_rad: 0.0175,
+    ..SensorNoise::EXACT
 };
 
 pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {

@@ -46,7 +46,7 @@ impl PoseFilter {
     #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
         Self {
-            config: *config,
+            config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             gyro: GyroTrack::default(),
             gates: fuse::gates_of(config),
