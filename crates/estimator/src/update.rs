@@ -92,6 +92,86 @@ pub fn apply_to_row<const N: usize>(
     symmetrise(covariance);
 }
 
+/// One scalar observation of a few named rows of the state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scalar<const K: usize> {
+    /// z - h(x), angles wrapped.
+    pub innovation: f64,
+    /// The rows of the state that it depends on.
+    pub rows: [usize; K],
+    /// dh/dx of each of these rows.
+    pub by_row: [f64; K],
+    /// R, more than zero.
+    pub variance: f64,
+}
+
+/// What became of a scalar observation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScalarOutcome {
+    /// S = H P H' + R.
+    pub innovation_variance: f64,
+    /// Innovation squared over S.
+    pub nis: f64,
+    /// Whether it was used.
+    pub usage: Usage,
+}
+
+/// Whether a scalar observation was used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Usage {
+    /// State and covariance changed.
+    Used,
+    /// Its NIS exceeds the gate; nothing changed.
+    Gated,
+    /// S is not a positive number; nothing changed.
+    Indefinite,
+}
+
+/// Uses one scalar observation of a few rows, unless its NIS exceeds `gate` (infinite for none).
+///
+/// The sparse form of the update: S, the gain and the new covariance from the named rows alone, symmetric by construction.
+pub fn use_scalar<const N: usize, const K: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    scalar: &Scalar<K>,
+    gate: f64,
+) -> ScalarOutcome {
+    let mut cross = SVector::<f64, N>::zeros();
+    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
+        for i in 0..N {
+            cross[i] += by * covariance[(i, row)];
+        }
+    }
+    let mut s = scalar.variance;
+    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
+        s += by * cross[row];
+    }
+    let nis = scalar.innovation * scalar.innovation / s;
+    let usage = if !(s > 0.0 && nis.is_finite()) {
+        Usage::Indefinite
+    } else if nis > gate {
+        Usage::Gated
+    } else {
+        Usage::Used
+    };
+    if usage == Usage::Used {
+        let scaled = cross / s;
+        *mean += scaled * scalar.innovation;
+        for column in 0..N {
+            for row in column..N {
+                let value = covariance[(row, column)] - scaled[row] * cross[column];
+                covariance[(row, column)] = value;
+                covariance[(column, row)] = value;
+            }
+        }
+    }
+    ScalarOutcome {
+        innovation_variance: s,
+        nis,
+        usage,
+    }
+}
+
 /// Makes a matrix exactly symmetric.
 pub fn symmetrise<const N: usize>(matrix: &mut SMatrix<f64, N, N>) {
     for i in 0..N {
