@@ -28,6 +28,12 @@ pub struct Params {
     pub reset_after_s: f64,
     /// See `reset_after_n` in [`PARAMS`].
     pub reset_after_fixes: f64,
+    /// See `adapt_gain` in [`PARAMS`].
+    pub adapt_gain: f64,
+    /// See `student_dof` in [`PARAMS`].
+    pub student_dof: f64,
+    /// See `wear_per_sqrt_m` in [`PARAMS`].
+    pub wear_per_sqrt_m: f64,
 }
 
 /// One tunable: what it is, and how to reach it.
@@ -149,6 +155,32 @@ pub const PARAMS: &[Param] = &[
         reset_after_fixes,
         "and at least this many of them"
     ),
+    // 3 %: about fifty observations are remembered, so that the scale follows a camera that is moved within seconds.
+    param!(
+        "adapt_gain",
+        "",
+        0.03,
+        0.0..=0.5,
+        adapt_gain,
+        "how fast the noise of a source follows its innovations; 0 takes it as configured"
+    ),
+    param!(
+        "student_dof",
+        "",
+        0.0,
+        0.0..=100.0,
+        student_dof,
+        "degrees of freedom of Student's t for absolute observations, instead of the gate; 0 for Gaussian with gate"
+    ),
+    // A tyre that loses a tenth of a per cent over a kilometre.
+    param!(
+        "wear_per_sqrt_m",
+        "",
+        0.000_03,
+        0.0..=0.1,
+        wear_per_sqrt_m,
+        "how fast wheel radii and track may change: sigma after one metre, while fixes tell of it"
+    ),
 ];
 
 impl Default for Params {
@@ -164,6 +196,9 @@ impl Default for Params {
             fix_timeout_s: 0.0,
             reset_after_s: 0.0,
             reset_after_fixes: 0.0,
+            adapt_gain: 0.0,
+            student_dof: 0.0,
+            wear_per_sqrt_m: 0.0,
         };
         for row in PARAMS {
             (row.write)(&mut params, row.default);

@@ -69,29 +69,6 @@ pub fn apply<const N: usize, const M: usize>(
     true
 }
 
-/// Uses one scalar measurement for one row of the state only; the other rows are considered, but not corrected.
-///
-/// Joseph's form, which holds for any gain. It keeps a rough observation of a speed from leaking into states that a better
-/// one already observes.
-pub fn apply_to_row<const N: usize>(
-    mean: &mut SVector<f64, N>,
-    covariance: &mut SMatrix<f64, N, N>,
-    row: usize,
-    measurement: &Measurement<N, 1>,
-) {
-    let s = measurement.innovation_covariance(covariance)[0];
-    if s <= 0.0 {
-        return;
-    }
-    let mut gain = SVector::<f64, N>::zeros();
-    gain[row] = (covariance.row(row) * measurement.jacobian.transpose())[0] / s;
-    mean[row] += gain[row] * measurement.innovation[0];
-    let keep = SMatrix::<f64, N, N>::identity() - gain * measurement.jacobian;
-    *covariance =
-        keep * *covariance * keep.transpose() + gain * measurement.noise[0] * gain.transpose();
-    symmetrise(covariance);
-}
-
 /// One scalar observation of a few named rows of the state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scalar<const K: usize> {
@@ -103,6 +80,32 @@ pub struct Scalar<const K: usize> {
     pub by_row: [f64; K],
     /// R, more than zero.
     pub variance: f64,
+}
+
+impl<const K: usize> Scalar<K> {
+    /// S = H P H' + R.
+    #[must_use]
+    pub fn innovation_variance<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> f64 {
+        let mut s = self.variance;
+        for (&row, &by_row) in self.rows.iter().zip(&self.by_row) {
+            for (&column, &by_column) in self.rows.iter().zip(&self.by_row) {
+                s += by_row * by_column * covariance[(row, column)];
+            }
+        }
+        s
+    }
+
+    /// P H'.
+    #[must_use]
+    pub fn cross<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> SVector<f64, N> {
+        let mut cross = SVector::zeros();
+        for (&row, &by) in self.rows.iter().zip(&self.by_row) {
+            for i in 0..N {
+                cross[i] += by * covariance[(i, row)];
+            }
+        }
+        cross
+    }
 }
 
 /// What became of a scalar observation.
@@ -270,20 +273,5 @@ mod tests {
         measurement.noise[(1, 0)] = 5.0;
         assert!(!apply(&mut mean, &mut covariance, &measurement));
         assert_eq!((mean, covariance), before);
-    }
-
-    #[test]
-    fn an_update_of_one_row_leaves_the_other_means_alone_and_the_covariance_valid() {
-        let (mut mean, mut covariance, _) = correlated();
-        let before = mean;
-        let measurement = Measurement {
-            innovation: nalgebra::Vector1::new(0.9),
-            jacobian: nalgebra::Matrix1x3::new(0.0, 1.0, 1.0),
-            noise: nalgebra::Matrix1::new(0.1),
-        };
-        apply_to_row(&mut mean, &mut covariance, 1, &measurement);
-        assert_eq!((mean[0], mean[2]), (before[0], before[2]));
-        assert!(mean[1] > before[1]);
-        assert!(lower_triangle(&covariance).is_some());
     }
 }

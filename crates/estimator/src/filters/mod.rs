@@ -118,10 +118,10 @@ pub const FILTERS: &[FilterEntry] = &[
     },
     FilterEntry {
         name: "pose",
-        summary: "error-state EKF with speeds, gyro bias, exact replay of late fixes and a gate",
+        summary: "error-state EKF on SE(2) that learns gyro bias, wheels and track, with exact replay of late fixes",
         estimates: Estimates::Pose,
         late: Late::Replayed,
-        build: |config| Box::new(pose::PoseFilter::new(config)),
+        build: pose::build,
     },
 ];
 

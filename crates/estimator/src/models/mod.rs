@@ -1,4 +1,5 @@
 //! How a robot moves: one file per model. None of them knows a sensor.
 
 pub mod differential_drive;
+pub mod lie;
 pub mod se2;

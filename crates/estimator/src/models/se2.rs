@@ -10,6 +10,8 @@
 //! # Sources
 //! Paper 1 (Valera et al.), equation 13, which has c = 1 (the midpoint rule); docs/maths/pose.md section 2.
 
+use super::lie::chord_ratio;
+
 /// A step of the body: distance along its path and change of heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BodyStep {
@@ -62,20 +64,6 @@ pub fn displace(heading_rad: f64, step: BodyStep, rule: StepRule) -> Displacemen
             chord_by_turn * d * sin + 0.5 * chord * d * cos,
         ],
     }
-}
-
-/// Chord over arc length, sin(t/2)/(t/2), and its derivative by t; by series where the quotient would lose digits.
-fn chord_ratio(turn_rad: f64) -> (f64, f64) {
-    let half = 0.5 * turn_rad;
-    if half.abs() < 1e-3 {
-        // Two terms: the next is below 1e-13 of the first.
-        return (
-            1.0 - half * half / 6.0,
-            -half / 6.0 * (1.0 - half * half / 10.0),
-        );
-    }
-    let (sin, cos) = half.sin_cos();
-    (sin / half, 0.5 * (cos * half - sin) / (half * half))
 }
 
 #[cfg(test)]

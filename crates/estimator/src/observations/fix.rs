@@ -1,9 +1,12 @@
-//! A position or a pose seen from outside, of a tag that is not mid-axle.
+//! A position or a pose seen from outside, of a tag that is not mid-axle, and a little earlier than its stamp says.
 //!
 //! ```text
-//! h(x) = [ x + l_x cos th - l_y sin th ]      H = [ 1 0 -l_x sin th - l_y cos th ]
-//!        [ y + l_x sin th + l_y cos th ]          [ 0 1  l_x cos th - l_y sin th ]
-//!        [ th                          ]          [ 0 0  1                       ]
+//! X_s = X U^-1              the pose tau before the stamp; U the motion since, from the wheels
+//! nu  = R_s' (z - p_s) - l,  wrap(z_th - th_s)                    in the body's space at X_s; l the tag in the body
+//! H   = [ 1 0 -l_y | -(v - w l_y) at tau | 1 0 at l ] Ad(U)
+//!       [ 0 1  l_x | -w l_x        at tau | 0 1 at l ]
+//!       [ 0 0  1   | -w            at tau | 0 0 at l ]
+//! R   = R_s' R_z R_s
 //! ```
 //! A stamp that may be off by sigma_t moves what was seen by v sigma_t and turns it by w sigma_t; both enter R.
 //!
@@ -12,23 +15,26 @@
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 use posebridge_telemetry::{Fix, SensorNoise, quantities::wrap_rad};
 
-use crate::filters::pose::state::{HEADING, Mean, N, X, Y};
+use crate::filters::pose::state::{
+    DELAY, FORWARD, HEADING, LEFT, PoseState, TAG_FORWARD, TAG_LEFT,
+};
+use crate::models::lie::Se2;
 use crate::update::Measurement;
 
 /// What is known besides the fix itself.
 #[derive(Clone, Copy, Debug)]
-pub struct Circumstances<'a> {
-    /// The configured noise, used where the fix brings none.
-    pub noise: &'a SensorNoise,
+pub struct Circumstances {
+    /// How the body has moved between the instant that the fix shows and its stamp.
+    pub moved_since: Se2,
     /// How far the fix's stamp may be off, s.
     pub stamp_sigma_s: f64,
-    /// Forward speed at the fix's time, m/s.
+    /// Forward speed at the instant that the fix shows, m/s.
     pub forward_m_per_s: f64,
-    /// Turn rate at the fix's time, rad/s.
+    /// Turn rate then, rad/s.
     pub turn_rad_per_s: f64,
 }
 
-/// Variances of a fix: xx, xy, yy in m², heading in rad².
+/// Variances of a fix, in the arena: xx, xy, yy in m², heading in rad².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixNoise {
     /// Of the position.
@@ -37,13 +43,17 @@ pub struct FixNoise {
     pub heading_rad2: f64,
 }
 
-/// R of a fix.
+/// R of a fix: what it claims or what is configured, times what its source's innovations say.
 #[must_use]
-pub fn noise_of(fix: &Fix, circumstances: &Circumstances<'_>) -> FixNoise {
+pub fn noise_of(
+    fix: &Fix,
+    configured: &SensorNoise,
+    scale: f64,
+    circumstances: &Circumstances,
+) -> FixNoise {
     let smear_m2 = (circumstances.forward_m_per_s * circumstances.stamp_sigma_s).powi(2);
     let smear_rad2 = (circumstances.turn_rad_per_s * circumstances.stamp_sigma_s).powi(2);
-    let position_m2 = circumstances.noise.fix_position_m.powi(2);
-    let configured_heading_rad2 = circumstances.noise.fix_heading_rad.powi(2);
+    let configured_heading_rad2 = configured.fix_heading_rad.powi(2);
     let (position, heading_rad2) = match fix.covariance {
         Some(own) => {
             let heading = if own.heading_rad2.is_finite() {
@@ -57,51 +67,90 @@ pub fn noise_of(fix: &Fix, circumstances: &Circumstances<'_>) -> FixNoise {
             )
         }
         None => (
-            Matrix2::from_diagonal_element(position_m2),
+            Matrix2::from_diagonal_element(configured.fix_position_m.powi(2)),
             configured_heading_rad2,
         ),
     };
     FixNoise {
-        position: position + Matrix2::from_diagonal_element(smear_m2),
-        heading_rad2: heading_rad2 + smear_rad2,
+        position: position * scale + Matrix2::from_diagonal_element(smear_m2),
+        heading_rad2: heading_rad2 * scale + smear_rad2,
     }
 }
 
 /// Innovation, H and R of the position alone.
 #[must_use]
-pub fn position(mean: &Mean, fix: &Fix, noise: &FixNoise) -> Measurement<N, 2> {
-    let (sin, cos) = mean[HEADING].sin_cos();
-    let (lever_x, lever_y) = (fix.tag_in_body.x.0, fix.tag_in_body.y.0);
-    let offset = Vector2::new(lever_x * cos - lever_y * sin, lever_x * sin + lever_y * cos);
+pub fn position<const N: usize>(
+    state: &PoseState<N>,
+    fix: &Fix,
+    noise: &FixNoise,
+    circumstances: &Circumstances,
+) -> Measurement<N, 2> {
+    let moved = circumstances.moved_since;
+    let shown = state.pose.then(moved.inverse());
+    let tag = [
+        fix.tag_in_body.x.0 + state.value(TAG_FORWARD),
+        fix.tag_in_body.y.0 + state.value(TAG_LEFT),
+    ];
+    let seen = shown.turn_back(fix.position.x.0 - shown.x_m, fix.position.y.0 - shown.y_m);
+    let (sin, cos) = moved.heading_rad.sin_cos();
     let mut jacobian = SMatrix::<f64, 2, N>::zeros();
-    jacobian[(0, X)] = 1.0;
-    jacobian[(1, Y)] = 1.0;
-    jacobian[(0, HEADING)] = -offset[1];
-    jacobian[(1, HEADING)] = offset[0];
-    let seen = Vector2::new(fix.position.x.0, fix.position.y.0);
-    let predicted = Vector2::new(mean[X], mean[Y]) + offset;
+    // (rho, phi) at the instant shown is Ad(U) times that at the stamp: (R rho - phi J t, phi), J t = (-t_y, t_x).
+    jacobian[(0, FORWARD)] = cos;
+    jacobian[(0, LEFT)] = -sin;
+    jacobian[(0, HEADING)] = moved.y_m - tag[1];
+    jacobian[(1, FORWARD)] = sin;
+    jacobian[(1, LEFT)] = cos;
+    jacobian[(1, HEADING)] = tag[0] - moved.x_m;
+    let (v, w) = (circumstances.forward_m_per_s, circumstances.turn_rad_per_s);
+    for (row, by_delay) in [(0, w * tag[1] - v), (1, -w * tag[0])] {
+        set(&mut jacobian, row, DELAY, by_delay);
+    }
+    set(&mut jacobian, 0, TAG_FORWARD, 1.0);
+    set(&mut jacobian, 1, TAG_LEFT, 1.0);
+    let (sin, cos) = shown.heading_rad.sin_cos();
+    let body_from_arena = Matrix2::new(cos, sin, -sin, cos);
     Measurement {
-        innovation: seen - predicted,
+        innovation: Vector2::new(seen[0] - tag[0], seen[1] - tag[1]),
         jacobian,
-        noise: noise.position,
+        noise: body_from_arena * noise.position * body_from_arena.transpose(),
     }
 }
 
 /// Innovation, H and R of position and heading.
 #[must_use]
-pub fn pose(mean: &Mean, fix: &Fix, heading_rad: f64, noise: &FixNoise) -> Measurement<N, 3> {
-    let flat = position(mean, fix, noise);
+pub fn pose<const N: usize>(
+    state: &PoseState<N>,
+    fix: &Fix,
+    heading_rad: f64,
+    noise: &FixNoise,
+    circumstances: &Circumstances,
+) -> Measurement<N, 3> {
+    let flat = position(state, fix, noise, circumstances);
     let mut jacobian = SMatrix::<f64, 3, N>::zeros();
     jacobian.fixed_rows_mut::<2>(0).copy_from(&flat.jacobian);
     jacobian[(2, HEADING)] = 1.0;
-    let turn = wrap_rad(heading_rad - mean[HEADING]);
+    set(&mut jacobian, 2, DELAY, -circumstances.turn_rad_per_s);
+    let shown_rad = state.pose.heading_rad - circumstances.moved_since.heading_rad;
+    let turn = wrap_rad(heading_rad - shown_rad);
     let mut full_noise = Matrix3::from_diagonal_element(noise.heading_rad2);
     full_noise
         .fixed_view_mut::<2, 2>(0, 0)
-        .copy_from(&noise.position);
+        .copy_from(&flat.noise);
     Measurement {
         innovation: Vector3::new(flat.innovation[0], flat.innovation[1], turn),
         jacobian,
         noise: full_noise,
+    }
+}
+
+/// Sets a derivative, where the state has that row.
+fn set<const M: usize, const N: usize>(
+    jacobian: &mut SMatrix<f64, M, N>,
+    row: usize,
+    column: usize,
+    value: f64,
+) {
+    if column < N {
+        jacobian[(row, column)] = value;
     }
 }

@@ -1,25 +1,27 @@
 //! The gyro against the encoders' heading over a window, instead of sample by sample.
 //!
 //! Differences of one-degree counts every 50 ms are not white: what one interval has too much, the next has too little.
-//! Over a window the quantisation is bounded instead of accumulated. The state carries the sum W of the encoder-heading
-//! errors since the window began, fully correlated with the heading; the gyro observes it:
+//! Over a window the quantisation is bounded instead of accumulated. The state carries the turn psi since the window began, as
+//! the encoders tell it; its errors are those of the heading, so that the two move together. The gyro observes it:
 //!
 //! ```text
-//! z = G               the gyro's turn over the window, bias included
-//! h(x) = Th + W + b_g T     Th the encoders' turn, T the window's length
-//! H = [.. T at b_g, 1 at W]
-//! R = q + (r tick / b)^2 / 3 if a count changed,  q = sum of dt^2 (sigma_g^2 + res^2 / 12)
+//! z = G                          the gyro's turn over the window, bias included
+//! h(x) = psi + b_g T + eps       T the window's length, eps the rounding of the encoders' heading at its beginning
+//! H = [.. 1 at psi, T at b_g, 1 at eps]
+//! R = q + (r tick / b)^2 / 6     q = sum of dt^2 (sigma_g^2 + res^2 / 12); the second part is the rounding at the end
 //! ```
-//! When the window closes, W is forgotten (zero mean, zero variance) and the next one begins.
+//! The rounding at the end of one window is the one at the beginning of the next, with the opposite sign: it is kept as a state,
+//! so that it cancels instead of adding up. A window in which no count changed has none.
+//!
+//! When the window closes, psi is forgotten (zero mean, zero variance) and the next one begins.
 //!
 //! Source: docs/maths/pose.md section 3.
 
-use nalgebra::{Matrix1, SMatrix, Vector1};
 use posebridge_telemetry::{BrickClock, DriveGeometry, SensorNoise, Stamp};
 
-use crate::filters::pose::state::{GYRO_BIAS, Mean, N, WINDOW_ERROR};
+use crate::filters::pose::state::{GYRO_BIAS, PoseState, ROUNDING, WINDOW_TURN};
 use crate::motion::GyroTurn;
-use crate::update::Measurement;
+use crate::update::Scalar;
 
 /// What has been summed since the window began.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,10 +30,8 @@ pub struct GyroWindow {
     pub start: Stamp<BrickClock>,
     /// Up to where the encoders' turn is summed.
     pub until: Stamp<BrickClock>,
-    /// The encoders' turn, rad.
-    pub encoder_turn_rad: f64,
     /// The encoders' distance, m.
-    pub encoder_forward_m: f64,
+    pub forward_m: f64,
     /// Whether a wheel moved.
     pub moved: Moved,
 }
@@ -52,8 +52,7 @@ impl GyroWindow {
         Self {
             start: at,
             until: at,
-            encoder_turn_rad: 0.0,
-            encoder_forward_m: 0.0,
+            forward_m: 0.0,
             moved: Moved::No,
         }
     }
@@ -66,34 +65,35 @@ pub fn gyro_variance(noise: &SensorNoise, squared_secs: f64) -> f64 {
     squared_secs * rate_var
 }
 
-/// Variance of the heading difference of two encoder readings through their resolution, rad².
+/// Variance of the encoders' heading through the resolution of the counts, rad²: two wheels, each tick²/12.
 #[must_use]
-pub fn encoder_quantisation_variance(geometry: &DriveGeometry) -> f64 {
+pub fn rounding_variance(geometry: &DriveGeometry) -> f64 {
     let mean_radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
-    (mean_radius_m * geometry.tick.0 / geometry.track_width.0).powi(2) / 3.0
+    (mean_radius_m * geometry.tick.0 / geometry.track_width.0).powi(2) / 6.0
 }
 
-/// Innovation, H and R of a window.
+/// Innovation, H and R of a window. R holds the rounding at its end; that at its beginning is a state.
 #[must_use]
-pub fn measurement(
-    mean: &Mean,
+pub fn measurement<const N: usize>(
+    state: &PoseState<N>,
     window: &GyroWindow,
     gyro: &GyroTurn,
     geometry: &DriveGeometry,
     noise: &SensorNoise,
-) -> Measurement<N, 1> {
+) -> Scalar<3> {
     let length_s = (window.until - window.start).as_secs_f64();
-    let mut jacobian = SMatrix::<f64, 1, N>::zeros();
-    jacobian[(0, GYRO_BIAS)] = length_s;
-    jacobian[(0, WINDOW_ERROR)] = 1.0;
-    let predicted = window.encoder_turn_rad + mean[WINDOW_ERROR] + mean[GYRO_BIAS] * length_s;
-    let quantisation = match window.moved {
-        Moved::Yes => encoder_quantisation_variance(geometry),
-        Moved::No => 0.0,
+    // At rest the rounding is the same at both ends.
+    let (rounding, by_rounding) = match window.moved {
+        Moved::Yes => (rounding_variance(geometry), 1.0),
+        Moved::No => (0.0, 0.0),
     };
-    Measurement {
-        innovation: Vector1::new(gyro.turn_rad - predicted),
-        jacobian,
-        noise: Matrix1::new(gyro_variance(noise, gyro.squared_secs) + quantisation),
+    let predicted = state.mean[WINDOW_TURN]
+        + state.mean[GYRO_BIAS] * length_s
+        + by_rounding * state.mean[ROUNDING];
+    Scalar {
+        innovation: gyro.turn_rad - predicted,
+        rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING],
+        by_row: [1.0, length_s, by_rounding],
+        variance: gyro_variance(noise, gyro.squared_secs) + rounding,
     }
 }

@@ -2,17 +2,20 @@
 
 use std::cmp::Ordering;
 
-use posebridge_telemetry::{BrickClock, Fix, Heading, Span, Stamp, Verdict};
+use posebridge_telemetry::{BrickClock, Heading, Observed, Span, Stamp, Verdict};
 
 use super::state::PoseState;
 use crate::filters::StartPose;
+use crate::observations::accelerometer::Accelerations;
 
 /// What stands in the history.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Action {
     TurnRate(f64),
+    Accelerations(Accelerations),
     Motion,
-    Fix(Fix, Span),
+    /// Something absolute was seen: a fix, a landmark, a range, a heading.
+    Sight(Observed, Span),
     SetPose(StartPose),
 }
 
@@ -22,61 +25,97 @@ impl Action {
     const fn rank(&self) -> u8 {
         match self {
             Self::TurnRate(_) => 0,
-            Self::Motion => 1,
-            Self::Fix(..) => 2,
-            Self::SetPose(_) => 3,
+            Self::Accelerations(_) => 1,
+            Self::Motion => 2,
+            Self::Sight(..) => 3,
+            Self::SetPose(_) => 4,
         }
     }
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Entry {
+pub(super) struct Entry<const N: usize> {
     pub(super) stamp: Stamp<BrickClock>,
     pub(super) action: Action,
     pub(super) sensor: u8,
     /// The state after this entry.
-    pub(super) after: PoseState,
+    pub(super) after: PoseState<N>,
 }
 
-impl Entry {
-    /// Whether this is a fix that was not used.
+impl<const N: usize> Entry<N> {
+    /// Whether this is a sight that was not used.
     pub(super) const fn is_without_effect(&self, verdict: Verdict) -> bool {
-        matches!(self.action, Action::Fix(..))
+        matches!(self.action, Action::Sight(..))
             && !matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
     }
 
-    /// The order in which entries are applied: by stamp, rank and sensor, and two fixes of one sensor by what they say.
+    /// The order in which entries are applied: by stamp, rank and sensor, and two sights of one sensor by what they say.
     pub(super) fn order(&self, other: &Self) -> Ordering {
         let key = |entry: &Self| (entry.stamp, entry.action.rank(), entry.sensor);
         key(self)
             .cmp(&key(other))
             .then_with(|| match (&self.action, &other.action) {
-                (Action::Fix(ours, _), Action::Fix(theirs, _)) => order_of_fixes(ours, theirs),
+                (Action::Sight(ours, _), Action::Sight(theirs, _)) => {
+                    order_of_numbers(&numbers_of(ours), &numbers_of(theirs))
+                }
                 _ => Ordering::Equal,
             })
     }
 
     /// Whether another entry says the same of the same instant: a datagram that came twice.
     pub(super) fn repeats(&self, other: &Self) -> bool {
-        let is_same_fix = match (&self.action, &other.action) {
-            (Action::Fix(ours, _), Action::Fix(theirs, _)) => ours == theirs,
+        let is_same = match (&self.action, &other.action) {
+            (Action::Sight(ours, _), Action::Sight(theirs, _)) => ours == theirs,
+            (Action::Accelerations(_), Action::Accelerations(_)) => true,
             _ => false,
         };
-        is_same_fix && self.stamp == other.stamp && self.sensor == other.sensor
+        is_same && self.stamp == other.stamp && self.sensor == other.sensor
     }
 }
 
-fn order_of_fixes(ours: &Fix, theirs: &Fix) -> Ordering {
-    let numbers = |fix: &Fix| {
-        [
+/// The number of a kind of sight, which tells apart what one sensor says.
+pub(super) const fn kind_of(seen: &Observed) -> u8 {
+    match seen {
+        Observed::Fix(_) => 0,
+        Observed::Landmark { .. } => 1,
+        Observed::BeaconRange { .. } => 2,
+        Observed::WallRange(_) => 3,
+        Observed::CompassHeading(_) => 4,
+        Observed::WheelAngles { .. }
+        | Observed::OdometerPose(_)
+        | Observed::BodyVelocity { .. }
+        | Observed::TurnRate(_)
+        | Observed::WheelAccelerations { .. }
+        | Observed::Temperature(_) => 5,
+    }
+}
+
+/// What tells two sights of one instant apart.
+fn numbers_of(seen: &Observed) -> [f64; 4] {
+    let kind = f64::from(kind_of(seen));
+    match *seen {
+        Observed::Fix(fix) => [
+            kind,
             fix.position.x.0,
             fix.position.y.0,
             fix.heading.map_or(f64::INFINITY, Heading::rad),
-        ]
-    };
-    numbers(ours)
-        .iter()
-        .zip(&numbers(theirs))
+        ],
+        Observed::Landmark { id, range, bearing } => [kind, f64::from(id.0), range.0, bearing.0],
+        Observed::BeaconRange { id, range } => [kind, f64::from(id.0), range.0, 0.0],
+        Observed::WallRange(range) => [kind, range.0, 0.0, 0.0],
+        Observed::CompassHeading(heading) => [kind, heading.rad(), 0.0, 0.0],
+        Observed::WheelAngles { .. }
+        | Observed::OdometerPose(_)
+        | Observed::BodyVelocity { .. }
+        | Observed::TurnRate(_)
+        | Observed::WheelAccelerations { .. }
+        | Observed::Temperature(_) => [kind, 0.0, 0.0, 0.0],
+    }
+}
+
+fn order_of_numbers(ours: &[f64; 4], theirs: &[f64; 4]) -> Ordering {
+    ours.iter()
+        .zip(theirs)
         .map(|(ours, theirs)| ours.total_cmp(theirs))
         .fold(Ordering::Equal, Ordering::then)
 }

@@ -8,40 +8,65 @@
 
 pub mod fuse;
 mod history;
+mod iterate;
+pub mod motion;
+pub mod scales;
+mod sight;
 pub mod state;
 
 use std::cmp::Ordering;
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, MetersPerSecond, Observation, Observed, RadiansPerSecond,
-    Span, Stamp, Validity, Verdict,
+    BrickClock, Calibration, Estimate, FusionRecord, Known, MetersPerSecond, Observation, Observed,
+    RadiansPerSecond, Span, Stamp, Validity, Verdict,
 };
 
-use self::fuse::Context;
+use self::fuse::{Context, Gates};
 use self::history::{Action, Entry};
-use self::state::{FORWARD, Located, PoseState, TURN};
+use self::state::{CORE, Located, PoseState, WITH_BEACONS, WITH_CAMERA};
 use super::{Filter, FilterConfig, StartPose, intake};
 use crate::motion::{Added, GyroTrack, MotionTrack};
+use crate::observations::accelerometer::Accelerations;
 
 /// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
 const LONGEST_HOLE: Span = Span::from_millis(10_000);
 /// Speeds are stale when no motion was observed for this long.
 const SPEEDS_VALID: Span = Span::from_millis(500);
 
-/// The flagship filter.
-pub struct PoseFilter {
+/// Builds the flagship with as many states as the configuration asks for.
+#[must_use]
+pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
+    let calibration = &config.calibration;
+    let is_asked = |known: Known| known.sigma > 0.0 || known.value != 0.0;
+    let camera = [
+        calibration.fix_delay_s,
+        calibration.tag_forward_m,
+        calibration.tag_left_m,
+    ];
+    let beacons = [calibration.beacon_offset_m, calibration.beacon_scale];
+    if !config.world.beacons.is_empty() && beacons.into_iter().any(is_asked) {
+        Box::new(PoseFilter::<WITH_BEACONS>::new(config))
+    } else if camera.into_iter().any(is_asked) {
+        Box::new(PoseFilter::<WITH_CAMERA>::new(config))
+    } else {
+        Box::new(PoseFilter::<CORE>::new(config))
+    }
+}
+
+/// The flagship filter with N states, see [`state`].
+pub struct PoseFilter<const N: usize> {
     config: FilterConfig,
     track: MotionTrack,
     gyro: GyroTrack,
-    gates: fuse::Gates,
+    gates: Gates,
     /// The state before the first entry.
-    base: PoseState,
+    base: PoseState<N>,
     /// In the order of [`Entry::order`].
-    entries: VecDeque<Entry>,
+    entries: VecDeque<Entry<N>>,
 }
 
-impl PoseFilter {
+impl<const N: usize> PoseFilter<N> {
     /// A filter that has seen nothing yet.
     #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
@@ -49,7 +74,7 @@ impl PoseFilter {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             gyro: GyroTrack::default(),
-            gates: fuse::gates_of(config),
+            gates: Gates::new(config),
             base: PoseState::initial(config),
             entries: VecDeque::new(),
         }
@@ -57,14 +82,14 @@ impl PoseFilter {
 
     /// The state after the last entry.
     #[must_use]
-    pub fn state(&self) -> &PoseState {
+    pub fn state(&self) -> &PoseState<N> {
         self.entries.back().map_or(&self.base, |entry| &entry.after)
     }
 
     /// Puts an entry where it belongs and applies again whatever it changes: everything after `changed_after`.
     fn insert(
         &mut self,
-        entry: Entry,
+        entry: Entry<N>,
         changed_after: Option<Stamp<BrickClock>>,
         record: &mut FusionRecord,
     ) {
@@ -100,6 +125,7 @@ impl PoseFilter {
             if entry.is_without_effect(record.verdict) {
                 // Not even the way to its instant is kept: two steps would round otherwise than one.
                 state.refused = next.refused;
+                state.scales = next.scales;
                 state.stamp = state.stamp.or(next.stamp);
             } else {
                 state = next;
@@ -139,30 +165,46 @@ impl PoseFilter {
                 .base
                 .window
                 .map_or(oldest, |window| window.start.min(oldest));
-            self.track.forget_before(oldest);
+            // A late camera shows what was before that.
+            self.track.forget_before(oldest - sight::FURTHEST_BACK);
             self.gyro.forget_before(needed);
         }
     }
 
     fn take(&mut self, observation: &Observation, record: &mut FusionRecord) {
-        if let Observed::Fix(fix) = observation.observed {
-            self.take_fix(
-                observation,
-                Action::Fix(fix, observation.stamp_sigma),
-                record,
-            );
-        } else if let Observed::TurnRate(rate) = observation.observed {
-            let added = self.gyro.add(observation.stamp, rate.0);
-            self.take_motion(observation, Action::TurnRate(rate.0), added, record);
-        } else if let Some(reading) = intake::motion_reading(&observation.observed) {
-            let added = self.track.add(observation.stamp, &reading);
-            self.take_motion(observation, Action::Motion, added, record);
-        } else {
-            record.verdict = Verdict::Unused;
+        match observation.observed {
+            Observed::Fix(_)
+            | Observed::Landmark { .. }
+            | Observed::BeaconRange { .. }
+            | Observed::WallRange(_)
+            | Observed::CompassHeading(_) => {
+                let action = Action::Sight(observation.observed, observation.stamp_sigma);
+                self.take_once(observation, action, record);
+            }
+            Observed::WheelAccelerations { left, right } => {
+                let felt = Accelerations {
+                    left_m_per_s2: left.0,
+                    right_m_per_s2: right.0,
+                };
+                self.take_once(observation, Action::Accelerations(felt), record);
+            }
+            Observed::TurnRate(rate) => {
+                let added = self.gyro.add(observation.stamp, rate.0);
+                self.take_motion(observation, Action::TurnRate(rate.0), added, record);
+            }
+            Observed::WheelAngles { .. }
+            | Observed::OdometerPose(_)
+            | Observed::BodyVelocity { .. } => {
+                if let Some(reading) = intake::motion_reading(&observation.observed) {
+                    let added = self.track.add(observation.stamp, &reading);
+                    self.take_motion(observation, Action::Motion, added, record);
+                }
+            }
+            Observed::Temperature(_) => record.verdict = Verdict::Unused,
         }
     }
 
-    fn take_fix(&mut self, observation: &Observation, action: Action, record: &mut FusionRecord) {
+    fn take_once(&mut self, observation: &Observation, action: Action, record: &mut FusionRecord) {
         let entry = self.entry(observation, action);
         if self.entries.iter().rev().any(|other| other.repeats(&entry)) {
             record.verdict = Verdict::Malformed;
@@ -187,7 +229,7 @@ impl PoseFilter {
         self.insert(self.entry(observation, action), changed_after, record);
     }
 
-    fn entry(&self, observation: &Observation, action: Action) -> Entry {
+    fn entry(&self, observation: &Observation, action: Action) -> Entry<N> {
         Entry {
             stamp: observation.stamp,
             action,
@@ -197,7 +239,7 @@ impl PoseFilter {
     }
 }
 
-impl Filter for PoseFilter {
+impl<const N: usize> Filter for PoseFilter<N> {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
         let latest = self.latest();
         let lag = intake::lag_of(observation, latest);
@@ -237,6 +279,10 @@ impl Filter for PoseFilter {
         self.gyro = GyroTrack::default();
     }
 
+    fn calibration(&self) -> Option<Calibration> {
+        Some(self.state().calibration(&self.config.calibration))
+    }
+
     fn latest(&self) -> Option<Stamp<BrickClock>> {
         self.entries
             .back()
@@ -265,8 +311,8 @@ impl Filter for PoseFilter {
     }
 }
 
-fn act(
-    state: &mut PoseState,
+fn act<const N: usize>(
+    state: &mut PoseState<N>,
     stamp: Stamp<BrickClock>,
     action: Action,
     context: &Context<'_>,
@@ -274,24 +320,29 @@ fn act(
 ) {
     match action {
         Action::TurnRate(rate) => fuse::turn_rate(state, rate, context),
-        Action::Motion => fuse::motion(state, stamp, context),
-        Action::Fix(fix, stamp_sigma) => fuse::fix(state, &fix, stamp_sigma, context, record),
+        Action::Accelerations(felt) => fuse::accelerations(state, felt, stamp, context),
+        Action::Motion => fuse::motion(state, stamp, context, record),
+        Action::Sight(seen, sigma) => sight::sight(state, &seen, sigma, context, record),
         Action::SetPose(start) => state.jump_to(&start),
     }
 }
 
-fn published(state: &PoseState, stamp: Stamp<BrickClock>, config: &FilterConfig) -> Estimate {
+fn published<const N: usize>(
+    state: &PoseState<N>,
+    stamp: Stamp<BrickClock>,
+    config: &FilterConfig,
+) -> Estimate {
     let fix_age = state.last_fix.map(|last| (stamp - last).max(Span::ZERO));
     let timeout = Span::from_secs_f64(config.params.fix_timeout_s);
     Estimate {
         stamp,
-        pose: state.pose(),
-        forward_speed: MetersPerSecond(state.mean[FORWARD]),
-        turn_rate: RadiansPerSecond(state.mean[TURN]),
-        covariance: fuse::published_covariance(&state.covariance),
+        pose: state.arena_pose(),
+        forward_speed: MetersPerSecond(state.forward.value),
+        turn_rate: RadiansPerSecond(state.turn.value),
+        covariance: state.published_covariance(),
         validity: Validity {
             position: state.located != Located::No,
-            heading: state.located == Located::Yes,
+            heading: state.knows_heading(),
             speeds: state
                 .last_motion
                 .is_some_and(|last| stamp - last <= SPEEDS_VALID),

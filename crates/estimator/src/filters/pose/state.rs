@@ -1,71 +1,97 @@
-//! The state of the pose filter and how it moves.
+//! The state of the pose filter: what it believes, how well, and what a replay must restore.
 //!
 //! # Model
 //! ```text
-//! x = [x, y, th, v, w, b_g, W]'       7 x 1: m, m, rad, m/s, rad/s, rad/s, rad
-//! known travel    pose as models::se2, noise of the turn on th and, the same noise, on W
-//! unknown travel  pose by v and w; v and w walk at random
-//! b_g             walks at random
+//! X    pose of the body in the arena, an element of SE(2); its error is left-invariant: X_true = X exp(xi), xi in the body
+//! xi   rows 0 to 2: forward m, left m, turn rad
+//! b_g  gyro bias                                            psi  turn since the gyro window began, by the encoders
+//! eps  rounding of the encoders' heading where the gyro window began
+//! e_m, e_d, e_b  relative errors of mean radius, of the radii against each other, of the track
+//! tau, l_x, l_y  delay of the fixes, tag against where the fix says (only where they are asked for)
+//! o_i, s_i       offset and scale of the ranges to beacon i (only where there are beacons)
+//! v, w           forward speed and turn rate, beside the others: they foretell, they never move the pose over known travel
 //! ```
 //! # Source
-//! docs/maths/pose.md sections 1 to 3.
+//! docs/maths/pose.md section 1.
 
-use nalgebra::{Matrix2, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    Arena, BrickClock, Heading, Meters, Pose, PoseJump, Span, Stamp, quantities::wrap_rad,
+    Arena, BrickClock, Calibration, Heading, Known, Meters, Pose, PoseJump, Stamp,
+    quantities::wrap_rad,
 };
 
+use super::scales::Scales;
 use crate::filters::intake::{RESTART_HEADING_RAD, RESTART_POSITION_M, jump_between};
 use crate::filters::{FilterConfig, StartPose};
-use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
-use crate::models::se2::{BodyStep, StepRule, displace};
-use crate::motion::{Leg, MotionTrack};
-use crate::observations::gyro_window::{GyroWindow, Moved};
+use crate::models::lie::Se2;
+use crate::observations::gyro_window::{GyroWindow, rounding_variance};
 
-/// Number of states.
-pub const N: usize = 7;
-/// x in the arena, m.
-pub const X: usize = 0;
-/// y in the arena, m.
-pub const Y: usize = 1;
-/// Heading, rad, wrapped.
+/// Error of the position along the body's x axis, m.
+pub const FORWARD: usize = 0;
+/// Error of the position along the body's y axis, m.
+pub const LEFT: usize = 1;
+/// Error of the heading, rad.
 pub const HEADING: usize = 2;
-/// Forward speed, m/s.
-pub const FORWARD: usize = 3;
-/// Turn rate, rad/s.
-pub const TURN: usize = 4;
 /// Gyro bias, rad/s.
-pub const GYRO_BIAS: usize = 5;
-/// Sum of the encoder heading's errors since the gyro window began, rad.
-pub const WINDOW_ERROR: usize = 6;
+pub const GYRO_BIAS: usize = 3;
+/// Turn since the gyro window began, as the encoders tell it, rad.
+pub const WINDOW_TURN: usize = 4;
+/// Relative error of the mean wheel radius.
+pub const RADIUS: usize = 5;
+/// Relative difference of the wheels' radii, right minus left.
+pub const DIFFERENCE: usize = 6;
+/// Relative error of the track width.
+pub const TRACK: usize = 7;
+/// By how much the encoders' heading was rounded where the gyro window began, rad.
+pub const ROUNDING: usize = 8;
+/// Number of states of a robot whose fixes are in time and whose tag is where they say.
+pub const CORE: usize = 9;
+/// Delay of the fixes, s.
+pub const DELAY: usize = 9;
+/// Where the tag is against where the fix says, forward, m.
+pub const TAG_FORWARD: usize = 10;
+/// The same to the left, m.
+pub const TAG_LEFT: usize = 11;
+/// Number of states when delay or lever arm are estimated.
+pub const WITH_CAMERA: usize = 12;
+/// First row of the beacons: offset and scale of each.
+pub const BEACONS: usize = 12;
+/// As many beacons have an offset and a scale of their own; the ranges of further ones are taken as they are.
+pub const MOST_BEACONS: usize = 8;
+/// Number of states when there are beacons.
+pub const WITH_BEACONS: usize = BEACONS + 2 * MOST_BEACONS;
 
-/// Mean of the state.
-pub type Mean = SVector<f64, N>;
-/// Covariance of the state.
-pub type Covariance = SMatrix<f64, N, N>;
-
-/// Speeds are held no longer than this after the last motion observation.
-const HOLD: Span = Span::from_millis(500);
-/// What a robot may do while nothing tells of its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
-/// walking pace.
-const UNSEEN_M_PER_SQRT_S: f64 = 0.3;
-/// The same for its heading, rad per sqrt(s).
-const UNSEEN_RAD_PER_SQRT_S: f64 = 1.0;
+/// A heading is published as known once its sigma is below this, rad: a third of a right angle.
+const HEADING_KNOWN_RAD: f64 = 0.5;
 
 /// How far the filter knows where in the arena it is.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Located {
-    /// Nothing absolute is known; x, y and heading count from where the robot was switched on.
+    /// Nothing absolute is known; the pose counts from where the robot was switched on.
     No,
-    /// One position is known, the heading not yet: x and y are right at the anchor, the path since is turned by an unknown angle.
-    Anchored {
-        /// Where in the filter's own plane the anchor lies, m.
-        x_m: f64,
-        /// See `x_m`.
-        y_m: f64,
-    },
-    /// Position and heading are known.
+    /// A position is known.
     Yes,
+}
+
+/// A speed beside the pose: it foretells, and is told by wheels and gyro.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Speed {
+    /// The speed, m/s or rad/s.
+    pub value: f64,
+    /// Its variance.
+    pub variance: f64,
+}
+
+impl Speed {
+    /// Uses one reading of it.
+    pub fn observe(&mut self, value: f64, variance: f64) {
+        let s = self.variance + variance;
+        if s > 0.0 {
+            let gain = self.variance / s;
+            self.value += gain * (value - self.value);
+            self.variance *= 1.0 - gain;
+        }
+    }
 }
 
 /// Fixes refused in a row.
@@ -75,74 +101,128 @@ pub struct Refused {
     pub count: u32,
     /// The stamp of the first of them.
     pub since: Option<Stamp<BrickClock>>,
-    /// Innovation of the last of them, m.
+    /// Innovation of the last of them, in the arena, m.
     pub innovation_m: [f64; 2],
 }
 
 /// Everything that a replay must restore.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseState {
+pub struct PoseState<const N: usize> {
     /// For which instant it holds; `None` before the first observation.
     pub stamp: Option<Stamp<BrickClock>>,
-    /// The mean.
-    pub mean: Mean,
-    /// The covariance.
-    pub covariance: Covariance,
+    /// The pose in the arena.
+    pub pose: Se2,
+    /// The other states, each in its row; the rows of the pose's error are zero between updates.
+    pub mean: SVector<f64, N>,
+    /// Covariance of the errors.
+    pub covariance: SMatrix<f64, N, N>,
+    /// Forward speed, m/s.
+    pub forward: Speed,
+    /// Turn rate, rad/s.
+    pub turn: Speed,
     /// The gyro window that is open, if any.
     pub window: Option<GyroWindow>,
     /// How far it is located.
     pub located: Located,
-    /// The stamp of the last fix that was used.
+    /// The stamp of the last absolute observation that was used.
     pub last_fix: Option<Stamp<BrickClock>>,
     /// The stamp of the last motion observation.
     pub last_motion: Option<Stamp<BrickClock>>,
+    /// The stamp of the last acceleration.
+    pub last_acceleration: Option<Stamp<BrickClock>>,
     /// Fixes refused since the last one that was used.
     pub refused: Refused,
+    /// What the innovations of each source say about its noise.
+    pub scales: Scales,
     /// Counts jumps that are not motion.
     pub reset_counter: u8,
     /// The last of them.
     pub last_jump: Option<PoseJump>,
 }
 
-impl PoseState {
+impl<const N: usize> PoseState<N> {
     /// The state before any observation.
     #[must_use]
     pub fn initial(config: &FilterConfig) -> Self {
         let mut state = Self {
             stamp: None,
-            mean: Mean::zeros(),
-            covariance: Covariance::zeros(),
+            pose: Se2::default(),
+            mean: SVector::zeros(),
+            covariance: SMatrix::zeros(),
+            // At power-up a robot stands, so far as anybody knows: 0.1 m/s and 1 rad/s are generous.
+            forward: Speed {
+                value: 0.0,
+                variance: 0.01,
+            },
+            turn: Speed {
+                value: 0.0,
+                variance: 1.0,
+            },
             window: None,
             located: Located::No,
             last_fix: None,
             last_motion: None,
+            last_acceleration: None,
             refused: Refused::default(),
+            scales: Scales::default(),
             reset_counter: 0,
             last_jump: None,
         };
-        // At power-up a robot stands, so far as anybody knows: 0.1 m/s and 1 rad/s are generous.
-        state.covariance[(FORWARD, FORWARD)] = 0.01;
-        state.covariance[(TURN, TURN)] = 1.0;
-        state.covariance[(GYRO_BIAS, GYRO_BIAS)] = config.noise.gyro_bias_rad_per_s.powi(2);
+        state.set_row(GYRO_BIAS, gyro_bias_prior(config));
+        state.forget_rounding(rounding_variance(&config.geometry));
+        for (row, known) in constants_of(&config.calibration) {
+            state.set_row(row, known);
+        }
         if let Some(start) = &config.start {
             state.place(start);
         }
         state
     }
 
+    /// Sets a row, independent of all others; rows that this state does not have are left out.
+    fn set_row(&mut self, row: usize, known: Known) {
+        if row < N {
+            self.forget_rows(&[row]);
+            self.mean[row] = known.value;
+            self.covariance[(row, row)] = known.sigma.powi(2);
+        }
+    }
+
+    /// The value of a row, zero where this state does not have it.
+    #[must_use]
+    pub fn value(&self, row: usize) -> f64 {
+        if row < N { self.mean[row] } else { 0.0 }
+    }
+
     /// Where the robot is believed to be.
     #[must_use]
-    pub fn pose(&self) -> Pose<Arena> {
+    pub fn arena_pose(&self) -> Pose<Arena> {
         Pose::new(
-            Meters(self.mean[X]),
-            Meters(self.mean[Y]),
-            Heading::from_rad(self.mean[HEADING]),
+            Meters(self.pose.x_m),
+            Meters(self.pose.y_m),
+            Heading::from_rad(self.pose.heading_rad),
         )
+    }
+
+    /// Moves what the last update wrote into the rows of the pose's error into the pose.
+    pub fn inject(&mut self) {
+        let correction = [self.mean[FORWARD], self.mean[LEFT], self.mean[HEADING]];
+        self.pose = self.pose.then(Se2::exp(correction));
+        self.mean[FORWARD] = 0.0;
+        self.mean[LEFT] = 0.0;
+        self.mean[HEADING] = 0.0;
+    }
+
+    /// Whether the heading in the arena is known.
+    #[must_use]
+    pub fn knows_heading(&self) -> bool {
+        self.located == Located::Yes
+            && self.covariance[(HEADING, HEADING)] < HEADING_KNOWN_RAD.powi(2)
     }
 
     /// Puts the robot somewhere; counted as a jump that is not motion.
     pub fn jump_to(&mut self, start: &StartPose) {
-        let before = self.pose();
+        let before = self.arena_pose();
         self.place(start);
         self.count_jump_from(before);
     }
@@ -150,38 +230,46 @@ impl PoseState {
     /// Counts a jump that is not motion, from `before` to the pose that is now believed.
     pub fn count_jump_from(&mut self, before: Pose<Arena>) {
         self.reset_counter = self.reset_counter.wrapping_add(1);
-        self.last_jump = Some(jump_between(before, self.pose()));
+        self.last_jump = Some(jump_between(before, self.arena_pose()));
     }
 
     /// The brick was switched off and on: its speeds and its gyro's bias are as unknown as in the `fresh` state, and it may have
-    /// been carried a little.
+    /// been carried a little. What was learned about wheels and tag stays.
     pub fn restart_clock(&mut self, fresh: &Self) {
-        for row in [FORWARD, TURN, GYRO_BIAS] {
-            self.forget_rows(&[row]);
-            self.mean[row] = fresh.mean[row];
-            self.covariance[(row, row)] = fresh.covariance[(row, row)];
-        }
-        self.covariance[(X, X)] += RESTART_POSITION_M.powi(2);
-        self.covariance[(Y, Y)] += RESTART_POSITION_M.powi(2);
-        self.covariance[(HEADING, HEADING)] += RESTART_HEADING_RAD.powi(2);
+        self.forget_rows(&[GYRO_BIAS]);
+        self.mean[GYRO_BIAS] = fresh.mean[GYRO_BIAS];
+        self.covariance[(GYRO_BIAS, GYRO_BIAS)] = fresh.covariance[(GYRO_BIAS, GYRO_BIAS)];
+        self.forward = fresh.forward;
+        self.turn = fresh.turn;
+        self.add_doubt(RESTART_POSITION_M.powi(2), RESTART_HEADING_RAD.powi(2));
         self.close_window();
         self.stamp = None;
         self.last_fix = None;
         self.last_motion = None;
+        self.last_acceleration = None;
         self.refused = Refused::default();
+    }
+
+    /// Adds to the variance of each coordinate and of the heading.
+    pub fn add_doubt(&mut self, position_m2: f64, heading_rad2: f64) {
+        self.covariance[(FORWARD, FORWARD)] += position_m2;
+        self.covariance[(LEFT, LEFT)] += position_m2;
+        self.covariance[(HEADING, HEADING)] += heading_rad2;
     }
 
     /// Puts the robot somewhere; what was known about its pose is forgotten.
     pub fn place(&mut self, start: &StartPose) {
-        self.forget_rows(&[X, Y, HEADING, WINDOW_ERROR]);
-        self.mean[X] = start.pose.x.0;
-        self.mean[Y] = start.pose.y.0;
-        self.mean[HEADING] = start.pose.heading.rad();
-        self.mean[WINDOW_ERROR] = 0.0;
-        self.covariance[(X, X)] = start.position_sigma_m.powi(2);
-        self.covariance[(Y, Y)] = start.position_sigma_m.powi(2);
-        self.covariance[(HEADING, HEADING)] = start.heading_sigma_rad.powi(2);
-        self.window = None;
+        self.forget_rows(&[FORWARD, LEFT, HEADING]);
+        self.pose = Se2 {
+            x_m: start.pose.x.0,
+            y_m: start.pose.y.0,
+            heading_rad: wrap_rad(start.pose.heading.rad()),
+        };
+        self.add_doubt(
+            start.position_sigma_m.powi(2),
+            start.heading_sigma_rad.powi(2),
+        );
+        self.close_window();
         self.located = Located::Yes;
         self.refused = Refused::default();
     }
@@ -200,142 +288,97 @@ impl PoseState {
         self.window = Some(GyroWindow::starting(at));
     }
 
-    fn close_window(&mut self) {
-        self.forget_rows(&[WINDOW_ERROR]);
-        self.mean[WINDOW_ERROR] = 0.0;
+    /// Nothing is known about the rounding but how large it can be.
+    pub fn forget_rounding(&mut self, variance_rad2: f64) {
+        self.forget_rows(&[ROUNDING]);
+        self.mean[ROUNDING] = 0.0;
+        self.covariance[(ROUNDING, ROUNDING)] = variance_rad2;
+    }
+
+    /// Closes the gyro window.
+    pub fn close_window(&mut self) {
+        self.forget_rows(&[WINDOW_TURN]);
+        self.mean[WINDOW_TURN] = 0.0;
         self.window = None;
     }
 
-    /// Carries the state forward to `to`: by the known travel as far as it reaches, then by the held speeds.
-    pub fn advance(&mut self, to: Stamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) {
-        let Some(from) = self.stamp else {
-            self.stamp = Some(to);
-            return;
-        };
-        if to <= from {
-            return;
-        }
-        let mut at = from;
-        while at < to {
-            at = match track.leg(at, to) {
-                Leg::Known {
-                    until,
-                    travel,
-                    path_var_m2,
-                } => {
-                    self.move_by_travel(travel, until, config);
-                    self.covariance[(X, X)] += path_var_m2;
-                    self.covariance[(Y, Y)] += path_var_m2;
-                    until
-                }
-                Leg::Gap { until } => {
-                    // What the gyro says about a window means nothing without the encoders' turn over all of it.
-                    self.close_window();
-                    self.move_unseen(at, until, config);
-                    until
-                }
-                Leg::Ahead { until } => {
-                    self.move_unseen(at, until, config);
-                    until
-                }
-            };
-        }
-        let dt_s = (to - from).as_secs_f64();
-        let walk = config.noise.gyro_bias_walk_rad_per_s_sqrt_s;
-        self.covariance[(FORWARD, FORWARD)] += config.params.acceleration_m_per_s2.powi(2) * dt_s;
-        self.covariance[(TURN, TURN)] += config.params.turn_acceleration_rad_per_s2.powi(2) * dt_s;
-        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
-        self.mean[HEADING] = wrap_rad(self.mean[HEADING]);
-        crate::update::symmetrise(&mut self.covariance);
-        self.stamp = Some(to);
+    /// The covariance of pose and speeds in the arena, for the outside.
+    #[must_use]
+    pub fn published_covariance(&self) -> [[f64; 5]; 5] {
+        let (sin, cos) = self.pose.heading_rad.sin_cos();
+        let p = &self.covariance;
+        let (ff, fl, ll) = (p[(FORWARD, FORWARD)], p[(FORWARD, LEFT)], p[(LEFT, LEFT)]);
+        let (fh, lh) = (p[(FORWARD, HEADING)], p[(LEFT, HEADING)]);
+        let mut published = [[0.0; 5]; 5];
+        published[0][0] = cos * cos * ff - 2.0 * sin * cos * fl + sin * sin * ll;
+        published[1][1] = sin * sin * ff + 2.0 * sin * cos * fl + cos * cos * ll;
+        published[0][1] = sin * cos * (ff - ll) + (cos * cos - sin * sin) * fl;
+        published[0][2] = cos * fh - sin * lh;
+        published[1][2] = sin * fh + cos * lh;
+        published[2][2] = p[(HEADING, HEADING)];
+        published[1][0] = published[0][1];
+        published[2][0] = published[0][2];
+        published[2][1] = published[1][2];
+        published[3][3] = self.forward.variance;
+        published[4][4] = self.turn.variance;
+        published
     }
 
-    fn move_by_travel(
-        &mut self,
-        travel: WheelTravel,
-        to: Stamp<BrickClock>,
-        config: &FilterConfig,
-    ) {
-        let step = body_step(travel, &config.geometry);
-        let noise = step_noise(travel, &config.geometry, &config.noise);
-        let moved = displace(self.mean[HEADING], step, StepRule::Arc);
-        let mut by_state = Covariance::identity();
-        by_state[(X, HEADING)] = moved.by_heading[0];
-        by_state[(Y, HEADING)] = moved.by_heading[1];
-        let mut by_noise = SMatrix::<f64, N, 2>::zeros();
-        for (row, axis) in [(X, 0), (Y, 1)] {
-            by_noise[(row, 0)] = moved.by_forward[axis];
-            by_noise[(row, 1)] = moved.by_turn[axis];
-        }
-        by_noise[(HEADING, 1)] = 1.0;
-        // Without an open window nobody asks for the sum of the errors.
-        by_noise[(WINDOW_ERROR, 1)] = if self.window.is_some() { 1.0 } else { 0.0 };
-        let q = Matrix2::new(
-            noise.forward_var_m2,
-            noise.forward_turn_m_rad,
-            noise.forward_turn_m_rad,
-            noise.turn_var_rad2,
-        );
-        self.covariance =
-            by_state * self.covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
-        self.mean[X] += moved.dx_m;
-        self.mean[Y] += moved.dy_m;
-        self.mean[HEADING] += step.turn_rad;
-        if let Some(window) = &mut self.window {
-            window.encoder_turn_rad += step.turn_rad;
-            window.encoder_forward_m += step.forward_m;
-            window.until = to;
-            if travel.left_m != 0.0 || travel.right_m != 0.0 {
-                window.moved = Moved::Yes;
+    /// What has been learned, on top of the prior that it began from.
+    #[must_use]
+    pub fn calibration(&self, prior: &Calibration) -> Calibration {
+        let known = |row: usize, prior: Known| {
+            if row < N {
+                Known {
+                    value: self.mean[row],
+                    sigma: self.covariance[(row, row)].max(0.0).sqrt(),
+                }
+            } else {
+                prior
             }
-        }
-    }
-
-    fn move_unseen(
-        &mut self,
-        from: Stamp<BrickClock>,
-        to: Stamp<BrickClock>,
-        config: &FilterConfig,
-    ) {
-        let held_to = self
-            .last_motion
-            .map_or(from, |last| (last + HOLD).clamp(from, to));
-        let held_s = (held_to - from).as_secs_f64();
-        if held_s > 0.0 {
-            self.move_by_speeds(held_s, config);
-        }
-        let unseen_s = (to - held_to).as_secs_f64();
-        self.covariance[(X, X)] += UNSEEN_M_PER_SQRT_S.powi(2) * unseen_s;
-        self.covariance[(Y, Y)] += UNSEEN_M_PER_SQRT_S.powi(2) * unseen_s;
-        self.covariance[(HEADING, HEADING)] += UNSEEN_RAD_PER_SQRT_S.powi(2) * unseen_s;
-    }
-
-    fn move_by_speeds(&mut self, dt_s: f64, config: &FilterConfig) {
-        let step = BodyStep {
-            forward_m: self.mean[FORWARD] * dt_s,
-            turn_rad: self.mean[TURN] * dt_s,
         };
-        let moved = displace(self.mean[HEADING], step, StepRule::Arc);
-        let mut by_state = Covariance::identity();
-        for (row, axis) in [(X, 0), (Y, 1)] {
-            by_state[(row, HEADING)] = moved.by_heading[axis];
-            by_state[(row, FORWARD)] = moved.by_forward[axis] * dt_s;
-            by_state[(row, TURN)] = moved.by_turn[axis] * dt_s;
+        Calibration {
+            radius_scale: known(RADIUS, prior.radius_scale),
+            radius_difference: known(DIFFERENCE, prior.radius_difference),
+            track_scale: known(TRACK, prior.track_scale),
+            gyro_bias_rad_per_s: known(GYRO_BIAS, prior.gyro_bias_rad_per_s),
+            fix_delay_s: known(DELAY, prior.fix_delay_s),
+            tag_forward_m: known(TAG_FORWARD, prior.tag_forward_m),
+            tag_left_m: known(TAG_LEFT, prior.tag_left_m),
+            ..*prior
         }
-        by_state[(HEADING, TURN)] = dt_s;
-        self.covariance = by_state * self.covariance * by_state.transpose();
-        // Integrated random walks of the speeds: variance a² dt³ / 3.
-        let cubed = dt_s.powi(3) / 3.0;
-        let along = config.params.acceleration_m_per_s2.powi(2) * cubed;
-        let (sin, cos) = self.mean[HEADING].sin_cos();
-        self.covariance[(X, X)] += along * cos * cos;
-        self.covariance[(Y, Y)] += along * sin * sin;
-        self.covariance[(X, Y)] += along * sin * cos;
-        self.covariance[(Y, X)] += along * sin * cos;
-        self.covariance[(HEADING, HEADING)] +=
-            config.params.turn_acceleration_rad_per_s2.powi(2) * cubed;
-        self.mean[X] += moved.dx_m;
-        self.mean[Y] += moved.dy_m;
-        self.mean[HEADING] += step.turn_rad;
     }
+}
+
+/// The gyro's bias at power-up: what the calibration says, or any within the gyro's own spread.
+fn gyro_bias_prior(config: &FilterConfig) -> Known {
+    let known = config.calibration.gyro_bias_rad_per_s;
+    if known.sigma > 0.0 {
+        known
+    } else {
+        Known {
+            value: known.value,
+            sigma: config.noise.gyro_bias_rad_per_s,
+        }
+    }
+}
+
+/// The constants of a calibration with their rows.
+fn constants_of(calibration: &Calibration) -> impl Iterator<Item = (usize, Known)> {
+    let of_beacons = (0..MOST_BEACONS).flat_map(|slot| {
+        [
+            (BEACONS + 2 * slot, calibration.beacon_offset_m),
+            (BEACONS + 2 * slot + 1, calibration.beacon_scale),
+        ]
+    });
+    [
+        (RADIUS, calibration.radius_scale),
+        (DIFFERENCE, calibration.radius_difference),
+        (TRACK, calibration.track_scale),
+        (DELAY, calibration.fix_delay_s),
+        (TAG_FORWARD, calibration.tag_forward_m),
+        (TAG_LEFT, calibration.tag_left_m),
+    ]
+    .into_iter()
+    .chain(of_beacons)
 }

@@ -1,0 +1,359 @@
+//! How the state of the pose filter moves: by the known travel of the wheels, else by the held speeds.
+//!
+//! # Model
+//! ```text
+//! X <- X exp((d, 0), dth)               d, dth from the wheels with the learned radii and track
+//! xi <- Ad(step^-1) xi + G (d, dth)'s errors
+//! psi <- psi + dth
+//! ```
+//! The errors' motion does not depend on where the robot is or where it points: that is what makes the filter bear a heading of
+//! which nothing is known.
+//!
+//! # Source
+//! docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
+
+use nalgebra::SMatrix;
+use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp};
+
+use super::state::{
+    DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, TRACK, WINDOW_TURN,
+};
+use crate::filters::FilterConfig;
+use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
+use crate::models::lie::{ArcStep, Se2};
+use crate::motion::{Leg, MotionTrack};
+use crate::observations::gyro_window::Moved;
+
+/// Speeds are held no longer than this after the last motion observation.
+const HOLD: Span = Span::from_millis(500);
+/// What a robot may do while nothing tells of its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
+/// walking pace.
+const UNSEEN_M_PER_SQRT_S: f64 = 0.3;
+/// The same for its heading, rad per sqrt(s).
+const UNSEEN_RAD_PER_SQRT_S: f64 = 1.0;
+/// Accelerations measured longer ago than this say nothing about how the speeds change now.
+const ACCELERATION_HELD: Span = Span::from_millis(200);
+
+/// Whether the gyro's window is open: only then somebody asks for the turn since it began.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Window {
+    /// It is open.
+    Open,
+    /// It is not.
+    Closed,
+}
+
+/// How a step carries errors from its beginning to its end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transition {
+    /// The step in the body's space.
+    pub step: ArcStep,
+    /// Derivatives of the distance by the errors of mean radius and of the difference of radii.
+    pub forward_by: [f64; 2],
+    /// Derivatives of the turn by the errors of mean radius, of the difference of radii and of the track.
+    pub turn_by: [f64; 3],
+    /// Whether the turn counts for an open window.
+    pub window: Window,
+}
+
+impl Transition {
+    /// A step over known travel with the learned radii and track: its distance, its turn, and what they depend on.
+    #[must_use]
+    pub fn over_travel<const N: usize>(
+        travel: WheelTravel,
+        state: &PoseState<N>,
+        geometry: &DriveGeometry,
+    ) -> (Self, f64, f64) {
+        let (mean, difference) = (state.mean[RADIUS], state.mean[DIFFERENCE]);
+        let track_m = geometry.track_width.0 * (1.0 + state.mean[TRACK]);
+        let left_m = travel.left_m * (1.0 + mean - 0.5 * difference);
+        let right_m = travel.right_m * (1.0 + mean + 0.5 * difference);
+        let forward_m = 0.5 * (left_m + right_m);
+        let turn_rad = (right_m - left_m) / track_m;
+        let transition = Self {
+            step: ArcStep::new(forward_m, turn_rad),
+            forward_by: [
+                0.5 * (travel.left_m + travel.right_m),
+                0.25 * (travel.right_m - travel.left_m),
+            ],
+            turn_by: [
+                (travel.right_m - travel.left_m) / track_m,
+                0.5 * (travel.right_m + travel.left_m) / track_m,
+                -turn_rad / (1.0 + state.mean[TRACK]),
+            ],
+            window: state.window.map_or(Window::Closed, |_| Window::Open),
+        };
+        (transition, forward_m, turn_rad)
+    }
+
+    /// A step at held speeds.
+    #[must_use]
+    pub fn at_speeds(forward_m: f64, turn_rad: f64) -> Self {
+        Self {
+            step: ArcStep::new(forward_m, turn_rad),
+            forward_by: [0.0; 2],
+            turn_by: [0.0; 3],
+            window: Window::Closed,
+        }
+    }
+
+    /// F, for those who need the whole matrix.
+    #[must_use]
+    pub fn matrix<const N: usize>(&self) -> SMatrix<f64, N, N> {
+        let mut f = SMatrix::identity();
+        self.apply_to_rows(&mut f);
+        f
+    }
+
+    /// F M, row by row.
+    fn apply_to_rows<const N: usize>(&self, m: &mut SMatrix<f64, N, N>) {
+        let step = &self.step;
+        for c in 0..N {
+            let (mean, difference) = (m[(RADIUS, c)], m[(DIFFERENCE, c)]);
+            let along = self.forward_by[0] * mean + self.forward_by[1] * difference;
+            let turned = self.turn_by[0] * mean
+                + self.turn_by[1] * difference
+                + self.turn_by[2] * m[(TRACK, c)];
+            let heading = m[(HEADING, c)];
+            let x = m[(FORWARD, c)] - step.motion.y_m * heading;
+            let y = m[(LEFT, c)] + step.motion.x_m * heading;
+            m[(FORWARD, c)] =
+                step.cos * x + step.sin * y + step.by_forward[0] * along + step.by_turn[0] * turned;
+            m[(LEFT, c)] =
+                step.cos * y - step.sin * x + step.by_forward[1] * along + step.by_turn[1] * turned;
+            m[(HEADING, c)] = heading + turned;
+            if self.window == Window::Open {
+                m[(WINDOW_TURN, c)] += turned;
+            }
+        }
+    }
+
+    /// P <- F P F' + G q G'.
+    pub fn carry<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
+        self.apply_to_rows(p);
+        // The rows that moved are right but for their own last factor F', which mixes the same few columns.
+        p.transpose_mut();
+        self.apply_to_rows(p);
+        let window = if self.window == Window::Open {
+            1.0
+        } else {
+            0.0
+        };
+        let step = &self.step;
+        let rows = [
+            (FORWARD, step.by_forward[0], step.by_turn[0]),
+            (LEFT, step.by_forward[1], step.by_turn[1]),
+            (HEADING, 0.0, 1.0),
+            (WINDOW_TURN, 0.0, window),
+        ];
+        for (i, &(row, along, turned)) in rows.iter().enumerate() {
+            let by_forward = noise.forward_var_m2 * along + noise.forward_turn_m_rad * turned;
+            let by_turn = noise.forward_turn_m_rad * along + noise.turn_var_rad2 * turned;
+            for &(column, other_along, other_turned) in &rows[..=i] {
+                p[(row, column)] += by_forward * other_along + by_turn * other_turned;
+            }
+        }
+        for column in 0..N {
+            for row in column + 1..N {
+                // The lower triangle is the one with the noise.
+                p[(column, row)] = p[(row, column)];
+            }
+        }
+    }
+}
+
+/// What happened to the errors on the way, for those who go back over it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Passed {
+    /// A step was made.
+    Step(Transition),
+    /// The turn since the window began was forgotten.
+    WindowClosed,
+}
+
+impl<const N: usize> PoseState<N> {
+    /// Carries the state forward to `to`: by the known travel as far as it reaches, then by the held speeds.
+    pub fn advance(&mut self, to: Stamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) {
+        self.advance_telling(to, track, config, &mut |_| {});
+    }
+
+    /// The same, telling of each step.
+    pub fn advance_telling(
+        &mut self,
+        to: Stamp<BrickClock>,
+        track: &MotionTrack,
+        config: &FilterConfig,
+        tell: &mut impl FnMut(Passed),
+    ) {
+        let Some(from) = self.stamp else {
+            self.stamp = Some(to);
+            return;
+        };
+        if to <= from {
+            return;
+        }
+        let mut at = from;
+        while at < to {
+            at = match track.leg(at, to) {
+                Leg::Known {
+                    until,
+                    travel,
+                    path_var_m2,
+                } => {
+                    self.move_by_travel(travel, until, config, tell);
+                    self.add_doubt(path_var_m2, 0.0);
+                    until
+                }
+                Leg::Gap { until } => {
+                    // What the gyro says about a window means nothing without the encoders' turn over all of it.
+                    self.close_window();
+                    tell(Passed::WindowClosed);
+                    self.move_unseen(at, until, config, tell);
+                    until
+                }
+                Leg::Ahead { until } => {
+                    self.move_unseen(at, until, config, tell);
+                    until
+                }
+            };
+        }
+        self.age(to, (to - from).as_secs_f64(), config);
+        self.stamp = Some(to);
+    }
+
+    /// What changes with time alone.
+    fn age(&mut self, to: Stamp<BrickClock>, dt_s: f64, config: &FilterConfig) {
+        let accelerations_tell = self
+            .last_acceleration
+            .is_some_and(|last| to - last <= ACCELERATION_HELD);
+        if !accelerations_tell {
+            self.forward.variance += config.params.acceleration_m_per_s2.powi(2) * dt_s;
+            self.turn.variance += config.params.turn_acceleration_rad_per_s2.powi(2) * dt_s;
+        }
+        let walk = config.noise.gyro_bias_walk_rad_per_s_sqrt_s;
+        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
+    }
+
+    fn move_by_travel(
+        &mut self,
+        travel: WheelTravel,
+        to: Stamp<BrickClock>,
+        config: &FilterConfig,
+        tell: &mut impl FnMut(Passed),
+    ) {
+        let moved = travel.left_m != 0.0 || travel.right_m != 0.0;
+        if let Some(window) = &mut self.window {
+            window.until = to;
+        }
+        if !moved {
+            return;
+        }
+        let (transition, forward_m, turn_rad) =
+            Transition::over_travel(travel, self, &config.geometry);
+        let noise = step_noise(travel, &config.geometry, &config.noise);
+        transition.carry(&mut self.covariance, &noise);
+        self.pose = self.pose.then(transition.step.motion);
+        self.wear(forward_m, to, config);
+        if let Some(window) = &mut self.window {
+            window.forward_m += forward_m;
+            window.moved = Moved::Yes;
+            self.mean[WINDOW_TURN] += turn_rad;
+        }
+        tell(Passed::Step(transition));
+    }
+
+    /// Tyres and tracks change with the way, but only as long as something tells of it: without fixes what was learned is kept.
+    fn wear(&mut self, forward_m: f64, at: Stamp<BrickClock>, config: &FilterConfig) {
+        let timeout = Span::from_secs_f64(config.params.fix_timeout_s);
+        let is_told = self.last_fix.is_some_and(|last| at - last <= timeout);
+        let walk_var = config.params.wear_per_sqrt_m.powi(2) * forward_m.abs();
+        if !is_told || walk_var <= 0.0 {
+            return;
+        }
+        for row in [RADIUS, DIFFERENCE, TRACK] {
+            // A row that was given for certain stays so.
+            if self.covariance[(row, row)] > 0.0 {
+                self.covariance[(row, row)] += walk_var;
+            }
+        }
+    }
+
+    fn move_unseen(
+        &mut self,
+        from: Stamp<BrickClock>,
+        to: Stamp<BrickClock>,
+        config: &FilterConfig,
+        tell: &mut impl FnMut(Passed),
+    ) {
+        let last = self.last_motion.unwrap_or(from);
+        let held_to = (last + HOLD).clamp(from, to);
+        if held_to > from {
+            let since_s = (
+                (from - last).as_secs_f64().max(0.0),
+                (held_to - last).as_secs_f64(),
+            );
+            self.move_by_speeds(since_s, config, tell);
+        }
+        let unseen_s = (to - held_to).as_secs_f64();
+        self.add_doubt(
+            UNSEEN_M_PER_SQRT_S.powi(2) * unseen_s,
+            UNSEEN_RAD_PER_SQRT_S.powi(2) * unseen_s,
+        );
+    }
+
+    /// Moves by the held speeds over an interval that begins and ends so many seconds after the last motion observation. The
+    /// errors of the speeds are the same all the way, so the variance grows with the square of the time, and by the integrated
+    /// random walk of the speeds with its cube.
+    fn move_by_speeds(
+        &mut self,
+        (start_s, end_s): (f64, f64),
+        config: &FilterConfig,
+        tell: &mut impl FnMut(Passed),
+    ) {
+        let dt_s = end_s - start_s;
+        let transition = Transition::at_speeds(self.forward.value * dt_s, self.turn.value * dt_s);
+        let squared = end_s * end_s - start_s * start_s;
+        let cubed = (end_s.powi(3) - start_s.powi(3)) / 3.0;
+        let acceleration = config.params.acceleration_m_per_s2.powi(2);
+        let turn_acceleration = config.params.turn_acceleration_rad_per_s2.powi(2);
+        let noise = StepNoise {
+            forward_var_m2: self.forward.variance * squared + acceleration * cubed,
+            turn_var_rad2: self.turn.variance * squared + turn_acceleration * cubed,
+            forward_turn_m_rad: 0.0,
+        };
+        transition.carry(&mut self.covariance, &noise);
+        self.pose = self.pose.then(transition.step.motion);
+        tell(Passed::Step(transition));
+    }
+
+    /// The motion of the body from `from` until now, so far as it is known: for what was seen a little earlier than it says.
+    #[must_use]
+    pub fn moved_since(
+        &self,
+        from: Stamp<BrickClock>,
+        track: &MotionTrack,
+        config: &FilterConfig,
+    ) -> Se2 {
+        let Some(now) = self.stamp else {
+            return Se2::default();
+        };
+        let mut moved = Se2::default();
+        let mut at = from;
+        while at < now {
+            at = match track.leg(at, now) {
+                Leg::Known { until, travel, .. } => {
+                    let (transition, ..) = Transition::over_travel(travel, self, &config.geometry);
+                    moved = moved.then(transition.step.motion);
+                    until
+                }
+                Leg::Gap { until } | Leg::Ahead { until } => {
+                    let dt_s = (until - at).as_secs_f64();
+                    let step = [self.forward.value * dt_s, 0.0, self.turn.value * dt_s];
+                    moved = moved.then(Se2::exp(step));
+                    until
+                }
+            };
+        }
+        moved
+    }
+}

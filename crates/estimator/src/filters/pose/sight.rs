@@ -1,0 +1,367 @@
+//! What absolute observations do to the state of the pose filter: gate, weight, update, and the way out when the gate is wrong.
+
+use nalgebra::SMatrix;
+use posebridge_telemetry::{
+    Fix, FusionRecord, Heading, Meters, Observed, Pose, Span, Stamp, Verdict,
+};
+
+use super::fuse::{Context, has_slipped, use_gyro_window};
+use super::history::kind_of;
+use super::iterate::{ITERATE_ABOVE_RAD, iterate};
+use super::scales::{Judged, Source};
+use super::state::{DELAY, HEADING, Located, PoseState, Refused};
+use crate::filters::StartPose;
+use crate::observations::beacon::Beacon;
+use crate::observations::landmark::Sighting;
+use crate::observations::{beacon, compass, fix, landmark, wall};
+use crate::update::{Measurement, apply, consistency};
+
+/// Refused fixes agree with each other when their innovations differ by less than this many standard deviations.
+const AGREEMENT_SIGMAS: f64 = 5.0;
+/// The speeds at an earlier instant are told over this time about it: two readings of a 20 Hz brick.
+const SPEED_SPAN: Span = Span::from_millis(100);
+/// No camera is later than this, nor earlier.
+const LONGEST_DELAY: Span = Span::from_millis(2_000);
+/// How far before the state's instant the track is asked.
+pub(super) const FURTHEST_BACK: Span = Span::from_millis(2_100);
+
+/// Something absolute was seen.
+pub(super) fn sight<const N: usize>(
+    state: &mut PoseState<N>,
+    seen: &Observed,
+    stamp_sigma: Span,
+    context: &Context<'_>,
+    record: &mut FusionRecord,
+) {
+    // A slip that the gyro has noticed must not make the gate refuse the fix that would show it.
+    if has_slipped(state, context)
+        && let Some(window) = state.window
+    {
+        use_gyro_window(state, context);
+        state.restart_window(window.until);
+    }
+    let source = Source {
+        sensor: record.sensor,
+        kind: kind_of(seen),
+    };
+    let judge = Judge { context, source };
+    record.verdict = match seen {
+        Observed::Fix(seen) => judge.fix(state, seen, stamp_sigma, record),
+        _ if state.located == Located::No => Verdict::Unused,
+        _ => judge.other(state, seen, record),
+    };
+    if matches!(record.verdict, Verdict::Accepted | Verdict::ResetTo) {
+        state.last_fix = state.stamp;
+        state.refused = Refused::default();
+    }
+}
+
+/// The use of one sight.
+struct Judge<'a> {
+    context: &'a Context<'a>,
+    source: Source,
+}
+
+impl Judge<'_> {
+    fn fix<const N: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        seen: &Fix,
+        stamp_sigma: Span,
+        record: &mut FusionRecord,
+    ) -> Verdict {
+        let circumstances = self.circumstances(state, stamp_sigma);
+        let scale = state.scales.factor(self.source);
+        let noise = fix::noise_of(seen, &self.context.config.noise, scale, &circumstances);
+        if state.located == Located::No {
+            return locate(state, seen, &noise);
+        }
+        let verdict = match seen.heading {
+            Some(heading) => {
+                let heading_rad = heading.rad();
+                self.use_fix(state, record, &|state: &PoseState<N>| {
+                    fix::pose(state, seen, heading_rad, &noise, &circumstances)
+                })
+            }
+            None => self.use_fix(state, record, &|state: &PoseState<N>| {
+                fix::position(state, seen, &noise, &circumstances)
+            }),
+        };
+        if verdict == Verdict::Gated && refuse(state, record, self.context) {
+            return move_to(state, seen, &noise);
+        }
+        verdict
+    }
+
+    /// Uses a fix once, or again and again while the heading is hardly known.
+    fn use_fix<const N: usize, const M: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        record: &mut FusionRecord,
+        measure: &impl Fn(&PoseState<N>) -> Measurement<N, M>,
+    ) -> Verdict {
+        if state.covariance[(HEADING, HEADING)] <= ITERATE_ABOVE_RAD.powi(2) {
+            return self.use_if_near(state, &measure(state), record);
+        }
+        let Some(found) = iterate(state, measure) else {
+            return Verdict::Malformed;
+        };
+        write(record, &measure(state), &state.covariance);
+        record.nis = found.nis;
+        if found.nis > self.context.gates.gate[M - 1] {
+            return Verdict::Gated;
+        }
+        *state = found.state;
+        Verdict::Accepted
+    }
+
+    /// What is known about the instant that a fix shows, which may lie before its stamp.
+    fn circumstances<const N: usize>(
+        &self,
+        state: &PoseState<N>,
+        stamp_sigma: Span,
+    ) -> fix::Circumstances {
+        let now = state.stamp.unwrap_or(Stamp::from_millis(0));
+        let delay = Span::from_secs_f64(state.value(DELAY)).clamp(-LONGEST_DELAY, LONGEST_DELAY);
+        let shown = now - delay;
+        let (track, config) = (self.context.track, self.context.config);
+        let moved_since = if delay > Span::ZERO {
+            state.moved_since(shown, track, config)
+        } else {
+            let ahead_s = -delay.as_secs_f64();
+            crate::models::lie::Se2::exp([
+                -state.forward.value * ahead_s,
+                0.0,
+                -state.turn.value * ahead_s,
+            ])
+        };
+        let (forward_m_per_s, turn_rad_per_s) =
+            if N > DELAY && state.covariance[(DELAY, DELAY)] > 0.0 {
+                self.speeds_about(state, shown)
+            } else {
+                (state.forward.value, state.turn.value)
+            };
+        fix::Circumstances {
+            moved_since,
+            stamp_sigma_s: stamp_sigma.as_secs_f64(),
+            forward_m_per_s,
+            turn_rad_per_s,
+        }
+    }
+
+    /// Forward speed and turn rate about an instant, by the wheels where they tell, else the held ones.
+    fn speeds_about<const N: usize>(
+        &self,
+        state: &PoseState<N>,
+        shown: Stamp<posebridge_telemetry::BrickClock>,
+    ) -> (f64, f64) {
+        let (track, config) = (self.context.track, self.context.config);
+        let from = shown - Span::from_secs_f64(0.5 * SPEED_SPAN.as_secs_f64());
+        let earlier = state.moved_since(from, track, config);
+        let until = from + SPEED_SPAN;
+        let later = state.moved_since(until, track, config);
+        let covered_s = state
+            .stamp
+            .map_or(0.0, |now| (now.min(until) - from).as_secs_f64());
+        if covered_s < 0.5 * SPEED_SPAN.as_secs_f64() {
+            return (state.forward.value, state.turn.value);
+        }
+        let [forward_m, _, turn_rad] = earlier.then(later.inverse()).log();
+        (forward_m / covered_s, turn_rad / covered_s)
+    }
+
+    fn other<const N: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        seen: &Observed,
+        record: &mut FusionRecord,
+    ) -> Verdict {
+        let scale = state.scales.factor(self.source);
+        let config = self.context.config;
+        let (noise, world) = (&config.noise, &config.world);
+        match *seen {
+            Observed::Landmark { id, range, bearing } => {
+                let variances = (
+                    scale * noise.landmark_range_m.powi(2),
+                    scale * noise.landmark_bearing_rad.powi(2),
+                );
+                let sighting = Sighting {
+                    range_m: range.0,
+                    bearing_rad: bearing.0,
+                };
+                let measurement = world
+                    .landmarks
+                    .get(&id)
+                    .and_then(|place| landmark::measurement(state, *place, sighting, variances));
+                self.use_if_any(state, measurement.as_ref(), record)
+            }
+            Observed::BeaconRange { id, range } => {
+                let variance_m2 = scale * noise.beacon_range_m.powi(2);
+                let known = world
+                    .beacons
+                    .iter()
+                    .enumerate()
+                    .find(|(_, (known, _))| **known == id);
+                let measurement = known.and_then(|(slot, (_, place))| {
+                    let beacon = Beacon {
+                        place: *place,
+                        slot,
+                    };
+                    beacon::measurement(state, beacon, range.0, variance_m2)
+                });
+                self.use_if_any(state, measurement.as_ref(), record)
+            }
+            Observed::WallRange(range) => {
+                let variance_m2 = scale * noise.wall_range_m.powi(2);
+                let measurement = wall::measurement(state, &world.walls, range.0, variance_m2);
+                self.use_if_any(state, measurement.as_ref(), record)
+            }
+            Observed::CompassHeading(heading) => {
+                let variance_rad2 = scale * noise.compass_rad.powi(2);
+                let measurement = compass::measurement(state, heading.rad(), variance_rad2);
+                self.use_if_any(state, Some(&measurement), record)
+            }
+            Observed::WheelAngles { .. }
+            | Observed::OdometerPose(_)
+            | Observed::BodyVelocity { .. }
+            | Observed::TurnRate(_)
+            | Observed::WheelAccelerations { .. }
+            | Observed::Fix(_)
+            | Observed::Temperature(_) => Verdict::Unused,
+        }
+    }
+
+    fn use_if_any<const N: usize, const M: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        measurement: Option<&Measurement<N, M>>,
+        record: &mut FusionRecord,
+    ) -> Verdict {
+        measurement.map_or(Verdict::Unused, |measurement| {
+            self.use_if_near(state, measurement, record)
+        })
+    }
+
+    fn use_if_near<const N: usize, const M: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        measurement: &Measurement<N, M>,
+        record: &mut FusionRecord,
+    ) -> Verdict {
+        let Some(s) = write(record, measurement, &state.covariance) else {
+            return Verdict::Malformed;
+        };
+        let nis = record.nis;
+        let params = &self.context.config.params;
+        let judged = Judged {
+            nis,
+            median: self.context.gates.median[M - 1],
+            own_share: own_share(&measurement.noise, &s),
+        };
+        state.scales.learn(self.source, judged, params.adapt_gain);
+        let mut weighted = *measurement;
+        if params.student_dof > 0.0 {
+            weighted.noise *= (params.student_dof + nis) / (params.student_dof + M as f64);
+        } else if nis > self.context.gates.gate[M - 1] {
+            return Verdict::Gated;
+        }
+        if !apply(&mut state.mean, &mut state.covariance, &weighted) {
+            return Verdict::Malformed;
+        }
+        state.inject();
+        Verdict::Accepted
+    }
+}
+
+/// Writes innovation, S, NIS and log-likelihood into the record, and gives S; `None` when it is not positive definite.
+fn write<const N: usize, const M: usize>(
+    record: &mut FusionRecord,
+    measurement: &Measurement<N, M>,
+    covariance: &SMatrix<f64, N, N>,
+) -> Option<SMatrix<f64, M, M>> {
+    let s = measurement.innovation_covariance(covariance);
+    let (nis, log_likelihood) = consistency(&measurement.innovation, &s)?;
+    for row in 0..M {
+        record.innovation[row] = measurement.innovation[row];
+        for column in 0..M {
+            record.innovation_covariance[row][column] = s[(row, column)];
+        }
+    }
+    record.nis = nis;
+    record.degrees_of_freedom = M as u8;
+    record.log_likelihood = log_likelihood;
+    Some(s)
+}
+
+/// Mean of R_ii / S_ii.
+fn own_share<const M: usize>(noise: &SMatrix<f64, M, M>, s: &SMatrix<f64, M, M>) -> f64 {
+    (0..M).map(|i| noise[(i, i)] / s[(i, i)]).sum::<f64>() / M as f64
+}
+
+/// Counts a refused fix; true when enough of them agree with each other for long enough that the estimate must be wrong.
+fn refuse<const N: usize>(
+    state: &mut PoseState<N>,
+    record: &FusionRecord,
+    context: &Context<'_>,
+) -> bool {
+    // In the arena, where fixes that stay at one place agree although the robot turns.
+    let (sin, cos) = state.pose.heading_rad.sin_cos();
+    let [forward_m, left_m, _] = record.innovation;
+    let innovation_m = [
+        cos * forward_m - sin * left_m,
+        sin * forward_m + cos * left_m,
+    ];
+    let last = state.refused.innovation_m;
+    let sigma_m = (record.innovation_covariance[0][0] + record.innovation_covariance[1][1])
+        .max(0.0)
+        .sqrt();
+    let apart_m = (innovation_m[0] - last[0]).hypot(innovation_m[1] - last[1]);
+    let agrees = state.refused.count == 0 || apart_m < AGREEMENT_SIGMAS * sigma_m;
+    if !agrees {
+        state.refused = Refused::default();
+    }
+    state.refused.count += 1;
+    state.refused.since = state.refused.since.or(state.stamp);
+    state.refused.innovation_m = innovation_m;
+    let lasted = match (state.refused.since, state.stamp) {
+        (Some(since), Some(stamp)) => (stamp - since).as_secs_f64(),
+        _ => 0.0,
+    };
+    lasted >= context.config.params.reset_after_s
+        && f64::from(state.refused.count) >= context.config.params.reset_after_fixes
+}
+
+/// Moves the estimate to a fix: a reset, counted, with its jump.
+fn move_to<const N: usize>(state: &mut PoseState<N>, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
+    let before = state.arena_pose();
+    // Without a heading in the fix the heading may be as wrong as the position was: it is found anew.
+    locate(state, seen, noise);
+    state.count_jump_from(before);
+    Verdict::ResetTo
+}
+
+/// Takes position, and heading if there is one, from a fix.
+fn locate<const N: usize>(state: &mut PoseState<N>, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
+    let heading_rad = seen.heading.map_or(state.pose.heading_rad, Heading::rad);
+    let (sin, cos) = heading_rad.sin_cos();
+    let (lever_x, lever_y) = (seen.tag_in_body.x.0, seen.tag_in_body.y.0);
+    let x_m = seen.position.x.0 - (lever_x * cos - lever_y * sin);
+    let y_m = seen.position.y.0 - (lever_x * sin + lever_y * cos);
+    // Without a heading the tag may be anywhere on a circle about mid-axle.
+    let lever_var_m2 = if seen.heading.is_some() {
+        0.0
+    } else {
+        lever_x * lever_x + lever_y * lever_y
+    };
+    let position_var_m2 = 0.5 * noise.position.trace() + lever_var_m2;
+    state.place(&StartPose {
+        pose: Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad)),
+        position_sigma_m: position_var_m2.max(0.0).sqrt(),
+        heading_sigma_rad: match seen.heading {
+            Some(_) => noise.heading_rad2.max(0.0).sqrt(),
+            // Uniform on the circle.
+            None => std::f64::consts::PI / 3.0_f64.sqrt(),
+        },
+    });
+    Verdict::Accepted
+}

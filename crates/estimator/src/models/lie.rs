@@ -1,0 +1,259 @@
+//! The group SE(2): poses that are composed, and the small motions that lead from one to the next.
+//!
+//! # Model
+//! ```text
+//! X = (t, R(th))                                   X Y = (t_X + R_X t_Y, th_X + th_Y)
+//! exp(rho, phi) = (V(phi) rho, phi)                V = [s, -c; c, s],  s = sin(phi)/phi,  c = (1 - cos(phi))/phi
+//! Ad(X^-1) (rho, phi) = (R' (rho + phi J t), phi)  J t = (-t_y, t_x)
+//! ```
+//! A step along an arc of length d that turns by dth is exp((d, 0), dth).
+//!
+//! # Source
+//! Barrau and Bonnabel (2017), section V; docs/maths/pose.md section 1.
+
+use nalgebra::Matrix3;
+use posebridge_telemetry::quantities::wrap_rad;
+
+/// An element of SE(2): where a body is in a space, and where it points.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Se2 {
+    /// First coordinate of the origin, m.
+    pub x_m: f64,
+    /// Second coordinate of the origin, m.
+    pub y_m: f64,
+    /// Heading, wrapped, rad.
+    pub heading_rad: f64,
+}
+
+impl Se2 {
+    /// The motion that a twist makes in unit time: forward and to the left in metres, turn in radians.
+    #[must_use]
+    pub fn exp([forward_m, left_m, turn_rad]: [f64; 3]) -> Self {
+        let (s, c) = sine_and_cosine_ratios(turn_rad);
+        Self {
+            x_m: s * forward_m - c * left_m,
+            y_m: c * forward_m + s * left_m,
+            heading_rad: wrap_rad(turn_rad),
+        }
+    }
+
+    /// The twist whose motion this is, with a turn in (-pi, pi].
+    #[must_use]
+    pub fn log(self) -> [f64; 3] {
+        let (s, c) = sine_and_cosine_ratios(self.heading_rad);
+        let determinant = s * s + c * c;
+        [
+            (s * self.x_m + c * self.y_m) / determinant,
+            (s * self.y_m - c * self.x_m) / determinant,
+            self.heading_rad,
+        ]
+    }
+
+    /// How the motion of a twist changes, seen from its end, with the twist: the right Jacobian of the group.
+    #[must_use]
+    pub fn right_jacobian([forward_m, left_m, turn_rad]: [f64; 3]) -> Matrix3<f64> {
+        let (s, c) = sine_and_cosine_ratios(turn_rad);
+        // (1 - s) / turn and (1 - cos) / turn^2, by series near zero.
+        let (one_less_s, half) = if turn_rad.abs() < 1e-4 {
+            (turn_rad / 6.0, 0.5)
+        } else {
+            ((1.0 - s) / turn_rad, c / turn_rad)
+        };
+        Matrix3::new(
+            s,
+            c,
+            forward_m * one_less_s - left_m * half,
+            -c,
+            s,
+            left_m * one_less_s + forward_m * half,
+            0.0,
+            0.0,
+            1.0,
+        )
+    }
+
+    /// This pose, moved by `motion` in its own space.
+    #[must_use]
+    pub fn then(self, motion: Self) -> Self {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        Self {
+            x_m: self.x_m + cos * motion.x_m - sin * motion.y_m,
+            y_m: self.y_m + sin * motion.x_m + cos * motion.y_m,
+            heading_rad: wrap_rad(self.heading_rad + motion.heading_rad),
+        }
+    }
+
+    /// The motion back.
+    #[must_use]
+    pub fn inverse(self) -> Self {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        Self {
+            x_m: -cos * self.x_m - sin * self.y_m,
+            y_m: sin * self.x_m - cos * self.y_m,
+            heading_rad: wrap_rad(-self.heading_rad),
+        }
+    }
+
+    /// The motion that leads from this pose to another.
+    #[must_use]
+    pub fn to(self, other: Self) -> Self {
+        self.inverse().then(other)
+    }
+
+    /// A vector of the outer space, in the body's space.
+    #[must_use]
+    pub fn turn_back(self, x_m: f64, y_m: f64) -> [f64; 2] {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        [cos * x_m + sin * y_m, cos * y_m - sin * x_m]
+    }
+}
+
+/// sin(t)/t and (1 - cos t)/t; by series where the quotients would lose digits.
+fn sine_and_cosine_ratios(turn_rad: f64) -> (f64, f64) {
+    if turn_rad.abs() < 1e-4 {
+        // The next terms are below 1e-17.
+        return (1.0 - turn_rad * turn_rad / 6.0, 0.5 * turn_rad);
+    }
+    let (sin, cos) = turn_rad.sin_cos();
+    (sin / turn_rad, (1.0 - cos) / turn_rad)
+}
+
+/// A step along an arc, as the errors of a pose see it: all in the body's space at the end of the step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArcStep {
+    /// The step itself.
+    pub motion: Se2,
+    /// Cosine of the turn.
+    pub cos: f64,
+    /// Sine of the turn.
+    pub sin: f64,
+    /// Derivatives of the end's position by the distance.
+    pub by_forward: [f64; 2],
+    /// Derivatives of the end's position by the turn.
+    pub by_turn: [f64; 2],
+}
+
+impl ArcStep {
+    /// A step of this length that turns by this angle.
+    #[must_use]
+    pub fn new(forward_m: f64, turn_rad: f64) -> Self {
+        let (sin_half, cos_half) = (0.5 * turn_rad).sin_cos();
+        let (chord, chord_by_turn) = chord_ratio(turn_rad);
+        let along = chord * forward_m;
+        let (sin, cos) = (2.0 * sin_half * cos_half, 1.0 - 2.0 * sin_half * sin_half);
+        Self {
+            motion: Se2 {
+                x_m: along * cos_half,
+                y_m: along * sin_half,
+                heading_rad: turn_rad,
+            },
+            cos,
+            sin,
+            by_forward: [chord * cos_half, -chord * sin_half],
+            by_turn: [
+                chord_by_turn * forward_m * cos_half + 0.5 * along * sin_half,
+                0.5 * along * cos_half - chord_by_turn * forward_m * sin_half,
+            ],
+        }
+    }
+}
+
+/// Chord over arc length, sin(t/2)/(t/2), and its derivative by t; by series where the quotient would lose digits.
+pub(super) fn chord_ratio(turn_rad: f64) -> (f64, f64) {
+    let half = 0.5 * turn_rad;
+    if half.abs() < 1e-3 {
+        // Two terms: the next is below 1e-13 of the first.
+        return (
+            1.0 - half * half / 6.0,
+            -half / 6.0 * (1.0 - half * half / 10.0),
+        );
+    }
+    let (sin, cos) = half.sin_cos();
+    (sin / half, 0.5 * (cos * half - sin) / (half * half))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TWISTS: [[f64; 3]; 5] = [
+        [0.3, 0.0, 0.0],
+        [-0.1, 0.05, 5e-5],
+        [1.0, -2.0, 0.7],
+        [0.2, 0.4, -3.1],
+        [0.0, 0.0, 2.0],
+    ];
+
+    fn distance(a: Se2, b: Se2) -> f64 {
+        let apart = a.to(b);
+        apart.x_m.abs() + apart.y_m.abs() + apart.heading_rad.abs()
+    }
+
+    #[test]
+    fn the_logarithm_undoes_the_exponential_and_the_inverse_the_motion() {
+        for twist in TWISTS {
+            let back = Se2::exp(twist).log();
+            for (found, expected) in back.iter().zip(twist) {
+                assert!((found - expected).abs() < 1e-9, "{twist:?} became {back:?}");
+            }
+            let motion = Se2::exp(twist);
+            assert!(distance(motion.then(motion.inverse()), Se2::default()) < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_twist_made_in_a_thousand_parts_ends_where_the_whole_does() {
+        for twist in TWISTS {
+            let part = Se2::exp(twist.map(|value| value / 1000.0));
+            let whole = (0..1000).fold(Se2::default(), |at, _| at.then(part));
+            assert!(distance(whole, Se2::exp(twist)) < 1e-9, "{twist:?}");
+        }
+    }
+
+    #[test]
+    fn the_right_jacobian_agrees_with_central_differences() {
+        let h = 1e-6;
+        for twist in TWISTS {
+            let jacobian = Se2::right_jacobian(twist);
+            for column in 0..3 {
+                let moved = |by: f64| {
+                    let mut other = twist;
+                    other[column] += by;
+                    Se2::exp(twist).to(Se2::exp(other)).log()
+                };
+                let (ahead, behind) = (moved(h), moved(-h));
+                for row in 0..3 {
+                    let expected = (ahead[row] - behind[row]) / (2.0 * h);
+                    assert!(
+                        (jacobian[(row, column)] - expected).abs() < 1e-7,
+                        "{twist:?}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_arc_is_an_exponential_and_its_derivatives_agree_with_central_differences() {
+        let h = 1e-6;
+        for (forward_m, turn_rad) in [(0.2, 0.0), (-0.1, 1e-4), (0.05, 2.4), (0.3, -1.9e-3)] {
+            let step = ArcStep::new(forward_m, turn_rad);
+            let by_group = Se2::exp([forward_m, 0.0, turn_rad]);
+            assert!(distance(step.motion, by_group) < 1e-12);
+            let moved = |forward_m: f64, turn_rad: f64| {
+                let end = step.motion.to(ArcStep::new(forward_m, turn_rad).motion);
+                [end.x_m, end.y_m]
+            };
+            for axis in 0..2 {
+                let by_forward = (moved(forward_m + h, turn_rad)[axis]
+                    - moved(forward_m - h, turn_rad)[axis])
+                    / (2.0 * h);
+                let by_turn = (moved(forward_m, turn_rad + h)[axis]
+                    - moved(forward_m, turn_rad - h)[axis])
+                    / (2.0 * h);
+                assert!((by_forward - step.by_forward[axis]).abs() < 1e-8);
+                assert!((by_turn - step.by_turn[axis]).abs() < 1e-8);
+            }
+        }
+    }
+}
