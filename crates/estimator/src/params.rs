@@ -87,11 +87,11 @@ pub const PARAMS: &[Param] = &[
         history_s,
         "how late an observation may come and still be applied at its own time"
     ),
-    // 0.4 s: long enough that one count of a 1-degree encoder is small against the gyro's noise, short enough for slip.
+    // 0.2 s: four readings of a 20 Hz brick average the gyro, and a window rarely holds rest and motion at once.
     param!(
         "gyro_window_s",
         "s",
-        0.4,
+        0.2,
         0.0..=5.0,
         gyro_window_s,
         "length of the window in which the gyro is held against the encoders' heading"
