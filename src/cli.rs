@@ -85,6 +85,9 @@ pub struct RunArgs {
     /// Write every event as a line of text.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
+    /// At the end write the robot with what was learned about it, as a profile for --robot.
+    #[arg(long, value_name = "FILE.toml")]
+    pub save_calibration: Option<PathBuf>,
     /// End after this many seconds.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub duration: Option<f64>,
@@ -191,6 +194,9 @@ pub struct ReplayArgs {
     /// Write every event as a line of text.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
+    /// Write the robot with what the last estimator that learns has learned about it, as a profile for `run --robot`.
+    #[arg(long, value_name = "FILE.toml")]
+    pub save_calibration: Option<PathBuf>,
     /// Write the picture here: of the last run and the last estimator.
     #[arg(long, value_name = "FILE.svg")]
     pub figure: Option<PathBuf>,

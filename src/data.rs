@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
-use posebridge_estimator::{FilterConfig, Params, StartPose};
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_recording::dataset::{self, Descriptor, LoadOptions};
+use posebridge_telemetry::World;
 
 use crate::cli::DataFlags;
-use crate::config::RobotFile;
+use crate::config::{FilterSection, ProfileFilter, RobotFile, Setting, filter_config};
 use crate::stderr::say;
 
 /// A descriptor with the runs that were asked for.
@@ -23,6 +24,8 @@ pub struct DataSet {
 pub struct RobotRun {
     /// What was recorded.
     pub run: dataset::Run,
+    /// The robot, as the descriptor and the flags describe it.
+    pub robot: RobotFile,
     /// The robot's filter configuration, start included.
     pub filter_config: FilterConfig,
 }
@@ -66,22 +69,7 @@ impl DataSet {
     /// # Errors
     /// A file is missing or a column is not there, or the robot's table makes no sense.
     pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
-        let mut table = self.descriptor.robot_for(run);
-        let mut params = Params::default();
-        for setting in &flags.settings {
-            if let ([section, key], Some(value)) = (setting.path.as_slice(), number(&setting.value))
-                && section == "filter"
-            {
-                params.set(key, value)?;
-                continue;
-            }
-            setting
-                .lay_over(&mut table)
-                .map_err(|why| anyhow::anyhow!("`--set {setting}`: {why}"))?;
-        }
-        let robot: RobotFile = table
-            .try_into()
-            .with_context(|| format!("robot of run `{run}`"))?;
+        let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
         let geometry = robot.geometry()?;
         let options = LoadOptions {
             run,
@@ -101,27 +89,75 @@ impl DataSet {
             "run `{}` holds no observation",
             run.name
         );
+        let mut config = filter_config(&robot, &filter, world_of(&run))?;
         let start = run.start.map(|start| StartPose {
             pose: start.pose,
             position_sigma_m: start.position_sigma_m,
             heading_sigma_rad: start.heading_sigma_rad,
         });
-        let filter_config = FilterConfig {
-            geometry,
-            noise: robot.noise()?,
-            start,
-            params,
-            calibration: posebridge_telemetry::Calibration::default(),
-            world: std::sync::Arc::default(),
+        config.start = start.or(config.start);
+        Ok(RobotRun {
+            run,
+            robot,
+            filter_config: config,
+        })
+    }
+
+    /// The robot and the tunables of a run, with the flags laid over them.
+    fn robot_and_filter(
+        &self,
+        run: &str,
+        settings: &[Setting],
+    ) -> Result<(RobotFile, FilterSection)> {
+        let robot: RobotFile = self
+            .descriptor
+            .robot_for(run)
+            .try_into()
+            .with_context(|| format!("robot of run `{run}`"))?;
+        let tunables: ProfileFilter = self
+            .descriptor
+            .filter
+            .clone()
+            .try_into()
+            .context("[filter]")?;
+        let is_name = |setting: &Setting| setting.path == ["filter", "name"];
+        ensure!(
+            tunables.name.is_none() && !settings.iter().any(is_name),
+            "`filter.name` does not belong to a recording: choose the filter with --filter"
+        );
+        let filter = FilterSection {
+            params: tunables.params,
+            ..FilterSection::default()
         };
-        Ok(RobotRun { run, filter_config })
+        let mut all = toml::Table::try_from(&robot)?;
+        let mut tunables = toml::Table::try_from(&filter)?;
+        for setting in settings {
+            let failed = |why: String| anyhow!("`--set {setting}`: {why}");
+            match setting.path.split_first() {
+                Some((section, key)) if section == "filter" => Setting {
+                    path: key.to_vec(),
+                    value: setting.value.clone(),
+                }
+                .lay_over(&mut tunables)
+                .map_err(failed)?,
+                _ => setting.lay_over(&mut all).map_err(failed)?,
+            }
+        }
+        let robot = all
+            .try_into()
+            .with_context(|| format!("robot of run `{run}`"))?;
+        let filter = tunables.try_into().context("[filter]")?;
+        Ok((robot, filter))
     }
 }
 
-fn number(value: &toml::Value) -> Option<f64> {
-    value
-        .as_float()
-        .or(value.as_integer().map(|whole| whole as f64))
+/// The places that a recording tells.
+fn world_of(run: &dataset::Run) -> World {
+    World {
+        landmarks: run.landmarks.iter().copied().collect(),
+        beacons: run.beacons.iter().copied().collect(),
+        walls: Vec::new(),
+    }
 }
 
 /// Names the rows that could not be used; they are counted and do not end the run.

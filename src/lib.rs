@@ -8,6 +8,7 @@ pub mod collect;
 pub mod commands;
 pub mod config;
 pub mod data;
+pub mod learned;
 pub mod link_target;
 pub mod report;
 pub mod score;

@@ -2,12 +2,16 @@
 //!
 //! The estimate for an instant is taken as soon as the motion up to that instant has been observed, with the fixes that had come
 //! by then: the filter's own history interpolates the motion inside an encoder interval.
+//!
+//! A camera that stamps its fixes late stamps the withheld ones late, too. An estimator that learns the delay is scored at the
+//! stamp less the delay that it believes in at that moment; what it would have got at the stamp itself is kept beside it.
 
 use posebridge_analysis::PoseError;
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::dataset::{Run, TruthPose, Withheld};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, Heading, Meters, Observed, Point2, Pose, Stamp, Transform2,
+    Arena, BrickClock, Calibration, Estimate, Heading, Meters, Observed, Point2, Pose, Span, Stamp,
+    Transform2,
 };
 
 /// What an estimator is held against at one instant.
@@ -21,38 +25,83 @@ struct Yardstick {
     is_truth: bool,
 }
 
+/// What is scored.
+pub trait Belief {
+    /// The belief for an instant.
+    fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate>;
+    /// What it has learned so far.
+    fn calibration(&self) -> Option<Calibration>;
+    /// The latest instant that was observed.
+    fn latest(&self) -> Option<Stamp<BrickClock>>;
+}
+
+impl Belief for Pipeline {
+    fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
+        self.estimate_at(stamp)
+    }
+    fn calibration(&self) -> Option<Calibration> {
+        self.calibration()
+    }
+    fn latest(&self) -> Option<Stamp<BrickClock>> {
+        self.latest()
+    }
+}
+
 /// Scores one estimator over one run.
 pub struct Scorer {
     yardsticks: std::vec::IntoIter<Yardstick>,
     next: Option<Yardstick>,
-    /// The motion is known up to here.
-    moved_to: Option<Stamp<BrickClock>>,
+    /// Withheld fixes come late by what the estimator learns.
+    delay: Delay,
     /// Errors so far.
     pub errors: Vec<PoseError>,
+    /// Errors at the fixes' own stamps; empty unless the others are corrected for a delay.
+    pub uncorrected: Vec<PoseError>,
+}
+
+/// Whether the stamps of the withheld fixes are taken as they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Delay {
+    /// As they are.
+    None,
+    /// Less what the estimator has learned.
+    Learned,
 }
 
 impl Scorer {
-    /// Truth where there is some, else the withheld fixes.
+    /// Truth where there is some, else the withheld fixes; `prior` is what the estimator knew of systematic errors before the run.
     #[must_use]
-    pub fn new(run: &Run) -> Self {
-        let mut yardsticks: Vec<Yardstick> = if run.truth.is_empty() {
-            run.withheld.iter().map(of_withheld).collect()
-        } else {
+    pub fn new(run: &Run, prior: &Calibration) -> Self {
+        let has_truth = !run.truth.is_empty();
+        let mut yardsticks: Vec<Yardstick> = if has_truth {
             run.truth.iter().map(of_truth).collect()
+        } else {
+            run.withheld.iter().map(of_withheld).collect()
         };
         yardsticks.sort_by_key(|yardstick| yardstick.stamp);
         let mut yardsticks = yardsticks.into_iter();
         let next = yardsticks.next();
+        let is_learned = !has_truth && prior.fix_delay_s.sigma > 0.0;
         Self {
             yardsticks,
             next,
-            moved_to: None,
+            delay: if is_learned {
+                Delay::Learned
+            } else {
+                Delay::None
+            },
             errors: Vec::new(),
+            uncorrected: Vec::new(),
         }
     }
 
     /// After an observation was handled.
-    pub fn observed(&mut self, observed: &Observed, stamp: Stamp<BrickClock>, pipeline: &Pipeline) {
+    pub fn observed(
+        &mut self,
+        observed: &Observed,
+        stamp: Stamp<BrickClock>,
+        belief: &impl Belief,
+    ) {
         let is_motion = matches!(
             observed,
             Observed::WheelAngles { .. }
@@ -60,24 +109,44 @@ impl Scorer {
                 | Observed::BodyVelocity { .. }
         );
         if is_motion {
-            self.moved_to = self.moved_to.max(Some(stamp));
-            self.score_until(stamp, pipeline);
+            self.score_until(stamp, belief);
         }
     }
 
     /// At the end: what lies behind the last motion, as far as anything was observed.
-    pub fn finish(&mut self, pipeline: &Pipeline) {
-        if let Some(latest) = pipeline.latest() {
-            self.score_until(latest, pipeline);
+    pub fn finish(&mut self, belief: &impl Belief) {
+        if let Some(latest) = belief.latest() {
+            self.score_until(latest, belief);
         }
     }
 
-    fn score_until(&mut self, until: Stamp<BrickClock>, pipeline: &Pipeline) {
-        while let Some(yardstick) = self.next.filter(|next| next.stamp <= until) {
-            if let Some(estimate) = pipeline.estimate_at(yardstick.stamp) {
-                self.errors.extend(error(&estimate, &yardstick));
+    /// Scores what has been observed: a delay that is believed to be negative must not ask for what lies ahead.
+    fn score_until(&mut self, until: Stamp<BrickClock>, belief: &impl Belief) {
+        let delay = self.learned_delay(belief);
+        let true_at = |yardstick: &Yardstick| yardstick.stamp - delay.unwrap_or(Span::ZERO);
+        while let Some(yardstick) = self
+            .next
+            .filter(|next| next.stamp.max(true_at(next)) <= until)
+        {
+            let error_at = |stamp| {
+                let estimate = belief.estimate_at(stamp)?;
+                error(&estimate, &yardstick)
+            };
+            self.errors.extend(error_at(true_at(&yardstick)));
+            if delay.is_some() {
+                self.uncorrected.extend(error_at(yardstick.stamp));
             }
             self.next = self.yardsticks.next();
+        }
+    }
+
+    fn learned_delay(&self, belief: &impl Belief) -> Option<Span> {
+        match self.delay {
+            Delay::None => None,
+            Delay::Learned => {
+                let learned = belief.calibration()?.fix_delay_s.value;
+                Some(Span::from_secs_f64(learned))
+            }
         }
     }
 }
@@ -134,4 +203,144 @@ pub fn pose_at(position: Point2<Arena>, heading: Option<Heading>) -> Pose<Arena>
         Meters(position.y.0),
         heading.unwrap_or_default(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use posebridge_telemetry::{Fix, Known, MetersPerSecond, Odom, RadiansPerSecond, Validity};
+
+    use super::*;
+
+    /// Drives along x at 1 m/s and knows it, but believes that the camera is late by so much.
+    struct Driver {
+        delay: Span,
+        /// The latest instant that it was asked for.
+        asked: Cell<Stamp<BrickClock>>,
+        latest: Stamp<BrickClock>,
+    }
+
+    impl Belief for Driver {
+        fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
+            self.asked.set(self.asked.get().max(stamp));
+            Some(Estimate {
+                stamp,
+                pose: Pose::new(Meters(stamp.as_secs_f64()), Meters(0.0), Heading::default()),
+                forward_speed: MetersPerSecond(1.0),
+                turn_rate: RadiansPerSecond(0.0),
+                covariance: [[0.0; 5]; 5],
+                validity: Validity {
+                    position: true,
+                    heading: true,
+                    speeds: true,
+                },
+                is_dead_reckoning: false,
+                fix_age: None,
+                reset_counter: 0,
+                last_jump: None,
+            })
+        }
+        fn calibration(&self) -> Option<Calibration> {
+            Some(Calibration {
+                fix_delay_s: Known {
+                    value: self.delay.as_secs_f64(),
+                    sigma: 0.01,
+                },
+                ..Calibration::default()
+            })
+        }
+        fn latest(&self) -> Option<Stamp<BrickClock>> {
+            Some(self.latest)
+        }
+    }
+
+    /// Ten fixes of a camera whose stamps are late by so much: one each second.
+    fn run(late_s: f64) -> Run {
+        let withheld = (1..=10).map(|second| Withheld {
+            stamp: Stamp::from_secs_f64(f64::from(second)),
+            fix: Fix {
+                position: Point2::new(Meters(f64::from(second) - late_s), Meters(0.0)),
+                heading: None,
+                covariance: None,
+                tag_in_body: Point2::ORIGIN,
+                reset_counter: 0,
+            },
+        });
+        Run {
+            withheld: withheld.collect(),
+            ..Run::default()
+        }
+    }
+
+    fn prior(sigma: f64) -> Calibration {
+        Calibration {
+            fix_delay_s: Known { value: 0.0, sigma },
+            ..Calibration::default()
+        }
+    }
+
+    fn drive(scorer: &mut Scorer, driver: &mut Driver, until_s: f64) {
+        driver.latest = Stamp::from_secs_f64(until_s);
+        let motion = Observed::OdometerPose(Pose::<Odom>::default());
+        scorer.observed(&motion, driver.latest, driver);
+    }
+
+    fn driver(delay_s: f64) -> Driver {
+        Driver {
+            delay: Span::from_secs_f64(delay_s),
+            asked: Cell::new(Stamp::ZERO),
+            latest: Stamp::ZERO,
+        }
+    }
+
+    fn rms(errors: &[PoseError]) -> f64 {
+        posebridge_analysis::metrics::summarise(errors)
+            .position_rms_m
+            .unwrap()
+    }
+
+    #[test]
+    fn a_late_camera_is_forgiven_who_has_learned_its_delay_and_the_plain_error_is_kept() {
+        let (mut scorer, mut driver) = (Scorer::new(&run(0.2), &prior(0.15)), driver(0.2));
+        drive(&mut scorer, &mut driver, 12.0);
+        assert_eq!((scorer.errors.len(), scorer.uncorrected.len()), (10, 10));
+        assert!(rms(&scorer.errors) < 1e-9);
+        assert!((rms(&scorer.uncorrected) - 0.2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn without_a_prior_that_lets_it_learn_nothing_is_corrected() {
+        let (mut scorer, mut driver) = (Scorer::new(&run(0.2), &prior(0.0)), driver(0.2));
+        drive(&mut scorer, &mut driver, 12.0);
+        assert!((rms(&scorer.errors) - 0.2).abs() < 1e-9);
+        assert!(scorer.uncorrected.is_empty());
+    }
+
+    #[test]
+    fn truth_is_never_late() {
+        let mut run = run(0.2);
+        run.truth = vec![TruthPose {
+            stamp: Stamp::from_secs_f64(1.0),
+            position: Point2::new(Meters(1.0), Meters(0.0)),
+            heading: None,
+        }];
+        let (mut scorer, mut driver) = (Scorer::new(&run, &prior(0.15)), driver(0.2));
+        drive(&mut scorer, &mut driver, 12.0);
+        assert_eq!((scorer.errors.len(), scorer.uncorrected.len()), (1, 0));
+        assert!(rms(&scorer.errors) < 1e-9);
+    }
+
+    #[test]
+    fn a_delay_that_is_believed_to_be_negative_asks_for_nothing_that_lies_ahead() {
+        let (mut scorer, mut driver) = (Scorer::new(&run(-0.5), &prior(0.15)), driver(-0.5));
+        drive(&mut scorer, &mut driver, 3.2);
+        assert_eq!(scorer.errors.len(), 2, "the third is true at 3.5 s");
+        assert!(driver.asked.get() <= driver.latest);
+        drive(&mut scorer, &mut driver, 10.1);
+        scorer.finish(&driver);
+        assert_eq!(scorer.errors.len(), 9);
+        assert!(driver.asked.get() <= driver.latest);
+        assert!(rms(&scorer.errors) < 1e-9);
+    }
 }

@@ -70,6 +70,68 @@ fn wrong_configuration() {
 }
 
 #[test]
+fn wrong_calibration_noise_or_world() {
+    insta::assert_snapshot!(
+        "unknown_calibration",
+        with_config("[robot.calibration]\ntrack_scal = { value = 0.0, sigma = 0.1 }\n")
+    );
+    insta::assert_snapshot!(
+        "calibration_without_sigma",
+        with_config("[robot.calibration]\ntrack_scale = { value = 0.1 }\n")
+    );
+    insta::assert_snapshot!(
+        "calibration_out_of_range",
+        with_config("[robot.calibration]\ntrack_scale = { value = 0.0, sigma = -0.1 }\n")
+    );
+    insta::assert_snapshot!(
+        "noise_out_of_range",
+        with_config("[robot.noise]\nwall_range_m = 0.0\n")
+    );
+    insta::assert_snapshot!(
+        "beacon_twice",
+        with_config(
+            "[world]\nbeacons = [{ id = 1, x_m = 0.0, y_m = 0.0 }, { id = 1, x_m = 1.0, y_m = 0.0 }]\n"
+        )
+    );
+    insta::assert_snapshot!(
+        "wall_without_end",
+        with_config("[[world.walls]]\nfrom = { x_m = 0.0, y_m = 0.0 }\n")
+    );
+    insta::assert_snapshot!(
+        "calibration_setting",
+        with_args(&["run", "--set", "robot.calibration.track_scale=0.1"])
+    );
+}
+
+#[test]
+fn a_calibration_that_cannot_be_saved() {
+    insta::assert_snapshot!(
+        "nothing_learned_live",
+        with_args(&[
+            "run",
+            "--filter",
+            "odometry",
+            "--save-calibration",
+            "robot.toml"
+        ])
+    );
+    let descriptor = root().join("config/recordings/optiodom.toml");
+    let data = root().join("tests/data");
+    let replay = [
+        "replay",
+        descriptor.to_str().unwrap(),
+        "--data",
+        data.to_str().unwrap(),
+    ];
+    let said = with_args(&[&replay[..], &["--save-calibration", "robot.toml"]].concat());
+    insta::assert_snapshot!("calibration_of_several_runs", said);
+    let said = with_args(&[&replay[..], &["--set", "filter.name=odometry"]].concat());
+    insta::assert_snapshot!("filter_of_a_recording", said);
+    let said = with_args(&[&replay[..], &["--set", "filter.slip_nis=1"]].concat());
+    insta::assert_snapshot!("tunable_of_a_recording", said);
+}
+
+#[test]
 fn missing_files() {
     insta::assert_snapshot!("no_config", with_args(&["run", "--config", "nowhere.toml"]));
     insta::assert_snapshot!("no_recording", with_args(&["replay", "nowhere.mcap"]));

@@ -4,6 +4,8 @@
 //! bit for bit. A descriptor of a foreign recording (`*.toml`) is read into observations; each estimator is then scored against the
 //! truth or against the fixes that were withheld.
 
+mod foreign;
+
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
@@ -11,28 +13,22 @@ use std::path::Path;
 use anyhow::{Context, Result, anyhow, bail};
 use posebridge_analysis::metrics::{errors_of_estimates, summarise};
 use posebridge_analysis::report::{estimator_table, source_table};
-use posebridge_analysis::{
-    ErrorSummary, EstimatorRow, FIGURES, RunLayers, SourceTally, TimedPose, Track, mean_over_runs,
-};
+use posebridge_analysis::{ErrorSummary, EstimatorRow, FIGURES, RunLayers, SourceTally, Track};
 use posebridge_link::HostTimer;
-use posebridge_pipeline::{DescriptionPolicy, Pipeline, PipelineConfig};
+use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::{Ending, Reader};
-use posebridge_telemetry::{Address, Input, Output, Point2, Span, Stamp};
+use posebridge_telemetry::{Output, Span, Stamp};
 
 use super::{Failure, Stage};
 use crate::cli::ReplayArgs;
-use crate::collect::{Collector, LONGEST_GAP};
-use crate::config;
-use crate::data::{DataSet, RobotRun, tell_bad_rows};
+use crate::collect::Collector;
+use crate::config::{self, Provenance};
+use crate::learned::{Learned, learned_table, save};
 use crate::report::json;
-use crate::score::{Scorer, pose_at};
 use crate::stderr::say;
 use crate::stdout;
 use crate::tasks::observer::{create, write_event};
 use crate::truth_file;
-
-/// The estimators of a foreign recording unless others are asked for.
-const USUAL_FILTERS: [&str; 2] = ["odometry", "pose"];
 
 /// What one estimator did over everything that was replayed.
 pub struct Outcome {
@@ -40,6 +36,11 @@ pub struct Outcome {
     pub name: String,
     /// Its errors, the mean over the runs.
     pub errors: ErrorSummary,
+    /// Its root mean square position error at the withheld fixes' own stamps, where `errors` is corrected for a delay that it
+    /// has learned; the mean over the runs.
+    pub position_rms_uncorrected_m: Option<f64>,
+    /// What it has learned about the robot, one per run; empty for a filter that learns nothing.
+    pub learned: Vec<Learned>,
     /// How each sensor's observations fared, over all runs.
     pub sources: Vec<SourceTally>,
 }
@@ -69,11 +70,35 @@ pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
         .extension()
         .is_some_and(|extension| extension == "toml");
     let replayed = if is_descriptor {
-        descriptor(args)?
+        foreign::replay(args)?
     } else {
         recording(args)?
     };
-    print(args, &replayed, timer.now() - Stamp::ZERO).while_running()
+    print(args, &replayed, timer.now() - Stamp::ZERO).while_running()?;
+    save_calibration(args, &replayed, timer.utc_start()).while_running()
+}
+
+/// Writes the robot that the last estimator which learns at all has learned.
+fn save_calibration(args: &ReplayArgs, replayed: &Replayed, utc_micros: u64) -> Result<()> {
+    let Some(path) = &args.save_calibration else {
+        return Ok(());
+    };
+    let mut learners = replayed.outcomes.iter().rev();
+    let Some((filter, learned)) =
+        learners.find_map(|outcome| Some((&outcome.name, outcome.learned.last()?)))
+    else {
+        let names: Vec<_> = replayed.outcomes.iter().map(|o| o.name.as_str()).collect();
+        bail!(
+            "there is no calibration to save: of {} none learns one",
+            names.join(", ")
+        )
+    };
+    let provenance = Provenance {
+        utc_micros,
+        source: format!("{}, {}", replayed.recording, learned.run),
+        filter: filter.clone(),
+    };
+    save(path, learned, &provenance)
 }
 
 fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
@@ -96,12 +121,24 @@ fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
     );
     text += &estimator_table(&rows);
     for outcome in &replayed.outcomes {
+        if let Some(rms_m) = outcome.position_rms_uncorrected_m {
+            // Writing to a String cannot fail.
+            let _ = writeln!(
+                text,
+                "{}: judged at the fixes' stamps less the delay that it has learned; at the stamps themselves {:.1} mm rms",
+                outcome.name,
+                rms_m * 1e3
+            );
+        }
+    }
+    for outcome in &replayed.outcomes {
         // Writing to a String cannot fail.
         let _ = write!(
             text,
-            "\n{}\n{}",
+            "\n{}\n{}{}",
             outcome.name,
-            source_table(&outcome.sources)
+            source_table(&outcome.sources),
+            learned_table(&outcome.learned),
         );
     }
     if replayed.bad_rows > 0 {
@@ -168,6 +205,8 @@ fn recording(args: &ReplayArgs) -> Result<Replayed, Failure> {
         summarise(&errors_of_estimates(collector.estimates.items(), truth))
     });
     draw(args, &name, &collector, truth.as_ref()).while_running()?;
+    let prior = config.filter_config().at_start()?.calibration;
+    let learned = Learned::of(&pipeline, "recording", &config.robot, &prior);
     Ok(Replayed {
         recording: name,
         runs: vec!["recording".to_owned()],
@@ -176,6 +215,8 @@ fn recording(args: &ReplayArgs) -> Result<Replayed, Failure> {
         outcomes: vec![Outcome {
             name: config.filter.name,
             errors,
+            position_rms_uncorrected_m: None,
+            learned: learned.into_iter().collect(),
             sources: collector.sources,
         }],
     })
@@ -214,129 +255,6 @@ fn take_outputs(
         }
     }
     Ok(())
-}
-
-/// A foreign recording.
-fn descriptor(args: &ReplayArgs) -> Result<Replayed, Failure> {
-    if args.truth.is_some() {
-        return Err(anyhow!(
-            "--truth is for recordings of ours: a descriptor names its own truth"
-        ))
-        .at_start();
-    }
-    let data = DataSet::open(&args.recording, &args.data).at_start()?;
-    let filters: Vec<String> = if args.filters.is_empty() {
-        USUAL_FILTERS
-            .iter()
-            .map(|name| (*name).to_owned())
-            .collect()
-    } else {
-        args.filters.clone()
-    };
-    for filter in &filters {
-        let known = posebridge_estimator::filter_named(filter).is_some();
-        if !known {
-            return Err(anyhow!(
-                "unknown filter `{filter}`; `posebridge config schema` lists them"
-            ))
-            .at_start();
-        }
-    }
-    let mut events = args.events.as_deref().map(create).transpose().at_start()?;
-    let mut observations = 0;
-    let mut bad_rows = 0;
-    let mut per_filter: Vec<(Vec<ErrorSummary>, Collector)> =
-        filters.iter().map(|_| Default::default()).collect();
-    for name in &data.runs {
-        let robot_run = data.load(name, &args.data).at_start()?;
-        observations += robot_run.run.observations.len() as u64;
-        bad_rows += tell_bad_rows(&robot_run);
-        for (filter, (summaries, collector)) in filters.iter().zip(&mut per_filter) {
-            let mut one = Collector::default();
-            let errors =
-                replay_run(&robot_run, filter, &mut one, events.as_mut()).while_running()?;
-            summaries.push(errors);
-            if Some(filter) == filters.last() {
-                draw_run(args, &robot_run, &one).while_running()?;
-            }
-            merge(collector, one);
-        }
-    }
-    let outcomes = filters
-        .into_iter()
-        .zip(per_filter)
-        .map(|(name, (summaries, collector))| Outcome {
-            name,
-            errors: mean_over_runs(&summaries),
-            sources: collector.sources,
-        });
-    Ok(Replayed {
-        recording: data.descriptor.name.clone(),
-        outcomes: outcomes.collect(),
-        runs: data.runs,
-        observations,
-        bad_rows,
-    })
-}
-
-fn replay_run(
-    robot_run: &RobotRun,
-    filter: &str,
-    collector: &mut Collector,
-    mut events: Option<&mut std::io::BufWriter<std::fs::File>>,
-) -> Result<ErrorSummary> {
-    let config = PipelineConfig {
-        own: Address::default(),
-        filter: filter.to_owned(),
-        filter_config: robot_run.filter_config.clone(),
-        description: DescriptionPolicy::Ignore,
-        robot_system: None,
-        tag_in_body: Point2::ORIGIN,
-        timesync_period: Span::from_millis(1_000),
-        wanted: vec![],
-        links: vec![],
-    };
-    let Some(first) = robot_run.run.observations.first() else {
-        bail!("the run is empty")
-    };
-    let mut pipeline = Pipeline::new(config, first.arrival)?;
-    let mut scorer = Scorer::new(&robot_run.run);
-    for timed in &robot_run.run.observations {
-        pipeline.handle(timed.arrival, &Input::Observation(timed.observation));
-        take_outputs(&mut pipeline, collector, events.as_deref_mut())?;
-        scorer.observed(
-            &timed.observation.observed,
-            timed.observation.stamp,
-            &pipeline,
-        );
-    }
-    scorer.finish(&pipeline);
-    Ok(summarise(&scorer.errors))
-}
-
-/// Adds one run's tallies to those of all runs.
-fn merge(all: &mut Collector, one: Collector) {
-    for tally in one.sources {
-        match all
-            .sources
-            .iter_mut()
-            .find(|known| known.sensor == tally.sensor)
-        {
-            Some(known) => known.absorb(&tally),
-            None => all.sources.push(tally),
-        }
-    }
-}
-
-fn draw_run(args: &ReplayArgs, robot_run: &RobotRun, collector: &Collector) -> Result<()> {
-    let run = &robot_run.run;
-    let truth = run.truth.iter().map(|truth| TimedPose {
-        stamp: truth.stamp,
-        pose: pose_at(truth.position, truth.heading),
-    });
-    let truth = Track::new(truth, LONGEST_GAP);
-    let truth = (!run.truth.is_empty()).then_some(&truth);
-    draw(args, &run.name, collector, truth)
 }
 
 fn draw(

@@ -18,7 +18,8 @@ use tokio_util::sync::CancellationToken;
 use super::{Failure, Stage};
 use crate::cli::RunArgs;
 use crate::collect::Collector;
-use crate::config::{self, Config, LinkSection};
+use crate::config::{self, Config, LinkSection, Provenance, RobotProfile};
+use crate::learned::{Learned, learned_table, save};
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::live::LiveView;
 use crate::report::run::{self as report, Truth};
@@ -61,15 +62,13 @@ fn configuration(args: &RunArgs) -> Result<Config> {
         config.links = dialled.chain(awaited).collect();
     }
     if let Some(path) = &args.robot {
-        config.robot = config::robot_of(path)?;
+        config = config.with_robot(RobotProfile::read(path)?);
         // What is set by hand is meant for the robot of the file, too.
-        for setting in args
-            .config
-            .settings
-            .iter()
-            .filter(|setting| setting.path.first().is_some_and(|part| part == "robot"))
-        {
-            config = config::lay_over(&config, setting)?;
+        for setting in &args.config.settings {
+            let section = setting.path.first().map(String::as_str);
+            if let Some("robot" | "filter") = section {
+                config = config::lay_over(&config, setting)?;
+            }
         }
     }
     if let Some(name) = &args.filter {
@@ -94,6 +93,7 @@ struct Embedded {
 
 async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
     let timer = HostTimer::start();
+    let pipeline = pipeline(args, config).at_start()?;
     let folder = output_folder(args, config, &timer).at_start()?;
     let stop = CancellationToken::new();
     let mut signals = Signals::listen().at_start()?;
@@ -111,7 +111,7 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         view: LiveView::new(progress),
     };
     let mut shard = Shard {
-        pipeline: Pipeline::new(config.pipeline().at_start()?, Stamp::ZERO).at_start()?,
+        pipeline,
         ports,
         timer,
         recorder: start_recorder(args, config, &timer, &folder).at_start()?,
@@ -135,6 +135,7 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         .is_some_and(|embedded| embedded.brick.finished.is_cancelled());
     stop.cancel();
     let failure = shard.recording_failure.take();
+    let learned = learned_of(&shard.pipeline, config).at_start()?;
     let (collector, recorded) = close(shard).while_running()?;
     finish(
         config,
@@ -144,10 +145,51 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         recorded,
     )
     .while_running()?;
+    report_learned(args, config, &folder, learned.as_ref(), &timer).while_running()?;
     failure
         .map_or(Ok(()), Err)
         .context("the recording is not whole")
         .while_running()
+}
+
+/// The engine; a filter that learns nothing is refused where what it learns shall be saved, before the robot drives for nothing.
+fn pipeline(args: &RunArgs, config: &Config) -> Result<Pipeline> {
+    let pipeline = Pipeline::new(config.pipeline()?, Stamp::ZERO)?;
+    if args.save_calibration.is_some() && pipeline.calibration().is_none() {
+        bail!(
+            "--save-calibration: the filter `{}` learns no calibration",
+            config.filter.name
+        );
+    }
+    Ok(pipeline)
+}
+
+fn learned_of(pipeline: &Pipeline, config: &Config) -> Result<Option<Learned>> {
+    let prior = config.filter_config()?.calibration;
+    Ok(Learned::of(pipeline, "live run", &config.robot, &prior))
+}
+
+/// Prints and saves what the filter has learned about the robot.
+fn report_learned(
+    args: &RunArgs,
+    config: &Config,
+    folder: &Path,
+    learned: Option<&Learned>,
+    timer: &HostTimer,
+) -> Result<()> {
+    if let Some(learned) = learned {
+        stdout::print(&learned_table(std::slice::from_ref(learned)))?;
+    }
+    let Some(path) = &args.save_calibration else {
+        return Ok(());
+    };
+    let learned = learned.context("nothing was observed, so there is no calibration to save")?;
+    let provenance = Provenance {
+        utc_micros: timer.utc_start(),
+        source: format!("live run, {}", folder.display()),
+        filter: config.filter.name.clone(),
+    };
+    save(path, learned, &provenance)
 }
 
 /// Closes the links, then lets recorder and observer finish what waits.

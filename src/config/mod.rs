@@ -4,20 +4,30 @@
 //! not there is an error that names it. Units stand in the keys; here they become the types of the vocabulary, and
 //! nothing behind this module checks them again.
 
+mod calibrated;
+mod calibration;
+mod filter;
 mod load;
 mod merge;
+mod noise;
+mod profile;
 mod robot;
-mod robot_of;
 mod station;
+mod world;
 
+pub use calibrated::{CalibratedRobot, Provenance};
+pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration};
+pub use filter::{FilterSection, filter_config};
 pub use load::{ConfigError, Loaded, lay_over, load, load_text};
 pub use merge::{Origin, Setting, print};
-pub use robot::{RobotFile, RobotNoise, RobotStart};
-pub use robot_of::robot_of;
+pub use noise::RobotNoise;
+pub use profile::{ProfileFilter, RobotProfile};
+pub use robot::{RobotFile, RobotStart};
 pub use station::{
-    AtInstant, CameraConfig, ClockConfig, Config, FilterSection, LinkSection, OutputSection,
-    RecordSection, StationConfig,
+    AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
+    StationConfig,
 };
+pub use world::{NumberedPlace, PointPlace, WallPlace, WorldConfig};
 
 /// The configuration that `posebridge` alone uses, and the documentation of every key.
 pub const DEFAULT_TOML: &str = include_str!("../../config/default.toml");

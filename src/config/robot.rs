@@ -1,14 +1,17 @@
-//! A robot as a file describes it: geometry, noise, start.
+//! A robot as a file describes it: geometry, noise, calibration, start.
 
 use anyhow::{Result, ensure};
 use posebridge_estimator::StartPose;
-use posebridge_telemetry::{DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise};
+use posebridge_telemetry::{
+    Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-const DEGREE: f64 = std::f64::consts::PI / 180.0;
+use super::calibration::RobotCalibration;
+use super::noise::RobotNoise;
 
-/// A robot's geometry and noise; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
+/// A robot's geometry, noise and calibration; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotFile {
@@ -26,34 +29,10 @@ pub struct RobotFile {
     pub adopt_description: bool,
     /// Noise of motion and sensors.
     pub noise: RobotNoise,
+    /// Systematic errors, and how well they are known.
+    pub calibration: RobotCalibration,
     /// Where it starts; without it the first fixes decide.
     pub start: Option<RobotStart>,
-}
-
-/// Noise, one standard deviation each.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
-#[serde(default, deny_unknown_fields)]
-pub struct RobotNoise {
-    /// Each wheel's travel, for itself.
-    pub wheel_travel_m_per_sqrt_m: f64,
-    /// Distance along the track, common to both wheels.
-    pub travel_m_per_sqrt_m: f64,
-    /// Heading, by turning.
-    pub turn_rad_per_sqrt_rad: f64,
-    /// Heading, by driving.
-    pub heading_rad_per_sqrt_m: f64,
-    /// Gyro, white, per sample.
-    pub gyro_rad_per_s: f64,
-    /// Gyro's step; 0 if fine.
-    pub gyro_resolution_rad_per_s: f64,
-    /// Gyro's bias at power-up.
-    pub gyro_bias_rad_per_s: f64,
-    /// Random walk of the gyro's bias.
-    pub gyro_bias_walk_rad_per_s_sqrt_s: f64,
-    /// A fix's position, each axis.
-    pub fix_position_m: f64,
-    /// A fix's heading.
-    pub fix_heading_rad: f64,
 }
 
 /// Where a robot starts, and how well that is known.
@@ -83,25 +62,8 @@ impl Default for RobotFile {
             ticks_per_turn: 360.0,
             adopt_description: true,
             noise: RobotNoise::default(),
+            calibration: RobotCalibration::default(),
             start: None,
-        }
-    }
-}
-
-impl Default for RobotNoise {
-    /// A LEGO NXT with HiTechnic gyro under an overhead camera; sources in config/default.toml.
-    fn default() -> Self {
-        Self {
-            wheel_travel_m_per_sqrt_m: 0.001,
-            travel_m_per_sqrt_m: 0.005,
-            turn_rad_per_sqrt_rad: 0.02,
-            heading_rad_per_sqrt_m: 0.03,
-            gyro_rad_per_s: DEGREE,
-            gyro_resolution_rad_per_s: DEGREE,
-            gyro_bias_rad_per_s: 2.0 * DEGREE,
-            gyro_bias_walk_rad_per_s_sqrt_s: 0.01 * DEGREE,
-            fix_position_m: 0.005,
-            fix_heading_rad: DEGREE,
         }
     }
 }
@@ -136,52 +98,15 @@ impl RobotFile {
     /// # Errors
     /// A standard deviation is negative, or one that must not be zero is.
     pub fn noise(&self) -> Result<SensorNoise> {
-        let n = &self.noise;
-        for (key, value, may_be_zero) in [
-            (
-                "wheel_travel_m_per_sqrt_m",
-                n.wheel_travel_m_per_sqrt_m,
-                true,
-            ),
-            ("travel_m_per_sqrt_m", n.travel_m_per_sqrt_m, true),
-            ("turn_rad_per_sqrt_rad", n.turn_rad_per_sqrt_rad, true),
-            ("heading_rad_per_sqrt_m", n.heading_rad_per_sqrt_m, true),
-            ("gyro_rad_per_s", n.gyro_rad_per_s, true),
-            (
-                "gyro_resolution_rad_per_s",
-                n.gyro_resolution_rad_per_s,
-                true,
-            ),
-            ("gyro_bias_rad_per_s", n.gyro_bias_rad_per_s, true),
-            (
-                "gyro_bias_walk_rad_per_s_sqrt_s",
-                n.gyro_bias_walk_rad_per_s_sqrt_s,
-                true,
-            ),
-            ("fix_position_m", n.fix_position_m, false),
-            ("fix_heading_rad", n.fix_heading_rad, false),
-        ] {
-            let is_good = value.is_finite() && (value > 0.0 || (may_be_zero && value == 0.0));
-            let wanted = if may_be_zero {
-                "zero or more"
-            } else {
-                "more than zero"
-            };
-            ensure!(is_good, "`robot.noise.{key}` is {value}, must be {wanted}");
-        }
-        Ok(SensorNoise {
-            wheel_travel_m_per_sqrt_m: n.wheel_travel_m_per_sqrt_m,
-            travel_m_per_sqrt_m: n.travel_m_per_sqrt_m,
-            turn_rad_per_sqrt_rad: n.turn_rad_per_sqrt_rad,
-            heading_rad_per_sqrt_m: n.heading_rad_per_sqrt_m,
-            gyro_rad_per_s: n.gyro_rad_per_s,
-            gyro_resolution_rad_per_s: n.gyro_resolution_rad_per_s,
-            gyro_bias_rad_per_s: n.gyro_bias_rad_per_s,
-            gyro_bias_walk_rad_per_s_sqrt_s: n.gyro_bias_walk_rad_per_s_sqrt_s,
-            fix_position_m: n.fix_position_m,
-            fix_heading_rad: n.fix_heading_rad,
-            ..SensorNoise::EXACT
-        })
+        self.noise.checked()
+    }
+
+    /// What is known of systematic errors, in the vocabulary's types.
+    ///
+    /// # Errors
+    /// A value or a sigma is out of its range.
+    pub fn calibration(&self) -> Result<Calibration> {
+        self.calibration.checked(self.noise.gyro_bias_rad_per_s)
     }
 
     /// Start in the vocabulary's types.

@@ -1,9 +1,7 @@
 //! The station's own part of the configuration, and how it becomes a pipeline.
 
-use std::collections::BTreeMap;
-
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_estimator::{FilterConfig, Params, filter_named};
+use posebridge_estimator::FilterConfig;
 use posebridge_link::{LinkUrl, Role};
 use posebridge_pipeline::{
     AcceptedVersions, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputStream,
@@ -15,7 +13,9 @@ use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
+use super::world::WorldConfig;
 use crate::link_target::LinkTarget;
 
 /// Everything that a run needs to know.
@@ -31,6 +31,8 @@ pub struct Config {
     pub robot: RobotFile,
     /// The filter and its tunables.
     pub filter: FilterSection,
+    /// What stands in the arena.
+    pub world: WorldConfig,
     /// The camera.
     pub camera: CameraConfig,
     /// The alignment of clocks.
@@ -96,17 +98,6 @@ pub enum AtInstant {
     Arrival,
 }
 
-/// The filter and its tunables.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
-#[serde(default)]
-pub struct FilterSection {
-    /// Name of a filter.
-    pub name: String,
-    /// Its tunables, by key.
-    #[serde(flatten)]
-    pub params: BTreeMap<String, f64>,
-}
-
 /// The camera.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(default, deny_unknown_fields)]
@@ -144,6 +135,7 @@ impl Default for Config {
             links: vec![LinkSection::new("sim://square")],
             robot: RobotFile::default(),
             filter: FilterSection::default(),
+            world: WorldConfig::default(),
             camera: CameraConfig::default(),
             clock: ClockConfig::default(),
             record: RecordSection::default(),
@@ -185,15 +177,6 @@ fn default_outputs() -> Vec<OutputSection> {
     }]
 }
 
-impl Default for FilterSection {
-    fn default() -> Self {
-        Self {
-            name: "pose".to_owned(),
-            params: BTreeMap::new(),
-        }
-    }
-}
-
 impl Default for ClockConfig {
     fn default() -> Self {
         Self {
@@ -218,28 +201,8 @@ impl Config {
     /// # Errors
     /// A value makes no sense; the message names its key.
     pub fn filter_config(&self) -> Result<FilterConfig> {
-        ensure!(
-            filter_named(&self.filter.name).is_some(),
-            "`filter.name` is `{}`; there are: {}",
-            self.filter.name,
-            posebridge_estimator::FILTERS
-                .iter()
-                .map(|entry| entry.name)
-                .collect::<Vec<_>>()
-                .join(", "),
-        );
-        let mut params = Params::default();
-        for (key, value) in &self.filter.params {
-            params.set(key, *value).context("`[filter]`")?;
-        }
-        Ok(FilterConfig {
-            geometry: self.robot.geometry()?,
-            noise: self.robot.noise()?,
-            start: self.robot.start()?,
-            params,
-            calibration: posebridge_telemetry::Calibration::default(),
-            world: std::sync::Arc::default(),
-        })
+        self.filter.entry()?;
+        filter_config(&self.robot, &self.filter, self.world.checked()?)
     }
 
     /// The pipeline's configuration.

@@ -1,11 +1,15 @@
 //! `replay --json`: one object, documented in docs/replay-json.md and stable.
 
+use std::collections::BTreeMap;
+
 use anyhow::Result;
 use posebridge_analysis::SourceTally;
 use posebridge_telemetry::Span;
 use serde::Serialize;
 
 use crate::commands::replay::{Outcome, Replayed};
+use crate::config::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey};
+use crate::learned::Learned;
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -24,10 +28,16 @@ struct Estimator<'a> {
     position_rms_m: Option<f64>,
     position_max_m: Option<f64>,
     position_end_m: Option<f64>,
+    position_rms_uncorrected_m: Option<f64>,
     heading_rms_rad: Option<f64>,
     anees: Option<f64>,
     sources: Vec<Source>,
+    /// By run.
+    calibration: Option<BTreeMap<&'a str, Entries>>,
 }
+
+/// By key.
+type Entries = BTreeMap<&'static str, CalibrationEntry>;
 
 #[derive(Serialize)]
 struct Source {
@@ -35,7 +45,13 @@ struct Source {
     used: u64,
     gated: u64,
     too_old: u64,
+    malformed: u64,
+    rebased: u64,
+    reset_to: u64,
+    unused: u64,
     mean_nis_per_dof: Option<f64>,
+    degrees_of_freedom: u64,
+    consistency: &'static str,
 }
 
 /// The object as one line of text.
@@ -62,10 +78,22 @@ fn estimator(outcome: &Outcome) -> Estimator<'_> {
         position_rms_m: errors.position_rms_m,
         position_max_m: errors.position_max_m,
         position_end_m: errors.position_end_m,
+        position_rms_uncorrected_m: outcome.position_rms_uncorrected_m,
         heading_rms_rad: errors.heading_rms_rad,
         anees: errors.anees,
         sources: outcome.sources.iter().map(source).collect(),
+        calibration: calibration(&outcome.learned),
     }
+}
+
+/// What was learned in each run; `None` for an estimator that learns nothing.
+fn calibration(runs: &[Learned]) -> Option<BTreeMap<&str, Entries>> {
+    let entries = |learned: &Learned| {
+        let entry = |key: &CalibrationKey| (key.key, (key.read)(&learned.calibration).into());
+        CALIBRATION_KEYS.iter().map(entry).collect()
+    };
+    let by_run = runs.iter().map(|run| (run.run.as_str(), entries(run)));
+    (!runs.is_empty()).then(|| by_run.collect())
 }
 
 fn source(tally: &SourceTally) -> Source {
@@ -74,6 +102,52 @@ fn source(tally: &SourceTally) -> Source {
         used: tally.used + tally.reset_to,
         gated: tally.gated,
         too_old: tally.too_old,
+        malformed: tally.malformed,
+        rebased: tally.rebased,
+        reset_to: tally.reset_to,
+        unused: tally.unused,
         mean_nis_per_dof: tally.mean_nis_per_dof(),
+        degrees_of_freedom: tally.degrees_of_freedom(),
+        consistency: tally.consistency().in_words(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_analysis::ErrorSummary;
+    use posebridge_telemetry::{Calibration, Known, SensorId};
+
+    use super::*;
+    use crate::config::RobotFile;
+
+    #[test]
+    fn what_was_learned_stands_under_its_run_and_its_key() {
+        let calibration = Calibration {
+            track_scale: Known {
+                value: 0.116,
+                sigma: 0.004,
+            },
+            ..Calibration::default()
+        };
+        let outcome = Outcome {
+            name: "pose".to_owned(),
+            errors: ErrorSummary::default(),
+            position_rms_uncorrected_m: Some(0.0194),
+            learned: vec![Learned {
+                run: "robot4".to_owned(),
+                robot: RobotFile::default(),
+                prior: Calibration::default(),
+                calibration,
+            }],
+            sources: vec![SourceTally::new(SensorId::CAMERA)],
+        };
+        let json = serde_json::to_value(estimator(&outcome)).unwrap();
+        let learned = &json["calibration"]["robot4"];
+        assert_eq!(learned["track_scale"]["value"], 0.116);
+        assert_eq!(learned["track_scale"]["sigma"], 0.004);
+        assert_eq!(learned.as_object().unwrap().len(), CALIBRATION_KEYS.len());
+        assert_eq!(json["position_rms_uncorrected_m"], 0.0194);
+        assert_eq!(json["sources"][0]["consistency"], "undetermined");
+        assert_eq!(json["sources"][0]["degrees_of_freedom"], 0);
     }
 }

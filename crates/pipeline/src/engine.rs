@@ -11,8 +11,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_estimator::{Filter, StartPose, filter_named};
 use posebridge_telemetry::{
-    Address, BrickClock, CameraClock, Command, Estimate, Event, HostClock, Input, LinkId,
-    LinkState, Output, Radians, RobotId, Span, Stamp, Verdict,
+    Address, BrickClock, Calibration, CameraClock, Command, DriveGeometry, Estimate, Event,
+    HostClock, Input, LinkId, LinkState, Output, Radians, RobotId, Span, Stamp, Verdict,
 };
 
 use crate::clock::align::ClockAligner;
@@ -146,6 +146,18 @@ impl Pipeline {
     #[must_use]
     pub fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
         self.filter.estimate_at(stamp)
+    }
+
+    /// What the filter has learned about the robot, relative to [`Self::geometry`]; see [`Filter::calibration`].
+    #[must_use]
+    pub fn calibration(&self) -> Option<Calibration> {
+        self.filter.calibration()
+    }
+
+    /// The nominal geometry that the filter works with: the configured one, or the one that the robot has described.
+    #[must_use]
+    pub const fn geometry(&self) -> DriveGeometry {
+        self.config.filter_config.geometry
     }
 
     /// The latest instant of which an observation spoke.

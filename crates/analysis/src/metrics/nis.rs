@@ -106,6 +106,11 @@ impl SourceTally {
         mean_per_degree(self.nis_sum, self.degrees_of_freedom)
     }
 
+    /// How many degrees of freedom the mean stands on.
+    pub const fn degrees_of_freedom(&self) -> u64 {
+        self.degrees_of_freedom
+    }
+
     /// The share of observations that the gate refused, among those that reached it; `None` if none did.
     pub fn gated_share(&self) -> Option<f64> {
         let judged = self.used + self.gated;

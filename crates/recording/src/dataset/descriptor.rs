@@ -51,6 +51,8 @@ pub struct Descriptor {
     pub licence: String,
     /// The robot's geometry and noise, as they stand in the descriptor; [`Descriptor::robot_for`] merges a run's own.
     pub robot: toml::Table,
+    /// The tunables that fit this robot, as they stand in the descriptor; one set for all runs.
+    pub filter: toml::Table,
     /// Beginning of the names of the runs that are taken when nobody asks for others.
     pub default_run: String,
     /// The names of all runs, in the descriptor's order.
@@ -101,6 +103,7 @@ impl Descriptor {
             source: raw.source.clone(),
             licence: raw.licence.clone(),
             robot: raw.robot.clone(),
+            filter: raw.filter.clone(),
             default_run: raw.default_run.get_ref().clone(),
             runs: resolved.iter().map(|run| run.name.clone()).collect(),
             resolved,

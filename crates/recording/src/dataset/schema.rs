@@ -22,6 +22,8 @@ pub(super) struct RawDescriptor {
     pub(super) default_run: Spanned<String>,
     #[serde(default)]
     pub(super) robot: toml::Table,
+    #[serde(default)]
+    pub(super) filter: toml::Table,
     pub(super) start: Option<Spanned<RawStart>>,
     pub(super) runs: Vec<Spanned<RawRun>>,
     pub(super) files: BTreeMap<String, FileEntry>,

@@ -1,0 +1,202 @@
+//! A robot with what a filter has learned about it, as a profile that `--robot` loads again.
+
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use posebridge_telemetry::{Calibration, Known};
+
+use super::calibration::RobotCalibration;
+use super::robot::RobotFile;
+
+/// A robot that was calibrated by driving.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibratedRobot {
+    /// The robot as it was configured, its geometry the one that the filter worked with.
+    pub robot: RobotFile,
+    /// What was learned, relative to that geometry.
+    pub learned: Calibration,
+    /// Whence it comes.
+    pub provenance: Provenance,
+}
+
+/// Where a calibration comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Provenance {
+    /// When, in microseconds since 1970 (UTC).
+    pub utc_micros: u64,
+    /// From which recording or run.
+    pub source: String,
+    /// By which filter.
+    pub filter: String,
+}
+
+impl CalibratedRobot {
+    /// The robot that the profile describes.
+    ///
+    /// Where it started belongs to the run, not to the robot. Its own description would bring back the geometry to which the
+    /// calibration does not belong, so it is not adopted. A gyro's bias is another one after each power-up: the value is a
+    /// better guess than zero, but known no better than before.
+    #[must_use]
+    pub fn profile(&self) -> RobotFile {
+        let bias = self.learned.gyro_bias_rad_per_s;
+        let at_power_up = Known {
+            sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s),
+            ..bias
+        };
+        RobotFile {
+            start: None,
+            adopt_description: false,
+            calibration: RobotCalibration::from(Calibration {
+                gyro_bias_rad_per_s: at_power_up,
+                ..self.learned
+            }),
+            ..self.robot.clone()
+        }
+    }
+
+    /// The profile as a text.
+    ///
+    /// # Errors
+    /// The robot cannot be written as TOML, which would be a fault of ours.
+    pub fn to_toml(&self) -> Result<String> {
+        let mut robot = toml::Table::try_from(self.profile())?;
+        let mut sections = Vec::new();
+        for key in ["noise", "calibration"] {
+            if let Some(toml::Value::Table(section)) = robot.remove(key) {
+                sections.push((format!("robot.{key}"), section));
+            }
+        }
+        let from = &self.provenance;
+        let text = |value: &str| toml::Value::String(value.to_owned());
+        let mut page = String::from(
+            "# A robot with what a filter has learned about it; give it with `posebridge run --robot FILE`.\n",
+        );
+        // Writing to a String cannot fail.
+        let _ = writeln!(page, "\n[calibrated]");
+        let _ = writeln!(page, "date = {}", utc_date(from.utc_micros));
+        let _ = writeln!(page, "source = {}", text(&from.source));
+        let _ = writeln!(page, "filter = {}", text(&from.filter));
+        let bias = self.learned.gyro_bias_rad_per_s;
+        let _ = writeln!(
+            page,
+            "# the gyro's bias was learned to {} rad/s; below stands how well it is known after the next power-up",
+            bias.sigma
+        );
+        for (name, section) in [("robot".to_owned(), robot)].into_iter().chain(sections) {
+            let _ = writeln!(page, "\n[{name}]");
+            for (key, value) in section {
+                let _ = writeln!(page, "{key} = {value}");
+            }
+        }
+        Ok(page)
+    }
+}
+
+/// Days from 0000-03-01 to 1970-01-01 in the Gregorian calendar.
+const DAYS_BEFORE_EPOCH: u64 = 719_468;
+/// Days of 400 Gregorian years, after which the calendar repeats.
+const DAYS_OF_ERA: u64 = 146_097;
+
+/// Date and time of day in the notation of RFC 3339, to the second.
+///
+/// Years are counted from March, so that the leap day is the last of its year and months follow a pattern of 153 days in five.
+fn utc_date(utc_micros: u64) -> String {
+    let seconds = utc_micros / 1_000_000;
+    let days = seconds / 86_400 + DAYS_BEFORE_EPOCH;
+    let (era, day_of_era) = (days / DAYS_OF_ERA, days % DAYS_OF_ERA);
+    let leap_days = day_of_era / 1_460 + day_of_era / 146_096 - day_of_era / 36_524;
+    let year_of_era = (day_of_era - leap_days) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = (month_from_march + 2) % 12 + 1;
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    let (hour, minute, second) = (seconds / 3_600 % 24, seconds / 60 % 60, seconds % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{RobotProfile, RobotStart};
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        // `date -u -d @SECONDS`
+        for (seconds, date) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_709_251_199, "2024-02-29T23:59:59Z"),
+            (1_709_251_200, "2024-03-01T00:00:00Z"),
+            (1_767_225_599, "2025-12-31T23:59:59Z"),
+            (4_107_542_400, "2100-03-01T00:00:00Z"),
+        ] {
+            assert_eq!(utc_date(seconds * 1_000_000 + 999_999), date);
+        }
+    }
+
+    fn calibrated() -> CalibratedRobot {
+        let mut robot = RobotFile {
+            name: "a \"blue\" robot".to_owned(),
+            track_width_m: 0.155,
+            start: Some(RobotStart {
+                x_m: 1.0,
+                y_m: 2.0,
+                heading_deg: 90.0,
+                position_sigma_m: 0.1,
+                heading_sigma_deg: 1.0,
+            }),
+            ..RobotFile::default()
+        };
+        robot.noise.gyro_bias_rad_per_s = 0.03;
+        let known = |value, sigma| Known { value, sigma };
+        CalibratedRobot {
+            robot,
+            learned: Calibration {
+                track_scale: known(0.116, 0.004),
+                fix_delay_s: known(0.1875, 0.0123),
+                gyro_bias_rad_per_s: known(-0.0101, 0.0002),
+                ..Calibration::default()
+            },
+            provenance: Provenance {
+                utc_micros: 1_709_251_200_000_000,
+                source: "lego \\ run".to_owned(),
+                filter: "pose".to_owned(),
+            },
+        }
+    }
+
+    #[test]
+    fn a_saved_robot_is_loaded_as_it_was_learned() {
+        let calibrated = calibrated();
+        let text = calibrated.to_toml().unwrap();
+        let loaded = RobotProfile::from_toml(&text).unwrap().robot;
+        assert_eq!(loaded, calibrated.profile(), "{text}");
+        let prior = loaded.calibration().unwrap();
+        assert_eq!(prior.track_scale, calibrated.learned.track_scale);
+        assert_eq!(prior.fix_delay_s, calibrated.learned.fix_delay_s);
+        assert_eq!(
+            loaded.geometry().unwrap(),
+            calibrated.robot.geometry().unwrap()
+        );
+        assert_eq!(loaded.noise, calibrated.robot.noise);
+        assert_eq!((loaded.start, loaded.adopt_description), (None, false));
+    }
+
+    #[test]
+    fn a_gyro_s_bias_is_not_trusted_beyond_the_power_up() {
+        let profile = calibrated().profile();
+        let prior = profile.calibration().unwrap().gyro_bias_rad_per_s;
+        assert_eq!((prior.value, prior.sigma), (-0.0101, 0.03));
+    }
+
+    #[test]
+    fn a_saved_robot_says_whence_it_comes() {
+        let page: toml::Table = toml::from_str(&calibrated().to_toml().unwrap()).unwrap();
+        let from = page["calibrated"].as_table().unwrap();
+        assert_eq!(from["date"].to_string(), "2024-03-01T00:00:00Z");
+        assert_eq!(from["source"].as_str(), Some("lego \\ run"));
+        assert_eq!(from["filter"].as_str(), Some("pose"));
+    }
+}

@@ -1,0 +1,81 @@
+//! The filter of a robot: which one, its tunables, and everything that it is built from.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_estimator::{FILTERS, FilterConfig, FilterEntry, Params, filter_named};
+use posebridge_telemetry::World;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::robot::RobotFile;
+
+/// The filter and its tunables.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(default)]
+pub struct FilterSection {
+    /// Name of a filter.
+    pub name: String,
+    /// Its tunables, by key.
+    #[serde(flatten)]
+    pub params: BTreeMap<String, f64>,
+}
+
+impl Default for FilterSection {
+    fn default() -> Self {
+        Self {
+            name: "pose".to_owned(),
+            params: BTreeMap::new(),
+        }
+    }
+}
+
+impl FilterSection {
+    /// The filter that it names.
+    ///
+    /// # Errors
+    /// There is no such filter; the message lists those that there are.
+    pub fn entry(&self) -> Result<&'static FilterEntry> {
+        filter_named(&self.name).ok_or_else(|| {
+            let known: Vec<_> = FILTERS.iter().map(|entry| entry.name).collect();
+            anyhow!(
+                "`filter.name` is `{}`; there are: {}",
+                self.name,
+                known.join(", ")
+            )
+        })
+    }
+
+    /// The tunables, the defaults where none is given.
+    ///
+    /// # Errors
+    /// A key is unknown, or its value makes no sense.
+    pub fn params(&self) -> Result<Params> {
+        let mut params = Params::default();
+        for (key, value) in &self.params {
+            params.set(key, *value).context("`[filter]`")?;
+        }
+        Ok(params)
+    }
+}
+
+/// What a filter of this robot is built from: a live station and a replayed recording both come through here, so that the same
+/// files give the same filter.
+///
+/// # Errors
+/// A value makes no sense; the message names its key.
+pub fn filter_config(
+    robot: &RobotFile,
+    filter: &FilterSection,
+    world: World,
+) -> Result<FilterConfig> {
+    Ok(FilterConfig {
+        geometry: robot.geometry()?,
+        noise: robot.noise()?,
+        start: robot.start()?,
+        params: filter.params()?,
+        calibration: robot.calibration()?,
+        world: Arc::new(world),
+    })
+}
