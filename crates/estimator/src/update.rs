@@ -126,52 +126,80 @@ pub enum Usage {
     Used,
     /// Its NIS exceeds the gate; nothing changed.
     Gated,
-    /// S is not a positive number; nothing changed.
+    /// S is not a positive, finite number, or the innovation is not finite; nothing changed.
     Indefinite,
 }
 
 /// Uses one scalar observation of a few rows, unless its NIS exceeds `gate` (infinite for none).
 ///
-/// The sparse form of the update: S, the gain and the new covariance from the named rows alone, symmetric by construction.
+/// The sparse form of the update: S, the gain and the new covariance from the named rows alone. `covariance` must be symmetric;
+/// it stays so to the last bit.
+///
+/// # Panics
+/// A named row is N or more.
+#[inline]
 pub fn use_scalar<const N: usize, const K: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
     scalar: &Scalar<K>,
     gate: f64,
 ) -> ScalarOutcome {
-    let mut cross = SVector::<f64, N>::zeros();
+    let cross = cross_covariance(covariance, scalar);
+    let mut s = scalar.variance;
+    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
+        s += by * cross[row];
+    }
+    // The only division: everything below waits for it.
+    let inverse = 1.0 / s;
+    let scaled_innovation = scalar.innovation * inverse;
+    let nis = scalar.innovation * scaled_innovation;
+    // An S of zero, below zero, without end or not a number gives an inverse or a NIS that fails here.
+    let usage = if !(inverse > 0.0 && nis.is_finite()) {
+        Usage::Indefinite
+    } else if nis > gate {
+        Usage::Gated
+    } else {
+        *mean += cross * scaled_innovation;
+        subtract_outer_square(covariance, &cross, inverse);
+        Usage::Used
+    };
+    ScalarOutcome {
+        innovation_variance: s,
+        nis,
+        usage,
+    }
+}
+
+/// P H' of a scalar observation.
+#[inline]
+fn cross_covariance<const N: usize, const K: usize>(
+    covariance: &SMatrix<f64, N, N>,
+    scalar: &Scalar<K>,
+) -> SVector<f64, N> {
+    // Minus zero, because adding it changes nothing, so that the compiler may leave the first sum out.
+    let mut cross = SVector::<f64, N>::repeat(-0.0);
     for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
         for i in 0..N {
             cross[i] += by * covariance[(i, row)];
         }
     }
-    let mut s = scalar.variance;
-    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
-        s += by * cross[row];
-    }
-    let nis = scalar.innovation * scalar.innovation / s;
-    let usage = if !(s > 0.0 && nis.is_finite()) {
-        Usage::Indefinite
-    } else if nis > gate {
-        Usage::Gated
-    } else {
-        Usage::Used
-    };
-    if usage == Usage::Used {
-        let scaled = cross / s;
-        *mean += scaled * scalar.innovation;
-        for column in 0..N {
-            for row in column..N {
-                let value = covariance[(row, column)] - scaled[row] * cross[column];
-                covariance[(row, column)] = value;
-                covariance[(column, row)] = value;
-            }
+    cross
+}
+
+/// P <- P - c c' / s: one triangle computed, the other copied, so that the result is symmetric.
+#[inline]
+fn subtract_outer_square<const N: usize>(
+    p: &mut SMatrix<f64, N, N>,
+    c: &SVector<f64, N>,
+    inverse_s: f64,
+) {
+    let scaled = c * inverse_s;
+    for column in 0..N {
+        for row in column..N {
+            let value = p[(row, column)] - scaled[row] * c[column];
+            p[(row, column)] = value;
+            p[(column, row)] = value;
         }
-    }
-    ScalarOutcome {
-        innovation_variance: s,
-        nis,
-        usage,
     }
 }
 

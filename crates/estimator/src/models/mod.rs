@@ -2,4 +2,5 @@
 
 pub mod differential_drive;
 pub mod lie;
+pub mod planar_speed;
 pub mod se2;
