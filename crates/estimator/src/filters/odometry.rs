@@ -135,14 +135,24 @@ impl OdometryFilter {
     }
 
     /// A late reading changes only what lies behind it: reckons again from the last belief before it.
+    ///
+    /// In place, because a step must not allocate: the queue has grown to the length of the history by then.
     fn reckon_anew_from(&mut self, stamp: Stamp<BrickClock>) {
-        let mut later = Vec::new();
-        while self.reckoned.len() > 1 && self.last().stamp > Some(stamp) {
-            later.extend(self.reckoned.pop_back().and_then(|belief| belief.stamp));
-        }
-        for at in std::iter::once(stamp).chain(later.into_iter().rev()) {
-            let next = self.carried(&self.last(), at);
-            self.reckoned.push_back(next);
+        // The oldest belief is where everything starts, and stays.
+        let first_later = self
+            .reckoned
+            .partition_point(|belief| belief.stamp <= Some(stamp))
+            .max(1);
+        let mut belief = self.reckoned[first_later - 1];
+        let slot = Reckoned {
+            stamp: Some(stamp),
+            ..belief
+        };
+        self.reckoned.insert(first_later, slot);
+        for index in first_later..self.reckoned.len() {
+            let at = self.reckoned[index].stamp.unwrap_or(stamp);
+            belief = self.carried(&belief, at);
+            self.reckoned[index] = belief;
         }
         let horizon =
             self.last().stamp.unwrap_or(stamp) - Span::from_secs_f64(self.config.params.history_s);
