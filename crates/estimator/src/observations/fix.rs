@@ -48,7 +48,7 @@ pub struct FixNoise {
 pub fn noise_of(
     fix: &Fix,
     configured: &SensorNoise,
-    scale: f64,
+    [of_position, of_heading]: [f64; 2],
     circumstances: &Circumstances,
 ) -> FixNoise {
     let smear_m2 = (circumstances.forward_m_per_s * circumstances.stamp_sigma_s).powi(2);
@@ -72,8 +72,8 @@ pub fn noise_of(
         ),
     };
     FixNoise {
-        position: position * scale + Matrix2::from_diagonal_element(smear_m2),
-        heading_rad2: heading_rad2 * scale + smear_rad2,
+        position: position * of_position + Matrix2::from_diagonal_element(smear_m2),
+        heading_rad2: heading_rad2 * of_heading + smear_rad2,
     }
 }
 

@@ -24,25 +24,13 @@ pub struct Context<'a> {
     pub gates: &'a Gates,
 }
 
-/// Quantiles of chi-square with one, two and three degrees of freedom.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gates {
-    /// At the gate's probability.
-    pub gate: [f64; 3],
-    /// At one half.
-    pub median: [f64; 3],
-}
+/// The gate: quantiles of chi-square with one, two and three degrees of freedom.
+pub type Gates = [f64; 3];
 
-impl Gates {
-    /// The gates of a configuration.
-    #[must_use]
-    pub fn new(config: &FilterConfig) -> Self {
-        let at = |probability| [1, 2, 3].map(|degrees| chi_square_quantile(degrees, probability));
-        Self {
-            gate: at(config.params.gate_probability),
-            median: at(0.5),
-        }
-    }
+/// The gates of a configuration.
+#[must_use]
+pub fn gates_of(config: &FilterConfig) -> Gates {
+    [1, 2, 3].map(|degrees| chi_square_quantile(degrees, config.params.gate_probability))
 }
 
 /// A gyro that has been silent for longer no longer outranks the encoders' turn rate.

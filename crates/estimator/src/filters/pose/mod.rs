@@ -74,7 +74,7 @@ impl<const N: usize> PoseFilter<N> {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             gyro: GyroTrack::default(),
-            gates: Gates::new(config),
+            gates: fuse::gates_of(config),
             base: PoseState::initial(config),
             entries: VecDeque::new(),
         }

@@ -2,12 +2,13 @@
 //!
 //! # Model
 //! ```text
-//! R = s R_0            ln s <- ln s + g u (1[NIS > median of chi-square] - 1/2) 2
-//! g = max(g_min, 1 / (2 + k))          k observations so far
-//! u = mean of R_ii / S_ii              how much of the innovation is the sensor's own
+//! R_i = s_g R_0i           s_g the scale of the group of component i: position, heading, range, bearing
+//! ln s_g <- ln s_g + gain * mean over the group of  u_i sign(nu_i^2 / S_ii - m)
+//! gain = max(g_min, 1 / (2 + k))          k observations so far         m = 0.4549, the median of chi-square with one degree
+//! u_i = R_i / S_ii                        how much of the innovation is the sensor's own
 //! ```
-//! The median of the NIS is not moved by a few gross outliers, however gross, and a gate that was set too narrow opens by
-//! itself, because what it refuses counts as well.
+//! The median is not moved by a few gross outliers, however gross, and a gate that was set too narrow opens by itself, because
+//! what it refuses counts as well.
 //!
 //! # Source
 //! docs/maths/pose.md section 6; Robbins and Monro (1951) for quantiles by stochastic approximation.
@@ -15,17 +16,22 @@
 use posebridge_telemetry::SensorId;
 
 /// As many sources are followed; further ones keep the noise that they were given.
-const MOST_SOURCES: usize = 6;
+const MOST_SOURCES: usize = 8;
 /// Variances are scaled by no more than this, either way: ten times the standard deviation.
 const LARGEST_LN_SCALE: f64 = 4.605_170_185_988_092;
 
-/// One source: a sensor with one kind of observation.
+/// The median of chi-square with one degree of freedom.
+const MEDIAN: f64 = 0.454_936_423_119_573;
+
+/// One source: a group of components of one kind of observation by one sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Source {
     /// The sensor.
     pub sensor: SensorId,
     /// The number of its kind, see `history`.
     pub kind: u8,
+    /// Which of the kind's components: those of one group err alike.
+    pub group: u8,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,17 +39,6 @@ struct Scale {
     source: Source,
     ln_scale: f64,
     count: u32,
-}
-
-/// An innovation, as the scales see it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Judged {
-    /// Normalised innovation squared, with the scale so far.
-    pub nis: f64,
-    /// Median of chi-square with its degrees of freedom.
-    pub median: f64,
-    /// Mean of R_ii / S_ii.
-    pub own_share: f64,
 }
 
 /// The scales of all sources.
@@ -63,9 +58,9 @@ impl Scales {
             .map_or(1.0, |scale| scale.ln_scale.exp())
     }
 
-    /// Learns from an innovation; `least_gain` of zero learns nothing.
-    pub fn learn(&mut self, source: Source, judged: Judged, least_gain: f64) {
-        if least_gain <= 0.0 || !judged.own_share.is_finite() {
+    /// Learns from the votes of a group: the mean of [`vote`] over its components; `least_gain` of zero learns nothing.
+    pub fn learn(&mut self, source: Source, votes: f64, least_gain: f64) {
+        if least_gain <= 0.0 || !votes.is_finite() {
             return;
         }
         let slot = self
@@ -79,13 +74,13 @@ impl Scales {
             count: 0,
         });
         let gain = least_gain.max(1.0 / (2.0 + f64::from(scale.count)));
-        let side = if judged.nis > judged.median {
-            1.0
-        } else {
-            -1.0
-        };
-        scale.ln_scale = (scale.ln_scale + gain * judged.own_share * side)
-            .clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
+        scale.ln_scale = (scale.ln_scale + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
         scale.count = scale.count.saturating_add(1);
     }
+}
+
+/// Which way a component would have its noise changed, and how strongly: its innovation, S_ii and R_i.
+#[must_use]
+pub fn vote(innovation: f64, s: f64, noise: f64) -> f64 {
+    (noise / s).copysign(innovation * innovation / s - MEDIAN)
 }

@@ -2,13 +2,13 @@
 
 use nalgebra::SMatrix;
 use posebridge_telemetry::{
-    Fix, FusionRecord, Heading, Meters, Observed, Pose, Span, Stamp, Verdict,
+    Fix, FusionRecord, Heading, Meters, Observed, Pose, SensorId, Span, Stamp, Verdict,
 };
 
 use super::fuse::{Context, has_slipped, use_gyro_window};
 use super::history::kind_of;
 use super::iterate::{ITERATE_ABOVE_RAD, iterate};
-use super::scales::{Judged, Source};
+use super::scales::{Source, vote};
 use super::state::{DELAY, HEADING, Located, PoseState, Refused};
 use crate::filters::StartPose;
 use crate::observations::beacon::Beacon;
@@ -40,11 +40,11 @@ pub(super) fn sight<const N: usize>(
         use_gyro_window(state, context);
         state.restart_window(window.until);
     }
-    let source = Source {
+    let judge = Judge {
+        context,
         sensor: record.sensor,
         kind: kind_of(seen),
     };
-    let judge = Judge { context, source };
     record.verdict = match seen {
         Observed::Fix(seen) => judge.fix(state, seen, stamp_sigma, record),
         _ if state.located == Located::No => Verdict::Unused,
@@ -59,8 +59,18 @@ pub(super) fn sight<const N: usize>(
 /// The use of one sight.
 struct Judge<'a> {
     context: &'a Context<'a>,
-    source: Source,
+    sensor: SensorId,
+    kind: u8,
 }
+
+/// The groups of a pose's components: the position errs alike along both axes, the heading for itself.
+const POSE: [u8; 3] = [0, 0, 1];
+/// The same without heading.
+const POSITION: [u8; 2] = [0, 0];
+/// Range and bearing have nothing in common.
+const SIGHTING: [u8; 2] = [0, 1];
+/// A single number.
+const SINGLE: [u8; 1] = [0];
 
 impl Judge<'_> {
     fn fix<const N: usize>(
@@ -71,19 +81,19 @@ impl Judge<'_> {
         record: &mut FusionRecord,
     ) -> Verdict {
         let circumstances = self.circumstances(state, stamp_sigma);
-        let scale = state.scales.factor(self.source);
-        let noise = fix::noise_of(seen, &self.context.config.noise, scale, &circumstances);
+        let scales = [0, 1].map(|group| state.scales.factor(self.source(group)));
+        let noise = fix::noise_of(seen, &self.context.config.noise, scales, &circumstances);
         if state.located == Located::No {
             return locate(state, seen, &noise);
         }
         let verdict = match seen.heading {
             Some(heading) => {
                 let heading_rad = heading.rad();
-                self.use_fix(state, record, &|state: &PoseState<N>| {
+                self.use_fix(state, (record, POSE), &|state: &PoseState<N>| {
                     fix::pose(state, seen, heading_rad, &noise, &circumstances)
                 })
             }
-            None => self.use_fix(state, record, &|state: &PoseState<N>| {
+            None => self.use_fix(state, (record, POSITION), &|state: &PoseState<N>| {
                 fix::position(state, seen, &noise, &circumstances)
             }),
         };
@@ -93,22 +103,31 @@ impl Judge<'_> {
         verdict
     }
 
+    /// One of the groups of what is judged.
+    const fn source(&self, group: u8) -> Source {
+        Source {
+            sensor: self.sensor,
+            kind: self.kind,
+            group,
+        }
+    }
+
     /// Uses a fix once, or again and again while the heading is hardly known.
     fn use_fix<const N: usize, const M: usize>(
         &self,
         state: &mut PoseState<N>,
-        record: &mut FusionRecord,
+        (record, groups): (&mut FusionRecord, [u8; M]),
         measure: &impl Fn(&PoseState<N>) -> Measurement<N, M>,
     ) -> Verdict {
         if state.covariance[(HEADING, HEADING)] <= ITERATE_ABOVE_RAD.powi(2) {
-            return self.use_if_near(state, &measure(state), record);
+            return self.use_if_near(state, &measure(state), (record, groups));
         }
         let Some(found) = iterate(state, measure) else {
             return Verdict::Malformed;
         };
         write(record, &measure(state), &state.covariance);
         record.nis = found.nis;
-        if found.nis > self.context.gates.gate[M - 1] {
+        if found.nis > self.context.gates[M - 1] {
             return Verdict::Gated;
         }
         *state = found.state;
@@ -176,14 +195,14 @@ impl Judge<'_> {
         seen: &Observed,
         record: &mut FusionRecord,
     ) -> Verdict {
-        let scale = state.scales.factor(self.source);
+        let [scale, second] = [0, 1].map(|group| state.scales.factor(self.source(group)));
         let config = self.context.config;
         let (noise, world) = (&config.noise, &config.world);
         match *seen {
             Observed::Landmark { id, range, bearing } => {
                 let variances = (
                     scale * noise.landmark_range_m.powi(2),
-                    scale * noise.landmark_bearing_rad.powi(2),
+                    second * noise.landmark_bearing_rad.powi(2),
                 );
                 let sighting = Sighting {
                     range_m: range.0,
@@ -193,7 +212,7 @@ impl Judge<'_> {
                     .landmarks
                     .get(&id)
                     .and_then(|place| landmark::measurement(state, *place, sighting, variances));
-                self.use_if_any(state, measurement.as_ref(), record)
+                self.use_if_any(state, measurement.as_ref(), (record, SIGHTING))
             }
             Observed::BeaconRange { id, range } => {
                 let variance_m2 = scale * noise.beacon_range_m.powi(2);
@@ -209,17 +228,17 @@ impl Judge<'_> {
                     };
                     beacon::measurement(state, beacon, range.0, variance_m2)
                 });
-                self.use_if_any(state, measurement.as_ref(), record)
+                self.use_if_any(state, measurement.as_ref(), (record, SINGLE))
             }
             Observed::WallRange(range) => {
                 let variance_m2 = scale * noise.wall_range_m.powi(2);
                 let measurement = wall::measurement(state, &world.walls, range.0, variance_m2);
-                self.use_if_any(state, measurement.as_ref(), record)
+                self.use_if_any(state, measurement.as_ref(), (record, SINGLE))
             }
             Observed::CompassHeading(heading) => {
                 let variance_rad2 = scale * noise.compass_rad.powi(2);
                 let measurement = compass::measurement(state, heading.rad(), variance_rad2);
-                self.use_if_any(state, Some(&measurement), record)
+                self.use_if_any(state, Some(&measurement), (record, SINGLE))
             }
             Observed::WheelAngles { .. }
             | Observed::OdometerPose(_)
@@ -235,10 +254,10 @@ impl Judge<'_> {
         &self,
         state: &mut PoseState<N>,
         measurement: Option<&Measurement<N, M>>,
-        record: &mut FusionRecord,
+        told: (&mut FusionRecord, [u8; M]),
     ) -> Verdict {
         measurement.map_or(Verdict::Unused, |measurement| {
-            self.use_if_near(state, measurement, record)
+            self.use_if_near(state, measurement, told)
         })
     }
 
@@ -246,23 +265,18 @@ impl Judge<'_> {
         &self,
         state: &mut PoseState<N>,
         measurement: &Measurement<N, M>,
-        record: &mut FusionRecord,
+        (record, groups): (&mut FusionRecord, [u8; M]),
     ) -> Verdict {
         let Some(s) = write(record, measurement, &state.covariance) else {
             return Verdict::Malformed;
         };
         let nis = record.nis;
         let params = &self.context.config.params;
-        let judged = Judged {
-            nis,
-            median: self.context.gates.median[M - 1],
-            own_share: own_share(&measurement.noise, &s),
-        };
-        state.scales.learn(self.source, judged, params.adapt_gain);
+        self.learn_scales(state, measurement, (&s, groups));
         let mut weighted = *measurement;
         if params.student_dof > 0.0 {
             weighted.noise *= (params.student_dof + nis) / (params.student_dof + M as f64);
-        } else if nis > self.context.gates.gate[M - 1] {
+        } else if nis > self.context.gates[M - 1] {
             return Verdict::Gated;
         }
         if !apply(&mut state.mean, &mut state.covariance, &weighted) {
@@ -270,6 +284,32 @@ impl Judge<'_> {
         }
         state.inject();
         Verdict::Accepted
+    }
+
+    /// What an innovation says about the noise of its source, group by group.
+    fn learn_scales<const N: usize, const M: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        measurement: &Measurement<N, M>,
+        (s, groups): (&SMatrix<f64, M, M>, [u8; M]),
+    ) {
+        for group in 0..=1 {
+            let mut votes = 0.0;
+            let mut members = 0.0;
+            for (i, _) in groups.iter().enumerate().filter(|(_, of)| **of == group) {
+                votes += vote(
+                    measurement.innovation[i],
+                    s[(i, i)],
+                    measurement.noise[(i, i)],
+                );
+                members += 1.0;
+            }
+            if members > 0.0 {
+                let gain = self.context.config.params.adapt_gain;
+                let source = self.source(group);
+                state.scales.learn(source, votes / members, gain);
+            }
+        }
     }
 }
 
@@ -291,11 +331,6 @@ fn write<const N: usize, const M: usize>(
     record.degrees_of_freedom = M as u8;
     record.log_likelihood = log_likelihood;
     Some(s)
-}
-
-/// Mean of R_ii / S_ii.
-fn own_share<const M: usize>(noise: &SMatrix<f64, M, M>, s: &SMatrix<f64, M, M>) -> f64 {
-    (0..M).map(|i| noise[(i, i)] / s[(i, i)]).sum::<f64>() / M as f64
 }
 
 /// Counts a refused fix; true when enough of them agree with each other for long enough that the estimate must be wrong.
