@@ -175,3 +175,85 @@ pub fn tell_bad_rows(robot_run: &RobotRun) -> u64 {
     }
     bad.total() as u64
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Config, RobotProfile};
+
+    fn flags(settings: &[&str]) -> DataFlags {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        DataFlags {
+            data: Some(root.join("tests/data")),
+            run: Some("circular/250620202104/run-01".to_owned()),
+            use_every: None,
+            settings: settings
+                .iter()
+                .map(|text| Setting::parse(text).unwrap())
+                .collect(),
+        }
+    }
+
+    fn descriptor() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("config/recordings/optiodom.toml")
+    }
+
+    fn load(settings: &[&str]) -> Result<RobotRun> {
+        let flags = flags(settings);
+        DataSet::open(&descriptor(), &flags)?.load("circular/250620202104/run-01", &flags)
+    }
+
+    #[test]
+    fn a_station_builds_the_filter_of_the_replay_from_the_same_file() {
+        let replayed = load(&[]).unwrap().filter_config;
+        let profile = RobotProfile::read(&descriptor()).unwrap();
+        let live = Config::default()
+            .with_robot(profile)
+            .filter_config()
+            .unwrap();
+        let (from_run, from_file) = (replayed.start.unwrap(), live.start.unwrap());
+        assert_eq!(from_run.pose, from_file.pose);
+        assert!((from_run.heading_sigma_rad - from_file.heading_sigma_rad).abs() < 1e-15);
+        let without_start = |config: FilterConfig| FilterConfig {
+            start: None,
+            ..config
+        };
+        assert_eq!(without_start(replayed), without_start(live));
+    }
+
+    #[test]
+    fn settings_reach_geometry_noise_calibration_and_tunables() {
+        let config = load(&[
+            "track_width_m=1",
+            "noise.beacon_range_m=0.5",
+            "calibration.track_scale.sigma=0.1",
+            "filter.history_s=5",
+        ])
+        .unwrap()
+        .filter_config;
+        assert_eq!(config.geometry.track_width.0, 1.0);
+        assert_eq!(config.noise.beacon_range_m, 0.5);
+        let track_scale = config.calibration.track_scale;
+        assert_eq!((track_scale.value, track_scale.sigma), (0.0, 0.1));
+        assert_eq!(config.params.history_s, 5.0);
+        assert!(load(&["calibration.track.sigma=0.1"]).is_err());
+        assert!(load(&["filter.history=5"]).is_err());
+    }
+
+    #[test]
+    fn the_places_of_a_recording_are_the_filter_s_world() {
+        use posebridge_telemetry::{BeaconId, LandmarkId, Meters, Point2};
+        let (here, there) = (
+            Point2::new(Meters(1.0), Meters(2.0)),
+            Point2::new(Meters(3.0), Meters(4.0)),
+        );
+        let run = dataset::Run {
+            landmarks: vec![(LandmarkId(6), here)],
+            beacons: vec![(BeaconId(0), there)],
+            ..dataset::Run::default()
+        };
+        let world = world_of(&run);
+        assert_eq!(world.landmarks[&LandmarkId(6)], here);
+        assert_eq!(world.beacons[&BeaconId(0)], there);
+    }
+}

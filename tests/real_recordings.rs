@@ -194,23 +194,55 @@ fn the_json_object_has_the_documented_keys_and_null_where_there_is_no_truth() {
         "heading_rms_rad",
         "anees",
     ];
-    assert_eq!(
-        keys(pose),
-        sorted(&[&figures[..], &["name", "sources"]].concat())
+    let others = [
+        "name",
+        "sources",
+        "position_rms_uncorrected_m",
+        "calibration",
+    ];
+    assert_eq!(keys(pose), sorted(&[&figures[..], &others].concat()));
+    assert!(
+        pose["position_rms_uncorrected_m"].is_null(),
+        "no camera, no delay"
     );
     for figure in figures {
         assert!(pose[figure].is_f64(), "{figure}");
     }
     assert_eq!(
         keys(&pose["sources"][0]),
-        sorted(&["name", "used", "gated", "too_old", "mean_nis_per_dof"])
+        sorted(&[
+            "name",
+            "used",
+            "gated",
+            "too_old",
+            "malformed",
+            "rebased",
+            "reset_to",
+            "unused",
+            "mean_nis_per_dof",
+            "degrees_of_freedom",
+            "consistency"
+        ])
     );
     let source = &pose["sources"][0];
     assert_eq!(source["name"], "wheels");
     assert!(source["used"].as_u64().unwrap() > 1_000);
-    for key in ["gated", "too_old"] {
+    for key in [
+        "gated",
+        "too_old",
+        "malformed",
+        "rebased",
+        "reset_to",
+        "unused",
+        "degrees_of_freedom",
+    ] {
         assert_eq!(source[key], 0, "{key}");
     }
+    assert_eq!(source["consistency"], "undetermined");
+    assert!(
+        estimator(&report, "odometry")["calibration"].is_null(),
+        "dead reckoning learns nothing"
+    );
     assert!(
         source["mean_nis_per_dof"].is_null(),
         "wheels are an input: nothing is predicted"

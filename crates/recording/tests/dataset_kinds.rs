@@ -7,7 +7,7 @@ mod rows;
 use std::f64::consts::PI;
 
 use inline::{GEOMETRY, parse, try_load};
-use posebridge_recording::dataset::{LoadOptions, load};
+use posebridge_recording::dataset::{LoadOptions, Reason, load};
 use posebridge_telemetry::{
     BeaconId, Celsius, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
     Observed, Point2, Pose, Radians, RadiansPerSecond, SensorId,
@@ -306,6 +306,19 @@ fn sightings_go_through_the_map_of_ids_and_may_share_a_stamp() {
 }
 
 #[test]
+fn sightings_of_what_is_no_landmark_are_dropped_and_no_bad_rows() {
+    let files = [
+        ("data.csv", "1,72,3.5,-0.25\n1,9,1,0\n2,55,1,0\n"),
+        ("map.dat", "6 0.5 -4.25\n"),
+        ("codes.dat", "6 72\n1 9\n"),
+    ];
+    let run = try_load(&parse(&format!("{MAPS}ignore = [1]\n")), "only", &files).unwrap();
+    assert_eq!(run.observations.len(), 1);
+    assert_eq!(run.bad_rows.count(Reason::UnknownId), 1, "only 55");
+    assert_eq!(run.bad_rows.total(), 1);
+}
+
+#[test]
 fn beacons_may_stand_in_the_rows_of_the_ranges_and_a_filter_tells_rows_apart() {
     let rest = r#"filter = { column = 1, equals = "range2" }
     [beacons]
@@ -389,6 +402,49 @@ fn fixes_have_a_lever_arm_an_arrival_and_a_shifted_stamp() {
     let covariance = fix.covariance.unwrap();
     assert!((covariance.xx_m2 - 1e-4).abs() < 1e-18);
     assert!((covariance.heading_rad2 - 1e-2).abs() < 1e-16);
+}
+
+/// A receiver at the equator, with variances of its own.
+const GPS: &str = r#"
+[[fixes]]
+file = "data"
+latitude = { column = 1, unit = "deg" }
+longitude = { column = 2, unit = "deg" }
+origin = { latitude_deg = 0.0, longitude_deg = 10.0 }
+variance_x = 3
+variance_y = { column = 4, unit = "mm2" }
+"#;
+
+#[test]
+fn latitude_and_longitude_become_metres_with_the_receiver_s_own_variances() {
+    let run = load_rows(GPS, "0,0,10,0.81,1000000\n1,0.001,9.999,0.64,490000\n");
+    let fixes: Vec<_> = observed(&run)
+        .into_iter()
+        .map(|(_, observed)| {
+            let Observed::Fix(fix) = observed else {
+                panic!("{observed:?}");
+            };
+            (fix.position, fix.covariance.unwrap())
+        })
+        .collect();
+    assert_eq!(fixes[0].0, Point2::ORIGIN);
+    // A thousandth of a degree at the equator: 110.574 m north, 111.320 m west.
+    assert!((fixes[1].0.x.0 + 111.319).abs() < 1e-3, "{:?}", fixes[1].0);
+    assert!((fixes[1].0.y.0 - 110.574).abs() < 1e-3, "{:?}", fixes[1].0);
+    let claims = fixes[1].1;
+    assert_eq!((claims.xx_m2, claims.xy_m2), (0.64, 0.0));
+    assert!((claims.yy_m2 - 0.49).abs() < 1e-12);
+    assert_eq!(claims.heading_rad2, f64::INFINITY);
+}
+
+#[test]
+fn a_fix_that_claims_no_error_or_lies_behind_the_pole_is_a_bad_row() {
+    let run = load_rows(
+        GPS,
+        "0,0,10,0,1\n1,0,10,1,-1\n2,90.5,10,1,1\n3,0,10,1,1000000\n",
+    );
+    assert_eq!(run.bad_rows.count(Reason::OutOfRange), 3);
+    assert_eq!((run.observations.len(), run.bad_rows.total()), (1, 3));
 }
 
 #[test]

@@ -85,6 +85,14 @@ fn keys_that_do_not_fit_together_are_refused_with_their_line() {
             "line 14: odometer: an odometer is either x, y and heading, or distance and turn",
         ),
         (
+            "[[fixes]]\nfile = \"data\"\nlatitude = 1\nlongitude = 2",
+            "line 14: fixes: a fix is either x and y, or latitude and longitude with an `origin`",
+        ),
+        (
+            "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2\norigin = { latitude_deg = 0, longitude_deg = 0 }",
+            "line 14: fixes: a fix is either x and y, or latitude and longitude with an `origin`",
+        ),
+        (
             "[[body_velocity]]\nfile = \"data\"\nforward = 1",
             "line 14: body_velocity: a body velocity is either forward and turn, or left and right",
         ),
@@ -112,6 +120,10 @@ fn keys_that_do_not_fit_together_are_refused_with_their_line() {
     assert!(error_of(wrap).contains("wrap_bits is 8 to 32"));
     let sigma = "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2\nheading_sigma_rad = 0.1";
     assert!(error_of(sigma).contains("also heading_sigma_rad, or neither"));
+    let one = "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2\nvariance_x = 3";
+    assert!(error_of(one).contains("position_sigma_m or variance_x and variance_y"));
+    let both = format!("{one}\nvariance_y = 4\nposition_sigma_m = 1.0");
+    assert!(error_of(&both).contains("position_sigma_m or variance_x and variance_y"));
 }
 
 #[test]
@@ -161,6 +173,14 @@ fn a_group_of_runs_shares_its_values_and_its_robot() {
     )
     .unwrap();
     assert_eq!(merged, expected);
+}
+
+#[test]
+fn the_tunables_of_a_robot_are_handed_on_as_they_stand() {
+    let descriptor = parse("[filter]\nhistory_s = 5\n");
+    let expected: toml::Table = toml::from_str("history_s = 5").unwrap();
+    assert_eq!(descriptor.filter, expected);
+    assert!(parse("").filter.is_empty());
 }
 
 #[test]

@@ -380,6 +380,8 @@ fn mrclam_sightings_are_those_of_known_landmarks() {
         let errors = against_truth(&run, &odometer_poses(&run));
         assert_eq!(in_centimetres(&errors), dead_reckoning, "{name}");
         assert_eq!(kinds(&run)["landmark"], sightings, "{name}");
+        // Nobody carries bar code 43 or the like; the other robots are known and ignored.
+        assert!(run.bad_rows.total() <= 3, "{:?}", run.bad_rows.named);
         assert_eq!(run.landmarks.len(), 15);
     }
 }
@@ -404,4 +406,78 @@ fn ranges_and_temperatures_are_read_in_their_units() {
         };
         assert_eq!((found.0, run.bad_rows.total()), (first, 0), "{name}");
     }
+}
+
+#[test]
+fn husky_streams_are_complete_and_the_gps_draws_the_published_extent() {
+    let Some(data) = foreign_data() else {
+        return;
+    };
+    let (_, run) = load_run(&data, "husky-outdoor.toml", "husky");
+    assert_eq!(run.bad_rows.total(), 0);
+    assert_eq!((run.start, run.truth.len()), (None, 0));
+    assert_eq!(
+        kinds(&run),
+        BTreeMap::from([("body_velocity", 3951), ("fix", 494), ("turn_rate", 11_865)])
+    );
+    let fixes = all_fixes(&run);
+    let (first, last) = (&fixes[0].1, &fixes[fixes.len() - 1].1);
+    assert!(first.position.x.0.hypot(first.position.y.0) < 1e-6);
+    let end_m = last.position.x.0.hypot(last.position.y.0);
+    assert!((end_m - 13.0).abs() < 0.5, "{end_m}");
+    let extent = |of: fn(&Fix) -> f64| {
+        let values = fixes.iter().map(|(_, fix)| of(fix));
+        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
+        high - low
+    };
+    // Published as 57 x 146 m without a formula; a sphere of 6371 km gives 57.46 m where the ellipsoid gives 57.61 m.
+    let (east_m, north_m) = (
+        extent(|fix| fix.position.x.0),
+        extent(|fix| fix.position.y.0),
+    );
+    assert!((east_m - 57.61).abs() < 0.01, "{east_m}");
+    assert!((north_m - 146.0).abs() < 0.5, "{north_m}");
+    let withheld_last = run.withheld.last().unwrap().stamp.as_nanos();
+    assert_eq!(
+        withheld_last,
+        fixes[fixes.len() - 1].0,
+        "the end is not given"
+    );
+    for (_, fix) in &fixes {
+        let claims = fix.covariance.unwrap();
+        assert!((0.6..3.0).contains(&claims.xx_m2) && claims.xx_m2 == claims.yy_m2);
+    }
+}
+
+#[test]
+fn baths_and_centimetres_are_those_of_their_owners() {
+    let Some(data) = foreign_data() else {
+        return;
+    };
+    for (name, from, to) in [
+        ("heating-20-56", 20.5, 56.0),
+        ("cooling-55-21", 55.5, 21.0),
+        ("heating-21-76", 21.0, 76.0),
+    ] {
+        let (_, run) = load_run(&data, "rtd-step.toml", name);
+        let degrees: Vec<f64> = run
+            .observations
+            .iter()
+            .map(|timed| match timed.observation.observed {
+                Observed::Temperature(degrees) => degrees.0,
+                other => panic!("{name}: {other:?}"),
+            })
+            .collect();
+        let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+        let (first, last) = (mean(&degrees[..100]), mean(&degrees[degrees.len() - 100..]));
+        assert!((first - from).abs() < 0.01, "{name}: {first}");
+        assert!((last - to).abs() < 0.01, "{name}: {last}");
+        assert_eq!(run.bad_rows.total(), 0, "{name}");
+    }
+    let (_, run) = load_run(&data, "nxt-ultrasonic.toml", "separation");
+    assert_eq!((run.observations.len(), run.bad_rows.total()), (303, 0));
+    let first = run.observations[0].observation.observed;
+    assert_eq!(first, Observed::WallRange(Meters(0.21)));
 }

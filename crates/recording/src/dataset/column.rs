@@ -150,6 +150,7 @@ dimension!(
         zero: -ICE_POINT
     }
 );
+dimension!(Area, "variance", false, unit("m2", 1.0), unit("mm2", 1e-6));
 // Ticks and lengths become radians through the robot's geometry; their factors here are within their own kind.
 dimension!(
     WheelTurn,

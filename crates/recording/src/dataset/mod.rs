@@ -9,6 +9,7 @@ mod bad_rows;
 mod column;
 mod decimal;
 mod descriptor;
+mod geodetic;
 mod load;
 mod run;
 mod schema;

@@ -8,8 +8,8 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::column::{
-    Acceleration, Angle, Column, HeadingColumns, Id, Length, Number, Place, Speed, Temperature,
-    TurnRate, WheelTurn,
+    Acceleration, Angle, Area, Column, HeadingColumns, Id, Length, Number, Place, Speed,
+    Temperature, TurnRate, WheelTurn,
 };
 
 /// A whole descriptor.
@@ -433,7 +433,10 @@ stream! {
     /// `[[landmark_sightings]]`: range and bearing to known landmarks.
     LandmarkSightings, "landmark_sightings",
     columns { id: Column<Id>, range: Column<Length>, bearing: Column<Angle>, }
-    keys { ids: Option<IdMap>, min_m: Option<Number>, max_m: Option<Number>, }
+    keys {
+        ids: Option<IdMap>, #[serde(default)] ignore: Vec<u32>,
+        min_m: Option<Number>, max_m: Option<Number>,
+    }
     check(_this) { Ok(()) }
 }
 
@@ -474,8 +477,14 @@ stream! {
 stream! {
     /// `[[fixes]]`: positions or poses in the arena, seen from outside.
     Fixes, "fixes",
-    columns { x: Column<Length>, y: Column<Length>, heading: Option<HeadingColumns>, }
+    columns {
+        x: Option<Column<Length>>, y: Option<Column<Length>>,
+        latitude: Option<Column<Angle>>, longitude: Option<Column<Angle>>,
+        heading: Option<HeadingColumns>,
+        variance_x: Option<Column<Area>>, variance_y: Option<Column<Area>>,
+    }
     keys {
+        origin: Option<Origin>,
         tag: Option<TagPlace>,
         position_sigma_m: Option<Number>,
         heading_sigma_rad: Option<Number>,
@@ -484,17 +493,39 @@ stream! {
         max_speed_m_per_s: Option<Number>,
     }
     check(this) {
-        let sigmas = (this.position_sigma_m.is_some(), this.heading_sigma_rad.is_some());
-        let fits = match sigmas {
-            (position, true) => position && this.heading.is_some(),
-            (true, false) => this.heading.is_none(),
-            (false, false) => true,
+        let plane = [this.x.is_some(), this.y.is_some()];
+        let earth = [this.latitude.is_some(), this.longitude.is_some(), this.origin.is_some()];
+        let is_plane = plane == [true; 2] && earth == [false; 3];
+        let is_earth = plane == [false; 2] && earth == [true; 3];
+        require(
+            (is_plane || is_earth).then_some(()),
+            "a fix is either x and y, or latitude and longitude with an `origin`",
+        )?;
+        let variances = [this.variance_x.is_some(), this.variance_y.is_some()];
+        let has_position = match (this.position_sigma_m, variances) {
+            (Some(_), [false, false]) | (None, [true, true]) => Some(true),
+            (None, [false, false]) => Some(false),
+            (_, [_, _]) => None,
+        };
+        let fits = match (has_position, this.heading_sigma_rad.is_some()) {
+            (None, _) => false,
+            (Some(position), true) => position && this.heading.is_some(),
+            (Some(true), false) => this.heading.is_none(),
+            (Some(false), false) => true,
         };
         require(
             fits.then_some(()),
-            "fixes of a position take position_sigma_m, fixes of a pose also heading_sigma_rad, or neither",
+            "fixes of a position take position_sigma_m or variance_x and variance_y, fixes of a pose also heading_sigma_rad, or neither",
         )
     }
+}
+
+/// Where on the earth the arena has its origin.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Origin {
+    pub(super) latitude_deg: Number,
+    pub(super) longitude_deg: Number,
 }
 
 stream! {

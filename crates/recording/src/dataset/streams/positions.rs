@@ -5,36 +5,66 @@ use posebridge_telemetry::{
 };
 
 use super::super::bad_rows::{Fault, Reason};
-use super::super::column::{Column, Length};
+use super::super::column::{Angle, Area, Column, Length, Number};
+use super::super::geodetic::LocalPlane;
 use super::super::load::LoadError;
 use super::super::schema::{Fixes, Odometer, TagPlace, Truth};
 use super::super::table::{Bound, Row, Table};
 use super::{Reader, Step};
 
-/// Two columns that make a point, and the speed beyond which its motion is not believed.
+/// Two columns that make a point.
+enum Place {
+    /// In the arena.
+    Plane { x: Bound<Length>, y: Bound<Length> },
+    /// On the earth.
+    Earth {
+        latitude: Bound<Angle>,
+        longitude: Bound<Angle>,
+        plane: LocalPlane,
+    },
+}
+
+impl Place {
+    /// x and y in metres.
+    fn read(&self, row: &Row<'_>) -> Result<(f64, f64), Fault> {
+        match self {
+            Self::Plane { x, y } => Ok((x.read(row)?, y.read(row)?)),
+            Self::Earth {
+                latitude,
+                longitude,
+                plane,
+            } => plane.place(latitude.read(row)?, longitude.read(row)?),
+        }
+    }
+}
+
+/// Points of a stream, and the speed beyond which their motion is not believed.
 struct Points {
-    x: Bound<Length>,
-    y: Bound<Length>,
+    place: Place,
     max_speed_m_per_s: Option<f64>,
     last: Option<(f64, f64)>,
 }
 
 impl Points {
+    fn new(place: Place, max_speed_m_per_s: Option<Number>) -> Self {
+        Self {
+            place,
+            max_speed_m_per_s: max_speed_m_per_s.map(|limit| limit.0),
+            last: None,
+        }
+    }
+
     fn bind(
         table: &Table,
         columns: (&Column<Length>, &Column<Length>),
-        max_speed_m_per_s: Option<f64>,
+        max_speed_m_per_s: Option<Number>,
     ) -> Result<Self, LoadError> {
-        Ok(Self {
-            x: table.bind(columns.0)?,
-            y: table.bind(columns.1)?,
-            max_speed_m_per_s,
-            last: None,
-        })
+        let (x, y) = (table.bind(columns.0)?, table.bind(columns.1)?);
+        Ok(Self::new(Place::Plane { x, y }, max_speed_m_per_s))
     }
 
     fn read<S>(&mut self, row: &Row<'_>, interval_s: Option<f64>) -> Result<Point2<S>, Fault> {
-        let (x_m, y_m) = (self.x.read(row)?, self.y.read(row)?);
+        let (x_m, y_m) = self.place.read(row)?;
         if let (Some(last), Some(interval_s), Some(limit)) =
             (self.last, interval_s, self.max_speed_m_per_s)
         {
@@ -49,27 +79,84 @@ impl Points {
     }
 }
 
+/// What a fix claims about its error.
+struct Claims {
+    /// The same for every row, each axis.
+    position_sigma_m: Option<f64>,
+    /// Or a column for each axis.
+    variances: Option<(Bound<Area>, Bound<Area>)>,
+    heading_sigma_rad: Option<f64>,
+}
+
+impl Claims {
+    fn bind(stream: &Fixes, table: &Table) -> Result<Self, LoadError> {
+        let x = table.bind_some(stream.variance_x.as_ref())?;
+        let y = table.bind_some(stream.variance_y.as_ref())?;
+        Ok(Self {
+            position_sigma_m: stream.position_sigma_m.map(|sigma| sigma.0),
+            variances: x.zip(y),
+            heading_sigma_rad: stream.heading_sigma_rad.map(|sigma| sigma.0),
+        })
+    }
+
+    fn read(&self, row: &Row<'_>) -> Result<Option<PositionCovariance>, Fault> {
+        let (xx_m2, yy_m2) = match (&self.variances, self.position_sigma_m) {
+            (Some((x, y)), _) => (x.read(row)?, y.read(row)?),
+            (None, Some(sigma_m)) => (sigma_m * sigma_m, sigma_m * sigma_m),
+            (None, None) => return Ok(None),
+        };
+        if xx_m2 <= 0.0 || yy_m2 <= 0.0 {
+            let detail = format!("variances of {xx_m2} and {yy_m2} m2");
+            return Err(Fault::new(Reason::OutOfRange, detail));
+        }
+        Ok(Some(PositionCovariance {
+            xx_m2,
+            xy_m2: 0.0,
+            yy_m2,
+            heading_rad2: self
+                .heading_sigma_rad
+                .map_or(f64::INFINITY, |sigma| sigma * sigma),
+        }))
+    }
+}
+
+/// The columns of a fix's position, which the descriptor's check has found to be complete.
+fn place_of(stream: &Fixes, table: &Table) -> Result<Option<Place>, LoadError> {
+    if let (Some(x), Some(y)) = (&stream.x, &stream.y) {
+        let (x, y) = (table.bind(x)?, table.bind(y)?);
+        return Ok(Some(Place::Plane { x, y }));
+    }
+    let (Some(latitude), Some(longitude), Some(origin)) =
+        (&stream.latitude, &stream.longitude, stream.origin)
+    else {
+        return Ok(None);
+    };
+    Ok(Some(Place::Earth {
+        latitude: table.bind(latitude)?,
+        longitude: table.bind(longitude)?,
+        plane: LocalPlane::at(
+            origin.latitude_deg.0.to_radians(),
+            origin.longitude_deg.0.to_radians(),
+        ),
+    }))
+}
+
 /// Binds the columns of a `[[fixes]]` stream; `tag` is where the observed point sits on the body.
 pub(in super::super) fn fixes(
     stream: &Fixes,
     tag: TagPlace,
     table: &Table,
 ) -> Result<Reader<Fix>, LoadError> {
-    let limit = stream.max_speed_m_per_s.map(|limit| limit.0);
-    let mut points = Points::bind(table, (&stream.x, &stream.y), limit)?;
+    let Some(place) = place_of(stream, table)? else {
+        return Ok(Box::new(|_, _| Ok(None)));
+    };
+    let mut points = Points::new(place, stream.max_speed_m_per_s);
     let heading = match &stream.heading {
         Some(columns) => Some(table.bind_heading(columns)?),
         None => None,
     };
     let tag_in_body = Point2::<Body>::new(Meters(tag.x_m.0), Meters(tag.y_m.0));
-    let covariance = stream.position_sigma_m.map(|sigma| PositionCovariance {
-        xx_m2: sigma.0 * sigma.0,
-        xy_m2: 0.0,
-        yy_m2: sigma.0 * sigma.0,
-        heading_rad2: stream
-            .heading_sigma_rad
-            .map_or(f64::INFINITY, |sigma| sigma.0 * sigma.0),
-    });
+    let claims = Claims::bind(stream, table)?;
     Ok(Box::new(move |row, step| {
         if step == Step::Same {
             let detail = "the stamp of the fix before";
@@ -80,6 +167,7 @@ pub(in super::super) fn fixes(
             Some(heading) => Some(heading.read(row)?),
             None => None,
         };
+        let covariance = claims.read(row)?;
         Ok(Some(Fix {
             position: points.read(row, interval_s)?,
             heading,
@@ -98,8 +186,7 @@ pub(in super::super) fn truth(
     stream: &Truth,
     table: &Table,
 ) -> Result<Reader<TruePose>, LoadError> {
-    let limit = stream.max_speed_m_per_s.map(|limit| limit.0);
-    let mut points = Points::bind(table, (&stream.x, &stream.y), limit)?;
+    let mut points = Points::bind(table, (&stream.x, &stream.y), stream.max_speed_m_per_s)?;
     let heading = match &stream.heading {
         Some(columns) => Some(table.bind_heading(columns)?),
         None => None,
@@ -120,8 +207,7 @@ pub(in super::super) fn odometer(
     table: &Table,
 ) -> Result<Reader<Observed>, LoadError> {
     if let (Some(x), Some(y), Some(heading)) = (&stream.x, &stream.y, &stream.heading) {
-        let limit = stream.max_speed_m_per_s.map(|limit| limit.0);
-        let mut points = Points::bind(table, (x, y), limit)?;
+        let mut points = Points::bind(table, (x, y), stream.max_speed_m_per_s)?;
         let heading = table.bind_heading(heading)?;
         return Ok(Box::new(move |row, step| {
             let interval_s = step.interval_s()?;

@@ -21,6 +21,12 @@ pub(in super::super) struct Names {
 }
 
 impl Names {
+    /// The id as the map has it, known or not; an id that the table does not rename is taken as it is.
+    fn renamed(&self, raw: u32) -> u32 {
+        let ids = self.ids.as_ref();
+        ids.and_then(|ids| ids.get(&raw).copied()).unwrap_or(raw)
+    }
+
     fn resolve(&self, raw: u32) -> Result<u32, Fault> {
         let id = match &self.ids {
             None => Some(raw),
@@ -68,10 +74,15 @@ pub(in super::super) fn landmarks(
     let range = table.bind(&stream.range)?;
     let bearing = table.bind(&stream.bearing)?;
     let limits = Limits::new(stream.min_m.map(|m| m.0), stream.max_m.map(|m| m.0));
+    let ignored: BTreeSet<u32> = stream.ignore.iter().copied().collect();
     Ok(Box::new(move |row, step| {
         step.in_order()?;
+        let raw = id.read_id(row)?;
+        if ignored.contains(&names.renamed(raw)) {
+            return Ok(None);
+        }
         Ok(Some(Observed::Landmark {
-            id: LandmarkId(names.resolve(id.read_id(row)?)?),
+            id: LandmarkId(names.resolve(raw)?),
             range: limits.check(range.read(row)?)?,
             bearing: Radians(bearing.read(row)?),
         }))
