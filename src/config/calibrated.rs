@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use anyhow::Result;
 use posebridge_telemetry::{Calibration, Known};
 
-use super::calibration::RobotCalibration;
+use super::calibration::{CALIBRATION_KEYS, RobotCalibration};
 use super::robot::RobotFile;
 
 /// A robot that was calibrated by driving.
@@ -34,23 +34,27 @@ impl CalibratedRobot {
     /// The robot that the profile describes.
     ///
     /// Where it started belongs to the run, not to the robot. Its own description would bring back the geometry to which the
-    /// calibration does not belong, so it is not adopted. A gyro's bias is another one after each power-up: the value is a
-    /// better guess than zero, but known no better than before.
+    /// calibration does not belong, so it is not adopted.
     #[must_use]
     pub fn profile(&self) -> RobotFile {
-        let bias = self.learned.gyro_bias_rad_per_s;
-        let at_power_up = Known {
-            sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s),
-            ..bias
-        };
         RobotFile {
             start: None,
             adopt_description: false,
-            calibration: RobotCalibration::from(Calibration {
-                gyro_bias_rad_per_s: at_power_up,
-                ..self.learned
-            }),
+            calibration: RobotCalibration::from(self.profile_calibration()),
             ..self.robot.clone()
+        }
+    }
+
+    /// What will be known at the next power-up: a gyro's bias is another one each time, so that the last value is a better guess
+    /// than zero, but known no better than before.
+    fn profile_calibration(&self) -> Calibration {
+        let bias = self.learned.gyro_bias_rad_per_s;
+        Calibration {
+            gyro_bias_rad_per_s: Known {
+                sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s),
+                ..bias
+            },
+            ..self.learned
         }
     }
 
@@ -60,12 +64,9 @@ impl CalibratedRobot {
     /// The robot cannot be written as TOML, which would be a fault of ours.
     pub fn to_toml(&self) -> Result<String> {
         let mut robot = toml::Table::try_from(self.profile())?;
-        let mut sections = Vec::new();
-        for key in ["noise", "calibration"] {
-            if let Some(toml::Value::Table(section)) = robot.remove(key) {
-                sections.push((format!("robot.{key}"), section));
-            }
-        }
+        let noise = robot.remove("noise");
+        // A table inside a table would make sections of one number each.
+        robot.remove("calibration");
         let from = &self.provenance;
         let text = |value: &str| toml::Value::String(value.to_owned());
         let mut page = String::from(
@@ -76,19 +77,36 @@ impl CalibratedRobot {
         let _ = writeln!(page, "date = {}", utc_date(from.utc_micros));
         let _ = writeln!(page, "source = {}", text(&from.source));
         let _ = writeln!(page, "filter = {}", text(&from.filter));
+        write_section(&mut page, "robot", &robot);
+        if let Some(toml::Value::Table(noise)) = noise {
+            write_section(&mut page, "robot.noise", &noise);
+        }
+        let _ = writeln!(page, "\n[robot.calibration]");
+        let profile = self.profile_calibration();
+        for entry in CALIBRATION_KEYS {
+            let Known { value, sigma } = (entry.read)(&profile);
+            let (value, sigma) = (toml::Value::Float(value), toml::Value::Float(sigma));
+            let _ = writeln!(
+                page,
+                "{} = {{ value = {value}, sigma = {sigma} }}",
+                entry.key
+            );
+        }
         let bias = self.learned.gyro_bias_rad_per_s;
         let _ = writeln!(
             page,
-            "# the gyro's bias was learned to {} rad/s; below stands how well it is known after the next power-up",
+            "# The gyro's bias was known to {} rad/s at the end; the next power-up brings another one.",
             bias.sigma
         );
-        for (name, section) in [("robot".to_owned(), robot)].into_iter().chain(sections) {
-            let _ = writeln!(page, "\n[{name}]");
-            for (key, value) in section {
-                let _ = writeln!(page, "{key} = {value}");
-            }
-        }
         Ok(page)
+    }
+}
+
+fn write_section(page: &mut String, name: &str, section: &toml::Table) {
+    // Writing to a String cannot fail.
+    let _ = writeln!(page, "\n[{name}]");
+    for (key, value) in section {
+        let _ = writeln!(page, "{key} = {value}");
     }
 }
 

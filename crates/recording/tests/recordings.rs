@@ -465,9 +465,11 @@ fn baths_and_centimetres_are_those_of_their_owners() {
         let degrees: Vec<f64> = run
             .observations
             .iter()
-            .map(|timed| match timed.observation.observed {
-                Observed::Temperature(degrees) => degrees.0,
-                other => panic!("{name}: {other:?}"),
+            .map(|timed| {
+                let Observed::Temperature(degrees) = timed.observation.observed else {
+                    panic!("{name}: not a temperature");
+                };
+                degrees.0
             })
             .collect();
         let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
