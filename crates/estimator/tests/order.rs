@@ -11,6 +11,7 @@ mod robot;
 
 use drive::{Camera, Scenario, drive, stamp};
 use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::state::CORE;
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
     BrickClock, Fix, Meters, Observation, Observed, Radians, SensorId, Span, Stamp, Verdict,
@@ -65,7 +66,7 @@ fn shuffled(observations: &[Observation], seed: u64) -> Vec<Observation> {
 
 /// Everything that a filter believes at the end, in digits that tell any two numbers apart.
 fn belief(config: &FilterConfig, observations: &[Observation]) -> String {
-    let mut filter = PoseFilter::new(config);
+    let mut filter = PoseFilter::<CORE>::new(config);
     for observation in observations {
         let record = filter.observe(observation);
         assert_ne!(record.verdict, Verdict::TooOld, "{observation:?}");
@@ -99,7 +100,7 @@ fn shift(observations: &mut [Observation], sensor: SensorId, by: Span) {
 #[test]
 fn in_order_the_robot_ends_where_the_truth_is() {
     let observations = observations(1);
-    let mut filter = PoseFilter::new(&config());
+    let mut filter = PoseFilter::<CORE>::new(&config());
     for observation in &observations {
         filter.observe(observation);
     }
@@ -189,7 +190,7 @@ fn two_fixes_of_one_instant_count_in_either_order_and_one_that_comes_twice_count
     assert!(together([one, two]) == together([two, one]));
     assert!(together([one, two]) != belief(&config(), &[before.clone(), vec![one]].concat()));
 
-    let mut filter = PoseFilter::new(&config());
+    let mut filter = PoseFilter::<CORE>::new(&config());
     for observation in before.iter().chain([&one]) {
         filter.observe(observation);
     }
@@ -233,7 +234,7 @@ fn a_late_fix_does_what_the_same_fix_does_in_time() {
 
 #[test]
 fn an_observation_older_than_the_history_is_refused_and_changes_nothing() {
-    let mut filter = PoseFilter::new(&config());
+    let mut filter = PoseFilter::<CORE>::new(&config());
     let observations = observations(8);
     for observation in &observations {
         filter.observe(observation);

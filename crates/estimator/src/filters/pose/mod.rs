@@ -19,7 +19,7 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{
     BrickClock, Calibration, Estimate, FusionRecord, Known, MetersPerSecond, Observation, Observed,
-    RadiansPerSecond, Span, Stamp, Validity, Verdict,
+    RadiansPerSecond, SensorId, Span, Stamp, Validity, Verdict,
 };
 
 use self::fuse::{Context, Gates};
@@ -114,7 +114,7 @@ impl<const N: usize> PoseFilter<N> {
             gates: &self.gates,
         };
         for (index, entry) in self.entries.iter_mut().enumerate().skip(first) {
-            let mut scratch = scratch_record(entry.stamp);
+            let mut scratch = scratch_record(entry.stamp, SensorId(entry.sensor));
             let record = match &mut recorded {
                 Some((wanted, record)) if *wanted == index => &mut **record,
                 _ => &mut scratch,
@@ -264,7 +264,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
                     sensor: 0,
                     after: self.base,
                 };
-                self.insert(entry, None, &mut scratch_record(stamp));
+                self.insert(entry, None, &mut scratch_record(stamp, SensorId(0)));
             }
         }
         Verdict::ResetTo
@@ -354,10 +354,10 @@ fn published<const N: usize>(
     }
 }
 
-/// A record that nobody reads: an entry that is applied again was reported when it came.
-fn scratch_record(stamp: Stamp<BrickClock>) -> FusionRecord {
+/// A record that nobody reads: an entry that is applied again was reported when it came. Its sensor says whose noise is learned.
+fn scratch_record(stamp: Stamp<BrickClock>, sensor: SensorId) -> FusionRecord {
     FusionRecord {
-        sensor: posebridge_telemetry::SensorId(0),
+        sensor,
         kind: "",
         stamp,
         lag: Span::ZERO,
