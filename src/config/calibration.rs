@@ -141,6 +141,10 @@ calibration_table! {
     beacon_offset_m = 0.0, LENGTH;
     /// Relative error of a beacon's ranges.
     beacon_scale = 0.0, RATIO;
+    /// The range to a landmark reads long by this, in metres.
+    landmark_offset_m = 0.0, LENGTH;
+    /// Relative error of the ranges to landmarks.
+    landmark_scale = 0.0, RATIO;
 }
 
 #[cfg(test)]

@@ -35,4 +35,8 @@ pub struct Calibration {
     pub beacon_offset_m: Known,
     /// Relative error of each beacon's ranges.
     pub beacon_scale: Known,
+    /// The range to a landmark reads long by this: an offset of the robot's own camera, in metres.
+    pub landmark_offset_m: Known,
+    /// Relative error of the camera's ranges to landmarks.
+    pub landmark_scale: Known,
 }

@@ -24,7 +24,7 @@ use posebridge_telemetry::{
 
 use self::fuse::{Context, Gates};
 use self::history::{Action, Entry};
-use self::state::{CORE, Located, PoseState, WITH_BEACONS, WITH_CAMERA};
+use self::state::{CORE, Located, PoseState, WITH_RANGES, WITH_CAMERA};
 use super::{Filter, FilterConfig, StartPose, intake};
 use crate::motion::{Added, GyroTrack, MotionTrack};
 use crate::observations::accelerometer::Accelerations;
@@ -44,9 +44,14 @@ pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
         calibration.tag_forward_m,
         calibration.tag_left_m,
     ];
-    let beacons = [calibration.beacon_offset_m, calibration.beacon_scale];
-    if !config.world.beacons.is_empty() && beacons.into_iter().any(is_asked) {
-        Box::new(PoseFilter::<WITH_BEACONS>::new(config))
+    let ranges = [
+        calibration.beacon_offset_m,
+        calibration.beacon_scale,
+        calibration.landmark_offset_m,
+        calibration.landmark_scale,
+    ];
+    if ranges.into_iter().any(is_asked) {
+        Box::new(PoseFilter::<WITH_RANGES>::new(config))
     } else if camera.into_iter().any(is_asked) {
         Box::new(PoseFilter::<WITH_CAMERA>::new(config))
     } else {

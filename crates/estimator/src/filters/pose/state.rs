@@ -8,7 +8,7 @@
 //! eps  rounding of the encoders' heading where the gyro window began
 //! e_m, e_d, e_b  relative errors of mean radius, of the radii against each other, of the track
 //! tau, l_x, l_y  delay of the fixes, tag against where the fix says (only where they are asked for)
-//! o_i, s_i       offset and scale of the ranges to beacon i (only where there are beacons)
+//! o_i, s_i       offset and scale of the ranges to beacon i, and of those to landmarks (only where they are asked for)
 //! v, w           forward speed and turn rate, beside the others: they foretell, they never move the pose over known travel
 //! ```
 //! # Source
@@ -58,8 +58,12 @@ pub const WITH_CAMERA: usize = 12;
 pub const BEACONS: usize = 12;
 /// As many beacons have an offset and a scale of their own; the ranges of further ones are taken as they are.
 pub const MOST_BEACONS: usize = 8;
-/// Number of states when there are beacons.
-pub const WITH_BEACONS: usize = BEACONS + 2 * MOST_BEACONS;
+/// Offset of the ranges to landmarks, m: they are all measured by the robot's own camera.
+pub const LANDMARK_OFFSET: usize = BEACONS + 2 * MOST_BEACONS;
+/// Scale of the ranges to landmarks.
+pub const LANDMARK_SCALE: usize = LANDMARK_OFFSET + 1;
+/// Number of states when the offsets and scales of ranges are estimated.
+pub const WITH_RANGES: usize = LANDMARK_OFFSET + 2;
 
 /// A heading is published as known once its sigma is below this, rad: a third of a right angle.
 const HEADING_KNOWN_RAD: f64 = 0.5;
@@ -345,6 +349,8 @@ impl<const N: usize> PoseState<N> {
             fix_delay_s: known(DELAY, prior.fix_delay_s),
             tag_forward_m: known(TAG_FORWARD, prior.tag_forward_m),
             tag_left_m: known(TAG_LEFT, prior.tag_left_m),
+            landmark_offset_m: known(LANDMARK_OFFSET, prior.landmark_offset_m),
+            landmark_scale: known(LANDMARK_SCALE, prior.landmark_scale),
             ..*prior
         }
     }
@@ -378,6 +384,8 @@ fn constants_of(calibration: &Calibration) -> impl Iterator<Item = (usize, Known
         (DELAY, calibration.fix_delay_s),
         (TAG_FORWARD, calibration.tag_forward_m),
         (TAG_LEFT, calibration.tag_left_m),
+        (LANDMARK_OFFSET, calibration.landmark_offset_m),
+        (LANDMARK_SCALE, calibration.landmark_scale),
     ]
     .into_iter()
     .chain(of_beacons)
