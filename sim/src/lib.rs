@@ -25,6 +25,7 @@
 mod camera;
 mod clock;
 mod firmware;
+pub mod montecarlo;
 mod motor;
 mod node;
 mod path;

@@ -5,7 +5,7 @@
 use serde::de::{Deserialize, Deserializer, Error};
 
 /// Largest magnitude of any number in a scenario.
-pub(super) const LARGEST: f64 = 1e6;
+pub(crate) const LARGEST: f64 = 1e6;
 /// Smallest size of anything that must not be zero.
 const SMALLEST: f64 = 1e-6;
 
@@ -25,22 +25,22 @@ fn within<'de, D: Deserializer<'de>>(
 }
 
 /// Anything finite.
-pub(super) fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+pub(crate) fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, -LARGEST, LARGEST)
 }
 
 /// Greater than zero.
-pub(super) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+pub(crate) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, SMALLEST, LARGEST)
 }
 
 /// Zero or greater.
-pub(super) fn non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+pub(crate) fn non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 0.0, LARGEST)
 }
 
 /// From 0 to 1.
-pub(super) fn probability<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+pub(crate) fn probability<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 0.0, 1.0)
 }
 
@@ -50,7 +50,7 @@ pub(super) fn relative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64
 }
 
 /// The standard deviation of a relative error; at most a tenth, so that a draw keeps every length positive.
-pub(super) fn relative_sigma<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+pub(crate) fn relative_sigma<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 0.0, 0.1)
 }
 
@@ -65,7 +65,7 @@ pub(super) fn rate_hz<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64,
 }
 
 /// A number of laps.
-pub(super) fn laps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+pub(crate) fn laps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     let laps = u32::deserialize(deserializer)?;
     if (1..=super::course::MAX_LAPS).contains(&laps) {
         Ok(laps)

@@ -4,7 +4,7 @@
 //! the table of keys with the sources of the defaults. Reading files is the caller's business.
 
 mod bundled;
-mod checks;
+pub(crate) mod checks;
 mod course;
 mod observers;
 mod robot;

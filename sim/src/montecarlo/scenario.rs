@@ -1,0 +1,469 @@
+//! Everything that a Monte-Carlo scenario says, as its TOML file says it.
+//!
+//! There are no defaults for numbers: a file is the whole experiment. Only the tables `[camera]`, `[kicks]` and
+//! `[accelerometer]` may be missing, and mean that there is none.
+
+use serde::Deserialize;
+
+use super::{SCENARIOS, drive, path};
+use crate::scenario::checks;
+
+/// Most steps of one drive; ten times the longest bundled one.
+pub(super) const MAX_STEPS: f64 = 100_000.0;
+
+/// Most runs of a scenario.
+pub const MAX_RUNS: u32 = 100_000;
+
+/// One experiment: a path, a robot drawn anew in each run, its sensors, and what a filter is told.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scenario {
+    /// Base seed; run i draws from this and i.
+    pub seed: u64,
+    /// How many runs make a good mean.
+    #[serde(deserialize_with = "runs")]
+    pub runs: u32,
+    /// The grid of all events, in seconds.
+    #[serde(deserialize_with = "checks::positive")]
+    pub step_s: f64,
+    /// The error counts from here on, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub score_from_s: f64,
+    /// What is driven.
+    pub path: Course,
+    /// The robot as its maker describes it.
+    pub robot: Nominal,
+    /// How far the true robot is from that.
+    pub errors: Errors,
+    /// The noise of its motion.
+    pub motion: Motion,
+    /// The gyro.
+    pub gyro: Gyro,
+    /// The camera; none without it.
+    pub camera: Option<Camera>,
+    /// Kicks that the encoders do not see; none without it.
+    pub kicks: Option<Kicks>,
+    /// Accelerometers at both wheels; none without it.
+    pub accelerometer: Option<Accelerometer>,
+    /// What a filter is told.
+    pub told: Prior,
+}
+
+/// What is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Course {
+    /// Laps of a square with turns in place, left and right in turn, with a controller that knows the truth.
+    Laps(Laps),
+    /// A constant speed with a turn rate that swings.
+    Weave(Weave),
+    /// Splines through poses, at a trapezoidal speed.
+    Spline(Spline),
+}
+
+/// Laps of a square.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Laps {
+    /// How many.
+    #[serde(deserialize_with = "checks::laps")]
+    pub laps: u32,
+    /// Length of a side, in metres.
+    #[serde(deserialize_with = "checks::positive")]
+    pub side_m: f64,
+    /// Speed on a side, in metres per second.
+    #[serde(deserialize_with = "checks::positive")]
+    pub speed_m_per_s: f64,
+    /// Turn rate of a turn in place, in radians per second.
+    #[serde(deserialize_with = "checks::positive")]
+    pub turn_rate_rad_per_s: f64,
+    /// Steps over which the speed rises and falls at the ends of each side and turn.
+    #[serde(deserialize_with = "ramp_steps")]
+    pub ramp_steps: u32,
+    /// Rest before the first lap, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_s: f64,
+    /// Rest after each side, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_after_side_s: f64,
+    /// Rest after each turn, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_after_turn_s: f64,
+    /// Rest after the extra turn that ends a lap, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_after_lap_s: f64,
+    /// The controller on a side: turn per step for each radian of heading error.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub heading_gain: f64,
+    /// The controller on a side: turn per step for each metre beside the line, in radians.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub lateral_gain_rad_per_m: f64,
+    /// The most that the controller turns in a step, in radians.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub most_turn_rad: f64,
+}
+
+/// A constant speed with the turn rate `amplitude sin(pulsation t)`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Weave {
+    /// How long, in seconds.
+    #[serde(deserialize_with = "checks::positive")]
+    pub duration_s: f64,
+    /// Forward speed, in metres per second.
+    #[serde(deserialize_with = "checks::positive")]
+    pub speed_m_per_s: f64,
+    /// Largest turn rate, in radians per second.
+    #[serde(deserialize_with = "checks::finite")]
+    pub turn_amplitude_rad_per_s: f64,
+    /// How fast the turn rate swings, in radians per second.
+    #[serde(deserialize_with = "checks::finite")]
+    pub turn_pulsation_rad_per_s: f64,
+}
+
+/// Quintic splines from pose to pose, driven as one way with a trapezoidal speed.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spline {
+    /// The poses (x in m, y in m, heading in degrees), from the first to the last.
+    pub poses_m_deg: [[f64; 3]; 5],
+    /// Length of the tangent at each pose, as a multiple of the distance to the next.
+    #[serde(deserialize_with = "checks::positive")]
+    pub tangent_scale: f64,
+    /// Largest speed, in metres per second.
+    #[serde(deserialize_with = "checks::positive")]
+    pub speed_m_per_s: f64,
+    /// Acceleration at the start and at the end, in metres per second squared.
+    #[serde(deserialize_with = "checks::positive")]
+    pub acceleration_m_per_s2: f64,
+}
+
+/// The robot as its maker describes it: the nominal geometry.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Nominal {
+    /// Radius of both wheels, in metres.
+    #[serde(deserialize_with = "checks::positive")]
+    pub wheel_radius_m: f64,
+    /// Distance between the wheels, in metres.
+    #[serde(deserialize_with = "checks::positive")]
+    pub track_width_m: f64,
+    /// Wheel rotation of one count, in degrees; a wheel's rotation is floored to it.
+    #[serde(deserialize_with = "checks::positive")]
+    pub tick_deg: f64,
+}
+
+/// Standard deviations of the relative errors of the geometry, drawn once per run.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Errors {
+    /// Of the mean wheel radius.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub radius_scale_sigma: f64,
+    /// Of the difference of the wheels' radii.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub radius_difference_sigma: f64,
+    /// Of the track width.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub track_scale_sigma: f64,
+}
+
+/// The noise of the motion.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Motion {
+    /// Of each wheel's travel, in metres per square root of a metre.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub wheel_travel_m_per_sqrt_m: f64,
+    /// Of the heading, in radians per square root of a radian of turn.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub turn_rad_per_sqrt_rad: f64,
+}
+
+/// The gyro: mean turn rate over the step, with bias and noise, rounded.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gyro {
+    /// White noise of one observation, in degrees per second.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub sigma_deg_per_s: f64,
+    /// Resolution, in degrees per second; 0 for none.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub resolution_deg_per_s: f64,
+    /// Standard deviation of the bias at the start, in degrees per second.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub bias_sigma_deg_per_s: f64,
+    /// Random walk of the bias, in degrees per second per square root of a second.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub bias_walk_deg_per_s_sqrt_s: f64,
+}
+
+/// What a camera tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CameraSees {
+    /// Position and heading.
+    Pose,
+    /// The position alone.
+    Position,
+}
+
+/// The camera.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// What it tells.
+    pub sees: CameraSees,
+    /// One image every so many steps.
+    #[serde(deserialize_with = "count")]
+    pub every_steps: u32,
+    /// A fix arrives so many steps after its stamp,
+    #[serde(deserialize_with = "delay")]
+    pub delay_steps: u32,
+    /// more or less so many, each equally likely.
+    #[serde(deserialize_with = "delay")]
+    pub delay_spread_steps: u32,
+    /// What a filter is told of the noise of x and of y, in metres.
+    #[serde(deserialize_with = "checks::positive")]
+    pub position_sigma_m: f64,
+    /// What a filter is told of the noise of the heading, in degrees.
+    #[serde(deserialize_with = "checks::positive")]
+    pub heading_sigma_deg: f64,
+    /// The true noise is so many times what a filter is told.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub true_noise_factor: f64,
+    /// Fixes that are far off; none without it.
+    pub outliers: Option<Outliers>,
+    /// A time without fixes; none without it.
+    pub blackout: Option<Blackout>,
+}
+
+/// Fixes that are far off.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Outliers {
+    /// Their share.
+    #[serde(deserialize_with = "checks::probability")]
+    pub probability: f64,
+    /// Standard deviation of what is added to x and y, in metres, and to the heading, in radians.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub sigma_m_rad: f64,
+}
+
+/// A time without fixes, by their stamps; both ends belong to it.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Blackout {
+    /// Its first instant, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub from_s: f64,
+    /// Its last instant, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub to_s: f64,
+}
+
+/// Kicks: the robot is turned while it drives straight, and its wheels do not tell.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Kicks {
+    /// Probability of one to begin, per second on a side.
+    #[serde(deserialize_with = "checks::probability")]
+    pub probability_per_s: f64,
+    /// The weakest, in degrees, either way.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub least_deg: f64,
+    /// The strongest, in degrees, either way.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub most_deg: f64,
+    /// Over so many steps each.
+    #[serde(deserialize_with = "count")]
+    pub spread_steps: u32,
+}
+
+/// Accelerometers at both wheels: change of the wheel's speed over a step.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Accelerometer {
+    /// White noise of one observation, in metres per second squared.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub sigma_m_per_s2: f64,
+}
+
+/// Which geometry a filter is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ToldGeometry {
+    /// That of `[robot]`.
+    Nominal,
+    /// The true one of this run.
+    True,
+}
+
+/// What a filter is told besides the noise of the sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Prior {
+    /// Which geometry.
+    pub geometry: ToldGeometry,
+    /// Standard deviation of the error of the mean wheel radius; 0 for "take it as given".
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub radius_scale_sigma: f64,
+    /// The same for the difference of the radii.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub radius_difference_sigma: f64,
+    /// The same for the track width.
+    #[serde(deserialize_with = "checks::relative_sigma")]
+    pub track_scale_sigma: f64,
+    /// Noise of each wheel's travel, in metres per square root of a metre.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub wheel_travel_m_per_sqrt_m: f64,
+    /// Noise of the heading, in radians per square root of a radian of turn.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub turn_rad_per_sqrt_rad: f64,
+    /// Standard deviation of the start's x and y, in metres; the start told is the true one.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub start_position_sigma_m: f64,
+    /// Standard deviation of the start's heading, in radians.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub start_heading_sigma_rad: f64,
+    /// The start's heading told is off by up to this, either way, each equally likely, in degrees.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub start_heading_off_deg: f64,
+}
+
+impl Scenario {
+    /// Reads a scenario.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Toml`] names the line and the key that is unknown, missing, of the wrong type or out of its range;
+    /// [`ScenarioError::Impossible`] says which numbers do not go together.
+    pub fn from_toml(text: &str) -> Result<Self, ScenarioError> {
+        let scenario: Self = toml::from_str(text).map_err(ScenarioError::Toml)?;
+        scenario.check()?;
+        Ok(scenario)
+    }
+
+    /// The bundled scenario of this name.
+    ///
+    /// # Errors
+    /// [`ScenarioError::UnknownName`] lists the names that exist.
+    pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
+        let found = SCENARIOS.iter().find(|(known, _)| *known == name);
+        let (_, text) = found.ok_or_else(|| ScenarioError::UnknownName {
+            name: name.to_owned(),
+            known: SCENARIOS
+                .iter()
+                .map(|(known, _)| *known)
+                .collect::<Vec<_>>()
+                .join(", "),
+        })?;
+        Self::from_toml(text)
+    }
+
+    /// The same scenario under another base seed.
+    #[must_use]
+    pub const fn with_seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Draws run number `run`. The same scenario and number give the same drive, bit for bit, whatever was drawn before.
+    #[must_use]
+    pub fn drive(&self, run: u32) -> super::Drive {
+        drive::draw(self, run)
+    }
+
+    fn check(&self) -> Result<(), ScenarioError> {
+        if let Course::Spline(spline) = &self.path {
+            let is_bearable = |value: &f64| value.abs() <= checks::LARGEST;
+            if !spline.poses_m_deg.iter().flatten().all(is_bearable) {
+                return Err(impossible(
+                    "poses_m_deg holds a number that is not finite or too large".to_owned(),
+                ));
+            }
+        }
+        let steps = path::steps_estimate(&self.path, self.step_s);
+        if !(1.0..=MAX_STEPS).contains(&steps) {
+            return Err(impossible(format!(
+                "[path] takes {steps:.0} steps of {} s; give a path of 1 to {MAX_STEPS:.0} steps",
+                self.step_s
+            )));
+        }
+        if let Some(camera) = &self.camera
+            && camera.delay_spread_steps > camera.delay_steps
+        {
+            return Err(impossible(format!(
+                "[camera] delay_spread_steps {} exceeds delay_steps {}: a fix cannot arrive before it is made",
+                camera.delay_spread_steps, camera.delay_steps
+            )));
+        }
+        if let Some(kicks) = &self.kicks
+            && kicks.least_deg > kicks.most_deg
+        {
+            return Err(impossible(format!(
+                "[kicks] least_deg {} exceeds most_deg {}",
+                kicks.least_deg, kicks.most_deg
+            )));
+        }
+        Ok(())
+    }
+}
+
+fn impossible(reason: String) -> ScenarioError {
+    ScenarioError::Impossible { reason }
+}
+
+/// Why a scenario cannot be had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScenarioError {
+    /// The text is not TOML, a key is unknown or missing, or a value does not fit; the message shows the line and the key.
+    #[error("scenario is not usable: {0}")]
+    Toml(toml::de::Error),
+    /// The numbers do not go together.
+    #[error("scenario is not usable: {reason}")]
+    Impossible {
+        /// Which, and why.
+        reason: String,
+    },
+    /// No bundled scenario is called like this.
+    #[error("no accuracy scenario is called \"{name}\"; there are {known}, or name a TOML file")]
+    UnknownName {
+        /// The name that was asked for.
+        name: String,
+        /// The names that exist, joined by commas.
+        known: String,
+    },
+}
+
+fn runs<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_RUNS)
+}
+
+/// At least one, at most an hour of steps.
+fn count<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, 100_000)
+}
+
+fn delay<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 0, 100_000)
+}
+
+fn ramp_steps<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 0, 1_000)
+}
+
+fn whole<'de, D: serde::Deserializer<'de>>(
+    deserializer: D,
+    low: u32,
+    high: u32,
+) -> Result<u32, D::Error> {
+    let value = u32::deserialize(deserializer)?;
+    if (low..=high).contains(&value) {
+        Ok(value)
+    } else {
+        Err(serde::de::Error::custom(format!(
+            "{value} is outside {low} to {high}"
+        )))
+    }
+}

@@ -1,0 +1,585 @@
+//! Monte-Carlo drives are what their files say: statistics of truth and sensors, the order of arrival, repeatability.
+#![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
+
+use posebridge_sim::montecarlo::{Drive, SCENARIOS, Scenario, ScenarioError};
+use posebridge_telemetry::quantities::wrap_rad;
+use posebridge_telemetry::{Fix, Observed, SensorId};
+
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+fn bundled(name: &str) -> Scenario {
+    Scenario::bundled(name).unwrap()
+}
+
+/// The bundled scenario with some of its text replaced.
+fn changed(name: &str, changes: &[(&str, &str)]) -> Result<Scenario, ScenarioError> {
+    let (_, text) = SCENARIOS.iter().find(|(known, _)| *known == name).unwrap();
+    let mut text = (*text).to_owned();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{name} has no `{from}`");
+        text = text.replace(from, to);
+    }
+    Scenario::from_toml(&text)
+}
+
+/// Arrival step, stamp as a step, and content of every fix.
+fn fixes(drive: &Drive) -> Vec<(usize, usize, Fix)> {
+    let arrivals = drive.arrivals.iter().filter_map(|arrival| {
+        let Observed::Fix(fix) = arrival.observation.observed else {
+            return None;
+        };
+        let taken = arrival.observation.stamp.as_nanos() / drive.step.as_nanos();
+        Some((arrival.step, usize::try_from(taken).unwrap(), fix))
+    });
+    arrivals.collect()
+}
+
+/// Errors of a fix: x, y and, where it has one, heading.
+fn fix_errors(drive: &Drive) -> Vec<(f64, f64, Option<f64>)> {
+    let errors = fixes(drive).into_iter().map(|(_, taken, fix)| {
+        let truth = drive.truth[taken];
+        (
+            fix.position.x.0 - truth.x.0,
+            fix.position.y.0 - truth.y.0,
+            fix.heading.map(|heading| (heading - truth.heading).0),
+        )
+    });
+    errors.collect()
+}
+
+fn rates(drive: &Drive) -> Vec<(usize, f64)> {
+    let rates = drive.arrivals.iter().filter_map(|arrival| {
+        let Observed::TurnRate(rate) = arrival.observation.observed else {
+            return None;
+        };
+        Some((arrival.step, rate.0))
+    });
+    rates.collect()
+}
+
+/// Step and left and right rotation.
+fn wheel_angles(drive: &Drive) -> Vec<(usize, f64, f64)> {
+    let angles = drive.arrivals.iter().filter_map(|arrival| {
+        let Observed::WheelAngles { left, right } = arrival.observation.observed else {
+            return None;
+        };
+        Some((arrival.step, left.0, right.0))
+    });
+    angles.collect()
+}
+
+/// Step and left and right acceleration.
+fn accelerations(drive: &Drive) -> Vec<(usize, f64, f64)> {
+    let accelerations = drive.arrivals.iter().filter_map(|arrival| {
+        let Observed::WheelAccelerations { left, right } = arrival.observation.observed else {
+            return None;
+        };
+        Some((arrival.step, left.0, right.0))
+    });
+    accelerations.collect()
+}
+
+fn true_turn_rad(drive: &Drive, step: usize) -> f64 {
+    (drive.truth[step].heading - drive.truth[step - 1].heading).0
+}
+
+fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
+    let (sum, count) = values.into_iter().fold((0.0, 0.0), |(sum, count), value| {
+        (sum + value * value, count + 1.0)
+    });
+    f64::sqrt(sum / count)
+}
+
+/// Whether a root mean square over `count` draws fits `expected` within four standard deviations.
+fn assert_sigma(found: f64, expected: f64, count: usize, what: &str) {
+    let allowed = 4.0 * expected / (2.0 * count as f64).sqrt();
+    assert!(
+        (found - expected).abs() < allowed,
+        "{what}: {found} instead of {expected} +- {allowed}"
+    );
+}
+
+#[test]
+fn every_bundled_scenario_reads_and_its_first_drive_is_finite_and_in_order() {
+    for (name, _) in SCENARIOS {
+        let drive = bundled(name).drive(0);
+        assert!(drive.truth.len() > 300, "{name}: {}", drive.truth.len());
+        for pose in &drive.truth {
+            assert!(pose.x.0.is_finite() && pose.y.0.is_finite(), "{name}");
+        }
+        let steps: Vec<usize> = drive.arrivals.iter().map(|arrival| arrival.step).collect();
+        assert!(steps.is_sorted(), "{name}");
+        for arrival in &drive.arrivals {
+            assert!(
+                arrival.observation.stamp <= drive.stamp(arrival.step),
+                "{name}: an observation arrives before it is made"
+            );
+        }
+        let wheels = drive
+            .arrivals
+            .iter()
+            .filter(|arrival| arrival.observation.sensor == SensorId::WHEELS);
+        assert_eq!(wheels.count(), drive.truth.len(), "{name}");
+    }
+}
+
+#[test]
+fn every_file_in_the_folder_is_bundled() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/scenarios/accuracy");
+    let files = std::fs::read_dir(folder).unwrap();
+    for file in files {
+        let path = file.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap();
+        assert!(
+            SCENARIOS.iter().any(|(known, _)| *known == name),
+            "{name} is not bundled"
+        );
+    }
+}
+
+#[test]
+fn a_run_can_be_repeated_alone_and_differs_from_its_neighbours() {
+    let scenario = bundled("kicks-camera-1hz");
+    assert_eq!(scenario.drive(3), scenario.drive(3));
+    assert_ne!(scenario.drive(3), scenario.drive(4));
+    let other = scenario.clone().with_seed(2);
+    assert_ne!(scenario.drive(3), other.drive(3));
+}
+
+#[test]
+fn scenarios_with_the_same_seed_share_their_truth() {
+    let clear = bundled("camera-10hz").drive(5);
+    for name in ["outliers-3pct", "noise-x4", "blackout", "no-camera"] {
+        assert_eq!(clear.truth, bundled(name).drive(5).truth, "{name}");
+    }
+}
+
+#[test]
+fn four_laps_take_their_steps_and_end_at_the_start() {
+    for run in 0..10 {
+        let drive = bundled("camera-10hz").drive(run);
+        // By hand: 40 + 4 laps of 4 x (306 + 20 + 37 + 10) + 37 + 20.
+        assert_eq!(drive.truth.len() - 1, 40 + 4 * (4 * 373 + 57));
+        let end = drive.truth.last().unwrap();
+        // Along a side nothing corrects the slip: 16 sides of 3 m, 0.8 mm per square root of a metre and wheel.
+        assert!(end.x.0.hypot(end.y.0) < 0.03, "{end:?}");
+        assert!(end.heading.rad().abs() < 0.06, "{end:?}");
+        let farthest = drive.truth.iter().fold((0.0_f64, 0.0_f64), |far, pose| {
+            (far.0.max(pose.x.0), far.1.max(pose.y.0))
+        });
+        assert!((farthest.0 - 3.0).abs() < 0.05 && (farthest.1 - 3.0).abs() < 0.05);
+    }
+}
+
+#[test]
+fn without_noise_the_wheels_tell_the_way_by_the_true_geometry() {
+    let quiet = changed(
+        "no-camera",
+        &[
+            (
+                "wheel_travel_m_per_sqrt_m = 0.0008",
+                "wheel_travel_m_per_sqrt_m = 0.0",
+            ),
+            (
+                "turn_rad_per_sqrt_rad = 0.004",
+                "turn_rad_per_sqrt_rad = 0.0",
+            ),
+            ("tick_deg = 1.0", "tick_deg = 1e-5"),
+        ],
+    );
+    let drive = quiet.unwrap().drive(2);
+    let geometry = drive.true_geometry;
+    let mut before: Option<(f64, f64)> = None;
+    let mut at = (0.0, 0.0, 0.0_f64);
+    for (step, left_rad, right_rad) in wheel_angles(&drive) {
+        if let Some((left_before, right_before)) = before.replace((left_rad, right_rad)) {
+            let left_m = (left_rad - left_before) * geometry.left_wheel_radius.0;
+            let right_m = (right_rad - right_before) * geometry.right_wheel_radius.0;
+            let turn_rad = (right_m - left_m) / geometry.track_width.0;
+            let middle_rad = at.2 + 0.5 * turn_rad;
+            at.0 += 0.5 * (left_m + right_m) * middle_rad.cos();
+            at.1 += 0.5 * (left_m + right_m) * middle_rad.sin();
+            at.2 += turn_rad;
+        }
+        let truth = drive.truth[step];
+        assert!((at.0 - truth.x.0).hypot(at.1 - truth.y.0) < 1e-4);
+        assert!(wrap_rad(at.2 - truth.heading.rad()).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn geometry_slip_and_bias_have_the_files_spread() {
+    let scenario = changed("no-camera", &[("laps = 4", "laps = 1")]).unwrap();
+    let drives: Vec<Drive> = (0..300).map(|run| scenario.drive(run)).collect();
+    let count = drives.len();
+    let relative = |of: fn(&Drive) -> (f64, f64)| {
+        rms(drives.iter().map(|drive| {
+            let (found, nominal) = of(drive);
+            found / nominal - 1.0
+        }))
+    };
+    let track = relative(|drive| {
+        (
+            drive.true_geometry.track_width.0,
+            drive.told.geometry.track_width.0,
+        )
+    });
+    assert_sigma(track, 0.03, count, "track");
+    let mean = relative(|drive| {
+        let geometry = &drive.true_geometry;
+        (
+            geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0,
+            0.056,
+        )
+    });
+    assert_sigma(mean, 0.005, count, "mean radius");
+    let difference = rms(drives.iter().map(|drive| {
+        let geometry = &drive.true_geometry;
+        (geometry.right_wheel_radius.0 - geometry.left_wheel_radius.0) / 0.028
+    }));
+    assert_sigma(difference, 0.005, count, "difference of radii");
+    // At rest for two seconds the gyro says its bias: the mean of 40 roundings and noises adds 0.1 deg/s.
+    let bias = rms(drives.iter().map(|drive| {
+        let rest: Vec<f64> = rates(drive)
+            .iter()
+            .take(40)
+            .map(|(_, rate)| *rate)
+            .collect();
+        rest.iter().sum::<f64>() / 40.0 / DEGREE
+    }));
+    assert_sigma(bias, 1.0_f64.hypot(0.66 / 40.0_f64.sqrt()), count, "bias");
+    // A turn in place of 90 degrees, the first of the lap: both wheels slip, and the heading.
+    let turn_rad = std::f64::consts::FRAC_PI_2;
+    let slip = rms(drives.iter().map(|drive| {
+        let turn = (367..=403).map(|step| true_turn_rad(drive, step));
+        turn.sum::<f64>() - turn_rad
+    }));
+    let wheel_m2 = 0.0008_f64.powi(2) * turn_rad * 0.056;
+    let expected = (2.0 * wheel_m2 / 0.112_f64.powi(2) + 0.004_f64.powi(2) * turn_rad).sqrt();
+    assert_sigma(slip, expected, count, "slip of a turn");
+}
+
+#[test]
+fn encoder_and_gyro_speak_in_whole_degrees() {
+    let drive = bundled("camera-10hz").drive(1);
+    let is_whole = |rad: f64| (rad / DEGREE - (rad / DEGREE).round()).abs() < 1e-6;
+    for (_, left_rad, right_rad) in wheel_angles(&drive) {
+        assert!(is_whole(left_rad) && is_whole(right_rad));
+    }
+    assert!(rates(&drive).iter().all(|(_, rate)| is_whole(*rate)));
+}
+
+#[test]
+fn encoders_are_floored_and_not_rounded() {
+    let quiet = changed(
+        "no-camera",
+        &[
+            (
+                "wheel_travel_m_per_sqrt_m = 0.0008",
+                "wheel_travel_m_per_sqrt_m = 0.0",
+            ),
+            (
+                "turn_rad_per_sqrt_rad = 0.004",
+                "turn_rad_per_sqrt_rad = 0.0",
+            ),
+        ],
+    );
+    let drive = quiet.unwrap().drive(0);
+    let geometry = drive.true_geometry;
+    let mut true_rad = 0.0;
+    let mut short_deg = Vec::new();
+    for (step, left_rad, _) in wheel_angles(&drive).into_iter().skip(1) {
+        let poses = (&drive.truth[step - 1], &drive.truth[step]);
+        let forward_m = poses.0.origin().distance(poses.1.origin()).0;
+        let half_track_m = 0.5 * geometry.track_width.0;
+        let left_m = forward_m - half_track_m * true_turn_rad(&drive, step);
+        true_rad += left_m / geometry.left_wheel_radius.0;
+        short_deg.push((true_rad - left_rad) / DEGREE);
+    }
+    assert!(short_deg.iter().all(|short| (-0.01..1.01).contains(short)));
+    let mean = short_deg.iter().sum::<f64>() / short_deg.len() as f64;
+    assert!((mean - 0.5).abs() < 0.1, "{mean}");
+}
+
+#[test]
+fn the_gyro_errs_by_noise_and_rounding() {
+    let drive = bundled("camera-10hz").drive(0);
+    let errors: Vec<f64> = rates(&drive)
+        .iter()
+        .map(|(step, rate)| rate - true_turn_rad(&drive, *step) / 0.05)
+        .collect();
+    // Differences of neighbours have no bias; they hold twice the variance of noise and rounding.
+    let white = rms(errors
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]) / DEGREE / 2.0_f64.sqrt()));
+    let expected = (0.36_f64 + 1.0 / 12.0).sqrt();
+    assert!(
+        (white / expected - 1.0).abs() < 0.05,
+        "{white} against {expected}"
+    );
+}
+
+#[test]
+fn the_camera_has_the_files_rate_noise_and_delay() {
+    let mut errors = Vec::new();
+    let mut late = [0_usize; 8];
+    let mut overtaken = 0;
+    for run in 0..5 {
+        let drive = bundled("camera-10hz").drive(run);
+        let fixes = fixes(&drive);
+        let steps = drive.truth.len() - 1;
+        assert!(steps / 2 - fixes.len() <= 3, "all but the last ones arrive");
+        assert!(
+            fixes.windows(2).all(|pair| pair[0].0 < pair[1].0),
+            "one per step"
+        );
+        overtaken += fixes
+            .windows(2)
+            .filter(|pair| pair[1].1 < pair[0].1)
+            .count();
+        for (arrived, taken, _) in &fixes {
+            assert!(taken.is_multiple_of(2));
+            late[arrived - taken] += 1;
+        }
+        errors.extend(fix_errors(&drive));
+    }
+    let count = errors.len();
+    assert_sigma(rms(errors.iter().map(|error| error.0)), 0.005, count, "x");
+    assert_sigma(rms(errors.iter().map(|error| error.1)), 0.005, count, "y");
+    let heading = rms(errors.iter().filter_map(|error| error.2));
+    assert_sigma(heading, DEGREE, count, "heading");
+    // Two, three or four steps, equally likely; one in nine waits because a newer fix went first.
+    assert_eq!(late[0] + late[1] + late[6] + late[7], 0, "{late:?}");
+    let share = |steps: usize| late[steps] as f64 / count as f64;
+    for (steps, expected) in [
+        (2, 3.0 / 9.0),
+        (3, 3.0 / 9.0),
+        (4, 2.0 / 9.0),
+        (5, 1.0 / 9.0),
+    ] {
+        assert!(
+            (share(steps) - expected).abs() < 0.02,
+            "{late:?} of {count}"
+        );
+    }
+    assert_eq!(late[5], overtaken, "a fix is overtaken where it waits");
+}
+
+#[test]
+fn the_slow_camera_is_later() {
+    for (name, least, most) in [("camera-1hz", 4, 8), ("kicks-camera-1hz", 5, 7)] {
+        let mut late = Vec::new();
+        for run in 0..10 {
+            let drive = bundled(name).drive(run);
+            late.extend(
+                fixes(&drive)
+                    .iter()
+                    .map(|(arrived, taken, _)| arrived - taken),
+            );
+        }
+        assert_eq!(late.iter().min(), Some(&least), "{name}");
+        assert_eq!(late.iter().max(), Some(&most), "{name}");
+    }
+}
+
+#[test]
+fn the_true_noise_of_the_camera_is_a_multiple_of_what_is_told() {
+    for (name, factor) in [("noise-x4", 4.0), ("noise-quarter", 0.25)] {
+        let drive = bundled(name).drive(0);
+        let errors = fix_errors(&drive);
+        assert_eq!(drive.told.noise.fix_position_m, 0.005);
+        let position = rms(errors.iter().map(|error| error.0));
+        assert_sigma(position, factor * 0.005, errors.len(), name);
+    }
+}
+
+#[test]
+fn outliers_have_their_share_and_size() {
+    for (name, share, sigma) in [("outliers-3pct", 0.03, 0.5), ("outliers-10pct", 0.10, 0.04)] {
+        let mut errors = Vec::new();
+        for run in 0..5 {
+            let drive = bundled(name).drive(run);
+            errors.extend(fix_errors(&drive));
+        }
+        let count = errors.len();
+        // Variance: that of the camera and that of the outliers' share.
+        let expected = (0.005_f64.powi(2) + share * sigma * sigma).sqrt();
+        let found = rms(errors.iter().map(|error| error.0));
+        assert!(
+            (found / expected - 1.0).abs() < 0.15,
+            "{name}: {found} against {expected}"
+        );
+        // Far off is beyond six sigma of the camera; with 0.5 m nearly every outlier is.
+        let far = errors.iter().filter(|error| error.0.abs() > 0.03).count();
+        let beyond = if sigma > 0.1 { 0.952 } else { 0.457 };
+        let expected_far = share * beyond * count as f64;
+        assert!(
+            (far as f64 - expected_far).abs() < 4.0 * expected_far.sqrt(),
+            "{name}: {far} of {count}, expected {expected_far}"
+        );
+    }
+}
+
+#[test]
+fn a_blackout_has_no_fix_and_the_rest_does() {
+    let drive = bundled("blackout").drive(0);
+    let stamps: Vec<f64> = fixes(&drive)
+        .iter()
+        .map(|(_, taken, _)| *taken as f64 * 0.05)
+        .collect();
+    assert!(stamps.iter().all(|at| !(60.0..=240.0).contains(at)));
+    assert!(stamps.iter().any(|at| *at > 59.8 && *at < 60.0));
+    assert!(stamps.iter().any(|at| *at > 240.0 && *at < 240.2));
+}
+
+#[test]
+fn kicks_turn_the_robot_and_not_its_wheels() {
+    let scenario = bundled("kicks");
+    let (mut kicked, mut sides_s) = (0, 0.0);
+    for run in 0..40 {
+        let drive = scenario.drive(run);
+        sides_s += 4.0 * 306.0 * 0.05;
+        // A kick of 3 to 8 degrees over 4 steps is at least 13 mrad a step, more than slip of 0.4 mm and most corrections.
+        let rates: Vec<f64> = (1..drive.truth.len())
+            .map(|step| true_turn_rad(&drive, step))
+            .collect();
+        let wheels = wheel_turns_rad(&drive);
+        let unseen: Vec<f64> = rates
+            .iter()
+            .zip(&wheels)
+            .map(|(turn, seen)| turn - seen)
+            .collect();
+        let sums: Vec<f64> = unseen
+            .windows(4)
+            .map(|four| four.iter().sum::<f64>().abs())
+            .collect();
+        kicked += sums
+            .windows(3)
+            .filter(|three| three[1] > 2.8 * DEGREE && three[1] >= three[0] && three[1] > three[2])
+            .count();
+    }
+    // While one kick runs none begins: 0.15 per second of 0.2 s less.
+    let expected = 0.15 * sides_s / (1.0 + 0.15 * 0.15);
+    assert!(
+        (f64::from(u32::try_from(kicked).unwrap()) - expected).abs()
+            < 4.0 * expected.sqrt() + 0.05 * expected,
+        "{kicked} kicks, expected {expected}"
+    );
+}
+
+/// The turns that the wheels tell with the true geometry; off by up to a count each.
+fn wheel_turns_rad(drive: &Drive) -> Vec<f64> {
+    let geometry = drive.true_geometry;
+    let angles: Vec<f64> = wheel_angles(drive)
+        .into_iter()
+        .map(|(_, left_rad, right_rad)| {
+            (right_rad * geometry.right_wheel_radius.0 - left_rad * geometry.left_wheel_radius.0)
+                / geometry.track_width.0
+        })
+        .collect();
+    angles.windows(2).map(|pair| pair[1] - pair[0]).collect()
+}
+
+#[test]
+fn an_unknown_heading_is_off_by_anything_and_the_camera_tells_no_heading() {
+    let scenario = bundled("unknown-heading");
+    let offs: Vec<f64> = (0..500)
+        .map(|run| {
+            let drive = scenario.drive(run);
+            assert_eq!(drive.told.geometry, drive.true_geometry);
+            assert!(
+                fixes(&drive)
+                    .iter()
+                    .all(|(arrived, taken, fix)| fix.heading.is_none() && arrived == taken)
+            );
+            assert_eq!((drive.truth.len(), drive.scored_from), (401, 40));
+            (drive.told.start.heading - drive.truth[0].heading).0
+        })
+        .collect();
+    assert_sigma(
+        rms(offs.iter().copied()),
+        std::f64::consts::PI / 3.0_f64.sqrt(),
+        500,
+        "off",
+    );
+    assert!(offs.iter().any(|off| *off > 2.8) && offs.iter().any(|off| *off < -2.8));
+}
+
+#[test]
+fn the_spline_loop_is_closed_and_driven_at_two_metres_per_second() {
+    let drive = bundled("wpilib").drive(0);
+    let end = drive.truth.last().unwrap();
+    assert!(end.x.0.hypot(end.y.0) < 0.02, "{end:?}");
+    assert!((end.heading.rad() - 45.0 * DEGREE).abs() < 0.01, "{end:?}");
+    let speeds: Vec<f64> = drive
+        .truth
+        .windows(2)
+        .map(|pair| pair[0].origin().distance(pair[1].origin()).0 / 0.02)
+        .collect();
+    let fastest = speeds.iter().copied().fold(0.0, f64::max);
+    assert!((1.98..=2.0 + 1e-9).contains(&fastest), "{fastest}");
+    let length_m = 0.02 * speeds.iter().sum::<f64>();
+    assert!((12.0..16.0).contains(&length_m), "{length_m}");
+    for (arrived, taken, _) in fixes(&drive) {
+        assert_eq!(arrived - taken, 13);
+    }
+    // The loop passes its outer poses.
+    for x_m in [3.0, -3.0] {
+        let nearest = drive
+            .truth
+            .iter()
+            .map(|pose| (pose.x.0 - x_m).hypot(pose.y.0));
+        assert!(nearest.fold(f64::MAX, f64::min) < 0.03, "{x_m}");
+    }
+}
+
+#[test]
+fn accelerometers_tell_the_change_of_the_wheels_speeds() {
+    let drive = bundled("paper-square").drive(0);
+    let accelerations = accelerations(&drive);
+    let rest: Vec<f64> = accelerations
+        .iter()
+        .take(40)
+        .flat_map(|(_, left, right)| [*left, *right])
+        .collect();
+    assert_sigma(rms(rest.iter().copied()), 0.05, rest.len(), "noise at rest");
+    let speed: f64 = accelerations
+        .iter()
+        .take_while(|(step, ..)| *step <= 80)
+        .map(|(_, left, right)| 0.5 * (left + right) * 0.05)
+        .sum();
+    // On the first side: 0.2 m/s, and the sum of 80 noises of two wheels.
+    assert!((speed - 0.2).abs() < 0.05, "{speed}");
+}
+
+#[test]
+fn wrong_files_are_refused_with_the_reason() {
+    let cases = [
+        ("step_s = 0.05", "step_s = 0", "step_s"),
+        ("laps = 4", "lapse = 4", "lapse"),
+        ("speed_m_per_s = 0.2", "speed_m_per_s = 1e-5", "steps"),
+        (
+            "delay_spread_steps = 1",
+            "delay_spread_steps = 7",
+            "before it is made",
+        ),
+        ("runs = 40", "runs = 0", "runs"),
+        (
+            "wheel_radius_m = 0.028",
+            "wheel_radius_m = nan",
+            "wheel_radius_m",
+        ),
+    ];
+    for (from, to, reason) in cases {
+        let message = changed("camera-10hz", &[(from, to)])
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains(reason), "{to}: {message}");
+    }
+    let message = changed("kicks", &[("most_deg = 8.0", "most_deg = 1.0")]).unwrap_err();
+    assert!(message.to_string().contains("exceeds most_deg"));
+    let message = changed("wpilib", &[("[-3.0, 0.0, -90.0]", "[-3.0, inf, -90.0]")]).unwrap_err();
+    assert!(message.to_string().contains("poses_m_deg"));
+    let message = Scenario::bundled("camera-5hz").unwrap_err().to_string();
+    assert!(message.contains("camera-5hz") && message.contains("paper-square"));
+}
