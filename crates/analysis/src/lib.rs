@@ -2,7 +2,7 @@
 //!
 //! The shell and the experiments give it what a run or a recording left behind; it gives back numbers
 //! ([`metrics`]), SVG text ([`figures`]) and aligned plain text ([`report`]). It reads no file, writes none, draws no
-//! random number and estimates nothing: two calls with the same data give the same bytes.
+//! random number and holds no estimator of its own: two calls with the same data give the same bytes.
 //!
 //! Everything is in the arena, in SI units and in brick time; millimetres and degrees appear only in text for people.
 //! A value that is not finite is left out and counted, never averaged and never drawn.
@@ -18,6 +18,7 @@
 //! assert_eq!(summary.position_end_m, Some(0.001));
 //! ```
 
+pub mod accuracy;
 pub mod figures;
 pub mod metrics;
 pub mod report;

@@ -5,6 +5,7 @@
 //! wide. Any layer may be missing; values that are not finite, or beyond [`FARTHEST_DRAWN_M`], are left out, counted
 //! and mentioned in the picture.
 
+pub mod accuracy;
 mod canvas;
 mod detail;
 pub mod ellipse;
@@ -21,6 +22,7 @@ use posebridge_telemetry::{Arena, BrickClock, Estimate, Point2, Stamp, Verdict};
 
 use crate::track::Track;
 
+pub use accuracy::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
 pub use ellipse::Ellipse;
 
 /// Coordinates beyond this are left out, in metres: no arena is wider, and a diverged filter must not hide the rest.

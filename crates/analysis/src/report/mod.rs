@@ -3,9 +3,11 @@
 //! People read millimetres and degrees; this is where the numbers become them. The tables are values: printing, colours
 //! and JSON belong to the program.
 
+pub(crate) mod accuracy;
 mod replay;
 mod run;
 mod table;
 
+pub use accuracy::{ScoreRow, score_table};
 pub use replay::{EstimatorRow, estimator_table, source_table};
 pub use run::{RunRow, run_table};

@@ -1,0 +1,87 @@
+//! Monte-Carlo accuracy: estimators over many drives whose truth is known, and what their errors add up to.
+//!
+//! Gets a [`KnownDrive`] from whoever has one and builds the estimator from the table of filters; gives a [`Score`], which
+//! adds up over runs. It draws nothing, and it knows no scenario: who makes the drives does not mark them.
+//!
+//! # Model
+//! ```text
+//! e_k    estimate - truth at the end of step k, of the estimate that was there then    3 x 1
+//! RMSE   sqrt(mean(dx^2 + dy^2))  over all steps and runs       heading the same, each the short way
+//! ANEES  mean(e' P^-1 e) / 3      over all steps and runs
+//! claim  sqrt(mean(P_xx + P_yy))  what the RMSE would be if P were right
+//! NIS    mean of nu' S^-1 nu over its degrees of freedom, of the updates that were accepted, by sensor
+//! ```
+//! Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001),
+//! section 5.4.
+
+mod score;
+
+use posebridge_estimator::{Filter, FilterConfig, filter_named};
+use posebridge_telemetry::Observation;
+
+pub use score::Score;
+
+use crate::track::TimedPose;
+
+/// A drive whose truth is known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct KnownDrive {
+    /// The truth at the start and at the end of each step, in the order of time.
+    pub truth: Vec<TimedPose>,
+    /// What the sensors said, in the order of arrival.
+    pub arrivals: Vec<Arrival>,
+    /// The error counts from this entry of `truth` on.
+    pub scored_from: usize,
+}
+
+/// An observation and when it arrives; its own stamp may be earlier.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Arrival {
+    /// The entry of [`KnownDrive::truth`] before whose scoring it arrives.
+    pub step: usize,
+    /// The observation.
+    pub observation: Observation,
+}
+
+/// Runs a filter of the table over a drive and scores it.
+///
+/// # Errors
+/// [`AccuracyError::UnknownFilter`]: the table has no such row.
+pub fn score_filter(
+    name: &str,
+    config: &FilterConfig,
+    drive: &KnownDrive,
+) -> Result<Score, AccuracyError> {
+    let entry = filter_named(name).ok_or_else(|| AccuracyError::UnknownFilter {
+        name: name.to_owned(),
+    })?;
+    Ok(score(drive, (entry.build)(config).as_mut()))
+}
+
+/// Gives a drive to an estimator as it arrives, and scores the estimate that is there at the end of each step.
+pub fn score(drive: &KnownDrive, filter: &mut dyn Filter) -> Score {
+    let mut score = Score::default();
+    let mut arrivals = drive.arrivals.iter().peekable();
+    for (step, truth) in drive.truth.iter().enumerate() {
+        while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
+            score.add_record(&filter.observe(&arrival.observation));
+        }
+        if step >= drive.scored_from {
+            score.add_step(truth.pose, filter.estimate_at(truth.stamp).as_ref());
+        }
+    }
+    score.end_run();
+    score
+}
+
+/// Why an estimator cannot be scored.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum AccuracyError {
+    /// The table of filters has no row of this name.
+    #[error("there is no filter `{name}`")]
+    UnknownFilter {
+        /// The name.
+        name: String,
+    },
+}

@@ -1,0 +1,117 @@
+//! The table of one Monte-Carlo scenario: estimators against each other.
+
+use super::run::{NO_VALUE, degrees};
+use super::table::Table;
+use crate::accuracy::Score;
+use crate::metrics::SourceTally;
+
+/// One estimator of a scenario.
+#[derive(Clone, Copy, Debug)]
+pub struct ScoreRow<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// What its errors add up to.
+    pub score: &'a Score,
+}
+
+/// Accuracy in millimetres and degrees, what the estimator claims, and how its observations fared.
+pub fn score_table(rows: &[ScoreRow<'_>]) -> String {
+    let mut table = Table::new([
+        "estimator",
+        "rms mm",
+        "mean mm",
+        "max mm",
+        "heading rms deg",
+        "claimed mm",
+        "ANEES",
+        "its claims are",
+        "NIS/dof of what it used",
+    ]);
+    for row in rows {
+        let score = row.score;
+        table.push([
+            row.name.to_owned(),
+            millimetres(score.position_rms_m()),
+            millimetres(score.position_mean_m()),
+            millimetres(score.position_max_m()),
+            degrees(score.heading_rms_rad()),
+            millimetres(score.claimed_rms_m()),
+            three_digits(score.anees()),
+            score.consistency().in_words().to_owned(),
+            sources(score.sources()),
+        ]);
+    }
+    table.render() + &rows.iter().map(footnotes).collect::<String>()
+}
+
+/// The sensors whose observations were predicted, each with its mean and the verdict on it.
+fn sources(tallies: &[SourceTally]) -> String {
+    let judged: Vec<String> = tallies
+        .iter()
+        .filter_map(|tally| {
+            let mean = tally.mean_nis_per_dof()?;
+            let gated = match tally.gated_share() {
+                Some(share) if share > 0.0 => format!(", {:.1} % gated", share * 100.0),
+                Some(_) | None => String::new(),
+            };
+            let name = tally.sensor.name();
+            Some(format!(
+                "{name} {mean:.2} {}{gated}",
+                tally.consistency().in_words()
+            ))
+        })
+        .collect();
+    if judged.is_empty() {
+        NO_VALUE.to_owned()
+    } else {
+        judged.join("; ")
+    }
+}
+
+fn footnotes(row: &ScoreRow<'_>) -> String {
+    let score = row.score;
+    let lines = [
+        (score.steps_without_estimate(), "no estimate"),
+        (score.steps_not_finite(), "not finite"),
+        (
+            score.refused_covariances(),
+            "covariance not positive definite",
+        ),
+    ]
+    .into_iter()
+    .filter(|(count, _)| *count > 0)
+    .map(|(count, what)| format!("{}: steps left out, {what}: {count}\n", row.name));
+    lines.collect::<Vec<_>>().concat()
+}
+
+/// Three significant digits where there are fewer before the point: these errors span five decades.
+pub(crate) fn millimetres(metres: Option<f64>) -> String {
+    three_digits(metres.map(|metres| metres * 1e3))
+}
+
+/// Three significant digits; all that stand before the point, and powers of ten where that would flood a column.
+pub(crate) fn three_digits(value: Option<f64>) -> String {
+    let Some(value) = value else {
+        return NO_VALUE.to_owned();
+    };
+    match value.abs() {
+        size if size >= 1e7 || !size.is_finite() => format!("{value:.1e}"),
+        size if size >= 99.95 => format!("{value:.0}"),
+        size if size >= 9.995 => format!("{value:.1}"),
+        size if size >= 0.9995 => format!("{value:.2}"),
+        _ => format!("{value:.3}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_three_digits_over_five_decades() {
+        let cells = [0.00133, 0.0137, 0.2244, 1.8121, 9e5].map(|metres| millimetres(Some(metres)));
+        assert_eq!(cells, ["1.33", "13.7", "224", "1812", "9.0e8"]);
+        assert_eq!(three_digits(Some(0.0104)), "0.010");
+        assert_eq!(three_digits(None), "-");
+    }
+}
