@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use posebridge_link::TRANSPORTS;
+use posebridge_sim::montecarlo::SCENARIOS;
 
+use crate::commands::lab::Estimator;
 use crate::config::Setting;
 
 /// Ground station for robots that are too weak to filter for themselves.
@@ -32,6 +34,8 @@ pub enum Command {
     Play(PlayArgs),
     /// Run the estimators over a recording, offline.
     Replay(ReplayArgs),
+    /// Run an experiment that needs no robot.
+    Lab(LabArgs),
     /// Print, check or describe the configuration.
     Config(ConfigArgs),
     /// Print a completion script for a shell.
@@ -205,6 +209,47 @@ pub struct ReplayArgs {
     pub json: bool,
 }
 
+/// Flags of `lab`.
+#[derive(Args, Clone, Debug)]
+pub struct LabArgs {
+    /// Which experiment.
+    #[command(subcommand)]
+    pub experiment: LabExperiment,
+}
+
+/// The experiments.
+#[derive(Clone, Debug, Subcommand)]
+pub enum LabExperiment {
+    /// Run every estimator over the Monte-Carlo scenarios: errors, and whether the claimed ones are right.
+    ///
+    /// Prints one table per scenario and writes the picture lab-accuracy.svg.
+    #[command(after_long_help = accuracy_help())]
+    Accuracy(LabAccuracyArgs),
+}
+
+/// Flags of `lab accuracy`.
+#[derive(Args, Clone, Debug)]
+pub struct LabAccuracyArgs {
+    /// A bundled scenario's name or a TOML file; may be repeated. Without it all bundled ones.
+    #[arg(long = "scenario", value_name = "NAME|FILE.toml")]
+    pub scenarios: Vec<String>,
+    /// An estimator's name; may be repeated. Without it all that estimate a pose.
+    #[arg(long = "estimator", value_name = "NAME")]
+    pub estimators: Vec<String>,
+    /// Runs of each scenario, instead of what its file says (mostly 40).
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(posebridge_sim::montecarlo::MAX_RUNS)))]
+    pub runs: Option<u32>,
+    /// Base seed, instead of each scenario's.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Folder for the picture, instead of the current one.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print one JSON object (docs/lab-accuracy.md) instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Flags of `config`.
 #[derive(Args, Clone, Debug)]
 pub struct ConfigArgs {
@@ -237,6 +282,20 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
         _ => Err("must be a number of more than zero".to_owned()),
     }
+}
+
+/// What `lab accuracy` can run, from the tables.
+fn accuracy_help() -> String {
+    let scenarios = SCENARIOS.iter().map(|(name, _)| format!("  {name}\n"));
+    let estimators = Estimator::all()
+        .into_iter()
+        .map(|estimator| format!("  {:20} {}\n", estimator.name(), estimator.summary()));
+    let lines: Vec<String> = std::iter::once("Scenarios:\n".to_owned())
+        .chain(scenarios)
+        .chain(std::iter::once("Estimators:\n".to_owned()))
+        .chain(estimators)
+        .collect();
+    lines.concat()
 }
 
 /// The kinds of link, from the table.

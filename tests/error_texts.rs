@@ -180,6 +180,32 @@ fn damaged_files() {
 }
 
 #[test]
+fn experiments_that_cannot_be() {
+    insta::assert_snapshot!(
+        "unknown_accuracy_scenario",
+        with_args(&["lab", "accuracy", "--scenario", "camera-5hz"])
+    );
+    insta::assert_snapshot!(
+        "no_accuracy_scenario",
+        with_args(&["lab", "accuracy", "--scenario", "nowhere.toml"])
+    );
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("wrong.toml"), "seed = 1\nrunz = 3\n").unwrap();
+    let mut lab = posebridge(folder.path());
+    insta::assert_snapshot!(
+        "wrong_accuracy_scenario",
+        refused(lab.args(["lab", "accuracy", "--scenario", "wrong.toml"]))
+    );
+    let said = with_args(&["lab", "accuracy", "--estimator", "kalmann"]);
+    assert!(
+        said.starts_with(
+            "posebridge: no estimator of a pose is called \"kalmann\"; there are odometry, "
+        ),
+        "{said}"
+    );
+}
+
+#[test]
 fn links_that_cannot_be() {
     insta::assert_snapshot!(
         "unknown_scheme",

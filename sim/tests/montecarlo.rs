@@ -257,6 +257,15 @@ fn geometry_slip_and_bias_have_the_files_spread() {
     let wheel_m2 = 0.0008_f64.powi(2) * turn_rad * 0.056;
     let expected = (2.0 * wheel_m2 / 0.112_f64.powi(2) + 0.004_f64.powi(2) * turn_rad).sqrt();
     assert_sigma(slip, expected, count, "slip of a turn");
+    // The first side: the mean of two wheels that slip for themselves over 3 m.
+    let short_m = rms(drives.iter().map(|drive| {
+        let parts = drive.truth[40..347].windows(2);
+        let driven_m: f64 = parts
+            .map(|pair| pair[0].origin().distance(pair[1].origin()).0)
+            .sum();
+        driven_m - 3.0
+    }));
+    assert_sigma(short_m, 0.0008 * 1.5_f64.sqrt(), count, "slip of a side");
 }
 
 #[test]
@@ -316,6 +325,36 @@ fn the_gyro_errs_by_noise_and_rounding() {
     assert!(
         (white / expected - 1.0).abs() < 0.05,
         "{white} against {expected}"
+    );
+}
+
+#[test]
+fn the_gyros_bias_walks_as_far_as_the_file_says() {
+    let walking = changed(
+        "no-camera",
+        &[
+            ("s_sqrt_s = 0.01", "s_sqrt_s = 0.1"),
+            ("laps = 4", "laps = 1"),
+        ],
+    );
+    let scenario = walking.unwrap();
+    let walked = (0..200).map(|run| {
+        let drive = scenario.drive(run);
+        let errors: Vec<f64> = rates(&drive)
+            .iter()
+            .map(|(step, rate)| (rate - true_turn_rad(&drive, *step) / 0.05) / DEGREE)
+            .collect();
+        let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+        mean(&errors[errors.len() - 200..]) - mean(&errors[..200])
+    });
+    // Means over 10 s at either end of 79.45 s: a random walk over what lies between, a third of each end, and their noise.
+    let between_s = 1589.0_f64 * 0.05 - 20.0 + 20.0 / 3.0;
+    let noise = 0.66 * (2.0_f64 / 200.0).sqrt();
+    assert_sigma(
+        rms(walked),
+        (0.1 * between_s.sqrt()).hypot(noise),
+        200,
+        "walk",
     );
 }
 

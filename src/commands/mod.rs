@@ -2,6 +2,7 @@
 
 pub mod completions;
 pub mod config;
+pub mod lab;
 pub mod play;
 pub mod replay;
 pub mod run;
@@ -71,6 +72,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Sim(args) => sim::execute(&args),
         Command::Play(args) => play::execute(&args),
         Command::Replay(args) => replay::execute(&args),
+        Command::Lab(args) => lab::execute(&args),
         Command::Config(args) => config::execute(&args),
         Command::Completions(args) => completions::execute(&args),
     }

@@ -1,5 +1,4 @@
 //! The scoring of drives with known truth: a toy estimator with a known error gives the known figures.
-#![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
 
 use std::sync::Arc;
 

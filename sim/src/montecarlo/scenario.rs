@@ -440,13 +440,14 @@ fn runs<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Err
     whole(deserializer, 1, MAX_RUNS)
 }
 
-/// At least one, at most an hour of steps.
+/// At least one.
 fn count<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     whole(deserializer, 1, 100_000)
 }
 
+/// Under a minute at any sensible step: all fixes on their way are kept.
 fn delay<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, 100_000)
+    whole(deserializer, 0, 1_000)
 }
 
 fn ramp_steps<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {

@@ -95,7 +95,7 @@ pub(crate) fn three_digits(value: Option<f64>) -> String {
         return NO_VALUE.to_owned();
     };
     match value.abs() {
-        size if size >= 1e7 || !size.is_finite() => format!("{value:.1e}"),
+        size if size >= 1e5 || !size.is_finite() => format!("{value:.1e}"),
         size if size >= 99.95 => format!("{value:.0}"),
         size if size >= 9.995 => format!("{value:.1}"),
         size if size >= 0.9995 => format!("{value:.2}"),
@@ -109,8 +109,9 @@ mod tests {
 
     #[test]
     fn numbers_keep_three_digits_over_five_decades() {
-        let cells = [0.00133, 0.0137, 0.2244, 1.8121, 9e5].map(|metres| millimetres(Some(metres)));
-        assert_eq!(cells, ["1.33", "13.7", "224", "1812", "9.0e8"]);
+        let cells =
+            [0.00133, 0.0137, 0.2244, 1.8121, 425.462].map(|metres| millimetres(Some(metres)));
+        assert_eq!(cells, ["1.33", "13.7", "224", "1812", "4.3e5"]);
         assert_eq!(three_digits(Some(0.0104)), "0.010");
         assert_eq!(three_digits(None), "-");
     }

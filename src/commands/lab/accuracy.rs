@@ -1,0 +1,170 @@
+//! `posebridge lab accuracy`: every estimator over the Monte-Carlo scenarios, as a table and a picture.
+//!
+//! Scenarios and their numbers are files (`config/scenarios/accuracy/`); docs/lab-accuracy.md says what they are for.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow};
+use indicatif::{ProgressBar, ProgressStyle};
+use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
+use posebridge_analysis::report::{ScoreRow, score_table};
+use posebridge_link::HostTimer;
+use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
+
+use super::Estimator;
+use super::accuracy_json as json;
+use super::accuracy_runs::{Planned, Scored, score_all};
+use crate::cli::LabAccuracyArgs;
+use crate::commands::{Failure, Stage};
+use crate::stderr::say;
+use crate::stdout;
+
+/// The picture's file.
+const PICTURE: &str = "lab-accuracy.svg";
+
+/// Runs the experiment.
+///
+/// # Errors
+/// A scenario or an estimator does not exist or makes no sense, or an output cannot be written.
+pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
+    let timer = HostTimer::start();
+    let started = timer.now();
+    let estimators = estimators(args).at_start()?;
+    let planned = planned(args).at_start()?;
+    let folder = folder(args).at_start()?;
+    let runs: u64 = planned.iter().map(|planned| u64::from(planned.runs)).sum();
+    let bar = ProgressBar::new(runs).with_style(bar_style().at_start()?);
+    let scored = score_all(planned, &estimators, || bar.inc(1));
+    bar.finish_and_clear();
+    let picture = folder.join(PICTURE);
+    std::fs::write(&picture, accuracy_chart(&chart(&scored, &estimators)))
+        .with_context(|| format!("writing `{}`", picture.display()))
+        .while_running()?;
+    print(args, &scored, &estimators).while_running()?;
+    say(&format!(
+        "{runs} runs with {} estimators in {:.1} s; picture: {}",
+        estimators.len(),
+        (timer.now() - started).as_secs_f64(),
+        picture.display()
+    ));
+    Ok(())
+}
+
+fn bar_style() -> Result<ProgressStyle> {
+    let template = "{bar:40} {pos}/{len} runs, {eta} left";
+    Ok(ProgressStyle::with_template(template)?)
+}
+
+fn estimators(args: &LabAccuracyArgs) -> Result<Vec<Estimator>> {
+    if args.estimators.is_empty() {
+        return Ok(Estimator::all());
+    }
+    let named = args.estimators.iter().map(|name| Estimator::named(name));
+    Ok(named.collect::<Result<_, _>>()?)
+}
+
+fn planned(args: &LabAccuracyArgs) -> Result<Vec<Planned>> {
+    let names: Vec<String> = if args.scenarios.is_empty() {
+        SCENARIOS
+            .iter()
+            .map(|(name, _)| (*name).to_owned())
+            .collect()
+    } else {
+        args.scenarios.clone()
+    };
+    let planned = names.into_iter().map(|asked| {
+        let (name, mut scenario) = scenario(asked)?;
+        if let Some(seed) = args.seed {
+            scenario = scenario.with_seed(seed);
+        }
+        Ok(Planned {
+            name,
+            runs: args.runs.unwrap_or(scenario.runs),
+            scenario,
+        })
+    });
+    planned.collect()
+}
+
+/// A bundled scenario by its name, else one from a file, which is called like it.
+fn scenario(asked: String) -> Result<(String, Scenario)> {
+    let path = Path::new(&asked);
+    let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
+    let is_file = path
+        .extension()
+        .is_some_and(|extension| extension == "toml");
+    if is_bundled || !is_file {
+        let scenario = Scenario::bundled(&asked)?;
+        return Ok((asked, scenario));
+    }
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
+    let scenario = Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))?;
+    let name = path
+        .file_stem()
+        .map_or(asked.clone(), |stem| stem.to_string_lossy().into_owned());
+    Ok((name, scenario))
+}
+
+/// Where the picture goes; made if it is not there, before minutes are spent on what could not be kept.
+fn folder(args: &LabAccuracyArgs) -> Result<PathBuf> {
+    let folder = args.out.clone().unwrap_or_else(|| PathBuf::from("."));
+    std::fs::create_dir_all(&folder)
+        .map_err(|error| anyhow!(error))
+        .with_context(|| format!("making the folder `{}`", folder.display()))?;
+    Ok(folder)
+}
+
+fn print(args: &LabAccuracyArgs, scored: &[Scored], estimators: &[Estimator]) -> Result<()> {
+    if args.json {
+        stdout::print(&(json::text(scored, estimators)? + "\n"))?;
+        return Ok(());
+    }
+    let names = names(estimators);
+    let tables: Vec<String> = scored
+        .iter()
+        .map(|scored| {
+            let rows: Vec<ScoreRow<'_>> = names
+                .iter()
+                .zip(&scored.scores)
+                .map(|(name, score)| ScoreRow { name, score })
+                .collect();
+            format!("{}\n{}", headline(scored), score_table(&rows))
+        })
+        .collect();
+    stdout::print(&tables.join("\n"))?;
+    Ok(())
+}
+
+fn names(estimators: &[Estimator]) -> Vec<String> {
+    estimators.iter().map(Estimator::name).collect()
+}
+
+fn headline(scored: &Scored) -> String {
+    let planned = &scored.planned;
+    format!(
+        "{}: {} runs, seed {}",
+        planned.name, planned.runs, planned.scenario.seed
+    )
+}
+
+fn chart(scored: &[Scored], estimators: &[Estimator]) -> AccuracyChart {
+    let names = names(estimators);
+    let panels = scored.iter().map(|scored| AccuracyPanel {
+        title: headline(scored),
+        marks: names
+            .iter()
+            .zip(&scored.scores)
+            .map(|(name, score)| AccuracyMark {
+                name: name.clone(),
+                rms_m: score.position_rms_m(),
+                claimed_m: score.claimed_rms_m(),
+                anees: score.anees(),
+            })
+            .collect(),
+    });
+    AccuracyChart {
+        title: "Accuracy of the estimators over the Monte-Carlo scenarios".to_owned(),
+        panels: panels.collect(),
+    }
+}

@@ -1,0 +1,21 @@
+//! `posebridge lab`: experiments that need no robot and no link.
+
+pub mod accuracy;
+mod accuracy_json;
+mod accuracy_runs;
+mod estimators;
+
+pub use estimators::{Estimator, UnknownEstimator};
+
+use super::Failure;
+use crate::cli::{LabArgs, LabExperiment};
+
+/// Runs an experiment.
+///
+/// # Errors
+/// As the experiment says.
+pub fn execute(args: &LabArgs) -> Result<(), Failure> {
+    match &args.experiment {
+        LabExperiment::Accuracy(args) => accuracy::execute(args),
+    }
+}
