@@ -54,9 +54,9 @@ const PANEL_HEAD_PX: f64 = 26.0;
 const PANEL_FOOT_PX: f64 = 40.0;
 const LINE_PX: f64 = 18.0;
 /// Left of the axis the names, right of it the numbers.
-const NAMES_PX: f64 = 138.0;
-const NUMBERS_PX: f64 = 188.0;
-const NUMBER_PX: f64 = 57.0;
+const NAMES_PX: f64 = 130.0;
+const NUMBERS_PX: f64 = 176.0;
+const NUMBER_PX: f64 = 54.0;
 
 /// Errors beyond these are drawn at the edge, as powers of ten of metres: 0.1 mm and 1 km.
 const DECADES: Range = Range {
@@ -170,7 +170,7 @@ fn draw_panel(svg: &mut Svg, (left, top): (f64, f64), panel: &AccuracyPanel, axi
     svg.text((left, top + 12.0), &heading, &panel.title);
     axes.draw_grid(svg, &decade_ticks(axis), &[]);
     let faint = style(11.0, FAINT_INK, Anchor::End, 400);
-    for (column, name) in ["rms mm", "claim mm", "ANEES"].into_iter().enumerate() {
+    for (column, name) in ["rms mm", "claim", "ANEES"].into_iter().enumerate() {
         let x = number_right(&axes, column);
         svg.text((x, axes.area.top - 6.0), &faint, name);
     }
