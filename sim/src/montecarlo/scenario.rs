@@ -468,3 +468,59 @@ fn whole<'de, D: serde::Deserializer<'de>>(
         )))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bundled scenario with some of its text replaced.
+    fn changed(name: &str, from: &str, to: &str) -> Result<Scenario, ScenarioError> {
+        let (_, text) = SCENARIOS.iter().find(|(known, _)| *known == name).unwrap();
+        assert!(text.contains(from), "{name} has no `{from}`");
+        Scenario::from_toml(&text.replace(from, to))
+    }
+
+    #[test]
+    fn every_file_in_the_folder_is_bundled() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/scenarios/accuracy");
+        let files = std::fs::read_dir(folder).unwrap();
+        for file in files {
+            let path = file.unwrap().path();
+            let name = path.file_stem().unwrap().to_str().unwrap();
+            assert!(
+                SCENARIOS.iter().any(|(known, _)| *known == name),
+                "{name} is not bundled"
+            );
+        }
+    }
+
+    #[test]
+    fn wrong_files_are_refused_with_the_reason() {
+        let cases = [
+            ("step_s = 0.05", "step_s = 0", "step_s"),
+            ("laps = 4", "lapse = 4", "lapse"),
+            ("speed_m_per_s = 0.2", "speed_m_per_s = 1e-5", "steps"),
+            (
+                "delay_spread_steps = 1",
+                "delay_spread_steps = 7",
+                "before it is made",
+            ),
+            ("runs = 40", "runs = 0", "runs"),
+            (
+                "wheel_radius_m = 0.028",
+                "wheel_radius_m = nan",
+                "wheel_radius_m",
+            ),
+        ];
+        for (from, to, reason) in cases {
+            let message = changed("camera-10hz", from, to).unwrap_err().to_string();
+            assert!(message.contains(reason), "{to}: {message}");
+        }
+        let message = changed("kicks", "most_deg = 8.0", "most_deg = 1.0").unwrap_err();
+        assert!(message.to_string().contains("exceeds most_deg"));
+        let message = changed("wpilib", "[-3.0, 0.0, -90.0]", "[-3.0, inf, -90.0]").unwrap_err();
+        assert!(message.to_string().contains("poses_m_deg"));
+        let message = Scenario::bundled("camera-5hz").unwrap_err().to_string();
+        assert!(message.contains("camera-5hz") && message.contains("paper-square"));
+    }
+}

@@ -54,7 +54,7 @@ const PANEL_HEAD_PX: f64 = 26.0;
 const PANEL_FOOT_PX: f64 = 40.0;
 const LINE_PX: f64 = 18.0;
 /// Left of the axis the names, right of it the numbers.
-const NAMES_PX: f64 = 130.0;
+const NAMES_PX: f64 = 136.0;
 const NUMBERS_PX: f64 = 176.0;
 const NUMBER_PX: f64 = 54.0;
 
