@@ -121,12 +121,7 @@ pub fn use_gyro_window<const N: usize>(
     }
     let outcome = use_and_pass_rounding(state, &scalar, context);
     state.inject();
-    // What is told is how far gyro and encoders were apart before the slip was allowed for.
-    let told = ScalarOutcome {
-        usage: outcome.usage,
-        ..before
-    };
-    (outcome.usage == Usage::Used).then_some((scalar, told))
+    (outcome.usage == Usage::Used).then_some((scalar, outcome))
 }
 
 /// Uses the window, and puts the rounding at its end in the place of that at its beginning. The new rounding n takes part in the

@@ -24,7 +24,7 @@ use posebridge_telemetry::{
 
 use self::fuse::{Context, Gates};
 use self::history::{Action, Entry};
-use self::state::{CORE, Located, PoseState, WITH_RANGES, WITH_CAMERA};
+use self::state::{CORE, Located, PoseState, WITH_CAMERA, WITH_RANGES};
 use super::{Filter, FilterConfig, StartPose, intake};
 use crate::motion::{Added, GyroTrack, MotionTrack};
 use crate::observations::accelerometer::Accelerations;

@@ -4,7 +4,7 @@
 //! ```text
 //! R_i = s_g R_0i           s_g the scale of the group of component i: position, heading, range, bearing
 //! ln s_g <- ln s_g + gain * mean over the group of  u_i sign(nu_i^2 / S_ii - m)
-//! gain = max(g_min, 1 / (2 + k))          k observations so far         m = 0.4549, the median of chi-square with one degree
+//! gain = max(g_min, 2.3 / (3 + k))        k observations so far         m = 0.4549, the median of chi-square with one degree
 //! u_i = R_i / S_ii                        how much of the innovation is the sensor's own
 //! ```
 //! The median is not moved by a few gross outliers, however gross, and a gate that was set too narrow opens by itself, because
@@ -22,6 +22,10 @@ const LARGEST_LN_SCALE: f64 = 4.605_170_185_988_092;
 
 /// The median of chi-square with one degree of freedom.
 const MEDIAN: f64 = 0.454_936_423_119_573;
+
+/// The gain that finds a median soonest is 1 over twice the density there: for ln chi-square with one degree of freedom,
+/// 1 / (2 * 0.2143).
+const FIRST_GAIN: f64 = 2.33;
 
 /// One source: a group of components of one kind of observation by one sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +77,7 @@ impl Scales {
             ln_scale: 0.0,
             count: 0,
         });
-        let gain = least_gain.max(1.0 / (2.0 + f64::from(scale.count)));
+        let gain = least_gain.max(FIRST_GAIN / (3.0 + f64::from(scale.count)));
         scale.ln_scale = (scale.ln_scale + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
         scale.count = scale.count.saturating_add(1);
     }
