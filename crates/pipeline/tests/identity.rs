@@ -178,6 +178,8 @@ fn a_robots_own_description_replaces_the_geometry_where_it_is_adopted() {
             (heading_rad - expected_rad).abs() < 1e-6,
             "{policy:?} {source}: {heading_rad} instead of {expected_rad}"
         );
+        let used_m = station.pipeline.geometry().track_width.0;
+        assert!((used_m - expected_width_m).abs() < 1e-6, "{used_m}");
     }
 }
 

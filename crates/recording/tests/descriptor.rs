@@ -85,14 +85,6 @@ fn keys_that_do_not_fit_together_are_refused_with_their_line() {
             "line 14: odometer: an odometer is either x, y and heading, or distance and turn",
         ),
         (
-            "[[fixes]]\nfile = \"data\"\nlatitude = 1\nlongitude = 2",
-            "line 14: fixes: a fix is either x and y, or latitude and longitude with an `origin`",
-        ),
-        (
-            "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2\norigin = { latitude_deg = 0, longitude_deg = 0 }",
-            "line 14: fixes: a fix is either x and y, or latitude and longitude with an `origin`",
-        ),
-        (
             "[[body_velocity]]\nfile = \"data\"\nforward = 1",
             "line 14: body_velocity: a body velocity is either forward and turn, or left and right",
         ),
@@ -118,12 +110,32 @@ fn keys_that_do_not_fit_together_are_refused_with_their_line() {
     let wrap = "[[wheels]]\nfile = \"data\"\ncounting = \"increments\"\nwrap_bits = 16\n\
         left = { column = 1, unit = \"ticks\" }\nright = { column = 2, unit = \"ticks\" }";
     assert!(error_of(wrap).contains("wrap_bits is 8 to 32"));
-    let sigma = "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2\nheading_sigma_rad = 0.1";
-    assert!(error_of(sigma).contains("also heading_sigma_rad, or neither"));
-    let one = "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2\nvariance_x = 3";
-    assert!(error_of(one).contains("position_sigma_m or variance_x and variance_y"));
-    let both = format!("{one}\nvariance_y = 4\nposition_sigma_m = 1.0");
-    assert!(error_of(&both).contains("position_sigma_m or variance_x and variance_y"));
+}
+
+#[test]
+fn a_fix_has_one_kind_of_place_and_one_kind_of_claim() {
+    let fixes = |rest: &str| error_of(&format!("[[fixes]]\nfile = \"data\"\n{rest}"));
+    let place =
+        "line 14: fixes: a fix is either x and y, or latitude and longitude with an `origin`";
+    let origin = "origin = { latitude_deg = 0, longitude_deg = 0 }";
+    for incomplete in [
+        "x = 1",
+        "latitude = 1\nlongitude = 2",
+        &format!("latitude = 1\n{origin}"),
+        &format!("x = 1\ny = 2\n{origin}"),
+    ] {
+        assert_eq!(fixes(incomplete), place, "{incomplete}");
+    }
+    let claims = "position_sigma_m or variance_x and variance_y, fixes of a pose also heading_sigma_rad, or neither";
+    for unfit in [
+        "heading_sigma_rad = 0.1",
+        "variance_x = 3",
+        "variance_x = 3\nvariance_y = 4\nposition_sigma_m = 1.0",
+        "variance_x = 3\nvariance_y = 4\nheading = 5",
+    ] {
+        let found = fixes(&format!("x = 1\ny = 2\n{unfit}"));
+        assert!(found.ends_with(claims), "{unfit}: {found}");
+    }
 }
 
 #[test]
