@@ -1,14 +1,14 @@
 //! A robot on a square with the noise that the filter is told: truth and sensors. Seeded, in virtual time.
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, Heading, Meters, Observation, Observed, Point2, Radians,
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Radians,
     RadiansPerSecond, SensorId, Span, Stamp, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
 
-use super::robot::{DEGREE, NOISE, RADIUS_M, TRACK_M};
+use super::robot::{DEGREE, GEOMETRY, NOISE};
 
 pub(crate) const STEP_S: f64 = 0.05;
 
@@ -50,30 +50,36 @@ pub(crate) fn drive(scenario: &Scenario, seed: u64) -> Drive {
         poses: vec![],
         arrivals: vec![],
     };
-    for (index, (distance_m, turn_rad)) in commands(scenario.laps).into_iter().enumerate() {
-        let step = index + 1;
-        let moved_rad = world.move_by(distance_m, turn_rad);
-        drive.poses.push((world.x_m, world.y_m, world.heading_rad));
-        let wheels = world.wheels();
-        drive
-            .arrivals
-            .push(arrival(step, step, SensorId::WHEELS, wheels));
-        let rate = world.gyro(moved_rad);
-        drive
-            .arrivals
-            .push(arrival(step, step, SensorId::GYRO, rate));
-        if let Some(camera) = scenario
-            .camera
-            .filter(|camera| step.is_multiple_of(camera.every))
-        {
-            let (fix, late) = world.look(camera);
-            drive
-                .arrivals
-                .push(arrival(step + late, step, SensorId::CAMERA, fix));
-        }
+    for (distance_m, turn_rad) in commands(scenario.laps) {
+        drive.append(&mut world, (distance_m, turn_rad), scenario.camera);
     }
     drive.arrivals.sort_by_key(|arrival| arrival.step);
     drive
+}
+
+impl Drive {
+    /// Moves the world by one step of (distance, turn) and takes down what happened.
+    pub(crate) fn append(
+        &mut self,
+        world: &mut World,
+        (distance_m, turn_rad): (f64, f64),
+        camera: Option<Camera>,
+    ) {
+        let step = self.poses.len() + 1;
+        let moved_rad = world.move_by(distance_m, turn_rad);
+        self.poses.push((world.x_m, world.y_m, world.heading_rad));
+        let wheels = world.wheels();
+        self.arrivals
+            .push(arrival(step, step, SensorId::WHEELS, wheels));
+        let rate = world.gyro(moved_rad);
+        self.arrivals
+            .push(arrival(step, step, SensorId::GYRO, rate));
+        if let Some(camera) = camera.filter(|camera| step.is_multiple_of(camera.every)) {
+            let (fix, late) = world.look(camera);
+            self.arrivals
+                .push(arrival(step + late, step, SensorId::CAMERA, fix));
+        }
+    }
 }
 
 /// Commanded (distance, turn) of each step: rest, then squares of 3 m at 0.2 m/s with turns in place, ramped.
@@ -99,22 +105,25 @@ fn ramped(amount: f64, speed: f64) -> impl Iterator<Item = f64> {
     })
 }
 
-struct World {
+pub(crate) struct World {
     normals: Pcg64,
     uniforms: Pcg64,
-    x_m: f64,
-    y_m: f64,
-    heading_rad: f64,
+    /// The robot as it is, which its configuration need not know.
+    pub(crate) geometry: DriveGeometry,
+    pub(crate) x_m: f64,
+    pub(crate) y_m: f64,
+    pub(crate) heading_rad: f64,
     left_rad: f64,
     right_rad: f64,
     bias_rad_per_s: f64,
 }
 
 impl World {
-    fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         let mut world = Self {
             normals: Pcg64::seed_from_u64(seed),
             uniforms: Pcg64::seed_from_u64(seed ^ 0x5eed),
+            geometry: GEOMETRY,
             x_m: 0.0,
             y_m: 0.0,
             heading_rad: 0.0,
@@ -126,22 +135,22 @@ impl World {
         world
     }
 
-    fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         self.normals.sample(StandardNormal)
     }
 
     /// Moves as commanded, with the noise of the motion, and returns the true turn.
     fn move_by(&mut self, distance_m: f64, turn_rad: f64) -> f64 {
         let (left_m, right_m) = (
-            distance_m - 0.5 * turn_rad * TRACK_M,
-            distance_m + 0.5 * turn_rad * TRACK_M,
+            distance_m - 0.5 * turn_rad * self.geometry.track_width.0,
+            distance_m + 0.5 * turn_rad * self.geometry.track_width.0,
         );
-        self.left_rad += left_m / RADIUS_M;
-        self.right_rad += right_m / RADIUS_M;
+        self.left_rad += left_m / self.geometry.left_wheel_radius.0;
+        self.right_rad += right_m / self.geometry.right_wheel_radius.0;
         let left_m = self.travelled(left_m);
         let right_m = self.travelled(right_m);
         let true_m = 0.5 * (left_m + right_m);
-        let mut moved_rad = (right_m - left_m) / TRACK_M;
+        let mut moved_rad = (right_m - left_m) / self.geometry.track_width.0;
         moved_rad += NOISE.turn_rad_per_sqrt_rad * moved_rad.abs().sqrt() * self.normal();
         let chord = if moved_rad.abs() < 1e-9 {
             1.0
