@@ -20,6 +20,7 @@ pub mod gate;
 pub mod models;
 pub mod motion;
 pub mod observations;
+pub mod offline;
 pub mod params;
 pub mod update;
 

@@ -24,7 +24,7 @@ pub(super) const RESTART_POSITION_M: f64 = 0.1;
 pub(super) const RESTART_HEADING_RAD: f64 = 0.3;
 
 /// Why an observation cannot be used whatever the state, if so. `latest` is the latest instant that was observed.
-pub(super) fn refuse_outright(
+pub(crate) fn refuse_outright(
     observation: &Observation,
     latest: Option<Stamp<BrickClock>>,
     history_s: f64,
@@ -57,7 +57,7 @@ pub(super) fn jump_between(before: Pose<Arena>, after: Pose<Arena>) -> PoseJump 
 }
 
 /// Whether a robot can be put there: finite, and no negative standard deviation.
-pub(super) fn is_usable(start: &StartPose) -> bool {
+pub(crate) fn is_usable(start: &StartPose) -> bool {
     let sigmas = [start.position_sigma_m, start.heading_sigma_rad];
     bearable(&[start.pose.x.0, start.pose.y.0, start.pose.heading.rad()])
         && bearable(&sigmas)
@@ -69,7 +69,7 @@ fn bearable(values: &[f64]) -> bool {
 }
 
 /// What a motion observation says, or `None` for the other kinds.
-pub(super) fn motion_reading(observed: &Observed) -> Option<MotionReading> {
+pub(crate) fn motion_reading(observed: &Observed) -> Option<MotionReading> {
     match *observed {
         Observed::WheelAngles { left, right } => Some(MotionReading::Wheels {
             left_rad: left.0,

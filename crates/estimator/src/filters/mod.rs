@@ -1,6 +1,6 @@
 //! Every filter: a trait, a file each, and the one table that names them.
 
-mod intake;
+pub(crate) mod intake;
 pub mod odometry;
 pub mod pose;
 
