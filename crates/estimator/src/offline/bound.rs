@@ -320,6 +320,24 @@ mod tests {
     }
 
     #[test]
+    fn a_perfect_gyro_leaves_nothing_but_the_noise_of_the_distance() {
+        let mut config = crate::offline::tests::config();
+        config.noise.gyro_rad_per_s = 1e-9;
+        config.noise.gyro_bias_rad_per_s = 0.0;
+        // No fix ever arrives.
+        let own = straight(&config, 1000)[39];
+        let start = config.start.unwrap();
+        let wheel_var = config.noise.wheel_travel_m_per_sqrt_m.powi(2) * 0.4;
+        let expected = 2.0 * start.position_sigma_m.powi(2)
+            + (0.4 * start.heading_sigma_rad).powi(2)
+            + 0.5 * wheel_var;
+        assert!(
+            (own / expected - 1.0).abs() < 1e-3,
+            "{own} against {expected}"
+        );
+    }
+
+    #[test]
     fn at_rest_and_for_an_empty_run_it_is_what_was_known() {
         let config = crate::offline::tests::config();
         let poses = [Pose::default(); 3];

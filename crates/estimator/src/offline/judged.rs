@@ -30,6 +30,8 @@ use crate::update::consistency;
 pub(super) struct Judged {
     /// Which fixes of the run agree with all the others.
     pub(super) fits: Vec<bool>,
+    /// NIS of each fix of the run against all the others; infinite for those that saw no pose.
+    nis: Vec<f64>,
     /// In the body's space of each pose.
     covariances: Vec<Matrix3<f64>>,
     constants: [f64; CONSTANTS],
@@ -47,6 +49,7 @@ impl Judged {
         let layout = problem.layout();
         let mut judged = Self {
             fits: vec![false; is_used.len()],
+            nis: vec![f64::INFINITY; is_used.len()],
             covariances: vec![Matrix3::zeros(); problem.poses],
             constants: [0.0; CONSTANTS],
             last_bias: 0.0,
@@ -70,6 +73,7 @@ impl Judged {
                         if let Some((rows, degrees)) = fix_rows(problem, seen, &descended.values) {
                             let sign = if is_used[seen.index] { -1.0 } else { 1.0 };
                             let nis = nis_by_the_others(&rows, joint, sign);
+                            judged.nis[seen.index] = nis;
                             judged.fits[seen.index] = nis <= gates[usize::from(degrees) - 1];
                         }
                     }
@@ -146,4 +150,73 @@ fn nis_by_the_others(rows: &[Row; 3], joint: &Joint, sign: f64) -> f64 {
     let residual = Vector3::from(rows.map(|row| row.residual));
     // Where a fix alone determines the pose there are no others to judge it by.
     consistency(&residual, &s).map_or(0.0, |(nis, _)| nis)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::offline::problem::Run;
+    use crate::offline::rounds::{Round, whiteners};
+    use posebridge_telemetry::{
+        Fix, Heading, Meters, Observation, Observed, Point2, Radians, SensorId, Span, Stamp,
+    };
+
+    /// A robot that goes straight ahead, with four fixes that scatter.
+    fn observations() -> Vec<Observation> {
+        let one = |at_ms: i64, sensor, observed| Observation {
+            sensor,
+            stamp: Stamp::from_millis(at_ms),
+            stamp_sigma: Span::ZERO,
+            observed,
+        };
+        let mut all: Vec<Observation> = (0..=20)
+            .map(|k| {
+                let turned = Radians(0.5 * f64::from(k));
+                let wheels = Observed::WheelAngles {
+                    left: turned,
+                    right: turned,
+                };
+                one(50 * i64::from(k), SensorId::WHEELS, wheels)
+            })
+            .collect();
+        for (k, y_m) in [(5, 0.004), (10, -0.006), (15, 0.003), (20, 0.002)] {
+            let fix = Observed::Fix(Fix {
+                position: Point2::new(Meters(0.014 * k as f64), Meters(y_m)),
+                heading: Some(Heading::from_rad(0.01)),
+                covariance: None,
+                tag_in_body: Point2::ORIGIN,
+                reset_counter: 0,
+            });
+            all.push(one(50 * k, SensorId::CAMERA, fix));
+        }
+        all
+    }
+
+    /// NIS of a fix when these are left out.
+    fn nis_of(index: usize, left_out: &[usize]) -> f64 {
+        let config = crate::offline::tests::config();
+        let all = observations();
+        let run = Run::new(&config, &all);
+        let problem = run.problem(0.0);
+        let mut round = Round::first(&config, run.fixes());
+        for &other in left_out {
+            round.is_used[other] = false;
+        }
+        let whiteners = whiteners(&problem, &round.constants).unwrap();
+        let descended = round
+            .descend(&problem, &whiteners, [f64::INFINITY; 3])
+            .unwrap();
+        Judged::of(&problem, &descended, &round.is_used, [10.0; 3]).nis[index]
+    }
+
+    #[test]
+    fn the_others_say_the_same_of_a_fix_whether_it_was_used_or_not() {
+        for index in 0..4 {
+            let (used, left_out) = (nis_of(index, &[]), nis_of(index, &[index]));
+            assert!(
+                (used / left_out - 1.0).abs() < 1e-3 && used > 0.1,
+                "fix {index}: {used} against {left_out}"
+            );
+        }
+    }
 }
