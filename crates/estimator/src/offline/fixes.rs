@@ -16,6 +16,7 @@ use posebridge_telemetry::{Heading, quantities::wrap_rad};
 use super::factors::Row;
 use super::problem::{Problem, SeenFix};
 use super::values::{FIX_DELAY, Placed, TAG_FORWARD, TAG_LEFT, Values};
+use crate::models::lie::Se2;
 use crate::observations::fix::{Circumstances, FixNoise, noise_of};
 
 /// Nobody sees better than a micrometre or a microradian: a fix without noise would weigh without bound.
@@ -74,8 +75,10 @@ fn with_free(problem: &Problem<'_>, row: Row, constant: usize, derivative: f64) 
 fn noise(problem: &Problem<'_>, seen: &SeenFix) -> FixNoise {
     let mut noise = noise_of(
         &seen.fix,
+        &problem.config.noise,
+        [1.0, 1.0],
         &Circumstances {
-            noise: &problem.config.noise,
+            moved_since: Se2::default(),
             stamp_sigma_s: seen.stamp_sigma_s,
             forward_m_per_s: seen.forward_m_per_s,
             turn_rad_per_s: seen.turn_rad_per_s,

@@ -14,7 +14,7 @@ use super::values::{CONSTANTS, Layout, constants_of};
 use crate::filters::{FilterConfig, intake};
 use crate::models::differential_drive::{WheelTravel, body_step};
 use crate::motion::{Added, GyroTrack, Leg, MotionTrack};
-use crate::observations::gyro_window::{encoder_quantisation_variance, gyro_variance};
+use crate::observations::gyro_window::{gyro_variance, rounding_variance};
 
 /// Less travel of both wheels than this is rounding and not motion, m: a nanometre.
 const REST_M: f64 = 1e-9;
@@ -256,7 +256,8 @@ impl<'a> Run<'a> {
         let quantisation = if from == to {
             0.0
         } else {
-            encoder_quantisation_variance(&self.config.geometry)
+            // Both ends of the window are rounded.
+            2.0 * rounding_variance(&self.config.geometry)
         };
         let variance = gyro_variance(&self.config.noise, turn.squared_secs) + quantisation;
         Some(Window {
