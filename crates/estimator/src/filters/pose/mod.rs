@@ -124,16 +124,17 @@ impl<const N: usize> PoseFilter<N> {
                 Some((wanted, record)) if *wanted == index => &mut **record,
                 _ => &mut scratch,
             };
-            let mut next = state;
-            next.advance(entry.stamp, context.track, context.config);
-            act(&mut next, entry.stamp, entry.action, &context, record);
-            if entry.is_without_effect(record.verdict) {
+            // The state is large: it is kept aside only where it may be wanted back.
+            let aside = matches!(entry.action, Action::Sight(..)).then_some(state);
+            act(&mut state, entry.stamp, entry.action, &context, record);
+            if let Some(before) = aside.filter(|_| entry.is_without_effect(record.verdict)) {
                 // Not even the way to its instant is kept: two steps would round otherwise than one.
-                state.refused = next.refused;
-                state.scales = next.scales;
-                state.stamp = state.stamp.or(next.stamp);
-            } else {
-                state = next;
+                state = PoseState {
+                    refused: state.refused,
+                    scales: state.scales,
+                    stamp: before.stamp.or(state.stamp),
+                    ..before
+                };
             }
             entry.after = state;
         }
@@ -239,7 +240,7 @@ impl<const N: usize> PoseFilter<N> {
             stamp: observation.stamp,
             action,
             sensor: observation.sensor.0,
-            after: self.base,
+            after: *self.state(),
         }
     }
 }
@@ -323,6 +324,16 @@ fn act<const N: usize>(
     context: &Context<'_>,
     record: &mut FusionRecord,
 ) {
+    match action {
+        // These tell of speeds alone: the pose goes on when the wheels have told how.
+        Action::TurnRate(_) | Action::Accelerations(_) => {
+            state.stamp = state.stamp.or(Some(stamp));
+            state.age(stamp, context.config);
+        }
+        Action::Motion | Action::Sight(..) | Action::SetPose(_) => {
+            state.advance(stamp, context.track, context.config);
+        }
+    }
     match action {
         Action::TurnRate(rate) => fuse::turn_rate(state, rate, context),
         Action::Accelerations(felt) => fuse::accelerations(state, felt, stamp, context),
