@@ -3,4 +3,5 @@
 pub mod differential_drive;
 pub mod lie;
 pub mod planar_speed;
+pub mod planar_speeds;
 pub mod se2;
