@@ -1,88 +1,24 @@
-//! The filters of paper 1 against the paper: gains in the steady state, derivatives, and independent implementations.
+//! The filters of paper 1 against the paper: gains in the steady state, derivatives, sigma points, records.
 #![expect(
     clippy::expect_used,
     reason = "helpers outside #[test] stop when a filter gives no estimate"
 )]
 
+#[path = "support/readings.rs"]
+mod readings;
 #[path = "support/robot.rs"]
 mod robot;
 
-use adskalman::{ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
-use nalgebra::{Matrix2, SMatrix, SVector, U1, U2, Vector1, Vector2};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use posebridge_estimator::Filter;
 use posebridge_estimator::filters::ekf5::{self, Fixes, SpeedOrder, process_noise};
-use posebridge_estimator::filters::paper1::{CENTIMETRE, DEGREE, INTERVAL_S, UNITS};
+use posebridge_estimator::filters::paper1::{DEGREE, INTERVAL_S};
 use posebridge_estimator::filters::wheel_kf::{LEFT_VARIANCE, RIGHT_VARIANCE, Wheel};
 use posebridge_estimator::filters::{ekf5_corrected, ukf5};
 use posebridge_estimator::models::planar_speeds::{self, Acceleration, Covariance, Mean};
-use posebridge_estimator::{Filter, FilterConfig, filter_named};
-use posebridge_telemetry::{
-    BrickClock, Estimate, MetersPerSecondSquared, Observation, Observed, Radians, RadiansPerSecond,
-    SensorId, Span, Stamp, Verdict, estimate::row,
-};
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
+use posebridge_telemetry::{Stamp, Verdict, estimate::row};
+use readings::{assert_near, covariance_in_paper_units, gyro, latest, named, wheels};
 use robot::{RADIUS_M, TRACK_M, config};
-
-fn at(secs: f64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: Stamp::<BrickClock>::from_secs_f64(secs),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
-}
-
-fn wheels(secs: f64, left_rad: f64, right_rad: f64) -> Observation {
-    let observed = Observed::WheelAngles {
-        left: Radians(left_rad),
-        right: Radians(right_rad),
-    };
-    at(secs, SensorId::WHEELS, observed)
-}
-
-fn gyro(secs: f64, rad_per_s: f64) -> Observation {
-    let observed = Observed::TurnRate(RadiansPerSecond(rad_per_s));
-    at(secs, SensorId::GYRO, observed)
-}
-
-fn accelerations(secs: f64, left: f64, right: f64) -> Observation {
-    let observed = Observed::WheelAccelerations {
-        left: MetersPerSecondSquared(left),
-        right: MetersPerSecondSquared(right),
-    };
-    at(secs, SensorId::ACCELEROMETER, observed)
-}
-
-fn named(name: &str, config: &FilterConfig) -> Box<dyn Filter> {
-    (filter_named(name).expect("it is in the table").build)(config)
-}
-
-fn without_start() -> FilterConfig {
-    FilterConfig {
-        start: None,
-        ..config()
-    }
-}
-
-fn latest(filter: &dyn Filter) -> Estimate {
-    filter
-        .latest()
-        .and_then(|latest| filter.estimate_at(latest))
-        .expect("something was observed")
-}
-
-/// The published covariance in the paper's units: cm, degrees and these per second.
-fn covariance_in_paper_units(filter: &dyn Filter) -> Covariance {
-    let published = latest(filter).covariance;
-    Covariance::from_fn(|i, j| published[i][j] / (UNITS[i] * UNITS[j]))
-}
-
-fn assert_near(what: &str, found: f64, expected: f64, tolerance: f64) {
-    assert!(
-        (found - expected).abs() < tolerance,
-        "{what}: {found} instead of {expected}"
-    );
-}
 
 /// A robot that stands for 500 of the paper's intervals: every gain is then the steady one.
 fn at_rest(mut filter: Box<dyn Filter>) -> Box<dyn Filter> {
@@ -115,6 +51,97 @@ fn the_wheel_filters_have_the_papers_steady_gains_and_poles() {
         assert_near("pole", pole.re, real, 5e-4);
         assert_near("pole", pole.im.abs(), imaginary, 5e-4);
     }
+}
+
+#[test]
+fn the_speeds_of_the_wheel_filter_are_as_doubtful_as_its_wheels() {
+    let [left, right] = [LEFT_VARIANCE, RIGHT_VARIANCE].map(|variance| {
+        let mut wheel = Wheel::at_rest(variance);
+        for _ in 0..500 {
+            wheel.predict(INTERVAL_S);
+            assert!(wheel.update(0.0).is_some());
+        }
+        wheel.covariance[(1, 1)] * (RADIUS_M * DEGREE).powi(2)
+    });
+    let p = latest(at_rest(named("wheel-kf", &config())).as_ref()).covariance;
+    let found = [
+        (row::FORWARD, row::FORWARD),
+        (row::TURN, row::TURN),
+        (row::FORWARD, row::TURN),
+    ]
+    .map(|(i, j)| p[i][j]);
+    let expected = [
+        0.25 * (left + right),
+        (left + right) / TRACK_M.powi(2),
+        (right - left) / (2.0 * TRACK_M),
+    ];
+    for (found, expected) in found.into_iter().zip(expected) {
+        assert_near("variance", found / expected, 1.0, 1e-6);
+    }
+}
+
+#[test]
+fn the_corrected_filter_expects_of_its_first_step_what_rounding_and_speeds_leave_open() {
+    let mut filter = named("ekf5-corrected", &config());
+    filter.observe(&wheels(0.0, 0.0, 0.0));
+    let record = filter.observe(&wheels(0.05, 0.0, 0.0));
+    let params = config().params;
+    // Rounding counts twice, at the base and at the reading; 0.1 m/s and 1 rad/s are the speeds' sigmas at the start. How well
+    // the heading itself is known does not matter: the integral began there.
+    let dt_s: f64 = 0.05;
+    let tick_m = RADIUS_M * DEGREE;
+    let path = 2.0 * tick_m.powi(2) / 24.0
+        + (0.1 * dt_s).powi(2)
+        + params.acceleration_m_per_s2.powi(2) * dt_s.powi(3) / 3.0;
+    let heading = 2.0 * (tick_m / TRACK_M).powi(2) / 6.0
+        + dt_s.powi(2)
+        + params.turn_acceleration_rad_per_s2.powi(2) * dt_s.powi(3) / 3.0;
+    let s = record.innovation_covariance;
+    assert_near("path", s[0][0] / path, 1.0, 1e-9);
+    assert_near("heading", s[1][1] / heading, 1.0, 1e-9);
+    // The gyro alone: its noise over the interval, its bias, and the turn that is open.
+    let mut filter = named("ekf5-corrected", &config());
+    filter.observe(&gyro(0.0, 0.0));
+    let s = filter.observe(&gyro(0.05, 0.0)).innovation_covariance[0][0];
+    let noise = robot::NOISE;
+    let sample_var = noise.gyro_rad_per_s.powi(2) + noise.gyro_resolution_rad_per_s.powi(2) / 12.0;
+    let turn = (sample_var + noise.gyro_bias_rad_per_s.powi(2)) * dt_s.powi(2)
+        + dt_s.powi(2)
+        + params.turn_acceleration_rad_per_s2.powi(2) * dt_s.powi(3) / 3.0
+        + (0.01 * DEGREE).powi(2);
+    assert_near("gyro", s / turn, 1.0, 1e-9);
+}
+
+#[test]
+fn a_change_of_speed_moves_the_corrected_filters_robot_within_the_interval() {
+    let mut filter = named("ekf5-corrected", &config());
+    filter.observe(&wheels(0.0, 0.0, 0.0));
+    let ahead = filter
+        .estimate_at(Stamp::from_millis(50))
+        .expect("a prediction");
+    let q = config().params.acceleration_m_per_s2.powi(2);
+    // Heading zero: x is the way. 0.1 m/s is the speed's sigma at the start.
+    let expected = 0.01 * 0.05 + q * 0.05_f64.powi(2) / 2.0;
+    let found = ahead.covariance[row::X][row::FORWARD];
+    assert_near("x and v", found / expected, 1.0, 1e-9);
+}
+
+#[test]
+fn a_wheel_that_slips_alone_errs_in_path_and_heading_together() {
+    let shared = |left: f64, right: f64| {
+        let mut filter = named("ekf5-corrected", &config());
+        let mut last = 0.0;
+        for k in 0..100 {
+            let turned = f64::from(k) * 0.3;
+            let come = wheels(f64::from(k) * 0.05, left * turned, right * turned);
+            last = filter.observe(&come).innovation_covariance[0][1];
+        }
+        last
+    };
+    // k_w^2 s / (2 b) for the wheel that moves, by the noise of motion.
+    let slip = robot::NOISE.wheel_travel_m_per_sqrt_m.powi(2) * 0.3 * RADIUS_M / (2.0 * TRACK_M);
+    assert!(shared(0.0, 1.0) > 0.5 * slip, "{}", shared(0.0, 1.0));
+    assert!(shared(1.0, 0.0) < -0.5 * slip, "{}", shared(1.0, 0.0));
 }
 
 #[test]
@@ -227,240 +254,6 @@ fn a_step_follows_equations_13_and_24() {
     let felt = Acceleration::of_wheels(0.2, 0.5, &robot::GEOMETRY);
     assert_near("a", felt.forward_m_per_s2, 0.35, 1e-12);
     assert_near("alpha", felt.turn_rad_per_s2, 0.3 / TRACK_M, 1e-9);
-}
-
-/// A linear model for the foreign crate: F, Q, input, H and R of one step.
-struct Foreign<const M: usize> {
-    f: [Matrix2<f64>; 2],
-    q: Matrix2<f64>,
-    input: Vector2<f64>,
-    h: SMatrix<f64, M, 2>,
-    h_transposed: SMatrix<f64, 2, M>,
-    r: SMatrix<f64, M, M>,
-}
-
-impl<const M: usize> TransitionModelLinearNoControl<f64, U2> for Foreign<M> {
-    fn F(&self) -> &Matrix2<f64> {
-        &self.f[0]
-    }
-    fn FT(&self) -> &Matrix2<f64> {
-        &self.f[1]
-    }
-    fn Q(&self) -> &Matrix2<f64> {
-        &self.q
-    }
-    fn predict(&self, before: &StateAndCovariance<f64, U2>) -> StateAndCovariance<f64, U2> {
-        StateAndCovariance::new(
-            self.f[0] * before.state() + self.input,
-            self.f[0] * before.covariance() * self.f[1] + self.q,
-        )
-    }
-}
-
-macro_rules! observed_by {
-    ($m:literal, $dim:ty) => {
-        impl ObservationModel<f64, U2, $dim> for Foreign<$m> {
-            fn H(&self) -> &SMatrix<f64, $m, 2> {
-                &self.h
-            }
-            fn HT(&self) -> &SMatrix<f64, 2, $m> {
-                &self.h_transposed
-            }
-            fn R(&self) -> &SMatrix<f64, $m, $m> {
-                &self.r
-            }
-        }
-    };
-}
-observed_by!(1, U1);
-observed_by!(2, U2);
-
-/// Seeded intervals around the paper's, and a robot that drives an uneven way: seconds, left and right angle in rad.
-fn uneven_drive(seed: u64) -> Vec<(f64, f64, f64)> {
-    let mut random = Pcg64::seed_from_u64(seed);
-    let (mut secs, mut left, mut right) = (0.0, 0.0, 0.0);
-    (0..400)
-        .map(|k| {
-            let here = (secs, left, right);
-            let dt_s = (0.03 + 0.04 * random.random::<f64>())
-                .mul_add(1e3, 0.5)
-                .floor()
-                * 1e-3;
-            let phase = f64::from(k) * 0.05;
-            left += (6.0 * phase.sin() + random.random::<f64>()) * dt_s;
-            right += (6.0 * (0.7 * phase).cos() + random.random::<f64>()) * dt_s;
-            secs += dt_s;
-            here
-        })
-        .collect()
-}
-
-/// Steps the foreign filter: predict, then update in Joseph's form.
-macro_rules! foreign_step {
-    ($model:expr, $before:expr, $seen:expr) => {
-        adskalman::KalmanFilterNoControl::new($model, $model)
-            .step($before, $seen)
-            .expect("its covariances are positive")
-    };
-}
-
-#[test]
-fn the_wheel_filter_equals_an_independent_kalman_filter() {
-    let mut wheel = Wheel::at_rest(RIGHT_VARIANCE);
-    let mut foreign = StateAndCovariance::new(Vector2::zeros(), Matrix2::identity() * 10.0);
-    let drive = uneven_drive(1);
-    for pair in drive.windows(2) {
-        let dt_s = pair[1].0 - pair[0].0;
-        let counted = pair[1].2 / DEGREE;
-        let f = Matrix2::new(1.0, dt_s, 0.0, 1.0);
-        let model = Foreign::<1> {
-            f: [f, f.transpose()],
-            q: Matrix2::new(0.1, 0.0, 0.0, 10.0) * (dt_s / 0.05),
-            input: Vector2::zeros(),
-            h: SMatrix::<f64, 1, 2>::new(1.0, 0.0),
-            h_transposed: Vector2::new(1.0, 0.0),
-            r: SMatrix::<f64, 1, 1>::new(2.5),
-        };
-        foreign = foreign_step!(&model, &foreign, &Vector1::new(counted));
-        wheel.predict(dt_s);
-        assert!(wheel.update(counted).is_some());
-        assert!((wheel.mean - foreign.state()).amax() < 1e-9);
-        assert!((wheel.covariance - foreign.covariance()).amax() < 1e-9);
-    }
-}
-
-/// Gives the wheels, and accelerations for the interval that follows, to a row of the table.
-#[test]
-fn the_velocity_filter_equals_an_independent_kalman_filter() {
-    let mut filter = named("velocity-kf", &config());
-    let mut foreign = StateAndCovariance::new(Vector2::zeros(), Matrix2::identity() * 10.0);
-    let drive = uneven_drive(2);
-    let felt_at = |k: usize| (0.3 * (k as f64 * 0.11).sin(), 0.2 * (k as f64 * 0.07).cos());
-    for (k, pair) in drive.windows(2).enumerate() {
-        let (left, right) = felt_at(k);
-        if k == 0 {
-            filter.observe(&wheels(pair[0].0, pair[0].1, pair[0].2));
-        }
-        filter.observe(&accelerations(pair[0].0, left, right));
-        filter.observe(&wheels(pair[1].0, pair[1].1, pair[1].2));
-
-        let dt_s = pair[1].0 - pair[0].0;
-        let [left_m, right_m] =
-            [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
-        let felt = Acceleration::of_wheels(left, right, &robot::GEOMETRY);
-        let per_unit = Vector2::new(1.0 / CENTIMETRE, 1.0 / DEGREE);
-        let model = Foreign::<2> {
-            f: [Matrix2::identity(); 2],
-            q: Matrix2::identity() * (2.2 * dt_s / 0.05),
-            input: Vector2::new(felt.forward_m_per_s2, felt.turn_rad_per_s2)
-                .component_mul(&per_unit)
-                * dt_s,
-            h: Matrix2::identity(),
-            h_transposed: Matrix2::identity(),
-            r: Matrix2::new(5.1, 0.0, 0.0, 1.938),
-        };
-        let speeds = Vector2::new(0.5 * (left_m + right_m), (right_m - left_m) / TRACK_M) / dt_s;
-        foreign = foreign_step!(&model, &foreign, &speeds.component_mul(&per_unit));
-
-        let ours = latest(filter.as_ref());
-        let v = ours.forward_speed.0 / CENTIMETRE;
-        let w = ours.turn_rate.0 / DEGREE;
-        assert!(
-            (Vector2::new(v, w) - foreign.state()).amax() < 1e-9,
-            "step {k}"
-        );
-        let p = covariance_in_paper_units(filter.as_ref());
-        let block = p.fixed_view::<2, 2>(row::FORWARD, row::FORWARD);
-        assert!((block - foreign.covariance()).amax() < 1e-9, "step {k}");
-    }
-}
-
-/// Equations 24 to 26 as the paper has them, in centimetres and degrees, with one update for all three observations.
-struct Literal {
-    x: Mean,
-    p: Covariance,
-}
-
-impl Literal {
-    fn step(&mut self, z: &SVector<f64, 3>, felt: Acceleration, ts: f64) {
-        let [x, y, th, v, w] = self.x.into();
-        let phi = (th + 0.5 * ts * w).to_radians();
-        let mut f = Covariance::identity();
-        f[(0, 2)] = -v * ts * phi.sin() * DEGREE;
-        f[(0, 3)] = ts * phi.cos();
-        f[(0, 4)] = -0.5 * v * ts * ts * phi.sin() * DEGREE;
-        f[(1, 2)] = v * ts * phi.cos() * DEGREE;
-        f[(1, 3)] = ts * phi.sin();
-        f[(1, 4)] = 0.5 * v * ts * ts * phi.cos() * DEGREE;
-        f[(2, 4)] = ts;
-        let a = felt.forward_m_per_s2 / CENTIMETRE;
-        let alpha = felt.turn_rad_per_s2 / DEGREE;
-        self.x = Mean::from([
-            x + v * ts * phi.cos(),
-            y + v * ts * phi.sin(),
-            th + ts * w,
-            v + ts * a,
-            w + ts * alpha,
-        ]);
-        let q = Covariance::from_diagonal(&Mean::from([2.0, 2.0, 0.1, 3.0, 1.0]));
-        self.p = f * self.p * f.transpose() + q * (ts / 0.05);
-        let mut h = SMatrix::<f64, 3, 5>::zeros();
-        h[(0, 3)] = 1.0;
-        h[(1, 2)] = 1.0;
-        h[(2, 2)] = 1.0;
-        let r = SMatrix::<f64, 3, 3>::from_diagonal(&SVector::from([5.1, 0.938, 0.332]));
-        let s = h * self.p * h.transpose() + r;
-        let k = self.p * h.transpose() * s.try_inverse().expect("positive definite");
-        self.x += k * (z - h * self.x);
-        self.p = (Covariance::identity() - k * h) * self.p;
-    }
-}
-
-#[test]
-fn ekf5_equals_the_paper_written_out_in_centimetres_and_degrees() {
-    let mut filter = named("ekf5", &without_start());
-    let mut literal = Literal {
-        x: Mean::zeros(),
-        p: Covariance::identity() * 0.05,
-    };
-    let (mut wheel_heading, mut gyro_heading) = (0.0, 0.0);
-    let drive = uneven_drive(3);
-    filter.observe(&wheels(0.0, 0.0, 0.0));
-    filter.observe(&gyro(0.0, 0.0));
-    for (k, pair) in drive.windows(2).enumerate() {
-        let felt = (0.2 * (k as f64 * 0.1).sin(), 0.1);
-        let ts = pair[1].0 - pair[0].0;
-        let [left_m, right_m] =
-            [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
-        let turn_rad = (right_m - left_m) / TRACK_M;
-        let rate = turn_rad / ts + 0.02 * (k as f64 * 0.3).sin();
-        filter.observe(&accelerations(pair[0].0, felt.0, felt.1));
-        filter.observe(&wheels(pair[1].0, pair[1].1, pair[1].2));
-        filter.observe(&gyro(pair[1].0, rate));
-
-        wheel_heading += turn_rad / DEGREE;
-        gyro_heading += rate * ts / DEGREE;
-        let speed = 0.5 * (left_m + right_m) / ts / CENTIMETRE;
-        let z = SVector::from([speed, wheel_heading, gyro_heading]);
-        let body = Acceleration::of_wheels(felt.0, felt.1, &robot::GEOMETRY);
-        literal.step(&z, body, ts);
-
-        let ours = latest(filter.as_ref());
-        let found = [
-            ours.pose.x.0 / CENTIMETRE,
-            ours.pose.y.0 / CENTIMETRE,
-            (ours.pose.heading.rad() / DEGREE - literal.x[2] + 180.0).rem_euclid(360.0) - 180.0,
-            ours.forward_speed.0 / CENTIMETRE - literal.x[3],
-            ours.turn_rate.0 / DEGREE - literal.x[4],
-        ];
-        assert_near("x", found[0], literal.x[0], 1e-7);
-        assert_near("y", found[1], literal.x[1], 1e-7);
-        for difference in &found[2..] {
-            assert_near("heading, v, w", *difference, 0.0, 1e-8);
-        }
-        let p = covariance_in_paper_units(filter.as_ref());
-        assert!((p - literal.p).amax() < 1e-6 * literal.p.amax(), "step {k}");
-    }
 }
 
 #[test]

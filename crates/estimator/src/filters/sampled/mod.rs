@@ -16,116 +16,28 @@
 
 mod counters;
 pub(super) mod innovation;
+mod maths;
 pub(super) mod rows;
 
 use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, Fix, FusionRecord, Heading, Known, Meters, MetersPerSecond,
+    BrickClock, Calibration, Estimate, Fix, FusionRecord, Heading, Meters, MetersPerSecond,
     Observation, Observed, Pose, PoseJump, RadiansPerSecond, SensorId, Span, Stamp, Validity,
     Verdict, estimate::row,
 };
 
 use self::counters::{Counters, Reading, refuse_interval};
 pub(super) use self::counters::{LONGEST_STEP, WheelStep};
+pub(super) use self::maths::{Belief, Context, Extra, Maths};
 use super::{Filter, FilterConfig, StartPose, intake};
 use crate::gate::chi_square_quantile;
-use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
+use crate::models::planar_speeds::{Acceleration, Mean};
 
 /// Speeds are held for this long after the last reading of the wheels, and are stale behind it.
 const SPEEDS_HELD: Span = Span::from_millis(500);
 /// Accelerations are held for this long: as long as an interval that is no gap.
 const ACCELERATIONS_HELD: Span = LONGEST_STEP;
-
-/// What a filter's maths may ask about its surroundings.
-pub(super) struct Context {
-    /// The filter's configuration.
-    pub(super) config: FilterConfig,
-    /// Quantiles of chi-square with one, two and three degrees of freedom.
-    pub(super) gates: [f64; 3],
-}
-
-/// The sensors that not every filter has a use for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Extra {
-    Gyro,
-    Accelerometers,
-    Camera,
-}
-
-/// Pose and speeds with their covariance, rows as [`row`], SI units, heading not wrapped.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Belief {
-    pub(super) mean: Mean,
-    pub(super) covariance: Covariance,
-}
-
-/// One filter's maths.
-pub(super) trait Maths: Copy + Send {
-    /// Whether it has a use for a sensor besides the wheels.
-    fn uses(&self, extra: Extra) -> bool;
-
-    /// Pose and speeds as they are believed.
-    fn belief(&self, context: &Context) -> Belief;
-
-    /// The bias of the gyro, in rad/s, where it is a state.
-    fn gyro_bias(&self) -> Option<Known> {
-        None
-    }
-
-    /// Moves the pose to a start; what is known about the speeds stays.
-    fn place(&mut self, start: &StartPose);
-
-    /// Forgets the speeds, and adds a doubt to the pose: standard deviations in m and rad.
-    fn restart(&mut self, position_m: f64, heading_rad: f64, context: &Context);
-
-    /// Predicts over `dt_s` with the speeds that are held.
-    fn advance(&mut self, dt_s: f64, felt: Acceleration, context: &Context);
-
-    /// Lets `dt_s` pass in which nothing tells how the robot moves.
-    fn wait(&mut self, dt_s: f64, context: &Context);
-
-    /// Takes these speeds (m/s, rad/s) for the next prediction, over a gap whose path has the variance `path_m2` per axis.
-    fn bridge(&mut self, speeds: [f64; 2], path_m2: f64);
-
-    /// The counters have a new base: what the wheels did up to here is what was predicted.
-    fn rebase_wheels(&mut self, context: &Context);
-
-    /// The gyro's integral begins here.
-    fn rebase_gyro(&mut self);
-
-    /// Uses what the wheels turned since the reading before.
-    fn use_wheels(
-        &mut self,
-        step: &WheelStep,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict;
-
-    /// Uses the mean turn rate of the last `dt_s`, bias included, in rad/s.
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
-        let _ = (rate_rad_per_s, dt_s, context, record);
-        Verdict::Unused
-    }
-
-    /// Uses a fix whose stamp may be off by `stamp_sigma_s`.
-    fn use_fix(
-        &mut self,
-        fix: &Fix,
-        stamp_sigma_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
-        let _ = (fix, stamp_sigma_s, context, record);
-        Verdict::Unused
-    }
-}
 
 /// What is believed at one instant, with all that a prediction from there needs.
 #[derive(Clone, Copy)]
