@@ -1,12 +1,17 @@
 //! Every filter: a trait, a file each, and the one table that names them.
 
+pub mod dynamic;
 pub mod ekf5;
 pub mod ekf5_corrected;
+pub mod indirect;
 pub(crate) mod intake;
 pub mod odometry;
 pub mod paper1;
 pub mod pose;
+pub mod range_kf;
+mod records;
 mod sampled;
+mod timeline;
 pub mod ukf5;
 pub mod velocity_kf;
 pub mod wheel_kf;
@@ -172,6 +177,52 @@ pub const FILTERS: &[FilterEntry] = &[
         estimates: Estimates::Pose,
         late: Late::OnArrival,
         build: ukf5::build,
+    },
+    FilterEntry {
+        name: "dynamic",
+        summary: "paper 2: the final value of a slow thermometer, from its approach",
+        estimates: Estimates::Scalar,
+        late: Late::OnArrival,
+        build: |config| Box::new(dynamic::DynamicFilter::new(config)),
+    },
+    FilterEntry {
+        name: "range-kf",
+        summary: "paper 3: distance to a wall from time of flight and motor input, as printed",
+        estimates: Estimates::Scalar,
+        late: Late::OnArrival,
+        build: |config| Box::new(range_kf::RangeFilter::new(config, range_kf::Variant::Paper)),
+    },
+    FilterEntry {
+        name: "range-kf-corrected",
+        summary: "paper 3 with noise per second, an exact hold and readings at their own time",
+        estimates: Estimates::Scalar,
+        late: Late::OnArrival,
+        build: |config| {
+            Box::new(range_kf::RangeFilter::new(
+                config,
+                range_kf::Variant::Corrected,
+            ))
+        },
+    },
+    FilterEntry {
+        name: "indirect",
+        summary: "paper 4: errors of the wheels' path by accelerometers and gyro, fed forward",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: |config| {
+            let correction = indirect::Correction::FeedForward;
+            Box::new(indirect::IndirectFilter::new(config, correction))
+        },
+    },
+    FilterEntry {
+        name: "indirect-feedback",
+        summary: "the same with the errors fed back into the path",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: |config| {
+            let correction = indirect::Correction::Feedback;
+            Box::new(indirect::IndirectFilter::new(config, correction))
+        },
     },
 ];
 
