@@ -193,6 +193,30 @@ fn a_fix_of_a_tag_with_a_lever_turns_the_robot_the_right_way() {
     }
 }
 
+#[test]
+fn an_estimate_of_the_future_turns_on_and_grows_doubtful_as_the_turn_rate_may_change() {
+    let config = config();
+    let mut filter = built("indirect", &config);
+    for step in 0..=20 {
+        let turned_rad = 0.5 * STEP_S * f64::from(step) * TRACK_M / (2.0 * RADIUS_M);
+        filter.observe(&Observation {
+            sensor: SensorId::WHEELS,
+            stamp: Stamp::from_millis(50 * i64::from(step)),
+            stamp_sigma: Span::ZERO,
+            observed: Observed::WheelAngles {
+                left: Radians(-turned_rad),
+                right: Radians(turned_rad),
+            },
+        });
+    }
+    let now = latest(filter.as_ref());
+    let ahead = filter.estimate_at(Stamp::from_millis(1_400)).unwrap();
+    assert!((ahead.pose.heading.rad() - 0.7).abs() < 1e-9);
+    let grown = ahead.heading_sigma_rad().powi(2) - now.heading_sigma_rad().powi(2);
+    let walk = config.params.turn_acceleration_rad_per_s2.powi(2) * 0.4_f64.powi(3) / 3.0;
+    assert!((grown - walk).abs() < 1e-9, "{grown} {walk}");
+}
+
 // --- the square ----------------------------------------------------------------------------------------------------
 
 /// Which sensors the robot has beside its wheels.

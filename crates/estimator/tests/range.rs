@@ -193,6 +193,23 @@ fn a_reading_beyond_the_gate_is_refused_and_one_within_the_least_gate_never() {
 }
 
 #[test]
+fn the_gate_is_at_three_standard_deviations() {
+    for variant in [Variant::Paper, Variant::Corrected] {
+        for (sigmas, verdict) in [(2.95, Verdict::Accepted), (3.05, Verdict::Gated)] {
+            let mut config = configured(0.05);
+            config.params.wall_gate_m = 0.0;
+            let mut filter = RangeFilter::new(&config, variant);
+            range(&mut filter, 0.0, 2.0);
+            command(&mut filter, 0.1, 0.0);
+            let predicted = at(&filter, 0.1);
+            let s_m = predicted.sigma.hypot(0.02);
+            let record = range(&mut filter, 0.1, predicted.value + sigmas * s_m);
+            assert_eq!(record.verdict, verdict, "{variant:?} at {sigmas}");
+        }
+    }
+}
+
+#[test]
 fn the_papers_matching_takes_a_reading_of_the_future_for_one_of_the_step() {
     let run = |variant| {
         let mut filter = RangeFilter::new(&configured(0.05), variant);
