@@ -62,10 +62,10 @@ pub fn motion<const N: usize>(
         }
     }
     state.last_motion = Some(stamp);
-    let length = Span::from_secs_f64(context.config.params.gyro_window_s);
+    let length_s = context.config.params.gyro_window_s;
     match state.window {
         None => state.restart_window(stamp),
-        Some(window) if stamp - window.start >= length => {
+        Some(window) if (stamp - window.start).as_secs_f64() >= length_s => {
             if context.gyro.covers(window.start, stamp)
                 && let Some((scalar, outcome)) = use_gyro_window(state, context)
             {

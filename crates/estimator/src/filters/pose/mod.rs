@@ -26,7 +26,7 @@ use self::fuse::{Context, Gates};
 use self::history::{Action, Entry};
 use self::state::{CORE, Located, PoseState, WITH_CAMERA, WITH_RANGES};
 use super::{Filter, FilterConfig, StartPose, intake};
-use crate::motion::{Added, GyroTrack, MotionTrack};
+use crate::motion::{Added, GyroTrack, MotionTrack, count_before};
 use crate::observations::accelerometer::Accelerations;
 
 /// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
@@ -98,12 +98,12 @@ impl<const N: usize> PoseFilter<N> {
         changed_after: Option<Stamp<BrickClock>>,
         record: &mut FusionRecord,
     ) {
-        let index = self
-            .entries
-            .partition_point(|other| other.order(&entry) != Ordering::Greater);
+        let index = count_before(&self.entries, |other| {
+            other.order(&entry) != Ordering::Greater
+        });
         self.entries.insert(index, entry);
         let first_changed = changed_after.map_or(index, |after| {
-            self.entries.partition_point(|other| other.stamp <= after)
+            count_before(&self.entries, |other| other.stamp <= after)
         });
         self.apply_from(first_changed.min(index), Some((index, record)));
         self.forget();
@@ -297,7 +297,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
-        let index = self.entries.partition_point(|entry| entry.stamp <= stamp);
+        let index = count_before(&self.entries, |entry| entry.stamp <= stamp);
         let from = index
             .checked_sub(1)
             .and_then(|i| self.entries.get(i))

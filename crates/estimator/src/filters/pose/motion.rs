@@ -162,24 +162,24 @@ impl Transition {
         }
     }
 
-    /// G q G' in the rows that move, lower triangle.
+    /// G q G' in the rows that move.
     fn noise(&self, noise: &StepNoise) -> [[f64; 4]; 4] {
         let window = match self.window {
             Window::Open => 1.0,
             Window::Closed => 0.0,
         };
         let step = &self.step;
-        let by = [
-            (step.by_forward[0], step.by_turn[0]),
-            (step.by_forward[1], step.by_turn[1]),
-            (0.0, 1.0),
-            (0.0, window),
-        ];
-        by.map(|(along, turned)| {
-            let by_forward = noise.forward_var_m2 * along + noise.forward_turn_m_rad * turned;
-            let by_turn = noise.forward_turn_m_rad * along + noise.turn_var_rad2 * turned;
-            by.map(|(along, turned)| by_forward * along + by_turn * turned)
-        })
+        let along = [step.by_forward[0], step.by_forward[1], 0.0, 0.0];
+        let turned = [step.by_turn[0], step.by_turn[1], 1.0, window];
+        let mut q = [[0.0; 4]; 4];
+        for (i, row) in q.iter_mut().enumerate() {
+            let by_forward = noise.forward_var_m2 * along[i] + noise.forward_turn_m_rad * turned[i];
+            let by_turn = noise.forward_turn_m_rad * along[i] + noise.turn_var_rad2 * turned[i];
+            for (j, value) in row.iter_mut().enumerate() {
+                *value = by_forward * along[j] + by_turn * turned[j];
+            }
+        }
+        q
     }
 }
 
@@ -295,8 +295,10 @@ impl<const N: usize> PoseState<N> {
 
     /// Tyres and tracks change with the way, but only as long as something tells of it: without fixes what was learned is kept.
     fn wear(&mut self, forward_m: f64, at: Stamp<BrickClock>, config: &FilterConfig) {
-        let timeout = Span::from_secs_f64(config.params.fix_timeout_s);
-        let is_told = self.last_fix.is_some_and(|last| at - last <= timeout);
+        let timeout_s = config.params.fix_timeout_s;
+        let is_told = self
+            .last_fix
+            .is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
         let walk_var = config.params.wear_per_sqrt_m.powi(2) * forward_m.abs();
         if !is_told || walk_var <= 0.0 {
             return;
