@@ -22,7 +22,7 @@ pub(super) enum Action {
 impl Action {
     /// Order among the actions of one instant, so that the order of arrival does not matter. A pose that is set comes last: a
     /// person who moves the robot knows what the sensors have said.
-    const fn rank(&self) -> u8 {
+    pub(super) const fn rank(&self) -> u8 {
         match self {
             Self::TurnRate(_) => 0,
             Self::Accelerations(_) => 1,

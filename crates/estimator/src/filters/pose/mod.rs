@@ -12,6 +12,7 @@ mod iterate;
 pub mod motion;
 pub mod scales;
 mod sight;
+pub mod smooth;
 pub mod state;
 
 use std::cmp::Ordering;
@@ -178,35 +179,24 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     fn take(&mut self, observation: &Observation, record: &mut FusionRecord) {
-        match observation.observed {
-            Observed::Fix(_)
-            | Observed::Landmark { .. }
-            | Observed::BeaconRange { .. }
-            | Observed::WallRange(_)
-            | Observed::CompassHeading(_) => {
-                let action = Action::Sight(observation.observed, observation.stamp_sigma);
+        let Some(action) = action_of(observation) else {
+            record.verdict = Verdict::Unused;
+            return;
+        };
+        match action {
+            Action::Sight(..) | Action::Accelerations(_) | Action::SetPose(_) => {
                 self.take_once(observation, action, record);
             }
-            Observed::WheelAccelerations { left, right } => {
-                let felt = Accelerations {
-                    left_m_per_s2: left.0,
-                    right_m_per_s2: right.0,
-                };
-                self.take_once(observation, Action::Accelerations(felt), record);
+            Action::TurnRate(rate) => {
+                let added = self.gyro.add(observation.stamp, rate);
+                self.take_motion(observation, action, added, record);
             }
-            Observed::TurnRate(rate) => {
-                let added = self.gyro.add(observation.stamp, rate.0);
-                self.take_motion(observation, Action::TurnRate(rate.0), added, record);
-            }
-            Observed::WheelAngles { .. }
-            | Observed::OdometerPose(_)
-            | Observed::BodyVelocity { .. } => {
+            Action::Motion => {
                 if let Some(reading) = intake::motion_reading(&observation.observed) {
                     let added = self.track.add(observation.stamp, &reading);
-                    self.take_motion(observation, Action::Motion, added, record);
+                    self.take_motion(observation, action, added, record);
                 }
             }
-            Observed::Temperature(_) => record.verdict = Verdict::Unused,
         }
     }
 
@@ -314,6 +304,30 @@ impl<const N: usize> Filter for PoseFilter<N> {
         // The open window is used for the outside only; inside it stays open until it is full.
         fuse::use_gyro_window(&mut state, &context);
         Some(published(&state, stamp, &self.config))
+    }
+}
+
+/// What an observation does to the filter; `None` for a kind that it has no use for.
+fn action_of(observation: &Observation) -> Option<Action> {
+    match observation.observed {
+        Observed::Fix(_)
+        | Observed::Landmark { .. }
+        | Observed::BeaconRange { .. }
+        | Observed::WallRange(_)
+        | Observed::CompassHeading(_) => {
+            Some(Action::Sight(observation.observed, observation.stamp_sigma))
+        }
+        Observed::WheelAccelerations { left, right } => {
+            Some(Action::Accelerations(Accelerations {
+                left_m_per_s2: left.0,
+                right_m_per_s2: right.0,
+            }))
+        }
+        Observed::TurnRate(rate) => Some(Action::TurnRate(rate.0)),
+        Observed::WheelAngles { .. }
+        | Observed::OdometerPose(_)
+        | Observed::BodyVelocity { .. } => Some(Action::Motion),
+        Observed::Temperature(_) => None,
     }
 }
 

@@ -186,6 +186,29 @@ impl<const N: usize> PoseState<N> {
         state
     }
 
+    /// All but mean and covariance of a state with another number of rows: these are zero.
+    #[must_use]
+    pub(super) fn resized<const M: usize>(other: &PoseState<M>) -> Self {
+        Self {
+            stamp: other.stamp,
+            aged_to: other.aged_to,
+            pose: other.pose,
+            mean: SVector::zeros(),
+            covariance: SMatrix::zeros(),
+            forward: other.forward,
+            turn: other.turn,
+            window: other.window,
+            located: other.located,
+            last_fix: other.last_fix,
+            last_motion: other.last_motion,
+            last_acceleration: other.last_acceleration,
+            refused: other.refused,
+            scales: other.scales,
+            reset_counter: other.reset_counter,
+            last_jump: other.last_jump,
+        }
+    }
+
     /// Sets a row, independent of all others; rows that this state does not have are left out.
     fn set_row(&mut self, row: usize, known: Known) {
         if row < N {
