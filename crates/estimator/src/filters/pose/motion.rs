@@ -22,7 +22,6 @@ use crate::filters::FilterConfig;
 use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
 use crate::models::lie::{ArcStep, Se2};
 use crate::motion::{Leg, MotionTrack};
-use crate::observations::gyro_window::Moved;
 
 /// Speeds are held no longer than this after the last motion observation.
 const HOLD: Span = Span::from_millis(500);
@@ -287,7 +286,6 @@ impl<const N: usize> PoseState<N> {
         self.wear(forward_m, to, config);
         if let Some(window) = &mut self.window {
             window.forward_m += forward_m;
-            window.moved = Moved::Yes;
             self.mean[WINDOW_TURN] += turn_rad;
         }
         tell(Passed::Step(transition));
