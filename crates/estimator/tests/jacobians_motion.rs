@@ -54,7 +54,9 @@ fn composed<const N: usize>(state: &PoseState<N>, travel: WheelTravel) -> PoseSt
     let right_m = travel.right_m * (1.0 + of(RADIUS) + of(DIFFERENCE) / 2.0);
     let turn_rad = (right_m - left_m) / (GEOMETRY.track_width.0 * (1.0 + of(TRACK)));
     let mut moved = *state;
-    moved.pose = state.pose.then(Se2::exp([f64::midpoint(left_m, right_m), 0.0, turn_rad]));
+    moved.pose = state
+        .pose
+        .then(Se2::exp([f64::midpoint(left_m, right_m), 0.0, turn_rad]));
     if state.window.is_some() {
         moved.mean[WINDOW_TURN] += turn_rad;
     }
@@ -82,7 +84,10 @@ fn assert_near<const N: usize>(
     what: &str,
 ) {
     let worst = (found - expected).amax();
-    assert!(worst < 2e-8, "{what}: off by {worst:e}\n{found}\n{expected}");
+    assert!(
+        worst < 2e-8,
+        "{what}: off by {worst:e}\n{found}\n{expected}"
+    );
 }
 
 /// A covariance in which every pair of rows is correlated.
