@@ -133,7 +133,6 @@ impl<const N: usize> PoseFilter<N> {
                 state = PoseState {
                     refused: state.refused,
                     scales: state.scales,
-                    stamp: before.stamp.or(state.stamp),
                     ..before
                 };
             }
