@@ -115,7 +115,7 @@ pub(crate) struct World {
     pub(crate) heading_rad: f64,
     left_rad: f64,
     right_rad: f64,
-    bias_rad_per_s: f64,
+    pub(crate) bias_rad_per_s: f64,
 }
 
 impl World {
