@@ -1,11 +1,17 @@
 //! Headings of which nothing is known, found by positions alone.
 
-use posebridge_estimator::{FilterConfig, StartPose};
-use posebridge_telemetry::{Fix, Meters, Point2, Pose, quantities::wrap_rad};
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::state::CORE;
+use posebridge_estimator::models::lie::Se2;
+use posebridge_estimator::{Filter, FilterConfig, StartPose};
+use posebridge_telemetry::{
+    Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Verdict,
+    quantities::wrap_rad,
+};
 
 use crate::alter::{altered_fixes, at, driven};
-use crate::drive::{Camera, Drive, STEP_S, World};
-use crate::robot::{DEGREE, config};
+use crate::drive::{Camera, Drive, STEP_S, World, stamp};
+use crate::robot::{DEGREE, NOISE, config};
 use crate::score::{Score, mean, play, score};
 
 /// Where the robot starts is known, where it points is not: uniform on the circle.
@@ -124,5 +130,65 @@ fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
             error_rad.abs() < 4.0 * sigma_rad,
             "{start_deg}: {error_rad} {sigma_rad}"
         );
+    }
+}
+
+/// Minus twice the logarithm of the likelihood of a pose: how far it is from the start, and how far its tag from where it was seen.
+fn cost(start: Se2, [forward_m, left_m, turn_rad]: [f64; 3], seen: &Fix) -> f64 {
+    let pose = start.then(Se2::exp([forward_m, left_m, turn_rad]));
+    let tag = Se2 {
+        x_m: seen.tag_in_body.x.0,
+        y_m: seen.tag_in_body.y.0,
+        heading_rad: 0.0,
+    };
+    let at = pose.then(tag);
+    let off_m = (seen.position.x.0 - at.x_m).hypot(seen.position.y.0 - at.y_m);
+    (forward_m.hypot(left_m) / 0.3).powi(2)
+        + (turn_rad / 1.8).powi(2)
+        + (off_m / NOISE.fix_position_m).powi(2)
+}
+
+#[test]
+fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
+    let start = Se2 {
+        x_m: 0.3,
+        y_m: -0.2,
+        heading_rad: 0.4,
+    };
+    let mut config = config();
+    config.start = Some(StartPose {
+        pose: Pose::new(Meters(0.3), Meters(-0.2), Heading::from_rad(0.4)),
+        position_sigma_m: 0.3,
+        heading_sigma_rad: 1.8,
+    });
+    for (x_m, y_m) in [(0.9, 0.3), (-0.2, -0.1), (0.3, 0.5), (0.2, -0.7)] {
+        let seen = Fix {
+            position: Point2::new(Meters(x_m), Meters(y_m)),
+            heading: None,
+            covariance: None,
+            tag_in_body: Point2::new(Meters(0.4), Meters(-0.1)),
+            reset_counter: 0,
+        };
+        let mut filter = PoseFilter::<CORE>::new(&config);
+        let record = filter.observe(&Observation {
+            sensor: SensorId::CAMERA,
+            stamp: stamp(0),
+            stamp_sigma: Span::ZERO,
+            observed: Observed::Fix(seen),
+        });
+        assert_eq!(record.verdict, Verdict::Accepted, "({x_m}, {y_m})");
+        let xi = start.to(filter.state().pose).log();
+        let least = cost(start, xi, &seen);
+        assert!((record.nis - least).abs() < 1e-6, "it is the NIS: {least}");
+        for row in 0..3 {
+            for by in [-1e-3, 1e-3] {
+                let mut other = xi;
+                other[row] += by;
+                assert!(
+                    cost(start, other, &seen) > least,
+                    "row {row}, ({x_m}, {y_m})"
+                );
+            }
+        }
     }
 }
