@@ -8,7 +8,7 @@ mod odd;
 
 use odd::{GEOMETRY, H, ms, odd_states, with_error};
 use posebridge_estimator::filters::pose::state::{
-    BEACONS, DELAY, MOST_BEACONS, PoseState, Speed, TAG_FORWARD, TAG_LEFT, WITH_BEACONS,
+    BEACONS, DELAY, MOST_BEACONS, PoseState, Speed, TAG_FORWARD, TAG_LEFT, WITH_RANGES,
 };
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::motion::{GyroTurn, MotionReading, MotionTrack};
@@ -21,8 +21,8 @@ use posebridge_telemetry::{
     Arena, Body, Fix, Heading, Meters, Point2, Pose, SensorNoise, Span, Wall, quantities::wrap_rad,
 };
 
-type State = PoseState<WITH_BEACONS>;
-type Expected<const M: usize> = Measurement<WITH_BEACONS, M>;
+type State = PoseState<WITH_RANGES>;
+type Expected<const M: usize> = Measurement<WITH_RANGES, M>;
 
 const QUIET: SensorNoise = SensorNoise {
     gyro_rad_per_s: 0.01,
@@ -40,7 +40,7 @@ fn check<const M: usize>(what: &str, state: &State, measure: impl Fn(&State) -> 
     let middle = measure(state);
     let off = middle.innovation.amax();
     assert!(off < 1e-12, "{what}: the expectation is off by {off:e}");
-    for row in 0..WITH_BEACONS {
+    for row in 0..WITH_RANGES {
         let ahead = measure(&with_error(state, row, H)).innovation;
         let behind = measure(&with_error(state, row, -H)).innovation;
         for component in 0..M {
@@ -98,7 +98,7 @@ const MOVED: [[f64; 3]; 3] = [[0.0; 3], [0.06, 0.0, 0.4], [-0.2, 0.0, 2.9]];
 
 #[test]
 fn a_fix_of_a_tag_off_the_axle_at_an_earlier_instant_has_the_derivatives_of_its_prediction() {
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for (tag, moved) in TAGS
             .into_iter()
             .flat_map(|tag| MOVED.map(|moved| (tag, moved)))
@@ -106,7 +106,7 @@ fn a_fix_of_a_tag_off_the_axle_at_an_earlier_instant_has_the_derivatives_of_its_
             let at = circumstances(Se2::exp(moved));
             let shown = state.pose.then(at.moved_since.inverse());
             let seen = seen_from(&state, point(tag.0, tag.1), shown);
-            let noise = fix::noise_of(&seen, &QUIET, 1.0, &at);
+            let noise = fix::noise_of(&seen, &QUIET, [1.0, 1.0], &at);
             check("position", &state, |state| {
                 fix::position(state, &seen, &noise, &at)
             });
@@ -138,7 +138,7 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
     let (track, config) = (curved_track(), odd::config(QUIET));
     // Whole nanoseconds, so that the rounding of stamps does not disturb.
     let h = Span::from_micros(10);
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for delay in [Span::from_millis(20), Span::from_micros(173_400)] {
             let moved = |delay: Span| state.moved_since(ms(0) - delay, &track, &config);
             let [forward_m, _, turn_rad] = moved(delay + h).then(moved(delay - h).inverse()).log();
@@ -154,7 +154,7 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
                     turn_rad_per_s: turn_rad / twice_h_s,
                     ..circumstances(moved(delay))
                 };
-                let noise = fix::noise_of(&seen, &QUIET, 1.0, &at);
+                let noise = fix::noise_of(&seen, &QUIET, [1.0, 1.0], &at);
                 let heading_rad = seen.heading.map_or(0.0, Heading::rad);
                 fix::pose(&state, &seen, heading_rad, &noise, &at)
             };
@@ -179,7 +179,7 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
 
 #[test]
 fn a_compass_has_the_derivative_of_its_prediction() {
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         let heading_rad = state.pose.heading_rad;
         check("compass", &state, |state| {
             compass::measurement(state, heading_rad, 0.1)
@@ -198,7 +198,7 @@ const ABOUT: [(f64, f64); 5] = [
 
 #[test]
 fn a_landmark_has_the_derivatives_of_its_prediction() {
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for (forward_m, left_m) in ABOUT {
             let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
             let seen = Sighting {
@@ -220,7 +220,7 @@ fn a_landmark_has_the_derivatives_of_its_prediction() {
 
 #[test]
 fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for (slot, (forward_m, left_m)) in [0, 3, MOST_BEACONS - 1, MOST_BEACONS, 700]
             .into_iter()
             .zip(ABOUT)
@@ -278,7 +278,7 @@ fn way_to(pose: Se2, wall: &Wall) -> f64 {
 
 #[test]
 fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for ends in WALLS {
             let walls = [wall_about(state.pose, ends)];
             let range_m = way_to(state.pose, &walls[0]);
@@ -301,7 +301,7 @@ fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
 
 #[test]
 fn a_wall_that_is_not_met_is_not_expected() {
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for (ends, what) in [
             ([(-1.0, -1.0), (-1.0, 1.0)], "behind"),
             ([(1.0, 0.2), (1.0, 1.0)], "to the left"),
@@ -317,7 +317,7 @@ fn a_wall_that_is_not_met_is_not_expected() {
 
 #[test]
 fn a_gyro_window_has_the_derivatives_of_its_prediction() {
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for forward_m in [0.0, 0.08] {
             let window = gyro_window::GyroWindow {
                 start: ms(1_000),
@@ -331,7 +331,7 @@ fn a_gyro_window_has_the_derivatives_of_its_prediction() {
             let measure =
                 |state: &State| gyro_window::measurement(state, &window, &turn, &GEOMETRY, &QUIET);
             let scalar = measure(&state);
-            for row in 0..WITH_BEACONS {
+            for row in 0..WITH_RANGES {
                 let ahead = measure(&with_error(&state, row, H)).innovation;
                 let behind = measure(&with_error(&state, row, -H)).innovation;
                 let numeric = (behind - ahead) / (2.0 * H);

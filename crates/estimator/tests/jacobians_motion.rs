@@ -11,7 +11,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::pose::motion::{Transition, Window};
 use posebridge_estimator::filters::pose::state::{
     CORE, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, ROUNDING, TRACK,
-    WINDOW_TURN, WITH_BEACONS,
+    WINDOW_TURN, WITH_RANGES,
 };
 use posebridge_estimator::models::differential_drive::{StepNoise, WheelTravel};
 use posebridge_estimator::models::lie::Se2;
@@ -124,7 +124,7 @@ fn check_transition<const N: usize>() {
 #[test]
 fn over_known_travel_errors_move_as_the_composed_motion_says() {
     check_transition::<CORE>();
-    check_transition::<WITH_BEACONS>();
+    check_transition::<WITH_RANGES>();
 }
 
 #[test]
@@ -171,17 +171,17 @@ fn a_step_carries_the_covariance_by_f_and_adds_the_noise_by_g() {
         forward_turn_m_rad: -0.2,
     };
     let q = Matrix2::new(0.3, -0.2, -0.2, 0.7);
-    for state in odd_states::<WITH_BEACONS>() {
+    for state in odd_states::<WITH_RANGES>() {
         for travel in TRAVELS {
             let (transition, forward_m, turn_rad) =
                 Transition::over_travel(travel, &state, &GEOMETRY);
             let g = numeric_g(&state, (forward_m, turn_rad));
-            let mut alone = SMatrix::<f64, WITH_BEACONS, WITH_BEACONS>::zeros();
+            let mut alone = SMatrix::<f64, WITH_RANGES, WITH_RANGES>::zeros();
             transition.carry(&mut alone, &noise);
             assert_near(&alone, &(g * q * g.transpose()), "the noise alone");
 
             let f = numeric(&state, |state| composed(state, travel));
-            let p = correlated::<WITH_BEACONS>();
+            let p = correlated::<WITH_RANGES>();
             let mut carried = p;
             transition.carry(&mut carried, &noise);
             let expected = f * p * f.transpose() + g * q * g.transpose();

@@ -13,7 +13,7 @@ mod senses;
 
 use drive::{Camera, Scenario, drive, stamp};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, WITH_BEACONS, WITH_CAMERA};
+use posebridge_estimator::filters::pose::state::{CORE, WITH_RANGES, WITH_CAMERA};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
     BrickClock, Fix, Known, Meters, Observation, Observed, PositionCovariance, Radians, SensorId,
@@ -325,9 +325,9 @@ fn learning_everything() -> FilterConfig {
 fn the_order_of_arrival_does_not_matter_with_every_sensor_and_every_state() {
     let config = learning_everything();
     let observations = with_everything(&config, 11);
-    assert_order_does_not_matter_with::<WITH_BEACONS>(&config, &observations);
+    assert_order_does_not_matter_with::<WITH_RANGES>(&config, &observations);
     let kinds = ["landmark", "beacon_range", "wall_range", "compass_heading"];
-    let mut filter = PoseFilter::<WITH_BEACONS>::new(&config);
+    let mut filter = PoseFilter::<WITH_RANGES>::new(&config);
     let records: Vec<_> = observations.iter().map(|o| filter.observe(o)).collect();
     for kind in kinds {
         let of_kind = records.iter().filter(|record| record.kind == kind);
@@ -343,7 +343,7 @@ fn the_order_of_arrival_does_not_matter_with_students_t() {
     let mut config = learning_everything();
     config.params.student_dof = 4.0;
     let observations = with_everything(&config, 13);
-    assert_order_does_not_matter_with::<WITH_BEACONS>(&config, &observations);
+    assert_order_does_not_matter_with::<WITH_RANGES>(&config, &observations);
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 use any::{any_observation, damages, learning_everything, of, without_learning};
 use nalgebra::{DMatrix, Matrix5};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, WITH_BEACONS, WITH_CAMERA};
+use posebridge_estimator::filters::pose::state::{CORE, WITH_RANGES, WITH_CAMERA};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{Estimate, Observation, SensorId, Span, Verdict};
 use proptest::prelude::*;
@@ -161,7 +161,7 @@ proptest! {
         let mut config = learning_everything();
         config.start = config.start.filter(|_| has_start);
         config.params.student_dof = if has_students_t { 4.0 } else { 0.0 };
-        play_anything::<WITH_BEACONS>(&config, &steps);
+        play_anything::<WITH_RANGES>(&config, &steps);
         play_anything::<WITH_CAMERA>(&config, &steps);
     }
 
@@ -182,7 +182,7 @@ fn damage_is_found_in_every_kind() {
         .into_iter()
         .map(|observed| {
             let observation = of(0, SensorId(7), observed);
-            let mut filter = PoseFilter::<WITH_BEACONS>::new(&learning_everything());
+            let mut filter = PoseFilter::<WITH_RANGES>::new(&learning_everything());
             assert!(damages(&observation).len() >= 3, "{observation:?}");
             for damaged in damages(&observation) {
                 let record = filter.observe(&damaged);

@@ -1,7 +1,7 @@
 //! Landmarks, beacons, walls and a compass, beside a camera or in its place.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{BEACONS, WITH_BEACONS};
+use posebridge_estimator::filters::pose::state::{BEACONS, WITH_RANGES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{FusionRecord, Known, SensorId, Verdict, quantities::wrap_rad};
 
@@ -103,7 +103,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
         add(&mut drive, SensorId::BEACONS, 4, |_, truth| {
             senses.beacons(truth, &BEACON_ERRORS)
         });
-        let mut filter = PoseFilter::<WITH_BEACONS>::new(&config);
+        let mut filter = PoseFilter::<WITH_RANGES>::new(&config);
         for arrival in &drive.arrivals {
             filter.observe(&arrival.observation);
         }
