@@ -190,16 +190,16 @@ fn a_reading_that_comes_twice_counts_once() {
         drive_straight(filter.as_mut(), 1_000);
         let before = belief(filter.as_ref());
         // One that looks back no further than its last reading cannot tell a copy of an older one from a late one.
-        let older = match entry.late {
-            Late::Replayed => Verdict::Malformed,
-            Late::OnArrival => Verdict::TooOld,
+        let of_older: &[Verdict] = match entry.late {
+            Late::Replayed => &[Verdict::Malformed],
+            Late::OnArrival => &[Verdict::Malformed, Verdict::TooOld],
         };
         for (again, expected) in [
-            (wheels(1_000, 99.0, 99.0), Verdict::Malformed),
-            (wheels(950, 0.0, 0.0), older),
+            (wheels(1_000, 99.0, 99.0), &[Verdict::Malformed][..]),
+            (wheels(950, 0.0, 0.0), of_older),
         ] {
             let verdict = filter.observe(&again).verdict;
-            assert_eq!(verdict, expected, "{}", entry.name);
+            assert!(expected.contains(&verdict), "{}: {verdict:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
     });

@@ -13,7 +13,7 @@ mod senses;
 
 use drive::{Camera, Scenario, drive, stamp};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, WITH_RANGES, WITH_CAMERA};
+use posebridge_estimator::filters::pose::state::{CORE, WITH_CAMERA, WITH_RANGES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
     BrickClock, Fix, Known, Meters, Observation, Observed, PositionCovariance, Radians, SensorId,

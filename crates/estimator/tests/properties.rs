@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 use any::{any_observation, damages, learning_everything, of, without_learning};
 use nalgebra::{DMatrix, Matrix5};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, WITH_RANGES, WITH_CAMERA};
+use posebridge_estimator::filters::pose::state::{CORE, WITH_CAMERA, WITH_RANGES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{Estimate, Observation, SensorId, Span, Verdict};
 use proptest::prelude::*;

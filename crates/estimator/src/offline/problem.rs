@@ -16,6 +16,10 @@ use crate::models::differential_drive::{WheelTravel, body_step};
 use crate::motion::{Added, GyroTrack, Leg, MotionTrack};
 use crate::observations::gyro_window::{gyro_variance, rounding_variance};
 
+/// Length of a gyro window here: windows count as independent of each other, so that few and long ones lose least by the rounding
+/// of the encoders at their ends. The filter, which hands that on, has shorter ones.
+const WINDOW: Span = Span::from_millis(400);
+
 /// Less travel of both wheels than this is rounding and not motion, m: a nanometre.
 const REST_M: f64 = 1e-9;
 /// A step that turns further is cut into parts, each an arc of its own, rad: the arc's chord is then never near zero.
@@ -220,7 +224,6 @@ impl<'a> Run<'a> {
 
     /// Gyro windows from reading to reading; one that has a hole in it is left out.
     fn add_windows(&self, problem: &mut Problem<'a>) {
-        let length = Span::from_secs_f64(self.config.params.gyro_window_s);
         let mut last_middle_s = None;
         let mut pairs = problem.readings.iter();
         let Some(mut start) = pairs.next().copied() else {
@@ -230,7 +233,7 @@ impl<'a> Run<'a> {
         for &reading in pairs {
             if problem.has_gap(before.1, reading.1) {
                 start = reading;
-            } else if reading.0 - start.0 >= length {
+            } else if reading.0 - start.0 >= WINDOW {
                 let middle_s = 0.5 * (start.0.as_secs_f64() + reading.0.as_secs_f64());
                 if let Some(mut window) = self.window(start, reading) {
                     window.since_last_s = last_middle_s.map_or(0.0, |last| middle_s - last);

@@ -32,6 +32,7 @@ fn with_outliers(share: f64) -> Scenario {
 const CAMERA_FIXES: Source = Source {
     sensor: SensorId::CAMERA,
     kind: 0,
+    group: 0,
 };
 
 /// Geometric mean over seeds, and over the second half of each drive, of the variance scale that was learned.

@@ -195,7 +195,8 @@ fn allow_for_slip<const N: usize>(
             state.covariance[(row, column)] += slip_rad2;
         }
     }
-    let beyond_chance_rad2 = slip_rad2 * (1.0 - context.config.params.slip_nis / nis);
+    // A rounding that is known to be large can hide a slip in a small innovation: then none of it is beyond chance.
+    let beyond_chance_rad2 = slip_rad2 * (1.0 - context.config.params.slip_nis / nis).max(0.0);
     let along_m2 = 0.25 * beyond_chance_rad2 * context.config.geometry.track_width.0.powi(2);
     let across_m2 = 0.25 * beyond_chance_rad2 * forward_m * forward_m;
     state.covariance[(FORWARD, FORWARD)] += along_m2;
