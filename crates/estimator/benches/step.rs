@@ -7,6 +7,8 @@
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its figures")]
 
+#[path = "../tests/support/bare.rs"]
+mod bare;
 #[path = "../tests/support/robot.rs"]
 mod robot;
 #[path = "../tests/support/speed/mod.rs"]
@@ -17,10 +19,11 @@ mod steady;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
+use bare::Bare;
 use criterion::{Criterion, Throughput};
 use posebridge_estimator::{Filter, filter_named};
 use posebridge_telemetry::Verdict;
-use robot::config;
+use robot::learning;
 use speed::{AGREEMENT, Input, STEPS, WAYS, recorded};
 use steady::{LATE_STEPS, fix, gyro, wheels};
 
@@ -32,6 +35,8 @@ const FLAGSHIP_STEPS: i64 = 200;
 const WARM_UP: i64 = 1_200;
 /// Predict and four gated scalar updates may take this many times as long as the floor.
 const LIBRARY_BAR: f64 = 2.0;
+/// A step of the flagship's state, with gyro window and calibration states, may take this many times as long as the floor.
+const STATE_BAR: f64 = 6.0;
 /// A fix that comes 300 ms late at 20 Hz may take this long, µs.
 const LATE_FIX_BAR_US: f64 = 10.0;
 
@@ -76,6 +81,11 @@ fn compare(inputs: &[Input], rounds: usize) {
     let mut step_ns = Vec::with_capacity(rounds);
     let mut fix_at_5_hz_us = Vec::new();
     let mut fix_at_20_hz_us = Vec::new();
+    let mut state_ns = Vec::with_capacity(rounds);
+    let mut bare = Bare::new(&learning());
+    for _ in 0..WARM_UP {
+        bare.drive_on();
+    }
     let mut plain = Flagship::new(Camera::Absent);
     let mut at_5_hz = Flagship::new(Camera::Every(4));
     let mut at_20_hz = Flagship::new(Camera::Every(1));
@@ -86,6 +96,8 @@ fn compare(inputs: &[Input], rounds: usize) {
             });
             samples.push(nanos(elapsed) / STEPS as f64);
         }
+        let elapsed = time(|| (0..FLAGSHIP_STEPS).for_each(|_| bare.drive_on()));
+        state_ns.push(nanos(elapsed) / FLAGSHIP_STEPS as f64);
         step_ns.push(plain.nanos_per_step());
         at_5_hz.time_fixes(&mut fix_at_5_hz_us);
         at_20_hz.time_fixes(&mut fix_at_20_hz_us);
@@ -97,6 +109,7 @@ fn compare(inputs: &[Input], rounds: usize) {
     for (way, samples) in WAYS.iter().zip(&ways) {
         print_row(way.name, samples, floor);
     }
+    print_row("pose: its state, gyro + wheels", &state_ns, floor);
     print_row("pose: observe(gyro) + observe(wheels)", &step_ns, floor);
     for (name, samples) in [
         ("pose: a fix 300 ms late, camera at 5 Hz", &fix_at_5_hz_us),
@@ -109,7 +122,11 @@ fn compare(inputs: &[Input], rounds: usize) {
         "library / floor: {:.2} (bar {LIBRARY_BAR:.1})",
         ratio(&ways[1], floor)
     );
-    println!("pose step / floor: {:.1}", ratio(&step_ns, floor));
+    println!(
+        "pose state / floor: {:.1} (bar {STATE_BAR:.1}); with history and records: {:.1}",
+        ratio(&state_ns, floor),
+        ratio(&step_ns, floor)
+    );
     let late_us = median(&fix_at_20_hz_us);
     println!("late fix at 20 Hz: {late_us:.2} us (bar {LATE_FIX_BAR_US:.0} us)");
 }
@@ -165,7 +182,7 @@ impl Flagship {
             unreachable!("the flagship stands in the table")
         };
         let mut flagship = Self {
-            filter: (entry.build)(&config()),
+            filter: (entry.build)(&learning()),
             camera,
             step: 0,
         };

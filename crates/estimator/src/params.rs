@@ -34,6 +34,18 @@ pub struct Params {
     pub student_dof: f64,
     /// See `wear_per_sqrt_m` in [`PARAMS`].
     pub wear_per_sqrt_m: f64,
+    /// See `dynamic_tau_s` in [`PARAMS`].
+    pub dynamic_tau_s: f64,
+    /// See `dynamic_walk` in [`PARAMS`].
+    pub dynamic_walk_k_per_sqrt_s: f64,
+    /// See `wall_drag_s_m` in [`PARAMS`].
+    pub wall_drag_s_per_m: f64,
+    /// See `wall_mass_s2_m` in [`PARAMS`].
+    pub wall_mass_s2_per_m: f64,
+    /// See `wall_process_m` in [`PARAMS`].
+    pub wall_process_m: f64,
+    /// See `wall_gate_m` in [`PARAMS`].
+    pub wall_gate_m: f64,
 }
 
 /// One tunable: what it is, and how to reach it.
@@ -181,6 +193,60 @@ pub const PARAMS: &[Param] = &[
         wear_per_sqrt_m,
         "how fast wheel radii and track may change: sigma after one metre, while fixes tell of it"
     ),
+    // 148 s: a LEGO thermometer whose readings 21, 15, 11 degrees come a minute apart (paper 2), 60 s / ln 1.5.
+    param!(
+        "dynamic_tau_s",
+        "s",
+        148.0,
+        0.001..=100_000.0,
+        dynamic_tau_s,
+        "time constant of the thermometer, for the prediction of its final value"
+    ),
+    // Paper 2 measures a constant.
+    param!(
+        "dynamic_walk",
+        "K/s^0.5",
+        0.0,
+        0.0..=1_000.0,
+        dynamic_walk_k_per_sqrt_s,
+        "random walk of the measured temperature itself; 0 for a constant"
+    ),
+    // Paper 3: 1 / (1225 mm/s), the speed of its step test.
+    param!(
+        "wall_drag_s_m",
+        "s/m",
+        0.816_33,
+        0.001..=1_000.0,
+        wall_drag_s_per_m,
+        "drag of the robot that approaches a wall: motor input per steady speed"
+    ),
+    // Paper 3: drag x 0.997 s / ln 10.
+    param!(
+        "wall_mass_s2_m",
+        "s2/m",
+        0.353_46,
+        0.000_1..=1_000.0,
+        wall_mass_s2_per_m,
+        "mass of the robot that approaches a wall: motor input per acceleration"
+    ),
+    // Paper 3: Sigma_u = diag(50^2, 50^2), in mm and mm/s, per step of its loop.
+    param!(
+        "wall_process_m",
+        "m, m/s",
+        0.05,
+        0.000_01..=10.0,
+        wall_process_m,
+        "process noise of distance and speed before a wall, one standard deviation per step of 7.6 ms"
+    ),
+    // Paper 3 names GATE_MIN and gives no number. Below this no reading of its sensor is worth refusing.
+    param!(
+        "wall_gate_m",
+        "m",
+        0.1,
+        0.0..=100.0,
+        wall_gate_m,
+        "a range is never refused for an innovation smaller than this"
+    ),
 ];
 
 impl Default for Params {
@@ -199,6 +265,12 @@ impl Default for Params {
             adapt_gain: 0.0,
             student_dof: 0.0,
             wear_per_sqrt_m: 0.0,
+            dynamic_tau_s: 0.0,
+            dynamic_walk_k_per_sqrt_s: 0.0,
+            wall_drag_s_per_m: 0.0,
+            wall_mass_s2_per_m: 0.0,
+            wall_process_m: 0.0,
+            wall_gate_m: 0.0,
         };
         for row in PARAMS {
             (row.write)(&mut params, row.default);

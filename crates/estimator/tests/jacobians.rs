@@ -1,333 +1,371 @@
-//! Every derivative of the pose filter against central differences, at states where signs, wraps and levers show.
+//! Every derivative of what the pose filter expects to observe against central differences, at states where signs, wraps and
+//! levers show; and every expectation against the same geometry in other words.
 //!
-//! The derivatives of a step of the body itself are checked beside `models::se2`.
+//! The derivatives of its motion are checked in `jacobians_motion`, those of the group beside `models::lie`.
 
-use nalgebra::{Matrix2, SMatrix};
-use posebridge_estimator::FilterConfig;
-use posebridge_estimator::Params;
+#[path = "support/odd.rs"]
+mod odd;
+
+use odd::{GEOMETRY, H, ms, odd_states, with_error};
 use posebridge_estimator::filters::pose::state::{
-    Covariance, FORWARD, GYRO_BIAS, HEADING, Mean, N, PoseState, TURN, WINDOW_ERROR, X, Y,
+    BEACONS, DELAY, MOST_BEACONS, PoseState, Speed, TAG_FORWARD, TAG_LEFT, WITH_BEACONS,
 };
-use posebridge_estimator::models::differential_drive::{StepNoise, WheelTravel};
-use posebridge_estimator::models::se2::BodyStep;
+use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::motion::{GyroTurn, MotionReading, MotionTrack};
-use posebridge_estimator::observations::{fix, gyro_window, speed};
+use posebridge_estimator::observations::accelerometer::{Accelerations, drive_speeds};
+use posebridge_estimator::observations::beacon::Beacon;
+use posebridge_estimator::observations::landmark::Sighting;
+use posebridge_estimator::observations::{beacon, compass, fix, gyro_window, landmark, wall};
 use posebridge_estimator::update::Measurement;
 use posebridge_telemetry::{
-    BrickClock, DriveGeometry, Fix, Heading, Meters, Point2, Radians, SensorNoise, Stamp,
-    quantities::wrap_rad,
+    Arena, Body, Fix, Heading, Meters, Point2, Pose, SensorNoise, Span, Wall, quantities::wrap_rad,
 };
 
-/// Wheels of unequal size, so that left and right cannot be confused.
-const GEOMETRY: DriveGeometry = DriveGeometry {
-    left_wheel_radius: Meters(0.028),
-    right_wheel_radius: Meters(0.03),
-    track_width: Meters(0.11),
-    tick: Radians(0.017_453_3),
-};
+type State = PoseState<WITH_BEACONS>;
+type Expected<const M: usize> = Measurement<WITH_BEACONS, M>;
 
 const QUIET: SensorNoise = SensorNoise {
-    wheel_travel_m_per_sqrt_m: 0.0,
-    travel_m_per_sqrt_m: 0.0,
-    turn_rad_per_sqrt_rad: 0.0,
-    heading_rad_per_sqrt_m: 0.0,
     gyro_rad_per_s: 0.01,
-    gyro_resolution_rad_per_s: 0.0,
-    gyro_bias_rad_per_s: 0.0,
-    gyro_bias_walk_rad_per_s_sqrt_s: 0.0,
     fix_position_m: 0.005,
     fix_heading_rad: 0.02,
+    accelerometer_m_per_s2: 0.3,
     ..SensorNoise::EXACT
 };
 
-/// x, y, heading, forward speed, turn rate, gyro bias, window error: in every quadrant, at the seam of the circle, at rest,
-/// backwards, and turning fast.
-const STATES: [[f64; N]; 6] = [
-    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [1.3, -0.7, 0.4, 0.2, 0.0, 0.01, -0.02],
-    [-2.1, 3.9, 1.9, 0.35, 2.5, -0.03, 0.05],
-    [5.0, 5.0, -2.6, -0.15, -4.0, 0.002, 0.3],
-    [0.1, -9.0, SEAM, 0.4, 1e-5, 0.02, 0.0],
-    [-7.0, 0.2, -SEAM, 0.4, -1.2, 0.0, -0.1],
-];
+/// Largest allowed difference between a derivative and its central difference: the rounding of numbers of some metres over H.
+const NEAR: f64 = 2e-8;
 
-/// A hair before the half circle.
-const SEAM: f64 = std::f64::consts::PI - 2e-7;
-
-const H: f64 = 1e-6;
-
-fn mean_of(state: [f64; N]) -> Mean {
-    Mean::from_row_slice(&state)
+/// Holds H against central differences of the innovation, which is z - h(x) and must be zero in the middle.
+fn check<const M: usize>(what: &str, state: &State, measure: impl Fn(&State) -> Expected<M>) {
+    let middle = measure(state);
+    let off = middle.innovation.amax();
+    assert!(off < 1e-12, "{what}: the expectation is off by {off:e}");
+    for row in 0..WITH_BEACONS {
+        let ahead = measure(&with_error(state, row, H)).innovation;
+        let behind = measure(&with_error(state, row, -H)).innovation;
+        for component in 0..M {
+            let numeric = wrap_rad(behind[component] - ahead[component]) / (2.0 * H);
+            let analytic = middle.jacobian[(component, row)];
+            assert!(
+                (numeric - analytic).abs() < NEAR,
+                "{what}: H({component}, {row}) is {analytic} but {numeric} by differences at {:?}",
+                state.pose
+            );
+        }
+    }
 }
 
-fn ms(millis: i64) -> Stamp<BrickClock> {
-    Stamp::from_millis(millis)
+fn arena_from_body(pose: Se2) -> Pose<Arena> {
+    Pose::new(
+        Meters(pose.x_m),
+        Meters(pose.y_m),
+        Heading::from_rad(pose.heading_rad),
+    )
 }
 
-/// Holds a measurement's H against central differences of its innovation, which is z - h(x).
-fn check_measurement<const M: usize>(what: &str, measure: impl Fn(&Mean) -> Measurement<N, M>) {
-    for state in STATES {
-        let mean = mean_of(state);
-        let analytic = measure(&mean).jacobian;
-        for column in 0..N {
-            let mut step = Mean::zeros();
-            step[column] = H;
-            let ahead = measure(&(mean + step)).innovation;
-            let behind = measure(&(mean - step)).innovation;
-            for row in 0..M {
-                let numeric = wrap_rad(behind[row] - ahead[row]) / (2.0 * H);
+fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
+    Point2::new(Meters(x_m), Meters(y_m))
+}
+
+/// What a camera sees without noise that looks at a robot here.
+fn seen_from(state: &State, told: Point2<Body>, shown: Se2) -> Fix {
+    let tag = point::<Body>(
+        told.x.0 + state.mean[TAG_FORWARD],
+        told.y.0 + state.mean[TAG_LEFT],
+    );
+    Fix {
+        position: arena_from_body(shown) * tag,
+        heading: Some(Heading::from_rad(shown.heading_rad)),
+        covariance: None,
+        tag_in_body: told,
+        reset_counter: 0,
+    }
+}
+
+fn circumstances(moved_since: Se2) -> fix::Circumstances {
+    fix::Circumstances {
+        moved_since,
+        stamp_sigma_s: 0.0,
+        forward_m_per_s: 0.0,
+        turn_rad_per_s: 0.0,
+    }
+}
+
+/// Told places of the tag: mid-axle, ahead, behind to the left, far off to the right.
+const TAGS: [(f64, f64); 4] = [(0.0, 0.0), (0.08, 0.0), (-0.03, 0.05), (0.4, -1.2)];
+/// How the body moved between the instant that a fix shows and its stamp: not at all, on a curve, backwards on a curve.
+const MOVED: [[f64; 3]; 3] = [[0.0; 3], [0.06, 0.0, 0.4], [-0.2, 0.0, 2.9]];
+
+#[test]
+fn a_fix_of_a_tag_off_the_axle_at_an_earlier_instant_has_the_derivatives_of_its_prediction() {
+    for state in odd_states::<WITH_BEACONS>() {
+        for (tag, moved) in TAGS
+            .into_iter()
+            .flat_map(|tag| MOVED.map(|moved| (tag, moved)))
+        {
+            let at = circumstances(Se2::exp(moved));
+            let shown = state.pose.then(at.moved_since.inverse());
+            let seen = seen_from(&state, point(tag.0, tag.1), shown);
+            let noise = fix::noise_of(&seen, &QUIET, 1.0, &at);
+            check("position", &state, |state| {
+                fix::position(state, &seen, &noise, &at)
+            });
+            check("pose", &state, |state| {
+                fix::pose(state, &seen, shown.heading_rad, &noise, &at)
+            });
+        }
+    }
+}
+
+/// A robot that drove round curves of other speed and curvature every 50 ms, until 0 ms.
+fn curved_track() -> MotionTrack {
+    let mut track = MotionTrack::new(GEOMETRY, 1e6);
+    let (mut left_rad, mut right_rad) = (0.0, 0.0);
+    for k in -8..=0_i64 {
+        let reading = MotionReading::Wheels {
+            left_rad,
+            right_rad,
+        };
+        track.add(ms(50 * k), &reading);
+        left_rad += 0.3 + 0.05 * k as f64;
+        right_rad += 0.7 - 0.04 * k as f64;
+    }
+    track
+}
+
+#[test]
+fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
+    let (track, config) = (curved_track(), odd::config(QUIET));
+    // Whole nanoseconds, so that the rounding of stamps does not disturb.
+    let h = Span::from_micros(10);
+    for state in odd_states::<WITH_BEACONS>() {
+        for delay in [Span::from_millis(20), Span::from_micros(173_400)] {
+            let moved = |delay: Span| state.moved_since(ms(0) - delay, &track, &config);
+            let [forward_m, _, turn_rad] = moved(delay + h).then(moved(delay - h).inverse()).log();
+            let twice_h_s = 2.0 * h.as_secs_f64();
+            let seen = seen_from(
+                &state,
+                point(0.3, -0.2),
+                state.pose.then(moved(delay).inverse()),
+            );
+            let measured = |delay: Span| {
+                let at = fix::Circumstances {
+                    forward_m_per_s: forward_m / twice_h_s,
+                    turn_rad_per_s: turn_rad / twice_h_s,
+                    ..circumstances(moved(delay))
+                };
+                let noise = fix::noise_of(&seen, &QUIET, 1.0, &at);
+                let heading_rad = seen.heading.map_or(0.0, Heading::rad);
+                fix::pose(&state, &seen, heading_rad, &noise, &at)
+            };
+            let middle = measured(delay);
+            assert!(middle.innovation.amax() < 1e-12);
+            assert!(middle.jacobian[(0, DELAY)].abs() > 0.2, "it does move");
+            let (longer, shorter) = (
+                measured(delay + h).innovation,
+                measured(delay - h).innovation,
+            );
+            for component in 0..3 {
+                let numeric = wrap_rad(shorter[component] - longer[component]) / twice_h_s;
+                let analytic = middle.jacobian[(component, DELAY)];
                 assert!(
-                    (numeric - analytic[(row, column)]).abs() < 1e-8,
-                    "{what}: H({row}, {column}) is {} but {numeric} by differences at {state:?}",
-                    analytic[(row, column)]
+                    (numeric - analytic).abs() < 1e-6,
+                    "{component}: {analytic} but {numeric}"
                 );
             }
         }
     }
 }
 
-fn seen(tag_m: (f64, f64)) -> Fix {
-    Fix {
-        position: Point2::new(Meters(0.9), Meters(-0.3)),
-        heading: Some(Heading::from_rad(0.5)),
-        covariance: None,
-        tag_in_body: Point2::new(Meters(tag_m.0), Meters(tag_m.1)),
-        reset_counter: 0,
+#[test]
+fn a_compass_has_the_derivative_of_its_prediction() {
+    for state in odd_states::<WITH_BEACONS>() {
+        let heading_rad = state.pose.heading_rad;
+        check("compass", &state, |state| {
+            compass::measurement(state, heading_rad, 0.1)
+        });
+    }
+}
+
+/// Places of landmarks and beacons about a body: near, far, behind, and on the seam of the bearing.
+const ABOUT: [(f64, f64); 5] = [
+    (0.3, 0.0),
+    (2.0, -1.5),
+    (-0.4, 3.0),
+    (-1.0, 1e-9),
+    (0.0, -0.7),
+];
+
+#[test]
+fn a_landmark_has_the_derivatives_of_its_prediction() {
+    for state in odd_states::<WITH_BEACONS>() {
+        for (forward_m, left_m) in ABOUT {
+            let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
+            let seen = Sighting {
+                range_m: forward_m.hypot(left_m),
+                bearing_rad: left_m.atan2(forward_m),
+            };
+            check("landmark", &state, |state| {
+                landmark::measurement(state, place, seen, (0.01, 0.02)).expect("it is away")
+            });
+        }
+        let here = arena_from_body(state.pose).origin();
+        let seen = Sighting {
+            range_m: 0.0,
+            bearing_rad: 0.0,
+        };
+        assert!(landmark::measurement(&state, here, seen, (0.01, 0.02)).is_none());
     }
 }
 
 #[test]
-fn a_fix_of_a_tag_off_the_axle_has_the_derivatives_of_its_prediction() {
-    let circumstances = fix::Circumstances {
-        noise: &QUIET,
-        stamp_sigma_s: 0.0,
-        forward_m_per_s: 0.0,
-        turn_rad_per_s: 0.0,
+fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
+    for state in odd_states::<WITH_BEACONS>() {
+        for (slot, (forward_m, left_m)) in [0, 3, MOST_BEACONS - 1, MOST_BEACONS, 700]
+            .into_iter()
+            .zip(ABOUT)
+        {
+            let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
+            let (offset_m, scale) = if slot < MOST_BEACONS {
+                let row = BEACONS + 2 * slot;
+                (state.mean[row], state.mean[row + 1])
+            } else {
+                (0.0, 0.0)
+            };
+            let range_m = forward_m.hypot(left_m) * (1.0 + scale) + offset_m;
+            check("beacon", &state, |state| {
+                beacon::measurement(state, Beacon { place, slot }, range_m, 0.01)
+                    .expect("it is away")
+            });
+        }
+    }
+}
+
+/// Walls about a body, in its own space: right ahead, oblique both ways, and one behind the others.
+const WALLS: [[(f64, f64); 2]; 4] = [
+    [(1.2, -0.5), (1.2, 0.6)],
+    [(0.5, -1.0), (1.4, 1.1)],
+    [(2.9, -2.0), (0.9, 1.0)],
+    [(1.0, 0.1), (1.9, -1.0)],
+];
+
+fn wall_about(pose: Se2, [from, to]: [(f64, f64); 2]) -> Wall {
+    let in_arena = |(x_m, y_m)| arena_from_body(pose) * point::<Body>(x_m, y_m);
+    Wall {
+        from: in_arena(from),
+        to: in_arena(to),
+    }
+}
+
+/// The way ahead to a wall by a search: the body's own axis is walked until the wall is on the other side.
+fn way_to(pose: Se2, wall: &Wall) -> f64 {
+    let side_of = |range_m: f64| {
+        let at = arena_from_body(pose) * point::<Body>(range_m, 0.0);
+        let along = (wall.to.x.0 - wall.from.x.0, wall.to.y.0 - wall.from.y.0);
+        along.0 * (at.y.0 - wall.from.y.0) - along.1 * (at.x.0 - wall.from.x.0)
     };
-    for tag_m in [(0.0, 0.0), (0.08, 0.0), (-0.03, 0.05), (0.4, -1.2)] {
-        let seen = seen(tag_m);
-        let noise = fix::noise_of(&seen, &circumstances);
-        check_measurement("position", |mean| fix::position(mean, &seen, &noise));
-        check_measurement("pose", |mean| fix::pose(mean, &seen, 0.5, &noise));
+    let (mut near, mut far) = (0.0, 10.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (near + far);
+        if side_of(middle).signum() == side_of(0.0).signum() {
+            near = middle;
+        } else {
+            far = middle;
+        }
+    }
+    near
+}
+
+#[test]
+fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
+    for state in odd_states::<WITH_BEACONS>() {
+        for ends in WALLS {
+            let walls = [wall_about(state.pose, ends)];
+            let range_m = way_to(state.pose, &walls[0]);
+            check("wall", &state, |state| {
+                wall::measurement(state, &walls, range_m, 0.01).expect("it is ahead")
+            });
+        }
+        // Of all of them, and one behind the robot, the nearest ahead.
+        let mut walls = WALLS.map(|ends| wall_about(state.pose, ends)).to_vec();
+        walls.push(wall_about(state.pose, [(-0.1, -1.0), (-0.1, 1.0)]));
+        let nearest_m = walls[..WALLS.len()]
+            .iter()
+            .map(|wall| way_to(state.pose, wall))
+            .fold(f64::INFINITY, f64::min);
+        check("nearest wall", &state, |state| {
+            wall::measurement(state, &walls, nearest_m, 0.01).expect("they are ahead")
+        });
+    }
+}
+
+#[test]
+fn a_wall_that_is_not_met_is_not_expected() {
+    for state in odd_states::<WITH_BEACONS>() {
+        for (ends, what) in [
+            ([(-1.0, -1.0), (-1.0, 1.0)], "behind"),
+            ([(1.0, 0.2), (1.0, 1.0)], "to the left"),
+            ([(0.5, -0.1), (3.0, 0.2)], "seven degrees: it reflects away"),
+            ([(1.0, 0.0), (1.0, 0.0)], "a point"),
+        ] {
+            let walls = [wall_about(state.pose, ends)];
+            let met = wall::measurement(&state, &walls, 1.0, 0.01);
+            assert!(met.is_none(), "{what}");
+        }
     }
 }
 
 #[test]
 fn a_gyro_window_has_the_derivatives_of_its_prediction() {
-    let window = gyro_window::GyroWindow {
-        start: ms(1_000),
-        until: ms(1_450),
-        encoder_turn_rad: 0.3,
-        encoder_forward_m: 0.08,
-        moved: gyro_window::Moved::Yes,
-    };
-    let turn = GyroTurn {
-        turn_rad: 0.31,
-        squared_secs: 0.02,
-    };
-    check_measurement("gyro window", |mean| {
-        gyro_window::measurement(mean, &window, &turn, &GEOMETRY, &QUIET)
-    });
-}
-
-#[test]
-fn speeds_and_rates_have_the_derivatives_of_their_predictions() {
-    let step = BodyStep {
-        forward_m: 0.012,
-        turn_rad: -0.07,
-    };
-    let noise = StepNoise::default();
-    check_measurement("forward", |mean| {
-        speed::forward(mean, step, &noise, 0.05, &GEOMETRY)
-    });
-    check_measurement("turn", |mean| {
-        speed::turn(mean, step, &noise, 0.05, &GEOMETRY)
-    });
-    check_measurement("gyro", |mean| speed::gyro(mean, 0.4, &QUIET));
-}
-
-/// A configuration in which nothing adds noise, so that what remains of P' is F P F'.
-fn config(noise: SensorNoise) -> FilterConfig {
-    FilterConfig {
-        calibration: posebridge_telemetry::Calibration::default(),
-        world: std::sync::Arc::default(),
-        geometry: GEOMETRY,
-        noise,
-        start: None,
-        params: Params {
-            acceleration_m_per_s2: 0.0,
-            turn_acceleration_rad_per_s2: 0.0,
-            ..Params::default()
-        },
-    }
-}
-
-/// A state at 0 ms with a covariance in which every pair of rows is correlated.
-fn state_of(mean: Mean, config: &FilterConfig) -> PoseState {
-    let mut state = PoseState::initial(config);
-    state.restart_window(ms(0));
-    let spread = Covariance::from_fn(|row, column| {
-        0.1 * ((3 * row + 5 * column) as f64).sin() + if row == column { 0.2 } else { 0.0 }
-    });
-    state.covariance = spread * spread.transpose();
-    state.mean = mean;
-    state.stamp = Some(ms(0));
-    state.last_motion = Some(ms(0));
-    state
-}
-
-fn track_of(travel: WheelTravel) -> MotionTrack {
-    let mut track = MotionTrack::new(GEOMETRY, 1e6);
-    let reading = |left_rad, right_rad| MotionReading::Wheels {
-        left_rad,
-        right_rad,
-    };
-    track.add(ms(0), &reading(0.0, 0.0));
-    track.add(
-        ms(100),
-        &reading(
-            travel.left_m / GEOMETRY.left_wheel_radius.0,
-            travel.right_m / GEOMETRY.right_wheel_radius.0,
-        ),
-    );
-    track
-}
-
-fn advanced(mut state: PoseState, track: &MotionTrack, config: &FilterConfig) -> PoseState {
-    state.advance(ms(100), track, config);
-    state
-}
-
-/// F by central differences of the mean.
-fn numeric_jacobian(state: &PoseState, track: &MotionTrack, config: &FilterConfig) -> Covariance {
-    let mut jacobian = Covariance::zeros();
-    for column in 0..N {
-        let mut step = Mean::zeros();
-        step[column] = H;
-        let moved = |sign: f64| {
-            let mut start = *state;
-            start.mean += step * sign;
-            advanced(start, track, config).mean
-        };
-        let mut change = moved(1.0) - moved(-1.0);
-        change[HEADING] = wrap_rad(change[HEADING]);
-        jacobian.set_column(column, &(change / (2.0 * H)));
-    }
-    jacobian
-}
-
-fn assert_near(found: &Covariance, expected: &Covariance, what: &str) {
-    let worst = (found - expected).abs().max();
-    assert!(
-        worst < 1e-8,
-        "{what}: off by {worst:e}\n{found}\n{expected}"
-    );
-}
-
-const TRAVELS: [WheelTravel; 4] = [
-    WheelTravel {
-        left_m: 0.0,
-        right_m: 0.0,
-    },
-    WheelTravel {
-        left_m: 0.02,
-        right_m: 0.021,
-    },
-    WheelTravel {
-        left_m: -0.05,
-        right_m: 0.06,
-    },
-    WheelTravel {
-        left_m: -0.2,
-        right_m: -0.03,
-    },
-];
-
-#[test]
-fn over_known_travel_the_covariance_follows_the_derivative_of_the_mean() {
-    let config = config(QUIET);
-    for travel in TRAVELS {
-        let track = track_of(travel);
-        for values in STATES {
-            let state = state_of(mean_of(values), &config);
-            let f = numeric_jacobian(&state, &track, &config);
-            let expected = f * state.covariance * f.transpose();
-            let found = advanced(state, &track, &config).covariance;
-            assert_near(&found, &expected, &format!("{travel:?} from {values:?}"));
-        }
-    }
-}
-
-#[test]
-fn held_speeds_carry_their_covariance_into_the_pose() {
-    let config = config(QUIET);
-    let nothing_read_since = track_of(WheelTravel::default());
-    for values in STATES {
-        let mut state = state_of(mean_of(values), &config);
-        state.stamp = Some(ms(100));
-        state.last_motion = Some(ms(100));
-        let moved = |mut start: PoseState| {
-            start.advance(ms(350), &nothing_read_since, &config);
-            start
-        };
-        let mut f = Covariance::zeros();
-        for column in 0..N {
-            let mut step = Mean::zeros();
-            step[column] = H;
-            let (mut ahead, mut behind) = (state, state);
-            ahead.mean += step;
-            behind.mean -= step;
-            let mut change = moved(ahead).mean - moved(behind).mean;
-            change[HEADING] = wrap_rad(change[HEADING]);
-            f.set_column(column, &(change / (2.0 * H)));
-        }
-        assert!(f[(X, FORWARD)].hypot(f[(Y, FORWARD)]) > 0.2, "it does move");
-        assert!((f[(HEADING, TURN)] - 0.25).abs() < 1e-8);
-        let expected = f * state.covariance * f.transpose();
-        assert_near(
-            &moved(state).covariance,
-            &expected,
-            &format!("held speeds from {values:?}"),
-        );
-    }
-}
-
-#[test]
-fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
-    let noise = SensorNoise {
-        wheel_travel_m_per_sqrt_m: 0.01,
-        ..QUIET
-    };
-    let config = config(noise);
-    for travel in &TRAVELS[1..] {
-        for values in STATES {
-            let mut state = state_of(mean_of(values), &config);
-            state.covariance = Covariance::zeros();
-            let by_wheel = |left_m: f64, right_m: f64| {
-                let track = track_of(WheelTravel {
-                    left_m: travel.left_m + left_m,
-                    right_m: travel.right_m + right_m,
-                });
-                advanced(state, &track, &config)
+    for state in odd_states::<WITH_BEACONS>() {
+        for forward_m in [0.0, 0.08] {
+            let window = gyro_window::GyroWindow {
+                start: ms(1_000),
+                until: ms(1_450),
+                forward_m,
             };
-            let mut g = SMatrix::<f64, N, 2>::zeros();
-            for (wheel, (left_m, right_m)) in [(H, 0.0), (0.0, H)].into_iter().enumerate() {
-                let ahead = by_wheel(left_m, right_m);
-                let behind = by_wheel(-left_m, -right_m);
-                let mut change = ahead.mean - behind.mean;
-                change[HEADING] = wrap_rad(change[HEADING]);
-                // W is the part of the heading's error that came since the window began.
-                change[WINDOW_ERROR] = change[HEADING];
-                g.set_column(wheel, &(change / (2.0 * H)));
+            let turn = GyroTurn {
+                turn_rad: 0.31,
+                squared_secs: 0.02,
+            };
+            let measure =
+                |state: &State| gyro_window::measurement(state, &window, &turn, &GEOMETRY, &QUIET);
+            let scalar = measure(&state);
+            for row in 0..WITH_BEACONS {
+                let ahead = measure(&with_error(&state, row, H)).innovation;
+                let behind = measure(&with_error(&state, row, -H)).innovation;
+                let numeric = (behind - ahead) / (2.0 * H);
+                let named = scalar.rows.iter().zip(scalar.by_row);
+                let analytic: f64 = named
+                    .filter(|(named, _)| **named == row)
+                    .map(|(_, by)| by)
+                    .sum();
+                assert!(
+                    (numeric - analytic).abs() < NEAR,
+                    "row {row}: {analytic} but {numeric}"
+                );
             }
-            let q = Matrix2::from_diagonal(&nalgebra::Vector2::new(
-                1e-4 * travel.left_m.abs(),
-                1e-4 * travel.right_m.abs(),
-            ));
-            let expected = g * q * g.transpose();
-            let found = by_wheel(0.0, 0.0).covariance;
-            assert_near(&found, &expected, &format!("{travel:?} from {values:?}"));
-            assert!(found[(GYRO_BIAS, GYRO_BIAS)] == 0.0);
         }
     }
+}
+
+#[test]
+fn accelerations_change_the_speeds_as_their_noise_does() {
+    let dt_s = 0.05;
+    let driven = |left_m_per_s2: f64, right_m_per_s2: f64| {
+        let (mut forward, mut turn) = (Speed::default(), Speed::default());
+        let felt = Accelerations {
+            left_m_per_s2,
+            right_m_per_s2,
+        };
+        drive_speeds(&mut forward, &mut turn, felt, dt_s, (&GEOMETRY, &QUIET));
+        (forward, turn)
+    };
+    let (none, by_left, by_right) = (driven(0.0, 0.0), driven(1.0, 0.0), driven(0.0, 1.0));
+    let noise_var = QUIET.accelerometer_m_per_s2.powi(2);
+    let forward_var = (by_left.0.value.powi(2) + by_right.0.value.powi(2)) * noise_var;
+    let turn_var = (by_left.1.value.powi(2) + by_right.1.value.powi(2)) * noise_var;
+    assert!((by_left.0.value - 0.5 * dt_s).abs() < 1e-15 && by_left.1.value < 0.0);
+    assert!((none.0.variance - forward_var).abs() < 1e-12);
+    assert!((none.1.variance - turn_var).abs() < 1e-12);
 }

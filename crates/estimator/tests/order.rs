@@ -8,17 +8,21 @@
 mod drive;
 #[path = "support/robot.rs"]
 mod robot;
+#[path = "support/senses.rs"]
+mod senses;
 
 use drive::{Camera, Scenario, drive, stamp};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::CORE;
+use posebridge_estimator::filters::pose::state::{CORE, WITH_BEACONS, WITH_CAMERA};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Fix, Meters, Observation, Observed, Radians, SensorId, Span, Stamp, Verdict,
+    BrickClock, Fix, Known, Meters, Observation, Observed, PositionCovariance, Radians, SensorId,
+    Span, Stamp, Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use robot::config;
+use senses::{Senses, add, furnished, step_between};
 
 /// The history of 3 s: every delay is shorter by a millisecond at least.
 const LATEST_BY_MS: i64 = 3_000;
@@ -66,7 +70,11 @@ fn shuffled(observations: &[Observation], seed: u64) -> Vec<Observation> {
 
 /// Everything that a filter believes at the end, in digits that tell any two numbers apart.
 fn belief(config: &FilterConfig, observations: &[Observation]) -> String {
-    let mut filter = PoseFilter::<CORE>::new(config);
+    belief_with::<CORE>(config, observations)
+}
+
+fn belief_with<const N: usize>(config: &FilterConfig, observations: &[Observation]) -> String {
+    let mut filter = PoseFilter::<N>::new(config);
     for observation in observations {
         let record = filter.observe(observation);
         assert_ne!(record.verdict, Verdict::TooOld, "{observation:?}");
@@ -76,14 +84,21 @@ fn belief(config: &FilterConfig, observations: &[Observation]) -> String {
         .map(|k| filter.estimate_at(latest + Span::from_millis(k * 50)))
         .collect();
     assert!(lately.iter().all(Option::is_some));
-    format!("{:?} {lately:?}", filter.state())
+    format!("{:?} {lately:?} {:?}", filter.state(), filter.calibration())
 }
 
 fn assert_order_does_not_matter(config: &FilterConfig, observations: &[Observation]) {
-    let expected = belief(config, observations);
+    assert_order_does_not_matter_with::<CORE>(config, observations);
+}
+
+fn assert_order_does_not_matter_with<const N: usize>(
+    config: &FilterConfig,
+    observations: &[Observation],
+) {
+    let expected = belief_with::<N>(config, observations);
     for seed in 0..6 {
         assert!(
-            belief(config, &shuffled(observations, seed)) == expected,
+            belief_with::<N>(config, &shuffled(observations, seed)) == expected,
             "another belief with the order of seed {seed}"
         );
     }
@@ -256,4 +271,122 @@ fn an_observation_older_than_the_history_is_refused_and_changes_nothing() {
         format!("{:?} {:?}", filter.state(), filter.estimate_at(latest)),
         before
     );
+}
+
+/// Twenty seconds with every sensor there is, round a corner, some of them at the same instants.
+fn with_everything(config: &FilterConfig, seed: u64) -> Vec<Observation> {
+    let mut drive = drive(&scenario(), seed);
+    let mut senses = Senses::new(config, seed);
+    let poses = drive.poses.clone();
+    let errors = [(0.2, 0.01), (0.0, 0.0), (-0.1, 0.02), (0.3, -0.01)];
+    add(&mut drive, SensorId::LANDMARKS, 5, |_, truth| {
+        senses.landmarks(truth)
+    });
+    add(&mut drive, SensorId::BEACONS, 4, |_, truth| {
+        senses.beacons(truth, &errors)
+    });
+    add(&mut drive, SensorId::RANGE, 3, |_, truth| {
+        senses.wall(truth)
+    });
+    // Iron near the compass, now and then.
+    add(&mut drive, SensorId::COMPASS, 2, |step, (x, y, heading)| {
+        let off_rad = if step % 200 < 30 { 1.2 } else { 0.0 };
+        senses.compass((x, y, heading + off_rad))
+    });
+    add(&mut drive, SensorId::ACCELEROMETER, 1, |step, _| {
+        let Some(first) = step.checked_sub(3) else {
+            return vec![];
+        };
+        let steps = [0, 1].map(|k| step_between(poses[first + k], poses[first + k + 1]));
+        senses.accelerations(steps)
+    });
+    let observations = drive.arrivals.iter().map(|arrival| arrival.observation);
+    observations
+        .filter(|observation| observation.stamp < stamp(420))
+        .collect()
+}
+
+/// A configuration that asks for every state there is.
+fn learning_everything() -> FilterConfig {
+    let unknown = |sigma| Known { value: 0.0, sigma };
+    let mut config = furnished(&config());
+    config.calibration.radius_scale = unknown(0.005);
+    config.calibration.radius_difference = unknown(0.005);
+    config.calibration.track_scale = unknown(0.03);
+    config.calibration.fix_delay_s = unknown(0.1);
+    config.calibration.tag_forward_m = unknown(0.02);
+    config.calibration.tag_left_m = unknown(0.02);
+    config.calibration.beacon_offset_m = unknown(0.3);
+    config.calibration.beacon_scale = unknown(0.02);
+    config
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_with_every_sensor_and_every_state() {
+    let config = learning_everything();
+    let observations = with_everything(&config, 11);
+    assert_order_does_not_matter_with::<WITH_BEACONS>(&config, &observations);
+    let kinds = ["landmark", "beacon_range", "wall_range", "compass_heading"];
+    let mut filter = PoseFilter::<WITH_BEACONS>::new(&config);
+    let records: Vec<_> = observations.iter().map(|o| filter.observe(o)).collect();
+    for kind in kinds {
+        let of_kind = records.iter().filter(|record| record.kind == kind);
+        let used = of_kind.filter(|record| record.verdict == Verdict::Accepted);
+        assert!(used.count() > 50, "{kind} is used");
+    }
+    let gated = records.iter().filter(|r| r.verdict == Verdict::Gated);
+    assert!(gated.count() > 20, "and some are not");
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_with_students_t() {
+    let mut config = learning_everything();
+    config.params.student_dof = 4.0;
+    let observations = with_everything(&config, 13);
+    assert_order_does_not_matter_with::<WITH_BEACONS>(&config, &observations);
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_with_a_camera_whose_delay_is_learned() {
+    let mut config = learning_everything();
+    config.world = std::sync::Arc::default();
+    // A quarter of the camera's noise, so that the gate refuses and the scale learns.
+    config.noise.fix_position_m *= 0.25;
+    for late in [Span::from_millis(150), Span::from_micros(-83_210)] {
+        let mut observations = observations(14);
+        shift(&mut observations, SensorId::CAMERA, late);
+        observations.sort_by_key(|observation| observation.stamp);
+        assert_order_does_not_matter_with::<WITH_CAMERA>(&config, &observations);
+    }
+}
+
+#[test]
+fn two_fixes_of_one_instant_and_place_that_claim_other_noise_count_in_either_order() {
+    let mut before = observations(6);
+    while before
+        .last()
+        .is_some_and(|last| last.sensor != SensorId::CAMERA)
+    {
+        before.pop();
+    }
+    let one = before.pop().expect("the camera looked");
+    let claims = |variance: f64| {
+        let Observed::Fix(mut fix) = one.observed else {
+            return one;
+        };
+        fix.covariance = Some(PositionCovariance {
+            xx_m2: variance,
+            xy_m2: 0.0,
+            yy_m2: variance,
+            heading_rad2: variance,
+        });
+        Observation {
+            observed: Observed::Fix(fix),
+            ..one
+        }
+    };
+    let together =
+        |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
+    let pair = [claims(1e-4), claims(4e-6)];
+    assert!(together(pair) == together([pair[1], pair[0]]));
 }

@@ -1,8 +1,20 @@
 //! Every filter: a trait, a file each, and the one table that names them.
 
+pub mod dynamic;
+pub mod ekf5;
+pub mod ekf5_corrected;
+pub mod indirect;
 pub(crate) mod intake;
 pub mod odometry;
+pub mod paper1;
 pub mod pose;
+pub mod range_kf;
+mod records;
+mod sampled;
+mod timeline;
+pub mod ukf5;
+pub mod velocity_kf;
+pub mod wheel_kf;
 
 use std::sync::Arc;
 
@@ -11,6 +23,7 @@ use posebridge_telemetry::{
     ScalarEstimate, SensorNoise, Stamp, Verdict, World,
 };
 
+use self::ekf5::{Fixes, SpeedOrder};
 use crate::params::Params;
 
 /// What every filter does.
@@ -122,6 +135,94 @@ pub const FILTERS: &[FilterEntry] = &[
         estimates: Estimates::Pose,
         late: Late::Replayed,
         build: pose::build,
+    },
+    FilterEntry {
+        name: "wheel-kf",
+        summary: "paper 1: a Kalman filter per wheel, then odometry",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: wheel_kf::build,
+    },
+    FilterEntry {
+        name: "velocity-kf",
+        summary: "paper 1: a Kalman filter for both speeds with the accelerations as input, then odometry",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: velocity_kf::build,
+    },
+    FilterEntry {
+        name: "ekf5",
+        summary: "paper 1: pose and speeds in one EKF, with integrated headings as observations",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: |config| ekf5::build(config, SpeedOrder::Printed, Fixes::Unused),
+    },
+    FilterEntry {
+        name: "ekf5-camera",
+        summary: "paper 1 and its outlook: ekf5 with gated fixes, used when they come",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: |config| ekf5::build(config, SpeedOrder::Printed, Fixes::Used),
+    },
+    FilterEntry {
+        name: "ekf5-corrected",
+        summary: "ekf5 with the errors of its integrated headings as states and configured noise",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: ekf5_corrected::build,
+    },
+    FilterEntry {
+        name: "ukf5",
+        summary: "ekf5 with sigma points in place of the Jacobian",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: ukf5::build,
+    },
+    FilterEntry {
+        name: "dynamic",
+        summary: "paper 2: the final value of a slow thermometer, from its approach",
+        estimates: Estimates::Scalar,
+        late: Late::OnArrival,
+        build: |config| Box::new(dynamic::DynamicFilter::new(config)),
+    },
+    FilterEntry {
+        name: "range-kf",
+        summary: "paper 3: distance to a wall from time of flight and motor input, as printed",
+        estimates: Estimates::Scalar,
+        late: Late::OnArrival,
+        build: |config| Box::new(range_kf::RangeFilter::new(config, range_kf::Variant::Paper)),
+    },
+    FilterEntry {
+        name: "range-kf-corrected",
+        summary: "paper 3 with noise per second, an exact hold and readings at their own time",
+        estimates: Estimates::Scalar,
+        late: Late::OnArrival,
+        build: |config| {
+            Box::new(range_kf::RangeFilter::new(
+                config,
+                range_kf::Variant::Corrected,
+            ))
+        },
+    },
+    FilterEntry {
+        name: "indirect",
+        summary: "paper 4: errors of the wheels' path by accelerometers and gyro, fed forward",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: |config| {
+            let correction = indirect::Correction::FeedForward;
+            Box::new(indirect::IndirectFilter::new(config, correction))
+        },
+    },
+    FilterEntry {
+        name: "indirect-feedback",
+        summary: "the same with the errors fed back into the path",
+        estimates: Estimates::Pose,
+        late: Late::OnArrival,
+        build: |config| {
+            let correction = indirect::Correction::Feedback;
+            Box::new(indirect::IndirectFilter::new(config, correction))
+        },
     },
 ];
 

@@ -138,7 +138,7 @@ impl ArcStep {
     #[must_use]
     pub fn new(forward_m: f64, turn_rad: f64) -> Self {
         let (sin_half, cos_half) = (0.5 * turn_rad).sin_cos();
-        let (chord, chord_by_turn) = chord_ratio(turn_rad);
+        let (chord, chord_by_turn) = chord_ratio_of(0.5 * turn_rad, sin_half, cos_half);
         let along = chord * forward_m;
         let (sin, cos) = (2.0 * sin_half * cos_half, 1.0 - 2.0 * sin_half * sin_half);
         Self {
@@ -161,6 +161,12 @@ impl ArcStep {
 /// Chord over arc length, sin(t/2)/(t/2), and its derivative by t; by series where the quotient would lose digits.
 pub(super) fn chord_ratio(turn_rad: f64) -> (f64, f64) {
     let half = 0.5 * turn_rad;
+    let (sin, cos) = half.sin_cos();
+    chord_ratio_of(half, sin, cos)
+}
+
+/// The same where sine and cosine of half the turn are known.
+fn chord_ratio_of(half: f64, sin: f64, cos: f64) -> (f64, f64) {
     if half.abs() < 1e-3 {
         // Two terms: the next is below 1e-13 of the first.
         return (
@@ -168,7 +174,6 @@ pub(super) fn chord_ratio(turn_rad: f64) -> (f64, f64) {
             -half / 6.0 * (1.0 - half * half / 10.0),
         );
     }
-    let (sin, cos) = half.sin_cos();
     (sin / half, 0.5 * (cos * half - sin) / (half * half))
 }
 

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, Span, Stamp};
 
-use super::Added;
+use super::{Added, count_before};
 
 /// The last sample is held for this long and no longer: three periods of a 50 Hz gyro.
 const HOLD: Span = Span::from_millis(60);
@@ -31,7 +31,7 @@ pub struct GyroTrack {
 impl GyroTrack {
     /// Adds a sample.
     pub fn add(&mut self, stamp: Stamp<BrickClock>, rate_rad_per_s: f64) -> Added {
-        let index = self.samples.partition_point(|sample| sample.0 < stamp);
+        let index = count_before(&self.samples, |sample| sample.0 < stamp);
         if self
             .samples
             .get(index)
@@ -53,7 +53,7 @@ impl GyroTrack {
     /// The stamp of the last sample up to and including an instant.
     #[must_use]
     pub fn last_until(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
-        let index = self.samples.partition_point(|sample| sample.0 <= stamp);
+        let index = count_before(&self.samples, |sample| sample.0 <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.0)
     }
@@ -61,7 +61,7 @@ impl GyroTrack {
     /// Whether the whole span is covered: no hole in it, the last sample held for a moment.
     #[must_use]
     pub fn covers(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> bool {
-        let next = self.samples.partition_point(|sample| sample.0 <= from);
+        let next = count_before(&self.samples, |sample| sample.0 <= from);
         let Some(first) = next.checked_sub(1).and_then(|i| self.samples.get(i)) else {
             return false;
         };
@@ -86,7 +86,7 @@ impl GyroTrack {
             squared_secs: 0.0,
         };
         let mut at = from;
-        let mut index = self.samples.partition_point(|sample| sample.0 <= from);
+        let mut index = count_before(&self.samples, |sample| sample.0 <= from);
         let mut held = self.samples.back().map_or(0.0, |sample| sample.1);
         while at < to {
             let (until, rate) = match self.samples.get(index) {

@@ -7,10 +7,12 @@
 
 mod gyro;
 mod reading;
+mod search;
 mod track;
 
 pub use gyro::{GyroTrack, GyroTurn};
 pub use reading::{MotionReading, MotionSource};
+pub use search::count_before;
 pub use track::{Leg, MotionTrack};
 
 use posebridge_telemetry::{BrickClock, Stamp};

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp};
 
-use super::{Added, MotionReading, MotionSource};
+use super::{Added, MotionReading, MotionSource, count_before};
 use crate::models::differential_drive::{WheelTravel, body_step};
 
 /// Over an interval between two counter readings that is longer than this the path is no longer taken for an arc: five lost
@@ -75,7 +75,7 @@ impl MotionTrack {
         if self.source.is_some_and(|current| source < current) {
             return Added::Outranked;
         }
-        let index = self.samples.partition_point(|sample| sample.stamp < stamp);
+        let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         if self
             .samples
             .get(index)
@@ -140,7 +140,7 @@ impl MotionTrack {
     /// What is known about the way from `from` towards `to`, as far as it is of one kind: the same reading on either side.
     #[must_use]
     pub fn leg(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> Leg {
-        let index = self.samples.partition_point(|sample| sample.stamp <= from);
+        let index = count_before(&self.samples, |sample| sample.stamp <= from);
         let Some(after) = self.samples.get(index) else {
             return Leg::Ahead { until: to };
         };
@@ -157,9 +157,14 @@ impl MotionTrack {
         } else {
             0.0
         };
+        let is_whole = from == before.stamp && until == after.stamp;
         Leg::Known {
             until,
-            travel: self.travel_between(from, until),
+            travel: if is_whole {
+                step
+            } else {
+                self.travel_between(from, until)
+            },
             path_var_m2,
         }
     }
@@ -173,7 +178,7 @@ impl MotionTrack {
     /// The reading before the one at `stamp` and the travel since, where it is short enough to tell a speed.
     #[must_use]
     pub fn step_to(&self, stamp: Stamp<BrickClock>) -> Option<(Stamp<BrickClock>, WheelTravel)> {
-        let index = self.samples.partition_point(|sample| sample.stamp < stamp);
+        let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         let sample = self
             .samples
             .get(index)
@@ -187,7 +192,7 @@ impl MotionTrack {
     /// The stamp of the last reading up to and including an instant.
     #[must_use]
     pub fn last_until(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
-        let index = self.samples.partition_point(|sample| sample.stamp <= stamp);
+        let index = count_before(&self.samples, |sample| sample.stamp <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.stamp)
     }
@@ -199,7 +204,7 @@ impl MotionTrack {
     }
 
     fn travel_at(&self, stamp: Stamp<BrickClock>) -> WheelTravel {
-        let index = self.samples.partition_point(|sample| sample.stamp < stamp);
+        let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         let after = self.samples.get(index);
         let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
         match (before, after) {

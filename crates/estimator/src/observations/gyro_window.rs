@@ -11,7 +11,9 @@
 //! R = q + (r tick / b)^2 / 6     q = sum of dt^2 (sigma_g^2 + res^2 / 12); the second part is the rounding at the end
 //! ```
 //! The rounding at the end of one window is the one at the beginning of the next, with the opposite sign: it is kept as a state,
-//! so that it cancels instead of adding up. A window in which no count changed has none.
+//! so that it cancels instead of adding up. That holds for windows in which no count changed as well: a robot that turns by less
+//! than a count per window is not at rest, and its turn must be taken neither for bias nor, when the count comes, for slip. A
+//! robot that does rest loses little, because over many windows the two ends of the rest are all that is rounded.
 //!
 //! When the window closes, psi is forgotten (zero mean, zero variance) and the next one begins.
 //!
@@ -32,17 +34,6 @@ pub struct GyroWindow {
     pub until: Stamp<BrickClock>,
     /// The encoders' distance, m.
     pub forward_m: f64,
-    /// Whether a wheel moved.
-    pub moved: Moved,
-}
-
-/// Whether a wheel moved during a window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Moved {
-    /// No count changed.
-    No,
-    /// At least one count changed.
-    Yes,
 }
 
 impl GyroWindow {
@@ -53,7 +44,6 @@ impl GyroWindow {
             start: at,
             until: at,
             forward_m: 0.0,
-            moved: Moved::No,
         }
     }
 }
@@ -72,6 +62,13 @@ pub fn rounding_variance(geometry: &DriveGeometry) -> f64 {
     (mean_radius_m * geometry.tick.0 / geometry.track_width.0).powi(2) / 6.0
 }
 
+/// As much of a window's turn can be rounding and no more, rad: one count of either wheel.
+#[must_use]
+pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
+    (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0
+        / geometry.track_width.0
+}
+
 /// Innovation, H and R of a window. R holds the rounding at its end; that at its beginning is a state.
 #[must_use]
 pub fn measurement<const N: usize>(
@@ -82,18 +79,12 @@ pub fn measurement<const N: usize>(
     noise: &SensorNoise,
 ) -> Scalar<3> {
     let length_s = (window.until - window.start).as_secs_f64();
-    // At rest the rounding is the same at both ends.
-    let (rounding, by_rounding) = match window.moved {
-        Moved::Yes => (rounding_variance(geometry), 1.0),
-        Moved::No => (0.0, 0.0),
-    };
-    let predicted = state.mean[WINDOW_TURN]
-        + state.mean[GYRO_BIAS] * length_s
-        + by_rounding * state.mean[ROUNDING];
+    let predicted =
+        state.mean[WINDOW_TURN] + state.mean[GYRO_BIAS] * length_s + state.mean[ROUNDING];
     Scalar {
         innovation: gyro.turn_rad - predicted,
         rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING],
-        by_row: [1.0, length_s, by_rounding],
-        variance: gyro_variance(noise, gyro.squared_secs) + rounding,
+        by_row: [1.0, length_s, 1.0],
+        variance: gyro_variance(noise, gyro.squared_secs) + rounding_variance(geometry),
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! Nothing here is for use while a robot drives. [`batch()`] finds the path that is most likely given everything that was
 //! observed, late or not, before or after; reports show it, and filters are held against it. [`bound()`] says how small
-//! the error of a filter can be at all. Neither uses a filter's code.
+//! the error of a filter can be at all. Neither uses a
+//! filter's code. [`rts()`] is the flagship itself, run forwards and back.
 //!
 //! Source: docs/maths/batch.md.
 
@@ -16,11 +17,13 @@ mod judged;
 mod motion;
 mod problem;
 mod rounds;
+pub mod rts;
 mod values;
 mod walk;
 
 pub use batch::{OfflineError, Smoothed, SmoothedPose, batch};
 pub use bound::{FixArrival, Sees, TrueRun, bound};
+pub use rts::rts;
 
 #[cfg(test)]
 mod tests {

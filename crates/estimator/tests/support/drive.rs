@@ -83,7 +83,7 @@ impl Drive {
 }
 
 /// Commanded (distance, turn) of each step: rest, then squares of 3 m at 0.2 m/s with turns in place, ramped.
-fn commands(laps: usize) -> Vec<(f64, f64)> {
+pub(crate) fn commands(laps: usize) -> Vec<(f64, f64)> {
     let mut steps = vec![(0.0, 0.0); 40];
     for _ in 0..4 * laps {
         steps.extend(ramped(3.0, 0.2).map(|d| (d, 0.0)));
@@ -115,7 +115,7 @@ pub(crate) struct World {
     pub(crate) heading_rad: f64,
     left_rad: f64,
     right_rad: f64,
-    bias_rad_per_s: f64,
+    pub(crate) bias_rad_per_s: f64,
 }
 
 impl World {

@@ -20,7 +20,7 @@ pub(crate) struct Score {
     pub(crate) heading_rms_rad: f64,
     /// Average normalised estimation error squared of the pose, divided by its three degrees of freedom.
     pub(crate) anees: f64,
-    /// The same of the innovations of the fixes that were used.
+    /// The same of the innovations of the fixes that were used; not a number when there were none.
     pub(crate) fix_nis_per_dof: f64,
 }
 
@@ -71,7 +71,7 @@ pub(crate) fn score(drive: &Drive, played: &Played, first: usize) -> Score {
     let used = played
         .records
         .iter()
-        .filter(|record| record.verdict == Verdict::Accepted);
+        .filter(|record| record.verdict == Verdict::Accepted && record.kind == "fix");
     let (nis, degrees) = used.fold((0.0, 0.0), |(nis, degrees), record| {
         (
             nis + record.nis,

@@ -8,7 +8,7 @@ use crate::gate::chi_square_quantile;
 use crate::models::differential_drive::{body_step, step_noise};
 use crate::motion::{GyroTrack, MotionTrack};
 use crate::observations::accelerometer::{Accelerations, drive_speeds};
-use crate::observations::gyro_window::rounding_variance;
+use crate::observations::gyro_window::{largest_rounding, rounding_variance};
 use crate::observations::{gyro_window, speed};
 use crate::update::{Scalar, ScalarOutcome, Usage, use_scalar};
 
@@ -62,10 +62,14 @@ pub fn motion<const N: usize>(
         }
     }
     state.last_motion = Some(stamp);
-    let length = Span::from_secs_f64(context.config.params.gyro_window_s);
+    let length_s = context.config.params.gyro_window_s;
     match state.window {
-        None => state.restart_window(stamp),
-        Some(window) if stamp - window.start >= length => {
+        None => {
+            // What the rounding was where the last window ended says nothing about where this one begins.
+            state.forget_rounding(rounding_variance(&context.config.geometry));
+            state.restart_window(stamp);
+        }
+        Some(window) if (stamp - window.start).as_secs_f64() >= length_s => {
             if context.gyro.covers(window.start, stamp)
                 && let Some((scalar, outcome)) = use_gyro_window(state, context)
             {
@@ -116,7 +120,7 @@ pub fn use_gyro_window<const N: usize>(
     context: &Context<'_>,
 ) -> Option<(Scalar<3>, ScalarOutcome)> {
     let (scalar, before) = judged_gyro(state, context)?;
-    if before.nis > context.config.params.slip_nis {
+    if shows_slip(state, &scalar, context) {
         allow_for_slip(state, scalar.innovation.powi(2), before.nis, context);
     }
     let outcome = use_and_pass_rounding(state, &scalar, context);
@@ -135,11 +139,10 @@ fn use_and_pass_rounding<const N: usize>(
     scalar: &Scalar<3>,
     context: &Context<'_>,
 ) -> ScalarOutcome {
-    let moved = scalar.by_row[2] != 0.0;
     let cross = scalar.cross(&state.covariance);
     let (mean, covariance) = (&mut state.mean, &mut state.covariance);
     let outcome = use_scalar(mean, covariance, scalar, f64::INFINITY);
-    if moved && outcome.usage == Usage::Used {
+    if outcome.usage == Usage::Used {
         let variance = rounding_variance(&context.config.geometry);
         let share = variance / outcome.innovation_variance;
         for row in 0..N {
@@ -154,8 +157,27 @@ fn use_and_pass_rounding<const N: usize>(
 
 /// Whether gyro and encoders disagree so far that the wheels must have slipped.
 pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &Context<'_>) -> bool {
-    judged_gyro(state, context)
-        .is_some_and(|(_, judged)| judged.nis > context.config.params.slip_nis)
+    judged_gyro(state, context).is_some_and(|(scalar, _)| shows_slip(state, &scalar, context))
+}
+
+/// Whether gyro and encoders disagree by more than rounding can, beyond what chance adds. Rounding is not normal but bounded: while
+/// a robot turns slowly, counts of both wheels that come together reach the bound again and again.
+fn shows_slip<const N: usize>(
+    state: &PoseState<N>,
+    scalar: &Scalar<3>,
+    context: &Context<'_>,
+) -> bool {
+    let geometry = &context.config.geometry;
+    let counted_rad = (scalar.innovation + state.mean[ROUNDING]).abs();
+    let beyond_rad = counted_rad - largest_rounding(geometry);
+    let but_rounding = Scalar {
+        innovation: beyond_rad,
+        rows: [scalar.rows[0], scalar.rows[1]],
+        by_row: [scalar.by_row[0], scalar.by_row[1]],
+        variance: scalar.variance - rounding_variance(geometry),
+    };
+    let chance_rad2 = but_rounding.innovation_variance(&state.covariance);
+    beyond_rad > 0.0 && beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
 }
 
 /// The wheels counted a turn too much that may be all of the disagreement. Whichever wheel it was, the distance is then wrong

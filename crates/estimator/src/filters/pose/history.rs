@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use posebridge_telemetry::{BrickClock, Heading, Observed, Span, Stamp, Verdict};
+use posebridge_telemetry::{BrickClock, Fix, Heading, Observed, Span, Stamp, Verdict};
 
 use super::state::PoseState;
 use crate::filters::StartPose;
@@ -22,7 +22,7 @@ pub(super) enum Action {
 impl Action {
     /// Order among the actions of one instant, so that the order of arrival does not matter. A pose that is set comes last: a
     /// person who moves the robot knows what the sensors have said.
-    const fn rank(&self) -> u8 {
+    pub(super) const fn rank(&self) -> u8 {
         match self {
             Self::TurnRate(_) => 0,
             Self::Accelerations(_) => 1,
@@ -90,30 +90,52 @@ pub(super) const fn kind_of(seen: &Observed) -> u8 {
     }
 }
 
-/// What tells two sights of one instant apart.
-fn numbers_of(seen: &Observed) -> [f64; 4] {
-    let kind = f64::from(kind_of(seen));
+/// As many numbers tell two sights of one instant apart.
+const MOST_NUMBERS: usize = 11;
+
+/// What tells two sights of one instant apart: all that they say.
+fn numbers_of(seen: &Observed) -> [f64; MOST_NUMBERS] {
+    let mut numbers = [0.0; MOST_NUMBERS];
+    numbers[0] = f64::from(kind_of(seen));
     match *seen {
-        Observed::Fix(fix) => [
-            kind,
-            fix.position.x.0,
-            fix.position.y.0,
-            fix.heading.map_or(f64::INFINITY, Heading::rad),
-        ],
-        Observed::Landmark { id, range, bearing } => [kind, f64::from(id.0), range.0, bearing.0],
-        Observed::BeaconRange { id, range } => [kind, f64::from(id.0), range.0, 0.0],
-        Observed::WallRange(range) => [kind, range.0, 0.0, 0.0],
-        Observed::CompassHeading(heading) => [kind, heading.rad(), 0.0, 0.0],
+        Observed::Fix(fix) => numbers[1..].copy_from_slice(&numbers_of_fix(&fix)),
+        Observed::Landmark { id, range, bearing } => {
+            numbers[1..4].copy_from_slice(&[f64::from(id.0), range.0, bearing.0]);
+        }
+        Observed::BeaconRange { id, range } => {
+            numbers[1..3].copy_from_slice(&[f64::from(id.0), range.0]);
+        }
+        Observed::WallRange(range) => numbers[1] = range.0,
+        Observed::CompassHeading(heading) => numbers[1] = heading.rad(),
         Observed::WheelAngles { .. }
         | Observed::OdometerPose(_)
         | Observed::BodyVelocity { .. }
         | Observed::TurnRate(_)
         | Observed::WheelAccelerations { .. }
-        | Observed::Temperature(_) => [kind, 0.0, 0.0, 0.0],
+        | Observed::Temperature(_) => {}
     }
+    numbers
 }
 
-fn order_of_numbers(ours: &[f64; 4], theirs: &[f64; 4]) -> Ordering {
+fn numbers_of_fix(fix: &Fix) -> [f64; MOST_NUMBERS - 1] {
+    let claimed = fix.covariance.map_or([f64::INFINITY; 4], |own| {
+        [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]
+    });
+    [
+        fix.position.x.0,
+        fix.position.y.0,
+        fix.heading.map_or(f64::INFINITY, Heading::rad),
+        claimed[0],
+        claimed[1],
+        claimed[2],
+        claimed[3],
+        fix.tag_in_body.x.0,
+        fix.tag_in_body.y.0,
+        f64::from(fix.reset_counter),
+    ]
+}
+
+fn order_of_numbers(ours: &[f64; MOST_NUMBERS], theirs: &[f64; MOST_NUMBERS]) -> Ordering {
     ours.iter()
         .zip(theirs)
         .map(|(ours, theirs)| ours.total_cmp(theirs))

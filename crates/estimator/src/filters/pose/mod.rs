@@ -12,6 +12,7 @@ mod iterate;
 pub mod motion;
 pub mod scales;
 mod sight;
+pub mod smooth;
 pub mod state;
 
 use std::cmp::Ordering;
@@ -26,7 +27,7 @@ use self::fuse::{Context, Gates};
 use self::history::{Action, Entry};
 use self::state::{CORE, Located, PoseState, WITH_CAMERA, WITH_RANGES};
 use super::{Filter, FilterConfig, StartPose, intake};
-use crate::motion::{Added, GyroTrack, MotionTrack};
+use crate::motion::{Added, GyroTrack, MotionTrack, count_before};
 use crate::observations::accelerometer::Accelerations;
 
 /// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
@@ -98,12 +99,12 @@ impl<const N: usize> PoseFilter<N> {
         changed_after: Option<Stamp<BrickClock>>,
         record: &mut FusionRecord,
     ) {
-        let index = self
-            .entries
-            .partition_point(|other| other.order(&entry) != Ordering::Greater);
+        let index = count_before(&self.entries, |other| {
+            other.order(&entry) != Ordering::Greater
+        });
         self.entries.insert(index, entry);
         let first_changed = changed_after.map_or(index, |after| {
-            self.entries.partition_point(|other| other.stamp <= after)
+            count_before(&self.entries, |other| other.stamp <= after)
         });
         self.apply_from(first_changed.min(index), Some((index, record)));
         self.forget();
@@ -124,16 +125,16 @@ impl<const N: usize> PoseFilter<N> {
                 Some((wanted, record)) if *wanted == index => &mut **record,
                 _ => &mut scratch,
             };
-            let mut next = state;
-            next.advance(entry.stamp, context.track, context.config);
-            act(&mut next, entry.stamp, entry.action, &context, record);
-            if entry.is_without_effect(record.verdict) {
+            // The state is large: it is kept aside only where it may be wanted back.
+            let aside = matches!(entry.action, Action::Sight(..)).then_some(state);
+            act(&mut state, entry.stamp, entry.action, &context, record);
+            if let Some(before) = aside.filter(|_| entry.is_without_effect(record.verdict)) {
                 // Not even the way to its instant is kept: two steps would round otherwise than one.
-                state.refused = next.refused;
-                state.scales = next.scales;
-                state.stamp = state.stamp.or(next.stamp);
-            } else {
-                state = next;
+                state = PoseState {
+                    refused: state.refused,
+                    scales: state.scales,
+                    ..before
+                };
             }
             entry.after = state;
         }
@@ -177,35 +178,24 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     fn take(&mut self, observation: &Observation, record: &mut FusionRecord) {
-        match observation.observed {
-            Observed::Fix(_)
-            | Observed::Landmark { .. }
-            | Observed::BeaconRange { .. }
-            | Observed::WallRange(_)
-            | Observed::CompassHeading(_) => {
-                let action = Action::Sight(observation.observed, observation.stamp_sigma);
+        let Some(action) = action_of(observation) else {
+            record.verdict = Verdict::Unused;
+            return;
+        };
+        match action {
+            Action::Sight(..) | Action::Accelerations(_) | Action::SetPose(_) => {
                 self.take_once(observation, action, record);
             }
-            Observed::WheelAccelerations { left, right } => {
-                let felt = Accelerations {
-                    left_m_per_s2: left.0,
-                    right_m_per_s2: right.0,
-                };
-                self.take_once(observation, Action::Accelerations(felt), record);
+            Action::TurnRate(rate) => {
+                let added = self.gyro.add(observation.stamp, rate);
+                self.take_motion(observation, action, added, record);
             }
-            Observed::TurnRate(rate) => {
-                let added = self.gyro.add(observation.stamp, rate.0);
-                self.take_motion(observation, Action::TurnRate(rate.0), added, record);
-            }
-            Observed::WheelAngles { .. }
-            | Observed::OdometerPose(_)
-            | Observed::BodyVelocity { .. } => {
+            Action::Motion => {
                 if let Some(reading) = intake::motion_reading(&observation.observed) {
                     let added = self.track.add(observation.stamp, &reading);
-                    self.take_motion(observation, Action::Motion, added, record);
+                    self.take_motion(observation, action, added, record);
                 }
             }
-            Observed::Temperature(_) => record.verdict = Verdict::Unused,
         }
     }
 
@@ -239,7 +229,7 @@ impl<const N: usize> PoseFilter<N> {
             stamp: observation.stamp,
             action,
             sensor: observation.sensor.0,
-            after: self.base,
+            after: *self.state(),
         }
     }
 }
@@ -296,7 +286,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
-        let index = self.entries.partition_point(|entry| entry.stamp <= stamp);
+        let index = count_before(&self.entries, |entry| entry.stamp <= stamp);
         let from = index
             .checked_sub(1)
             .and_then(|i| self.entries.get(i))
@@ -316,6 +306,30 @@ impl<const N: usize> Filter for PoseFilter<N> {
     }
 }
 
+/// What an observation does to the filter; `None` for a kind that it has no use for.
+fn action_of(observation: &Observation) -> Option<Action> {
+    match observation.observed {
+        Observed::Fix(_)
+        | Observed::Landmark { .. }
+        | Observed::BeaconRange { .. }
+        | Observed::WallRange(_)
+        | Observed::CompassHeading(_) => {
+            Some(Action::Sight(observation.observed, observation.stamp_sigma))
+        }
+        Observed::WheelAccelerations { left, right } => {
+            Some(Action::Accelerations(Accelerations {
+                left_m_per_s2: left.0,
+                right_m_per_s2: right.0,
+            }))
+        }
+        Observed::TurnRate(rate) => Some(Action::TurnRate(rate.0)),
+        Observed::WheelAngles { .. }
+        | Observed::OdometerPose(_)
+        | Observed::BodyVelocity { .. } => Some(Action::Motion),
+        Observed::Temperature(_) => None,
+    }
+}
+
 fn act<const N: usize>(
     state: &mut PoseState<N>,
     stamp: Stamp<BrickClock>,
@@ -323,6 +337,16 @@ fn act<const N: usize>(
     context: &Context<'_>,
     record: &mut FusionRecord,
 ) {
+    match action {
+        // These tell of speeds alone: the pose goes on when the wheels have told how.
+        Action::TurnRate(_) | Action::Accelerations(_) => {
+            state.stamp = state.stamp.or(Some(stamp));
+            state.age(stamp, context.config);
+        }
+        Action::Motion | Action::Sight(..) | Action::SetPose(_) => {
+            state.advance(stamp, context.track, context.config);
+        }
+    }
     match action {
         Action::TurnRate(rate) => fuse::turn_rate(state, rate, context),
         Action::Accelerations(felt) => fuse::accelerations(state, felt, stamp, context),

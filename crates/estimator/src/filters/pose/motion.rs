@@ -22,7 +22,6 @@ use crate::filters::FilterConfig;
 use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
 use crate::models::lie::{ArcStep, Se2};
 use crate::motion::{Leg, MotionTrack};
-use crate::observations::gyro_window::Moved;
 
 /// Speeds are held no longer than this after the last motion observation.
 const HOLD: Span = Span::from_millis(500);
@@ -101,66 +100,90 @@ impl Transition {
     #[must_use]
     pub fn matrix<const N: usize>(&self) -> SMatrix<f64, N, N> {
         let mut f = SMatrix::identity();
-        self.apply_to_rows(&mut f);
+        for column in 0..N {
+            let moved = self.moved(|row| if row == column { 1.0 } else { 0.0 });
+            for (row, value) in MOVED.into_iter().zip(moved) {
+                f[(row, column)] = value;
+            }
+        }
         f
     }
 
-    /// F M, row by row.
-    fn apply_to_rows<const N: usize>(&self, m: &mut SMatrix<f64, N, N>) {
+    /// What errors before the step become in the rows that it moves: forward, left, heading, turn since the window began. The
+    /// errors are given by `error`, row for row.
+    fn moved(&self, error: impl Fn(usize) -> f64) -> [f64; 4] {
         let step = &self.step;
-        for c in 0..N {
-            let (mean, difference) = (m[(RADIUS, c)], m[(DIFFERENCE, c)]);
-            let along = self.forward_by[0] * mean + self.forward_by[1] * difference;
-            let turned = self.turn_by[0] * mean
-                + self.turn_by[1] * difference
-                + self.turn_by[2] * m[(TRACK, c)];
-            let heading = m[(HEADING, c)];
-            let x = m[(FORWARD, c)] - step.motion.y_m * heading;
-            let y = m[(LEFT, c)] + step.motion.x_m * heading;
-            m[(FORWARD, c)] =
-                step.cos * x + step.sin * y + step.by_forward[0] * along + step.by_turn[0] * turned;
-            m[(LEFT, c)] =
-                step.cos * y - step.sin * x + step.by_forward[1] * along + step.by_turn[1] * turned;
-            m[(HEADING, c)] = heading + turned;
-            if self.window == Window::Open {
-                m[(WINDOW_TURN, c)] += turned;
+        let (mean, difference) = (error(RADIUS), error(DIFFERENCE));
+        let along = self.forward_by[0] * mean + self.forward_by[1] * difference;
+        let turned =
+            self.turn_by[0] * mean + self.turn_by[1] * difference + self.turn_by[2] * error(TRACK);
+        let heading = error(HEADING);
+        let x = error(FORWARD) - step.motion.y_m * heading;
+        let y = error(LEFT) + step.motion.x_m * heading;
+        let of_window = match self.window {
+            Window::Open => turned,
+            Window::Closed => 0.0,
+        };
+        [
+            step.cos * x + step.sin * y + step.by_forward[0] * along + step.by_turn[0] * turned,
+            step.cos * y - step.sin * x + step.by_forward[1] * along + step.by_turn[1] * turned,
+            heading + turned,
+            error(WINDOW_TURN) + of_window,
+        ]
+    }
+
+    /// P <- F P F' + G q G'.
+    ///
+    /// Only [`MOVED`] rows and columns change. F P is formed for these rows; of its product with F' only the block where they
+    /// meet is left to do, the rest follows by symmetry.
+    pub fn carry<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
+        let mut rows = [[0.0; N]; 4];
+        for column in 0..N {
+            let moved = self.moved(|row| p[(row, column)]);
+            for (row, value) in rows.iter_mut().zip(moved) {
+                row[column] = value;
+            }
+        }
+        let q = self.noise(noise);
+        for (i, &row) in MOVED.iter().enumerate() {
+            for column in 0..N {
+                p[(row, column)] = rows[i][column];
+                p[(column, row)] = rows[i][column];
+            }
+        }
+        for (i, &row) in MOVED.iter().enumerate() {
+            let meeting = self.moved(|column| rows[i][column]);
+            for (j, &column) in MOVED.iter().enumerate().take(i + 1) {
+                let value = meeting[j] + q[i][j];
+                p[(row, column)] = value;
+                p[(column, row)] = value;
             }
         }
     }
 
-    /// P <- F P F' + G q G'.
-    pub fn carry<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
-        self.apply_to_rows(p);
-        // The rows that moved are right but for their own last factor F', which mixes the same few columns.
-        p.transpose_mut();
-        self.apply_to_rows(p);
-        let window = if self.window == Window::Open {
-            1.0
-        } else {
-            0.0
+    /// G q G' in the rows that move.
+    fn noise(&self, noise: &StepNoise) -> [[f64; 4]; 4] {
+        let window = match self.window {
+            Window::Open => 1.0,
+            Window::Closed => 0.0,
         };
         let step = &self.step;
-        let rows = [
-            (FORWARD, step.by_forward[0], step.by_turn[0]),
-            (LEFT, step.by_forward[1], step.by_turn[1]),
-            (HEADING, 0.0, 1.0),
-            (WINDOW_TURN, 0.0, window),
-        ];
-        for (i, &(row, along, turned)) in rows.iter().enumerate() {
-            let by_forward = noise.forward_var_m2 * along + noise.forward_turn_m_rad * turned;
-            let by_turn = noise.forward_turn_m_rad * along + noise.turn_var_rad2 * turned;
-            for &(column, other_along, other_turned) in &rows[..=i] {
-                p[(row, column)] += by_forward * other_along + by_turn * other_turned;
+        let along = [step.by_forward[0], step.by_forward[1], 0.0, 0.0];
+        let turned = [step.by_turn[0], step.by_turn[1], 1.0, window];
+        let mut q = [[0.0; 4]; 4];
+        for (i, row) in q.iter_mut().enumerate() {
+            let by_forward = noise.forward_var_m2 * along[i] + noise.forward_turn_m_rad * turned[i];
+            let by_turn = noise.forward_turn_m_rad * along[i] + noise.turn_var_rad2 * turned[i];
+            for (j, value) in row.iter_mut().enumerate() {
+                *value = by_forward * along[j] + by_turn * turned[j];
             }
         }
-        for column in 0..N {
-            for row in column + 1..N {
-                // The lower triangle is the one with the noise.
-                p[(column, row)] = p[(row, column)];
-            }
-        }
+        q
     }
 }
+
+/// The rows that a step moves.
+const MOVED: [usize; 4] = [FORWARD, LEFT, HEADING, WINDOW_TURN];
 
 /// What happened to the errors on the way, for those who go back over it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -187,6 +210,7 @@ impl<const N: usize> PoseState<N> {
     ) {
         let Some(from) = self.stamp else {
             self.stamp = Some(to);
+            self.age(to, config);
             return;
         };
         if to <= from {
@@ -217,12 +241,18 @@ impl<const N: usize> PoseState<N> {
                 }
             };
         }
-        self.age(to, (to - from).as_secs_f64(), config);
+        self.age(to, config);
         self.stamp = Some(to);
     }
 
-    /// What changes with time alone.
-    fn age(&mut self, to: Stamp<BrickClock>, dt_s: f64, config: &FilterConfig) {
+    /// What changes with time alone: speeds and the gyro's bias, up to an instant that may lie ahead of the pose's.
+    pub fn age(&mut self, to: Stamp<BrickClock>, config: &FilterConfig) {
+        let from = self.aged_to.unwrap_or(to);
+        self.aged_to = Some(from.max(to));
+        let dt_s = (to - from).as_secs_f64();
+        if dt_s <= 0.0 {
+            return;
+        }
         let accelerations_tell = self
             .last_acceleration
             .is_some_and(|last| to - last <= ACCELERATION_HELD);
@@ -256,7 +286,6 @@ impl<const N: usize> PoseState<N> {
         self.wear(forward_m, to, config);
         if let Some(window) = &mut self.window {
             window.forward_m += forward_m;
-            window.moved = Moved::Yes;
             self.mean[WINDOW_TURN] += turn_rad;
         }
         tell(Passed::Step(transition));
@@ -264,8 +293,10 @@ impl<const N: usize> PoseState<N> {
 
     /// Tyres and tracks change with the way, but only as long as something tells of it: without fixes what was learned is kept.
     fn wear(&mut self, forward_m: f64, at: Stamp<BrickClock>, config: &FilterConfig) {
-        let timeout = Span::from_secs_f64(config.params.fix_timeout_s);
-        let is_told = self.last_fix.is_some_and(|last| at - last <= timeout);
+        let timeout_s = config.params.fix_timeout_s;
+        let is_told = self
+            .last_fix
+            .is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
         let walk_var = config.params.wear_per_sqrt_m.powi(2) * forward_m.abs();
         if !is_told || walk_var <= 0.0 {
             return;

@@ -41,7 +41,7 @@ pub struct Source {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Scale {
     source: Source,
-    ln_scale: f64,
+    ln_factor: f64,
     count: u32,
 }
 
@@ -59,7 +59,7 @@ impl Scales {
             .iter()
             .flatten()
             .find(|scale| scale.source == source)
-            .map_or(1.0, |scale| scale.ln_scale.exp())
+            .map_or(1.0, |scale| scale.ln_factor.exp())
     }
 
     /// Learns from the votes of a group: the mean of [`vote`] over its components; `least_gain` of zero learns nothing.
@@ -74,11 +74,12 @@ impl Scales {
         let Some(slot) = slot else { return };
         let scale = slot.get_or_insert(Scale {
             source,
-            ln_scale: 0.0,
+            ln_factor: 0.0,
             count: 0,
         });
         let gain = least_gain.max(FIRST_GAIN / (3.0 + f64::from(scale.count)));
-        scale.ln_scale = (scale.ln_scale + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
+        scale.ln_factor =
+            (scale.ln_factor + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
         scale.count = scale.count.saturating_add(1);
     }
 }

@@ -45,14 +45,19 @@ pub(super) fn sight<const N: usize>(
         sensor: record.sensor,
         kind: kind_of(seen),
     };
-    record.verdict = match seen {
-        Observed::Fix(seen) => judge.fix(state, seen, stamp_sigma, record),
-        _ if state.located == Located::No => Verdict::Unused,
-        _ => judge.other(state, seen, record),
+    record.verdict = if let Observed::Fix(seen) = seen {
+        judge.fix(state, seen, stamp_sigma, record)
+    } else if state.located == Located::No {
+        Verdict::Unused
+    } else {
+        judge.other(state, seen, record)
     };
     if matches!(record.verdict, Verdict::Accepted | Verdict::ResetTo) {
         state.last_fix = state.stamp;
-        state.refused = Refused::default();
+        // A compass, a wall or a range that agrees does not tell that the position is right: only a fix answers for the fixes.
+        if matches!(seen, Observed::Fix(_)) {
+            state.refused = Refused::default();
+        }
     }
 }
 

@@ -114,6 +114,8 @@ pub struct Refused {
 pub struct PoseState<const N: usize> {
     /// For which instant it holds; `None` before the first observation.
     pub stamp: Option<Stamp<BrickClock>>,
+    /// Up to which instant speeds and gyro bias have aged; they may be ahead of the pose.
+    pub aged_to: Option<Stamp<BrickClock>>,
     /// The pose in the arena.
     pub pose: Se2,
     /// The other states, each in its row; the rows of the pose's error are zero between updates.
@@ -150,6 +152,7 @@ impl<const N: usize> PoseState<N> {
     pub fn initial(config: &FilterConfig) -> Self {
         let mut state = Self {
             stamp: None,
+            aged_to: None,
             pose: Se2::default(),
             mean: SVector::zeros(),
             covariance: SMatrix::zeros(),
@@ -181,6 +184,29 @@ impl<const N: usize> PoseState<N> {
             state.place(start);
         }
         state
+    }
+
+    /// All but mean and covariance of a state with another number of rows: these are zero.
+    #[must_use]
+    pub(super) fn resized<const M: usize>(other: &PoseState<M>) -> Self {
+        Self {
+            stamp: other.stamp,
+            aged_to: other.aged_to,
+            pose: other.pose,
+            mean: SVector::zeros(),
+            covariance: SMatrix::zeros(),
+            forward: other.forward,
+            turn: other.turn,
+            window: other.window,
+            located: other.located,
+            last_fix: other.last_fix,
+            last_motion: other.last_motion,
+            last_acceleration: other.last_acceleration,
+            refused: other.refused,
+            scales: other.scales,
+            reset_counter: other.reset_counter,
+            last_jump: other.last_jump,
+        }
     }
 
     /// Sets a row, independent of all others; rows that this state does not have are left out.
@@ -248,6 +274,7 @@ impl<const N: usize> PoseState<N> {
         self.add_doubt(RESTART_POSITION_M.powi(2), RESTART_HEADING_RAD.powi(2));
         self.close_window();
         self.stamp = None;
+        self.aged_to = None;
         self.last_fix = None;
         self.last_motion = None;
         self.last_acceleration = None;

@@ -1,0 +1,322 @@
+//! The EKF of paper 1 with its integrated observations put right: errors that stay are states, and all noise has a source.
+//!
+//! # Model
+//! ```text
+//! x = [x, y, th, v, w, s, c, g, b]'     the five states of [`super::ekf5`] and, beside them:
+//!     s    path that the counters have seen, m            s' = v + slip along the path
+//!     c    error of the wheels' heading, rad              c' = slip about the vertical
+//!     g    error of the gyro's heading, rad               g' = b + noise of the gyro
+//!     b    bias of the gyro, rad/s                        b' = its walk
+//! z = [s_enc, th_enc, th_gyro]'         h = [s, th + c, th + g]'
+//! R = [(r tick)^2 / 24, (r tick / b_0)^2 / 6, (0.01 degrees)^2]          rounding of the counts alone: it is bounded
+//! ```
+//! Against the printed filter: rows are named, so their order is not in question; SI units and the configured noise instead of
+//! printed numbers; the counted path instead of its difference over 50 ms, whose rounding is not white; and the two integrated
+//! headings keep their errors.
+//!
+//! An integral that begins anew begins at the filter's own heading, th_0. Its error is then that of th with the other sign,
+//! and P is filled in accordingly.
+//!
+//! # Assumptions
+//! v and w walk with `accel_m_s2` and `turn_acc_rad_s2`, also where accelerations say how they change: one sample of an
+//! accelerometer is no mean over the interval. The geometry is taken as given. Fixes are not used: `pose` does that better.
+//!
+//! # Sources
+//! Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8; docs/maths/paper1.md section 5.
+
+use nalgebra::{SMatrix, SVector};
+use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
+use posebridge_telemetry::{DriveGeometry, FusionRecord, Known, Verdict};
+
+use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, innovation, rows};
+use super::{Filter, FilterConfig, StartPose};
+use crate::models::differential_drive::{WheelTravel, step_noise};
+use crate::models::planar_speeds::{self, Acceleration};
+use crate::update::{Scalar, symmetrise};
+
+/// Number of states.
+pub const N: usize = 9;
+/// Path that the counters have seen since their base, m.
+pub const PATH: usize = 5;
+/// Error of the heading that the wheels tell, rad.
+pub const WHEEL_ERROR: usize = 6;
+/// Error of the integrated gyro, rad.
+pub const GYRO_ERROR: usize = 7;
+/// Bias of the gyro, rad/s.
+pub const GYRO_BIAS: usize = 8;
+
+/// Variance of the integrated gyro beside its error state, (0.01 degrees)². All that is known of its error is in the state; this
+/// keeps S away from zero.
+const INTEGRAL_VARIANCE: f64 = 3.046e-8;
+/// Sigma of the forward speed before anything is known, m/s: a robot that is switched on stands.
+const START_FORWARD: f64 = 0.1;
+/// The same for the turn rate, rad/s.
+const START_TURN: f64 = 1.0;
+
+type Mean = SVector<f64, N>;
+type Covariance = SMatrix<f64, N, N>;
+
+/// State, covariance and what has been summed.
+#[derive(Clone, Copy)]
+struct Corrected {
+    mean: Mean,
+    covariance: Covariance,
+    /// s_enc, m.
+    counted_path_m: f64,
+    /// th_enc, rad.
+    wheel_heading_rad: f64,
+    /// th_gyro, rad.
+    gyro_heading_rad: f64,
+    /// Variances of a reading's path, m², and heading, rad²: the rounding of the counts.
+    rounding: [f64; 2],
+}
+
+/// Builds the filter.
+pub(super) fn build(config: &FilterConfig) -> Box<dyn Filter> {
+    let bias = config.calibration.gyro_bias_rad_per_s;
+    let bias_sigma = if bias.sigma > 0.0 {
+        bias.sigma
+    } else {
+        config.noise.gyro_bias_rad_per_s
+    };
+    let mut mean = Mean::zeros();
+    mean[GYRO_BIAS] = bias.value;
+    let mut covariance = Covariance::zeros();
+    covariance[(FORWARD, FORWARD)] = START_FORWARD * START_FORWARD;
+    covariance[(TURN, TURN)] = START_TURN * START_TURN;
+    covariance[(GYRO_BIAS, GYRO_BIAS)] = bias_sigma * bias_sigma;
+    let maths = Corrected {
+        mean,
+        covariance,
+        counted_path_m: 0.0,
+        wheel_heading_rad: 0.0,
+        gyro_heading_rad: 0.0,
+        rounding: rounding_variances(&config.geometry),
+    };
+    Box::new(OnArrival::new(maths, config))
+}
+
+/// Variances of path, m², and heading, rad², when each count is uniform within its tick.
+fn rounding_variances(geometry: &DriveGeometry) -> [f64; 2] {
+    let tick = geometry.tick.0;
+    let left = (geometry.left_wheel_radius.0 * tick).powi(2) / 12.0;
+    let right = (geometry.right_wheel_radius.0 * tick).powi(2) / 12.0;
+    let b = geometry.track_width.0;
+    [0.25 * (left + right), (left + right) / (b * b)]
+}
+
+/// F: the derivative of the motion by the state, 9 x 9.
+#[must_use]
+pub fn jacobian(mean: &SVector<f64, N>, dt_s: f64) -> SMatrix<f64, N, N> {
+    let mut f = Covariance::identity();
+    let five = planar_speeds::jacobian(&five(mean), dt_s);
+    f.fixed_view_mut::<5, 5>(0, 0).copy_from(&five);
+    f[(PATH, FORWARD)] = dt_s;
+    f[(GYRO_ERROR, GYRO_BIAS)] = dt_s;
+    f
+}
+
+/// Moves the state by `dt_s` seconds.
+#[must_use]
+pub fn advance(mean: &SVector<f64, N>, felt: Acceleration, dt_s: f64) -> SVector<f64, N> {
+    let mut next = *mean;
+    next.fixed_rows_mut::<5>(0)
+        .copy_from(&planar_speeds::advance(&five(mean), felt, dt_s));
+    next[PATH] += mean[FORWARD] * dt_s;
+    next[GYRO_ERROR] += mean[GYRO_BIAS] * dt_s;
+    next
+}
+
+fn five(mean: &Mean) -> planar_speeds::Mean {
+    mean.fixed_rows::<5>(0).into_owned()
+}
+
+impl Corrected {
+    /// Q over `dt_s`. The walks of the speeds move pose and counted path alike; slip is what tells these two apart.
+    fn process_noise(&self, dt_s: f64, context: &Context) -> Covariance {
+        let config = &context.config;
+        let (sin, cos) = (self.mean[HEADING] + 0.5 * self.mean[TURN] * dt_s).sin_cos();
+        let mut along = Mean::zeros();
+        along[X] = cos;
+        along[Y] = sin;
+        along[PATH] = 1.0;
+        let mut about = Mean::zeros();
+        about[HEADING] = 1.0;
+        let mut q = Covariance::zeros();
+        walk(
+            &mut q,
+            &along,
+            FORWARD,
+            config.params.acceleration_m_per_s2,
+            dt_s,
+        );
+        walk(
+            &mut q,
+            &about,
+            TURN,
+            config.params.turn_acceleration_rad_per_s2,
+            dt_s,
+        );
+        let forward_m = self.mean[FORWARD] * dt_s;
+        let half_turn_m = 0.5 * self.mean[TURN] * dt_s * config.geometry.track_width.0;
+        let travel = WheelTravel {
+            left_m: forward_m - half_turn_m,
+            right_m: forward_m + half_turn_m,
+        };
+        let slip = step_noise(travel, &config.geometry, &config.noise);
+        q[(PATH, PATH)] += slip.forward_var_m2;
+        q[(WHEEL_ERROR, WHEEL_ERROR)] += slip.turn_var_rad2;
+        q[(PATH, WHEEL_ERROR)] += slip.forward_turn_m_rad;
+        q[(WHEEL_ERROR, PATH)] += slip.forward_turn_m_rad;
+        q[(GYRO_BIAS, GYRO_BIAS)] += config.noise.gyro_bias_walk_rad_per_s_sqrt_s.powi(2) * dt_s;
+        q
+    }
+
+    /// A heading that is integrated from here on begins at th: its error is that of th with the other sign.
+    fn begin_heading(&mut self, error: usize, variance: f64) {
+        self.mean[error] = 0.0;
+        rows::set_alone(&mut self.covariance, error, 0.0);
+        for other in (0..N).filter(|other| *other != error) {
+            let opposite = -self.covariance[(HEADING, other)];
+            self.covariance[(error, other)] = opposite;
+            self.covariance[(other, error)] = opposite;
+        }
+        self.covariance[(error, error)] = self.covariance[(HEADING, HEADING)] + variance;
+    }
+
+    fn begin_wheels(&mut self) {
+        self.counted_path_m = 0.0;
+        self.mean[PATH] = 0.0;
+        rows::set_alone(&mut self.covariance, PATH, self.rounding[0]);
+        self.wheel_heading_rad = self.mean[HEADING];
+        self.begin_heading(WHEEL_ERROR, self.rounding[1]);
+    }
+
+    fn begin_gyro(&mut self) {
+        self.gyro_heading_rad = self.mean[HEADING];
+        self.begin_heading(GYRO_ERROR, 0.0);
+    }
+}
+
+/// Adds the noise of a speed that walks at random, and of what moves with it: white acceleration of this density.
+fn walk(q: &mut Covariance, moved: &Mean, row: usize, density: f64, dt_s: f64) {
+    let variance = density * density * dt_s;
+    *q += moved * moved.transpose() * (variance * dt_s * dt_s / 3.0);
+    for other in 0..N {
+        q[(other, row)] += moved[other] * variance * dt_s / 2.0;
+        q[(row, other)] += moved[other] * variance * dt_s / 2.0;
+    }
+    q[(row, row)] += variance;
+}
+
+impl Maths for Corrected {
+    fn uses(&self, extra: Extra) -> bool {
+        extra != Extra::Camera
+    }
+
+    fn belief(&self, _context: &Context) -> Belief {
+        Belief {
+            mean: five(&self.mean),
+            covariance: self.covariance.fixed_view::<5, 5>(0, 0).into_owned(),
+        }
+    }
+
+    fn gyro_bias(&self) -> Option<Known> {
+        Some(Known {
+            value: self.mean[GYRO_BIAS],
+            sigma: self.covariance[(GYRO_BIAS, GYRO_BIAS)].max(0.0).sqrt(),
+        })
+    }
+
+    fn place(&mut self, start: &StartPose) {
+        rows::place(&mut self.mean, &mut self.covariance, start);
+        self.begin_wheels();
+        self.begin_gyro();
+    }
+
+    fn restart(&mut self, position_m: f64, heading_rad: f64, context: &Context) {
+        rows::doubt(&mut self.covariance, position_m, heading_rad);
+        let variances = [START_FORWARD.powi(2), START_TURN.powi(2)];
+        rows::forget_speeds(&mut self.mean, &mut self.covariance, variances);
+        let bias_sigma = context.config.noise.gyro_bias_rad_per_s;
+        rows::set_alone(&mut self.covariance, GYRO_BIAS, bias_sigma * bias_sigma);
+        self.begin_wheels();
+        self.begin_gyro();
+    }
+
+    fn advance(&mut self, dt_s: f64, felt: Acceleration, context: &Context) {
+        let f = jacobian(&self.mean, dt_s);
+        let q = self.process_noise(dt_s, context);
+        self.mean = advance(&self.mean, felt, dt_s);
+        self.covariance = f * self.covariance * f.transpose() + q;
+        symmetrise(&mut self.covariance);
+    }
+
+    fn wait(&mut self, dt_s: f64, context: &Context) {
+        let params = &context.config.params;
+        rows::unseen(&mut self.covariance, dt_s);
+        self.covariance[(FORWARD, FORWARD)] += params.acceleration_m_per_s2.powi(2) * dt_s;
+        self.covariance[(TURN, TURN)] += params.turn_acceleration_rad_per_s2.powi(2) * dt_s;
+    }
+
+    fn bridge(&mut self, speeds: [f64; 2], path_m2: f64) {
+        rows::bridge(&mut self.mean, &mut self.covariance, speeds, path_m2);
+    }
+
+    fn rebase_wheels(&mut self, _context: &Context) {
+        self.begin_wheels();
+    }
+
+    fn rebase_gyro(&mut self) {
+        self.begin_gyro();
+    }
+
+    fn use_wheels(
+        &mut self,
+        step: &WheelStep,
+        context: &Context,
+        record: &mut FusionRecord,
+    ) -> Verdict {
+        let body = step.body(&context.config.geometry);
+        self.counted_path_m += body.forward_m;
+        self.wheel_heading_rad += body.turn_rad;
+        let expected_rad = self.mean[HEADING] + self.mean[WHEEL_ERROR];
+        let scalars = [
+            Scalar {
+                innovation: self.counted_path_m - self.mean[PATH],
+                rows: [PATH, WHEEL_ERROR],
+                by_row: [1.0, 0.0],
+                variance: self.rounding[0],
+            },
+            Scalar {
+                innovation: self.wheel_heading_rad - expected_rad,
+                rows: [HEADING, WHEEL_ERROR],
+                by_row: [1.0, 1.0],
+                variance: self.rounding[1],
+            },
+        ];
+        innovation::use_all(&mut self.mean, &mut self.covariance, &scalars, record)
+    }
+
+    fn use_gyro(
+        &mut self,
+        rate_rad_per_s: f64,
+        dt_s: f64,
+        context: &Context,
+        record: &mut FusionRecord,
+    ) -> Verdict {
+        let noise = &context.config.noise;
+        let sample_var =
+            noise.gyro_rad_per_s.powi(2) + noise.gyro_resolution_rad_per_s.powi(2) / 12.0;
+        self.covariance[(GYRO_ERROR, GYRO_ERROR)] += sample_var * dt_s * dt_s;
+        self.gyro_heading_rad += rate_rad_per_s * dt_s;
+        let expected_rad = self.mean[HEADING] + self.mean[GYRO_ERROR];
+        let scalar = Scalar {
+            innovation: self.gyro_heading_rad - expected_rad,
+            rows: [HEADING, GYRO_ERROR],
+            by_row: [1.0, 1.0],
+            variance: INTEGRAL_VARIANCE,
+        };
+        innovation::use_all(&mut self.mean, &mut self.covariance, &[scalar], record)
+    }
+}

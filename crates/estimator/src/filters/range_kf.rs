@@ -1,0 +1,296 @@
+//! The distance to a wall ahead, between and through the readings of a slow range sensor.
+//!
+//! Gets ranges and the motor's command, gives the distance. Between readings the model of the drive train predicts; a reading
+//! that is too far off is refused.
+//!
+//! # Model
+//! ```text
+//! x = [z, v]'    models::wall_approach       h(x) = z     H = [1 0]     R = sigma_z^2
+//! u = d c        c the command, in m/s: the speed that the robot would settle at. PWM p is c = (p / 80) / d
+//! start, with the first reading: x = [z, 0]', P = Sigma_u
+//! gate: refused if |nu| > max(GATE_MIN, 3 sqrt S)
+//! ```
+//! | | `range-kf`, as printed | `range-kf-corrected` |
+//! |---|---|---|
+//! | A, B | Euler's rule with the measured dt | exact for a held input |
+//! | process noise | Sigma_u = diag(50 mm, 50 mm/s)^2 at every step, however short | that much per 7.6 ms, by its density |
+//! | a reading within 50 ms of the last step | used as if made at that step | used at its own time, and the state carried there |
+//!
+//! # Sources
+//! Paper 3 (Lab 7); docs/maths/paper3.md.
+
+use nalgebra::{Matrix2, Vector2};
+use posebridge_telemetry::{
+    BrickClock, Estimate, FusionRecord, Observation, Observed, ScalarEstimate, Span, Stamp, Verdict,
+};
+
+use super::intake;
+use super::records::{add_innovation, verdict_without_pose};
+use super::timeline::Timeline;
+use super::{Filter, FilterConfig, StartPose};
+use crate::models::wall_approach::{DISTANCE, SPEED, WallApproach};
+use crate::update::{Scalar, Usage, symmetrise, use_scalar};
+
+/// The mean interval of the paper's loop: what its process noise per step is for.
+const PAPER_STEP_S: f64 = 0.0076;
+/// The paper's Sigma_z is 20 mm: taken where the robot's file gives no noise.
+const PAPER_RANGE_SIGMA_M: f64 = 0.02;
+/// The paper's matching takes a reading and a step for simultaneous when they are no further apart.
+const MATCHED: Span = Span::from_millis(50);
+/// Longer steps than this are exact in both variants: Euler's rule turns unstable at 0.87 s.
+const LONGEST_EULER_STEP_S: f64 = 0.1;
+/// Three standard deviations, squared.
+const GATE_NIS: f64 = 9.0;
+
+/// Which reading of the paper.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Variant {
+    /// As printed.
+    Paper,
+    /// Noise per second, exact hold, readings at their own time.
+    Corrected,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct State {
+    stamp: Stamp<BrickClock>,
+    mean: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    /// The command from here on, m/s.
+    command_m_per_s: f64,
+}
+
+/// The wall filter.
+pub struct RangeFilter {
+    variant: Variant,
+    model: WallApproach,
+    range_var_m2: f64,
+    process_var: f64,
+    gate_min_m: f64,
+    history_s: f64,
+    /// `None` before the first reading.
+    state: Option<State>,
+    timeline: Timeline<State>,
+    command: Option<(Stamp<BrickClock>, f64)>,
+    last_range: Option<Stamp<BrickClock>>,
+}
+
+impl RangeFilter {
+    /// Waits for its first reading.
+    #[must_use]
+    pub fn new(config: &FilterConfig, variant: Variant) -> Self {
+        let params = &config.params;
+        let sigma_m = config.noise.wall_range_m;
+        let sigma_m = if sigma_m > 0.0 {
+            sigma_m
+        } else {
+            PAPER_RANGE_SIGMA_M
+        };
+        Self {
+            variant,
+            model: WallApproach {
+                drag_s_per_m: params.wall_drag_s_per_m,
+                mass_s2_per_m: params.wall_mass_s2_per_m,
+            },
+            range_var_m2: sigma_m * sigma_m,
+            process_var: params.wall_process_m.powi(2),
+            gate_min_m: params.wall_gate_m,
+            history_s: params.history_s,
+            state: None,
+            timeline: Timeline::new(params.history_s),
+            command: None,
+            last_range: None,
+        }
+    }
+
+    /// The state carried on to an instant; unchanged for one that is not ahead.
+    fn predicted(&self, mut state: State, to: Stamp<BrickClock>) -> State {
+        let dt_s = (to - state.stamp).as_secs_f64();
+        if dt_s <= 0.0 {
+            return state;
+        }
+        let is_euler = self.variant == Variant::Paper && dt_s <= LONGEST_EULER_STEP_S;
+        let step = if is_euler {
+            self.model.euler(dt_s)
+        } else {
+            self.model.exact(dt_s)
+        };
+        let input = self.model.drag_s_per_m * state.command_m_per_s;
+        state.stamp = to;
+        state.mean = step.a * state.mean + step.b * input;
+        state.covariance = step.a * state.covariance * step.a.transpose() + self.noise(dt_s);
+        symmetrise(&mut state.covariance);
+        state
+    }
+
+    fn noise(&self, dt_s: f64) -> Matrix2<f64> {
+        match self.variant {
+            Variant::Paper => Matrix2::from_diagonal_element(self.process_var),
+            Variant::Corrected => {
+                let density = self.process_var / PAPER_STEP_S;
+                self.model.exact_noise(dt_s, density, density)
+            }
+        }
+    }
+
+    fn take_command(&mut self, stamp: Stamp<BrickClock>, command_m_per_s: f64) -> Verdict {
+        if let Some(verdict) = refuse_repeated(self.command.map(|(last, _)| last), stamp) {
+            return verdict;
+        }
+        self.command = Some((stamp, command_m_per_s));
+        if let Some(state) = self.state {
+            let mut next = self.predicted(state, stamp);
+            next.command_m_per_s = command_m_per_s;
+            self.keep(next);
+        }
+        Verdict::Accepted
+    }
+
+    fn take_range(&mut self, record: &mut FusionRecord, stamp: Stamp<BrickClock>, range_m: f64) {
+        if let Some(verdict) = refuse_repeated(self.last_range, stamp) {
+            record.verdict = verdict;
+            return;
+        }
+        record.verdict = Verdict::Accepted;
+        let Some(state) = self.state else {
+            self.last_range = Some(stamp);
+            let first = self.started(stamp, range_m);
+            self.keep(first);
+            return;
+        };
+        let is_matched = self.variant == Variant::Paper && stamp - state.stamp <= MATCHED;
+        let mut next = if is_matched {
+            state
+        } else {
+            self.predicted(state, stamp)
+        };
+        let Some(scalar) = self.innovation(&next, stamp, range_m) else {
+            record.verdict = Verdict::TooOld;
+            return;
+        };
+        let gate = self.gate_nis(&next, &scalar);
+        let outcome = use_scalar(&mut next.mean, &mut next.covariance, &scalar, gate);
+        add_innovation(record, scalar.innovation, &outcome);
+        match outcome.usage {
+            Usage::Used => {
+                self.last_range = Some(stamp);
+                self.keep(next);
+            }
+            Usage::Gated => record.verdict = Verdict::Gated,
+            Usage::Indefinite => record.verdict = Verdict::Malformed,
+        }
+    }
+
+    /// A reading against a state that may be later; `None` when it is too late to be used.
+    fn innovation(
+        &self,
+        state: &State,
+        stamp: Stamp<BrickClock>,
+        range_m: f64,
+    ) -> Option<Scalar<2>> {
+        let lag = (state.stamp - stamp).max(Span::ZERO);
+        if lag > MATCHED {
+            return None;
+        }
+        let (mut by_row, mut predicted_m, mut variance) =
+            ([1.0, 0.0], state.mean[DISTANCE], self.range_var_m2);
+        if self.variant == Variant::Corrected && lag > Span::ZERO {
+            let lag_s = lag.as_secs_f64();
+            let back = self.model.exact(-lag_s);
+            let then =
+                back.a * state.mean + back.b * (self.model.drag_s_per_m * state.command_m_per_s);
+            by_row = [back.a[(0, DISTANCE)], back.a[(0, SPEED)]];
+            predicted_m = then[DISTANCE];
+            variance += self.noise(lag_s)[(DISTANCE, DISTANCE)];
+        }
+        Some(Scalar {
+            innovation: range_m - predicted_m,
+            rows: [DISTANCE, SPEED],
+            by_row,
+            variance,
+        })
+    }
+
+    /// The paper's gate as a bound of the NIS: nu^2 > max(GATE_MIN^2, 9 S).
+    fn gate_nis(&self, state: &State, scalar: &Scalar<2>) -> f64 {
+        let h = Vector2::from(scalar.by_row);
+        let s = (h.transpose() * state.covariance * h)[0] + scalar.variance;
+        (self.gate_min_m.powi(2) / s).max(GATE_NIS)
+    }
+
+    fn started(&self, stamp: Stamp<BrickClock>, range_m: f64) -> State {
+        let (commanded, command_m_per_s) = self.command.unwrap_or((stamp, 0.0));
+        State {
+            stamp: stamp.max(commanded),
+            mean: Vector2::new(range_m, 0.0),
+            covariance: Matrix2::from_diagonal_element(self.process_var),
+            command_m_per_s,
+        }
+    }
+
+    fn keep(&mut self, state: State) {
+        self.state = Some(state);
+        self.timeline.push(state.stamp, state);
+    }
+}
+
+/// Readings of one kind are used in their order and once.
+fn refuse_repeated(last: Option<Stamp<BrickClock>>, stamp: Stamp<BrickClock>) -> Option<Verdict> {
+    let last = last?;
+    if stamp == last {
+        Some(Verdict::Malformed)
+    } else {
+        (stamp < last).then_some(Verdict::TooOld)
+    }
+}
+
+impl Filter for RangeFilter {
+    fn observe(&mut self, observation: &Observation) -> FusionRecord {
+        let latest = self.latest();
+        let lag = intake::lag_of(observation, latest);
+        let mut record = intake::bare_record(observation, lag, Verdict::Unused);
+        if let Some(verdict) = intake::refuse_outright(observation, latest, self.history_s) {
+            record.verdict = verdict;
+        } else if let Observed::BodyVelocity { forward, .. } = observation.observed {
+            record.verdict = self.take_command(observation.stamp, forward.0);
+        } else if let Observed::WallRange(range) = observation.observed {
+            self.take_range(&mut record, observation.stamp, range.0);
+        }
+        record
+    }
+
+    /// There is no pose: [`Verdict::Unused`], or [`Verdict::Malformed`] for a pose that cannot be.
+    fn set_pose(&mut self, start: &StartPose) -> Verdict {
+        verdict_without_pose(start)
+    }
+
+    /// How far it drove in the break is not known: the next reading starts it anew.
+    fn restart_clock(&mut self) {
+        self.state = None;
+        self.timeline.clear();
+        self.command = None;
+        self.last_range = None;
+    }
+
+    fn latest(&self) -> Option<Stamp<BrickClock>> {
+        let commanded = self.command.map(|(stamp, _)| stamp);
+        self.state.map(|state| state.stamp).max(commanded)
+    }
+
+    fn estimate_at(&self, _: Stamp<BrickClock>) -> Option<Estimate> {
+        None
+    }
+
+    /// The distance to the wall, in metres, and how fast it changes.
+    fn scalar_at(&self, stamp: Stamp<BrickClock>) -> Option<ScalarEstimate> {
+        let (_, state) = self.timeline.up_to(stamp)?;
+        let state = self.predicted(state, stamp);
+        Some(ScalarEstimate {
+            stamp,
+            value: state.mean[DISTANCE],
+            sigma: state.covariance[(DISTANCE, DISTANCE)].max(0.0).sqrt(),
+            rate_per_s: -state.mean[SPEED],
+            unit: "m",
+        })
+    }
+}

@@ -1,0 +1,100 @@
+//! What two neighbouring readings of the wheels' counters tell, in the order in which they come.
+
+use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp, Verdict};
+
+use crate::filters::FilterConfig;
+use crate::models::differential_drive::{WheelTravel, body_step};
+use crate::models::se2::BodyStep;
+
+/// A longer interval between two readings is a gap: five lost readings in a row at the papers' 20 Hz are still bridged.
+pub(in crate::filters) const LONGEST_STEP: Span = Span::from_millis(300);
+
+/// The wheels' rotation between two readings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::filters) struct WheelStep {
+    /// Length of the interval, more than zero.
+    pub(in crate::filters) interval: Span,
+    /// The left wheel's rotation, rad.
+    pub(in crate::filters) left_rad: f64,
+    /// The right wheel's rotation, rad.
+    pub(in crate::filters) right_rad: f64,
+}
+
+impl WheelStep {
+    /// Distance and turn that go with the rotation.
+    pub(in crate::filters) fn body(&self, geometry: &DriveGeometry) -> BodyStep {
+        let travel = WheelTravel {
+            left_m: geometry.left_wheel_radius.0 * self.left_rad,
+            right_m: geometry.right_wheel_radius.0 * self.right_rad,
+        };
+        body_step(travel, geometry)
+    }
+
+    /// Whether the interval is so long that its mean speed is no speed.
+    pub(in crate::filters) fn is_gap(&self) -> bool {
+        self.interval > LONGEST_STEP
+    }
+}
+
+/// What a reading of the counters means beside the one before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Reading {
+    /// It is the first: the base from which the wheels turn.
+    First,
+    /// The wheels turned so far since the reading before.
+    Step(WheelStep),
+    /// No wheel turns that fast: the counters were zeroed or have leapt, and this is their new base.
+    Rebased,
+    /// It comes twice or from the past; the reading before stays the last one.
+    Refused(Verdict),
+}
+
+/// The last reading of both counters.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Counters {
+    last: Option<(Stamp<BrickClock>, [f64; 2])>,
+}
+
+impl Counters {
+    /// Takes a reading of both wheels' total rotation, in rad.
+    pub(super) fn read(
+        &mut self,
+        stamp: Stamp<BrickClock>,
+        angles_rad: [f64; 2],
+        config: &FilterConfig,
+    ) -> Reading {
+        let before = self.last;
+        if let Some(verdict) = refuse_interval(before.map(|(stamp, _)| stamp), stamp) {
+            return Reading::Refused(verdict);
+        }
+        self.last = Some((stamp, angles_rad));
+        let Some((before_stamp, before_rad)) = before else {
+            return Reading::First;
+        };
+        let step = WheelStep {
+            interval: stamp - before_stamp,
+            left_rad: angles_rad[0] - before_rad[0],
+            right_rad: angles_rad[1] - before_rad[1],
+        };
+        // Two counts of slack: quantisation alone must never look like a jump.
+        let limit_rad = config.params.max_wheel_rad_per_s * step.interval.as_secs_f64()
+            + 2.0 * config.geometry.tick.0;
+        if step.left_rad.abs() <= limit_rad && step.right_rad.abs() <= limit_rad {
+            Reading::Step(step)
+        } else {
+            Reading::Rebased
+        }
+    }
+}
+
+/// Why the interval since a sensor's reading before cannot be used, if so: it must be more than zero.
+pub(super) fn refuse_interval(
+    before: Option<Stamp<BrickClock>>,
+    stamp: Stamp<BrickClock>,
+) -> Option<Verdict> {
+    let before = before?;
+    if stamp == before {
+        return Some(Verdict::Malformed);
+    }
+    (stamp < before).then_some(Verdict::TooOld)
+}

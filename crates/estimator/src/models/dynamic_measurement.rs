@@ -1,0 +1,323 @@
+//! A sensor that takes its time: what it shows is its input, seen through its own dynamics.
+//!
+//! A thermometer in a bath shows the bath's temperature only after minutes, but the way that it goes there tells the end long
+//! before. The models here say how sensors approach a constant input; [`crate::filters::dynamic`] estimates the input.
+//!
+//! # Model
+//! ```text
+//! y_i(t) = G_i u + C_i x_i(t)       dx_i/dt = A_i x_i       each sensor i with states of its own
+//! X = [u; x_1; x_2; ..]             F(dt) = blkdiag(1, e^(A dt))             H_i = [G_i, 0 .. C_i .. 0]
+//!
+//! lags tau_1 .. tau_n               A_i = diag(-1/tau_j)                     C_i = [1 .. 1]
+//! coefficients a_0 .. a_(n-1)       y^(n) + a_(n-1) y^(n-1) + .. + a_0 y = a_0 G_i u
+//!                                   A_i = companion matrix                   C_i = [1 0 .. 0], x_i = [y - G u, dy/dt, ..]
+//! ```
+//! # Assumptions
+//! The input is the same for all sensors; the dynamics are linear, stable and known.
+//!
+//! # Sources
+//! Paper 2 (Markovsky), the augmented model; docs/maths/paper2.md sections 1 and 2.
+
+use nalgebra::SMatrix;
+use posebridge_telemetry::SensorId;
+
+/// The most states that the sensors of one model may have together. Eight are four sensors of second order.
+pub const MAX_STATES: usize = 8;
+/// Rows of the augmented state: the quantity and the sensors' states. Unused rows stay zero.
+pub const ROWS: usize = 1 + MAX_STATES;
+/// The row of the measured quantity u.
+pub const QUANTITY: usize = 0;
+
+/// How one or several sensors follow the quantity that they measure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DynamicModel {
+    /// A of all sensors, 1/s; block diagonal, zero where no state is.
+    rates: SMatrix<f64, MAX_STATES, MAX_STATES>,
+    sensors: Vec<SensorRow>,
+    states: usize,
+}
+
+/// H of one sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SensorRow {
+    sensor: SensorId,
+    row: [f64; ROWS],
+}
+
+impl DynamicModel {
+    /// One sensor of first order, as Newton's law of cooling has it: dy/dt = (u - y) / tau.
+    ///
+    /// # Errors
+    /// The time constant, in seconds, is not positive and finite.
+    pub fn first_order(sensor: SensorId, time_constant_s: f64) -> Result<Self, ModelError> {
+        Self::empty().with_lags(sensor, 1.0, &[time_constant_s])
+    }
+
+    /// A model without sensors, to which they are added.
+    #[must_use]
+    pub fn empty() -> Self {
+        Self {
+            rates: SMatrix::zeros(),
+            sensors: Vec::new(),
+            states: 0,
+        }
+    }
+
+    /// Adds a sensor that approaches `gain` u as a sum of exponentials with these time constants, in seconds.
+    ///
+    /// # Errors
+    /// A time constant or the gain is no usable number, two time constants are equal (their shares could not be told apart),
+    /// the sensor is in the model already, or there are more than [`MAX_STATES`] states.
+    pub fn with_lags(
+        self,
+        sensor: SensorId,
+        gain: f64,
+        time_constants_s: &[f64],
+    ) -> Result<Self, ModelError> {
+        let mut block = SMatrix::zeros();
+        let mut readout = [0.0; MAX_STATES];
+        for (j, &tau_s) in time_constants_s.iter().enumerate().take(MAX_STATES) {
+            if !(tau_s > 0.0 && tau_s.is_finite() && (1.0 / tau_s).is_finite()) {
+                return Err(ModelError::TimeConstant { tau_s });
+            }
+            if time_constants_s.iter().take(j).any(|other| *other == tau_s) {
+                return Err(ModelError::EqualTimeConstants { tau_s });
+            }
+            block[(j, j)] = -1.0 / tau_s;
+            readout[j] = 1.0;
+        }
+        self.with_block(sensor, gain, time_constants_s.len(), (block, readout))
+    }
+
+    /// Adds a sensor with the differential equation y^(n) + a_(n-1) y^(n-1) + .. + a_0 y = a_0 gain u, by a_0 to a_(n-1); a_j in
+    /// 1/s to the power of n - j.
+    ///
+    /// # Errors
+    /// The equation is not stable (Routh's criterion), the gain is no usable number, the sensor is in the model already, or
+    /// there are more than [`MAX_STATES`] states.
+    pub fn with_coefficients(
+        self,
+        sensor: SensorId,
+        gain: f64,
+        coefficients: &[f64],
+    ) -> Result<Self, ModelError> {
+        let order = coefficients.len();
+        if order > MAX_STATES {
+            return Err(ModelError::TooManyStates { states: order });
+        }
+        if !is_stable(coefficients) {
+            return Err(ModelError::Unstable);
+        }
+        let mut block = SMatrix::zeros();
+        let mut readout = [0.0; MAX_STATES];
+        readout[0] = 1.0;
+        for (j, &a) in coefficients.iter().enumerate() {
+            block[(order - 1, j)] = -a;
+            if j + 1 < order {
+                block[(j, j + 1)] = 1.0;
+            }
+        }
+        self.with_block(sensor, gain, order, (block, readout))
+    }
+
+    fn with_block(
+        mut self,
+        sensor: SensorId,
+        gain: f64,
+        order: usize,
+        (block, readout): (SMatrix<f64, MAX_STATES, MAX_STATES>, [f64; MAX_STATES]),
+    ) -> Result<Self, ModelError> {
+        if !(gain != 0.0 && gain.is_finite()) {
+            return Err(ModelError::Gain { gain });
+        }
+        if self.row_of(sensor).is_some() {
+            return Err(ModelError::SensorTwice { sensor });
+        }
+        let states = self.states + order;
+        if order == 0 || states > MAX_STATES {
+            return Err(ModelError::TooManyStates { states });
+        }
+        let mut row = [0.0; ROWS];
+        row[QUANTITY] = gain;
+        for j in 0..order {
+            row[1 + self.states + j] = readout[j];
+            for k in 0..order {
+                self.rates[(self.states + j, self.states + k)] = block[(j, k)];
+            }
+        }
+        self.sensors.push(SensorRow { sensor, row });
+        self.states = states;
+        Ok(self)
+    }
+
+    /// H of a sensor, over all rows; `None` for a sensor that the model does not know.
+    #[must_use]
+    pub fn row_of(&self, sensor: SensorId) -> Option<[f64; ROWS]> {
+        let known = self.sensors.iter().find(|row| row.sensor == sensor)?;
+        Some(known.row)
+    }
+
+    /// How many states the sensors have together.
+    #[must_use]
+    pub const fn states(&self) -> usize {
+        self.states
+    }
+
+    /// F over so many seconds: how the quantity (it stays) and the sensors' states go on. Negative times lead back.
+    #[must_use]
+    pub fn transition(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
+        let mut f = SMatrix::<f64, ROWS, ROWS>::identity();
+        f.fixed_view_mut::<MAX_STATES, MAX_STATES>(1, 1)
+            .copy_from(&exponential(&(self.rates * dt_s)));
+        f
+    }
+}
+
+/// e^M by Taylor's series of M / 2^s, squared s times (Moler and Van Loan 2003, method 3).
+fn exponential(
+    matrix: &SMatrix<f64, MAX_STATES, MAX_STATES>,
+) -> SMatrix<f64, MAX_STATES, MAX_STATES> {
+    let norm = matrix
+        .row_iter()
+        .map(|row| row.iter().map(|value| value.abs()).sum::<f64>())
+        .fold(0.0, f64::max);
+    // Below 1/4 thirteen terms leave less than 1e-17.
+    let squarings = (norm / 0.25).log2().ceil().clamp(0.0, 1_000.0);
+    let small = matrix * (-squarings).exp2();
+    let mut sum = SMatrix::identity();
+    let mut term = SMatrix::identity();
+    for k in 1..=TAYLOR_TERMS {
+        term = term * small / f64::from(k);
+        sum += term;
+    }
+    for _ in 0..squarings as u32 {
+        sum *= sum;
+    }
+    sum
+}
+
+const TAYLOR_TERMS: u32 = 13;
+
+/// Routh's criterion: all roots of s^n + a_(n-1) s^(n-1) + .. + a_0 lie in the left half-plane if and only if the first column of
+/// Routh's array is positive.
+fn is_stable(coefficients: &[f64]) -> bool {
+    let order = coefficients.len();
+    if order == 0 || !coefficients.iter().all(|a| *a > 0.0 && a.is_finite()) {
+        return false;
+    }
+    // The polynomial from its highest power on, dealt out to two rows.
+    let falling = || std::iter::once(1.0).chain(coefficients.iter().rev().copied());
+    let mut upper: Vec<f64> = falling().step_by(2).collect();
+    let mut lower: Vec<f64> = falling().skip(1).step_by(2).collect();
+    while let Some(&first) = lower.first() {
+        if first.is_nan() || first <= 0.0 {
+            return false;
+        }
+        let ratio = upper.first().copied().unwrap_or(0.0) / first;
+        let next = (1..upper.len())
+            .map(|k| upper[k] - ratio * lower.get(k).copied().unwrap_or(0.0))
+            .collect();
+        upper = std::mem::replace(&mut lower, next);
+    }
+    true
+}
+
+/// Why a model was not built.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ModelError {
+    /// A time constant makes no sense.
+    #[error("a time constant of {tau_s} s is not positive and finite")]
+    TimeConstant {
+        /// The time constant.
+        tau_s: f64,
+    },
+    /// Two lags of one sensor cannot be told apart.
+    #[error("two lags of one sensor have the time constant {tau_s} s")]
+    EqualTimeConstants {
+        /// The time constant.
+        tau_s: f64,
+    },
+    /// A gain makes no sense.
+    #[error("a gain of {gain} is zero or not finite")]
+    Gain {
+        /// The gain.
+        gain: f64,
+    },
+    /// The sensor would not settle.
+    #[error("the coefficients are those of an unstable sensor")]
+    Unstable,
+    /// The sensor is in the model already.
+    #[error("sensor {sensor} is in the model already")]
+    SensorTwice {
+        /// The sensor.
+        sensor: SensorId,
+    },
+    /// No state at all, or too many.
+    #[error("{states} states, must be 1 to {MAX_STATES}")]
+    TooManyStates {
+        /// How many there would be.
+        states: usize,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const A: SensorId = SensorId(6);
+
+    #[test]
+    fn a_lag_decays_by_its_exponential_over_any_time() {
+        let model = DynamicModel::first_order(A, 2.0).unwrap();
+        for dt_s in [0.0, 1e-6, 0.3, 2.0, 50.0, 4_000.0, -0.7] {
+            let found = model.transition(dt_s)[(1, 1)];
+            let expected = (-dt_s / 2.0_f64).exp();
+            assert!((found - expected).abs() < 1e-14, "{dt_s}: {found}");
+        }
+    }
+
+    #[test]
+    fn an_oscillating_sensor_goes_by_its_sine() {
+        // s^2 + 2 s + 10: e^-t (cos 3t, sin 3t).
+        let model = DynamicModel::empty()
+            .with_coefficients(A, 1.0, &[10.0, 2.0])
+            .unwrap();
+        let f = model.transition(0.8);
+        let (sin, cos) = 2.4_f64.sin_cos();
+        let decay = (-0.8_f64).exp();
+        assert!((f[(1, 1)] - decay * (cos + sin / 3.0)).abs() < 1e-14);
+        assert!((f[(1, 2)] - decay * sin / 3.0).abs() < 1e-14);
+        assert!((f[(2, 1)] + decay * sin * 10.0 / 3.0).abs() < 1e-13);
+    }
+
+    #[test]
+    fn what_cannot_be_a_sensor_is_refused() {
+        let with =
+            |coefficients: &[f64]| DynamicModel::empty().with_coefficients(A, 1.0, coefficients);
+        // (s + 3)(s^2 - s + 4): positive coefficients, roots on the right.
+        assert_eq!(with(&[12.0, 1.0, 2.0]), Err(ModelError::Unstable));
+        assert!(with(&[12.0, 7.0, 4.0]).is_ok(), "(s + 3)(s^2 + s + 4)");
+        assert_eq!(with(&[f64::NAN]), Err(ModelError::Unstable));
+        assert_eq!(with(&[]), Err(ModelError::Unstable));
+        assert!(DynamicModel::first_order(A, 0.0).is_err());
+        assert!(DynamicModel::first_order(A, f64::INFINITY).is_err());
+        let twice = DynamicModel::first_order(A, 1.0).unwrap();
+        assert_eq!(
+            twice.clone().with_lags(A, 1.0, &[2.0]),
+            Err(ModelError::SensorTwice { sensor: A })
+        );
+        assert!(twice.clone().with_lags(SensorId(7), 0.0, &[2.0]).is_err());
+        assert!(
+            twice
+                .clone()
+                .with_lags(SensorId(7), 1.0, &[2.0, 2.0])
+                .is_err()
+        );
+        let many: Vec<f64> = (1..=8).map(f64::from).collect();
+        assert_eq!(
+            twice.with_lags(SensorId(7), 1.0, &many),
+            Err(ModelError::TooManyStates { states: 9 })
+        );
+    }
+}

@@ -1,0 +1,48 @@
+//! The flagship run forwards and back: what it would have believed at each instant, had it known the rest of the run.
+//!
+//! Unlike [`super::batch()`] it uses every kind of observation that the filter uses, judges outliers and slip as the filter does,
+//! and keeps to the filter's linearisation: cheaper and nearer to the filter, a little less exact where much was uncertain.
+//!
+//! Source: docs/maths/pose.md section 11; Rauch, Tung, Striebel (1965).
+
+use posebridge_telemetry::{Observation, Observed};
+
+use super::{OfflineError, Smoothed, SmoothedPose};
+use crate::filters::FilterConfig;
+use crate::filters::pose::smooth::smooth;
+
+/// Smooths a run with the flagship filter. Observations may come in any order; one pose per motion reading and per absolute
+/// observation that was used. `iterations` and `gyro_windows` of the result are those of one pass: 1 and 0.
+///
+/// # Errors
+/// Nothing moved, or neither start nor fix tells where it was.
+pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<Smoothed, OfflineError> {
+    let smoothing = smooth(config, observations);
+    let fixes = observations
+        .iter()
+        .filter(|observation| matches!(observation.observed, Observed::Fix(_)))
+        .count();
+    if smoothing.states.is_empty() || (config.start.is_none() && smoothing.used == 0) {
+        return Err(OfflineError::NothingObserved {
+            motion_readings: smoothing.states.len(),
+            fixes,
+        });
+    }
+    let poses = smoothing.states.iter().map(|hindsight| {
+        let published = hindsight.state.published_covariance();
+        SmoothedPose {
+            stamp: hindsight.stamp,
+            pose: hindsight.state.arena_pose(),
+            covariance: [0, 1, 2].map(|row| [0, 1, 2].map(|column| published[row][column])),
+        }
+    });
+    Ok(Smoothed {
+        poses: poses.collect(),
+        calibration: smoothing.calibration,
+        cost: smoothing.nis,
+        iterations: 1,
+        fixes_used: smoothing.used,
+        fixes_left_out: smoothing.left_out,
+        gyro_windows: 0,
+    })
+}

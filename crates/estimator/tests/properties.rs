@@ -1,0 +1,204 @@
+//! Whatever comes, in whatever order: what cannot be used is refused with a reason and changes nothing, and what is believed stays
+//! sound. All kinds of observation, all states, random sequences from a fixed seed.
+
+#[path = "support/any.rs"]
+mod any;
+#[path = "support/robot.rs"]
+mod robot;
+
+use std::f64::consts::PI;
+
+use any::{any_observation, damages, learning_everything, of, without_learning};
+use nalgebra::{DMatrix, Matrix5};
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::state::{CORE, WITH_BEACONS, WITH_CAMERA};
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_telemetry::{Estimate, Observation, SensorId, Span, Verdict};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
+/// What is believed of the last second and of the next, each in digits that tell any two numbers apart, and what was learned.
+struct Belief {
+    estimates: Vec<Option<String>>,
+    learned: String,
+}
+
+fn belief<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> Belief {
+    let instants = (-10..=10).map(|k| about.stamp + Span::from_millis(k * 100));
+    Belief {
+        estimates: instants
+            .map(|stamp| filter.estimate_at(stamp).map(|found| format!("{found:?}")))
+            .collect(),
+        learned: format!("{:?}", filter.calibration()),
+    }
+}
+
+/// Holds two beliefs against each other. What is told of an instant may be forgotten, because even an observation that is not used
+/// moves the end of the history, and the first of all gives the filter its first instant.
+fn assert_unchanged(before: &Belief, after: &Belief, what: &str) {
+    assert_eq!(before.learned, after.learned, "{what}");
+    for (before, after) in before.estimates.iter().zip(&after.estimates) {
+        if before.is_some() && after.is_some() {
+            assert_eq!(before, after, "{what}");
+        }
+    }
+    let newest = before.estimates.last().and_then(Option::as_ref);
+    assert!(
+        newest.is_none() || after.estimates.last() == Some(&newest.cloned()),
+        "{what}"
+    );
+}
+
+const fn leaves_all_as_it_was(verdict: Verdict) -> bool {
+    matches!(
+        verdict,
+        Verdict::Malformed | Verdict::TooOld | Verdict::Gated | Verdict::Unused
+    )
+}
+
+/// Every eigenvalue of the correlations is positive, but for rounding; rows that are certain are left out.
+fn assert_positive(what: &str, p: &DMatrix<f64>) {
+    assert!(p.iter().all(|value| value.is_finite()), "{what}: {p}");
+    assert_eq!(*p, p.transpose(), "{what}");
+    assert!(p.diagonal().min() >= 0.0, "{what}: {p}");
+    let uncertain: Vec<usize> = (0..p.nrows()).filter(|&i| p[(i, i)] > 0.0).collect();
+    let sigmas: Vec<f64> = uncertain.iter().map(|&i| p[(i, i)].sqrt()).collect();
+    let correlations = DMatrix::from_fn(uncertain.len(), uncertain.len(), |i, j| {
+        p[(uncertain[i], uncertain[j])] / (sigmas[i] * sigmas[j])
+    });
+    if !uncertain.is_empty() {
+        let lowest = correlations.symmetric_eigenvalues().min();
+        assert!(lowest > -1e-9, "{what}: eigenvalue {lowest:e} of {p}");
+    }
+}
+
+fn assert_sound(estimate: &Estimate) {
+    let heading_rad = estimate.pose.heading.rad();
+    assert!(heading_rad > -PI && heading_rad <= PI, "{heading_rad}");
+    let numbers = [
+        estimate.pose.x.0,
+        estimate.pose.y.0,
+        estimate.forward_speed.0,
+        estimate.turn_rate.0,
+    ];
+    assert!(numbers.iter().all(|value| value.is_finite()), "{numbers:?}");
+    let published = Matrix5::from_fn(|row, column| estimate.covariance[row][column]);
+    let published = DMatrix::from_iterator(5, 5, published.iter().copied());
+    assert_positive("published", &published);
+}
+
+fn assert_state_sound<const N: usize>(filter: &PoseFilter<N>) {
+    let state = filter.state();
+    let p = DMatrix::from_iterator(N, N, state.covariance.iter().copied());
+    assert_positive("state", &p);
+    assert!(state.mean.iter().all(|value| value.is_finite()));
+    let heading_rad = state.pose.heading_rad;
+    assert!(heading_rad > -PI && heading_rad <= PI, "{heading_rad}");
+    assert!(state.forward.variance >= 0.0 && state.turn.variance >= 0.0);
+}
+
+/// Gives a sequence to the filter, with damaged copies, doubles and latecomers in between.
+fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId, any::Seen)]) {
+    let mut filter = PoseFilter::<N>::new(config);
+    let mut millis = 10_000;
+    for (step_ms, sensor, seen) in steps {
+        millis += step_ms;
+        let observation = of(millis, *sensor, seen.0);
+        let before = belief(&filter, &observation);
+        let record = filter.observe(&observation);
+        assert!(record.nis >= 0.0 && record.nis.is_finite(), "{record:?}");
+        assert!(record.log_likelihood.is_finite(), "{record:?}");
+        assert!(!record.verdict.reason().is_empty());
+        let after = belief(&filter, &observation);
+        if leaves_all_as_it_was(record.verdict) {
+            let what = format!("{:?}: {observation:?}", record.verdict);
+            assert_unchanged(&before, &after, &what);
+        }
+        let again = filter.observe(&observation).verdict;
+        assert!(
+            leaves_all_as_it_was(again),
+            "{again:?} twice: {observation:?}"
+        );
+        let twice = belief(&filter, &observation);
+        assert_unchanged(&after, &twice, &format!("twice: {observation:?}"));
+        for damaged in damages(&observation) {
+            let verdict = filter.observe(&damaged).verdict;
+            assert!(
+                matches!(verdict, Verdict::Malformed | Verdict::TooOld),
+                "{verdict:?}: {damaged:?}"
+            );
+            let still = belief(&filter, &observation);
+            assert_unchanged(&after, &still, &format!("{damaged:?}"));
+        }
+        assert_state_sound(&filter);
+        let latest = filter
+            .latest()
+            .map(|latest| latest + Span::from_millis(300));
+        if let Some(estimate) = latest.and_then(|latest| filter.estimate_at(latest)) {
+            assert_sound(&estimate);
+        }
+    }
+}
+
+fn cases() -> ProptestConfig {
+    ProptestConfig {
+        cases: 40,
+        rng_seed: RngSeed::Fixed(20_260_103),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    }
+}
+
+proptest! {
+    #![proptest_config(cases())]
+
+    #[test]
+    fn with_every_state_whatever_comes_is_used_soundly_or_refused(
+        steps in prop::collection::vec(any_observation(), 1..60),
+        has_start in any::<bool>(),
+        has_students_t in any::<bool>(),
+    ) {
+        let mut config = learning_everything();
+        config.start = config.start.filter(|_| has_start);
+        config.params.student_dof = if has_students_t { 4.0 } else { 0.0 };
+        play_anything::<WITH_BEACONS>(&config, &steps);
+        play_anything::<WITH_CAMERA>(&config, &steps);
+    }
+
+    #[test]
+    fn with_known_constants_whatever_comes_is_used_soundly_or_refused(
+        steps in prop::collection::vec(any_observation(), 1..100),
+        has_start in any::<bool>(),
+    ) {
+        let mut config = without_learning();
+        config.start = config.start.filter(|_| has_start);
+        play_anything::<CORE>(&config, &steps);
+    }
+}
+
+#[test]
+fn damage_is_found_in_every_kind() {
+    let mut kinds: Vec<&str> = any::one_of_each()
+        .into_iter()
+        .map(|observed| {
+            let observation = of(0, SensorId(7), observed);
+            let mut filter = PoseFilter::<WITH_BEACONS>::new(&learning_everything());
+            assert!(damages(&observation).len() >= 3, "{observation:?}");
+            for damaged in damages(&observation) {
+                let record = filter.observe(&damaged);
+                assert_eq!(record.verdict, Verdict::Malformed, "{damaged:?}");
+                assert_eq!(record.kind, observed.kind());
+            }
+            assert!(filter.latest().is_none());
+            observed.kind()
+        })
+        .collect();
+    kinds.dedup();
+    assert_eq!(kinds.len(), 11, "{kinds:?}");
+    let estimate = PoseFilter::<CORE>::new(&without_learning());
+    assert!(
+        estimate
+            .estimate_at(of(0, SensorId(7), any::one_of_each()[0]).stamp)
+            .is_none()
+    );
+}

@@ -1,0 +1,194 @@
+//! Headings of which nothing is known, found by positions alone.
+
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::state::CORE;
+use posebridge_estimator::models::lie::Se2;
+use posebridge_estimator::{Filter, FilterConfig, StartPose};
+use posebridge_telemetry::{
+    Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Verdict,
+    quantities::wrap_rad,
+};
+
+use crate::alter::{altered_fixes, at, driven};
+use crate::drive::{Camera, Drive, STEP_S, World, stamp};
+use crate::robot::{DEGREE, NOISE, config};
+use crate::score::{Score, mean, play, score};
+
+/// Where the robot starts is known, where it points is not: uniform on the circle.
+fn heading_unknown() -> FilterConfig {
+    FilterConfig {
+        start: Some(StartPose {
+            pose: Pose::default(),
+            position_sigma_m: 1e-4,
+            heading_sigma_rad: std::f64::consts::PI / 3.0_f64.sqrt(),
+        }),
+        ..config()
+    }
+}
+
+/// Twenty seconds along a winding path, from a heading that is off by `start_rad`, seen by a camera as positions of a tag.
+fn winding(start_rad: f64, tag: Point2<posebridge_telemetry::Body>, seed: u64) -> Drive {
+    let mut world = World::new(seed);
+    world.heading_rad = wrap_rad(start_rad);
+    // The first reading of the wheels is where counting begins: before it nothing may move.
+    let steps = (0..402_u32).map(|k| match k.checked_sub(2) {
+        None => (0.0, 0.0),
+        Some(k) => {
+            let t_s = f64::from(k) * STEP_S;
+            (0.2 * STEP_S, 0.3 * (0.5 * t_s).sin() * STEP_S)
+        }
+    });
+    let camera = Camera {
+        every: 2,
+        delay: 0,
+        spread: 0,
+        outliers: 0.0,
+    };
+    let drive = driven(&mut world, steps, Some(camera));
+    let poses = drive.poses.clone();
+    altered_fixes(drive, |step, fix| {
+        let (sin, cos) = poses[step - 1].2.sin_cos();
+        let (along, across) = (tag.x.0, tag.y.0);
+        Some(Fix {
+            heading: None,
+            position: Point2::new(
+                fix.position.x + Meters(cos * along - sin * across),
+                fix.position.y + Meters(sin * along + cos * across),
+            ),
+            tag_in_body: tag,
+            ..fix
+        })
+    })
+}
+
+fn mean_over(tag: Point2<posebridge_telemetry::Body>, runs: u32, widest_rad: f64) -> Score {
+    let scores: Vec<Score> = (0..runs)
+        .map(|run| {
+            // Evenly from one side to the other.
+            let start_rad = widest_rad * (2.0 * (f64::from(run) + 0.5) / f64::from(runs) - 1.0);
+            let drive = winding(start_rad, tag, u64::from(run));
+            let played = play(&drive, &heading_unknown());
+            let end = at(&played, 400);
+            assert_eq!(end.reset_counter, 0, "from {start_rad}: no jump is needed");
+            assert!(end.validity.heading, "from {start_rad}");
+            score(&drive, &played, 40)
+        })
+        .collect();
+    mean(&scores)
+}
+
+#[test]
+fn positions_alone_find_any_heading_without_a_reset() {
+    let mid_axle = Point2::ORIGIN;
+    let ahead = Point2::new(Meters(0.08), Meters(-0.03));
+    for (tag, what) in [(mid_axle, "mid-axle"), (ahead, "8 cm ahead, 3 cm right")] {
+        for widest_deg in [90.0, 180.0] {
+            let mean = mean_over(tag, 60, widest_deg * DEGREE);
+            println!("heading unknown within {widest_deg} degrees, tag {what}: {mean:?}");
+            // From two seconds on, 0.4 m after the start.
+            assert!(mean.position_rms_m < 0.004, "{mean:?}");
+            assert!(mean.heading_rms_rad < 1.5 * DEGREE, "{mean:?}");
+            // The band of 60 runs: chi-square with 180 degrees of freedom, 99.9 %, whose runs are correlated in themselves.
+            assert!((0.67..1.39).contains(&mean.anees), "{mean:?}");
+        }
+    }
+}
+
+#[test]
+fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
+    let tag = Point2::new(Meters(0.15), Meters(0.0));
+    for (run, start_deg) in [-179.0, -120.0, -45.0, 60.0, 135.0, 180.0]
+        .into_iter()
+        .enumerate()
+    {
+        let mut world = World::new(run as u64);
+        world.heading_rad = start_deg * DEGREE;
+        let camera = Camera {
+            every: 2,
+            delay: 0,
+            spread: 0,
+            outliers: 0.0,
+        };
+        let turning = (0..100).map(|k| (0.0, if k < 2 { 0.0 } else { 0.5 * STEP_S }));
+        let drive = driven(&mut world, turning, Some(camera));
+        let poses = drive.poses.clone();
+        let drive = altered_fixes(drive, |step, mut fix| {
+            let (sin, cos) = poses[step - 1].2.sin_cos();
+            fix.position.x += Meters(0.15 * cos);
+            fix.position.y += Meters(0.15 * sin);
+            fix.heading = None;
+            fix.tag_in_body = tag;
+            Some(fix)
+        });
+        let played = play(&drive, &heading_unknown());
+        let end = at(&played, 100);
+        let error_rad = wrap_rad(end.pose.heading.rad() - poses[99].2);
+        let sigma_rad = end.heading_sigma_rad();
+        assert!(end.validity.heading, "{start_deg}");
+        assert!(error_rad.abs() < 2.0 * DEGREE, "{start_deg}: {error_rad}");
+        assert!(
+            error_rad.abs() < 4.0 * sigma_rad,
+            "{start_deg}: {error_rad} {sigma_rad}"
+        );
+    }
+}
+
+/// Minus twice the logarithm of the likelihood of a pose: how far it is from the start, and how far its tag from where it was seen.
+fn cost(start: Se2, [forward_m, left_m, turn_rad]: [f64; 3], seen: &Fix) -> f64 {
+    let pose = start.then(Se2::exp([forward_m, left_m, turn_rad]));
+    let tag = Se2 {
+        x_m: seen.tag_in_body.x.0,
+        y_m: seen.tag_in_body.y.0,
+        heading_rad: 0.0,
+    };
+    let at = pose.then(tag);
+    let off_m = (seen.position.x.0 - at.x_m).hypot(seen.position.y.0 - at.y_m);
+    (forward_m.hypot(left_m) / 0.3).powi(2)
+        + (turn_rad / 1.8).powi(2)
+        + (off_m / NOISE.fix_position_m).powi(2)
+}
+
+#[test]
+fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
+    let start = Se2 {
+        x_m: 0.3,
+        y_m: -0.2,
+        heading_rad: 0.4,
+    };
+    let mut config = config();
+    config.start = Some(StartPose {
+        pose: Pose::new(Meters(0.3), Meters(-0.2), Heading::from_rad(0.4)),
+        position_sigma_m: 0.3,
+        heading_sigma_rad: 1.8,
+    });
+    for (x_m, y_m) in [(0.9, 0.3), (-0.2, -0.1), (0.3, 0.5), (0.2, -0.7)] {
+        let seen = Fix {
+            position: Point2::new(Meters(x_m), Meters(y_m)),
+            heading: None,
+            covariance: None,
+            tag_in_body: Point2::new(Meters(0.4), Meters(-0.1)),
+            reset_counter: 0,
+        };
+        let mut filter = PoseFilter::<CORE>::new(&config);
+        let record = filter.observe(&Observation {
+            sensor: SensorId::CAMERA,
+            stamp: stamp(0),
+            stamp_sigma: Span::ZERO,
+            observed: Observed::Fix(seen),
+        });
+        assert_eq!(record.verdict, Verdict::Accepted, "({x_m}, {y_m})");
+        let xi = start.to(filter.state().pose).log();
+        let least = cost(start, xi, &seen);
+        assert!((record.nis - least).abs() < 1e-6, "it is the NIS: {least}");
+        for row in 0..3 {
+            for by in [-1e-3, 1e-3] {
+                let mut other = xi;
+                other[row] += by;
+                assert!(
+                    cost(start, other, &seen) > least,
+                    "row {row}, ({x_m}, {y_m})"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! Readings of the wheels and the gyro by the second, and what a filter of the table makes of them in the units of paper 1.
+
+use posebridge_estimator::filters::paper1::UNITS;
+use posebridge_estimator::models::planar_speeds::Covariance;
+use posebridge_estimator::{Filter, FilterConfig, filter_named};
+use posebridge_telemetry::{
+    BrickClock, Estimate, Observation, Observed, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+};
+
+pub(crate) fn at(secs: f64, sensor: SensorId, observed: Observed) -> Observation {
+    Observation {
+        sensor,
+        stamp: Stamp::<BrickClock>::from_secs_f64(secs),
+        stamp_sigma: Span::ZERO,
+        observed,
+    }
+}
+
+pub(crate) fn wheels(secs: f64, left_rad: f64, right_rad: f64) -> Observation {
+    let observed = Observed::WheelAngles {
+        left: Radians(left_rad),
+        right: Radians(right_rad),
+    };
+    at(secs, SensorId::WHEELS, observed)
+}
+
+pub(crate) fn gyro(secs: f64, rad_per_s: f64) -> Observation {
+    let observed = Observed::TurnRate(RadiansPerSecond(rad_per_s));
+    at(secs, SensorId::GYRO, observed)
+}
+
+pub(crate) fn named(name: &str, config: &FilterConfig) -> Box<dyn Filter> {
+    (filter_named(name).expect("it is in the table").build)(config)
+}
+
+pub(crate) fn latest(filter: &dyn Filter) -> Estimate {
+    filter
+        .latest()
+        .and_then(|latest| filter.estimate_at(latest))
+        .expect("something was observed")
+}
+
+/// The published covariance in the paper's units: cm, degrees and these per second.
+pub(crate) fn covariance_in_paper_units(filter: &dyn Filter) -> Covariance {
+    let published = latest(filter).covariance;
+    Covariance::from_fn(|i, j| published[i][j] / (UNITS[i] * UNITS[j]))
+}
+
+pub(crate) fn assert_near(what: &str, found: f64, expected: f64, tolerance: f64) {
+    assert!(
+        (found - expected).abs() < tolerance,
+        "{what}: {found} instead of {expected}"
+    );
+}
