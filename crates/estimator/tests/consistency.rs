@@ -1,6 +1,6 @@
 //! The flagship against truth it was told the noise of: errors must fit their covariance.
 //!
-//! The robot, its path and its noise are those of the Monte-Carlo in docs/maths/pose.md section 7, with the geometry known and
+//! The robot, its path and its noise are those of the Monte-Carlo in docs/maths/pose.md section 9, with the geometry known and
 //! unknown. Every case prints its verdict in words.
 #![expect(
     clippy::expect_used,

@@ -3,7 +3,7 @@
 //! Unlike [`super::batch()`] it uses every kind of observation that the filter uses, judges outliers and slip as the filter does,
 //! and keeps to the filter's linearisation: cheaper and nearer to the filter, a little less exact where much was uncertain.
 //!
-//! Source: docs/maths/pose.md section 9; Rauch, Tung, Striebel (1965).
+//! Source: docs/maths/pose.md section 11; Rauch, Tung, Striebel (1965).
 
 use posebridge_telemetry::{Observation, Observed};
 

@@ -134,7 +134,7 @@ impl Transition {
 
     /// P <- F P F' + G q G'.
     ///
-    /// Only [`MOVED`] rows and columns change. F P is formed for these rows; of its product with F' only the block where they
+    /// Only `MOVED` rows and columns change. F P is formed for these rows; of its product with F' only the block where they
     /// meet is left to do, the rest follows by symmetry.
     pub fn carry<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
         let mut rows = [[0.0; N]; 4];

@@ -12,7 +12,7 @@
 //! covariance singular. The inverse is taken on what is uncertain at all.
 //!
 //! # Source
-//! Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 9.
+//! Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use posebridge_telemetry::{
