@@ -76,3 +76,17 @@ impl Bare {
         self.gyro.forget_before(now - KEPT);
     }
 }
+
+/// The same robot, whose wheels and track are known to half a per cent and three.
+pub(crate) fn learning() -> FilterConfig {
+    let known = |sigma| posebridge_telemetry::Known { value: 0.0, sigma };
+    FilterConfig {
+        calibration: posebridge_telemetry::Calibration {
+            radius_scale: known(0.005),
+            radius_difference: known(0.005),
+            track_scale: known(0.03),
+            ..posebridge_telemetry::Calibration::default()
+        },
+        ..super::robot::config()
+    }
+}

@@ -43,18 +43,3 @@ pub(crate) fn config() -> FilterConfig {
         world: std::sync::Arc::default(),
     }
 }
-
-/// The same robot, whose wheels and track are known to half a per cent and three.
-#[allow(dead_code, reason = "not every test lets a filter learn")]
-pub(crate) fn learning() -> FilterConfig {
-    let known = |sigma| posebridge_telemetry::Known { value: 0.0, sigma };
-    FilterConfig {
-        calibration: posebridge_telemetry::Calibration {
-            radius_scale: known(0.005),
-            radius_difference: known(0.005),
-            track_scale: known(0.03),
-            ..posebridge_telemetry::Calibration::default()
-        },
-        ..config()
-    }
-}
