@@ -8,6 +8,6 @@ mod replay;
 mod run;
 mod table;
 
-pub use accuracy::{ScoreRow, score_table};
+pub use accuracy::{ScoreRow, bound_line, score_table};
 pub use replay::{EstimatorRow, estimator_table, source_table};
 pub use run::{RunRow, run_table};
