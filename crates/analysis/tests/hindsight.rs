@@ -135,11 +135,11 @@ fn without_a_fix_the_bound_is_the_start_and_the_noise_of_the_wheels() {
 
 #[test]
 fn a_fix_lowers_the_bound_from_the_step_of_its_arrival_on() {
+    // What arrives after the last step is among the arrivals as well.
     let last_step = |steps, fixes: &[(usize, f64)]| {
-        let drive = KnownDrive {
-            scored_from: steps,
-            ..straight(steps, fixes)
-        };
+        let mut drive = straight(110, fixes);
+        drive.truth.truncate(steps + 1);
+        drive.scored_from = steps;
         bound_of(&drive).rms_m().unwrap()
     };
     // A hundred of the same step: the position at that step is known to a tenth of a millimetre.

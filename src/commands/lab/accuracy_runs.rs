@@ -185,7 +185,7 @@ impl Scored {
 }
 
 /// The drive as the scoring wants it.
-fn known_drive(drive: &Drive) -> KnownDrive {
+pub(super) fn known_drive(drive: &Drive) -> KnownDrive {
     let truth = drive
         .truth
         .iter()

@@ -96,8 +96,10 @@ impl Bounded {
 #[cfg(test)]
 mod tests {
     use posebridge_sim::montecarlo::SCENARIOS;
+    use posebridge_telemetry::Radians;
 
     use super::*;
+    use crate::commands::lab::accuracy_runs::known_drive;
 
     #[test]
     fn every_bundled_scenario_says_what_its_bound_leaves_out() {
@@ -126,5 +128,26 @@ mod tests {
         assert!(matches!(bounded, Bounded::Not(reason) if reason.contains("geometry")));
         let drive = scenario.drive(0);
         assert_eq!(bounded.of_drive(&drive, &KnownDrive::default()), None);
+    }
+
+    #[test]
+    fn each_wheel_is_taken_for_itself() {
+        let scenario = Scenario::bundled("unknown-heading").unwrap();
+        let mut drive = scenario.drive(0);
+        for turn in &mut drive.wheel_turns {
+            turn.right = Radians(0.0);
+        }
+        let known = known_drive(&drive);
+        let turns: Vec<WheelTurn> = drive
+            .wheel_turns
+            .iter()
+            .map(|turn| WheelTurn {
+                left: turn.left,
+                ..WheelTurn::default()
+            })
+            .collect();
+        let expected = BoundSum::of(&filter_config(&drive.told), &known, &turns);
+        assert!(expected.is_some());
+        assert_eq!(Bounded::of(&scenario).of_drive(&drive, &known), expected);
     }
 }
