@@ -201,6 +201,9 @@ pub struct ReplayArgs {
     /// Write the robot with what the last estimator that learns has learned about it, as a profile for `run --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,
+    /// Find the most likely path of each run as well, from its wheels, gyro and fixes; takes time on long runs.
+    #[arg(long)]
+    pub smooth: bool,
     /// Write the picture here: of the last run and the last estimator.
     #[arg(long, value_name = "FILE.svg")]
     pub figure: Option<PathBuf>,

@@ -2,7 +2,7 @@
 
 use posebridge_analysis::{FixMark, SourceTally, TimedPose, Track};
 use posebridge_telemetry::{
-    Arena, Estimate, Event, FusionRecord, LinkHealth, Observed, Point2, Span,
+    Arena, Estimate, Event, FusionRecord, LinkHealth, Observation, Observed, Point2, Span,
 };
 
 /// So many estimates are kept; from then on every second one is, and so on: a run of days must not fill the memory.
@@ -23,15 +23,43 @@ pub struct Collector {
     pub observations: u64,
     /// The last word on each link's health.
     pub health: LinkHealth,
+    /// How often the brick restarted.
+    pub restarts: u64,
+    /// Every observation as the estimator was given it, for the offline smoother; nothing unless
+    /// [`Self::keeping_observations`].
+    pub kept: Vec<Observation>,
+    keeping: Keeping,
     last_fix: Option<Point2<Arena>>,
 }
 
+/// Whether observations are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Keeping {
+    /// A run of days must not fill the memory.
+    #[default]
+    Nothing,
+    /// All of them.
+    Observations,
+}
+
 impl Collector {
+    /// One that keeps every observation: for recordings, whose length is known.
+    #[must_use]
+    pub fn keeping_observations() -> Self {
+        Self {
+            keeping: Keeping::Observations,
+            ..Self::default()
+        }
+    }
+
     /// Takes an event.
     pub fn take(&mut self, event: &Event) {
         match event {
             Event::Observed { observation, .. } => {
                 self.observations += 1;
+                if self.keeping == Keeping::Observations {
+                    self.kept.push(*observation);
+                }
                 self.last_fix = if let Observed::Fix(fix) = observation.observed {
                     Some(fix.position)
                 } else {
@@ -45,9 +73,9 @@ impl Collector {
                 }
             }
             Event::Health { health, .. } => self.health = *health,
+            Event::BrickRestarted { .. } => self.restarts += 1,
             Event::RobotSeen { .. }
             | Event::RobotLost { .. }
-            | Event::BrickRestarted { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }
             | Event::Link { .. }

@@ -163,11 +163,13 @@ fn withheld_camera_positions_are_predicted_within_the_promised_millimetres() {
 }
 
 /// One committed run, where there is truth and no camera.
+const ONE_RUN: &str = "circular/250620202104/run-01";
+
 fn one_run() -> Value {
     replay(
         "optiodom.toml",
         &root().join("tests/data"),
-        &["--run", "circular/250620202104/run-01"],
+        &["--run", ONE_RUN],
     )
 }
 
@@ -200,8 +202,10 @@ fn the_json_object_has_the_documented_keys_and_null_where_there_is_no_evidence()
         "estimators",
         "runs",
         "bad_rows",
+        "smooth",
     ];
     assert_eq!(keys(&report), sorted(&documented));
+    assert!(report["smooth"].is_null(), "not asked for");
     let pose = estimator(&report, "pose");
     let figures = [
         "position_rms_m",
@@ -255,6 +259,46 @@ fn each_source_of_the_json_object_has_the_documented_keys_and_counts() {
         source["mean_nis_per_dof"].is_null(),
         "wheels are an input: nothing is predicted"
     );
+}
+
+#[test]
+fn the_smoothed_path_has_the_documented_keys_and_without_fixes_it_is_dead_reckoning() {
+    let report = replay(
+        "optiodom.toml",
+        &root().join("tests/data"),
+        &["--run", ONE_RUN, "--smooth"],
+    );
+    let by_run = &report["smooth"];
+    assert_eq!(keys(by_run), [ONE_RUN]);
+    let smooth = &by_run[ONE_RUN];
+    let documented = [
+        "position_rms_m",
+        "position_max_m",
+        "position_rms_uncorrected_m",
+        "heading_rms_rad",
+        "fixes_used",
+        "fixes_left_out",
+        "iterations",
+        "seconds",
+        "not_read",
+        "reason",
+    ];
+    assert_eq!(keys(smooth), sorted(&documented));
+    assert_eq!(
+        (&smooth["fixes_used"], &smooth["fixes_left_out"]),
+        (&0.into(), &0.into())
+    );
+    let odometry = estimator(&report, "odometry");
+    for figure in ["position_rms_m", "position_max_m", "heading_rms_rad"] {
+        let (own, theirs) = (
+            smooth[figure].as_f64().unwrap(),
+            odometry[figure].as_f64().unwrap(),
+        );
+        assert!(
+            (own / theirs - 1.0).abs() < 1e-3,
+            "{figure}: {own}, {theirs}"
+        );
+    }
 }
 
 #[test]

@@ -576,3 +576,21 @@ fn accelerometers_tell_the_change_of_the_wheels_speeds() {
     // On the first side: 0.2 m/s, and the sum of 80 noises of two wheels.
     assert!((speed - 0.2).abs() < 0.05, "{speed}");
 }
+
+#[test]
+fn the_encoders_count_what_the_wheels_really_turned() {
+    let drive = bundled("kicks").drive(3);
+    assert_eq!(drive.wheel_turns.len() + 1, drive.truth.len());
+    let counted = wheel_angles(&drive);
+    let (mut left, mut right) = (0.0, 0.0);
+    for (turn, (step, told_left, told_right)) in drive.wheel_turns.iter().zip(&counted[1..]) {
+        left += turn.left.0;
+        right += turn.right.0;
+        // Floored to a degree; the sum here is rounded elsewhere.
+        for part in [left - told_left, right - told_right] {
+            assert!((-1e-9..DEGREE + 1e-9).contains(&part), "{step}: {part}");
+        }
+    }
+    assert!(left > 100.0 && right > 100.0);
+    assert!(drive.wheel_turns.iter().any(|turn| turn.left.0 < 0.0));
+}

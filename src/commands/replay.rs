@@ -5,30 +5,29 @@
 //! truth or against the fixes that were withheld.
 
 mod foreign;
+mod own;
+mod smooth;
 
 use std::fmt::Write as _;
-use std::io::Write as _;
-use std::path::Path;
 
-use anyhow::{Context, Result, anyhow, bail};
-use posebridge_analysis::metrics::{errors_of_estimates, summarise};
-use posebridge_analysis::report::{estimator_table, source_table};
+use anyhow::{Context, Result, bail};
+use posebridge_analysis::report::{SmoothRow, estimator_table, smooth_table, source_table};
 use posebridge_analysis::{ErrorSummary, EstimatorRow, FIGURES, RunLayers, SourceTally, Track};
 use posebridge_link::HostTimer;
 use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::{Ending, Reader};
 use posebridge_telemetry::{Output, Span, Stamp};
 
 use super::{Failure, Stage};
 use crate::cli::ReplayArgs;
 use crate::collect::Collector;
-use crate::config::{self, Provenance};
+use crate::config::Provenance;
 use crate::learned::{Learned, learned_table, save};
 use crate::report::json;
 use crate::stderr::say;
 use crate::stdout;
-use crate::tasks::observer::{create, write_event};
-use crate::truth_file;
+use crate::tasks::observer::write_event;
+
+pub use smooth::{Found, NoPath, SmoothedRun};
 
 /// What one estimator did over everything that was replayed.
 pub struct Outcome {
@@ -57,6 +56,8 @@ pub struct Replayed {
     pub bad_rows: u64,
     /// One per estimator.
     pub outcomes: Vec<Outcome>,
+    /// One per run; empty unless it was asked for.
+    pub smoothed: Vec<SmoothedRun>,
 }
 
 /// Replays.
@@ -72,7 +73,7 @@ pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     let replayed = if is_descriptor {
         foreign::replay(args)?
     } else {
-        recording(args)?
+        own::replay(args)?
     };
     print(args, &replayed, timer.now() - Stamp::ZERO).while_running()?;
     save_calibration(args, &replayed, timer.utc_start()).while_running()
@@ -141,6 +142,11 @@ fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
             learned_table(&outcome.learned),
         );
     }
+    if !replayed.smoothed.is_empty() {
+        let rows: Vec<SmoothRow<'_>> = replayed.smoothed.iter().map(SmoothedRun::row).collect();
+        text += "\n";
+        text += &smooth_table(&rows);
+    }
     if replayed.bad_rows > 0 {
         say(&format!("{} rows could not be used", replayed.bad_rows));
     }
@@ -156,89 +162,6 @@ fn cpu_time() -> Result<Span> {
         Span::from_micros(time.tv_sec() * 1_000_000 + time.tv_usec())
     };
     Ok(micros(usage.user_time()) + micros(usage.system_time()))
-}
-
-/// A recording of ours.
-fn recording(args: &ReplayArgs) -> Result<Replayed, Failure> {
-    if args.data.run.is_some() || args.data.use_every.is_some() {
-        return Err(anyhow!(
-            "--run and --use-every choose from a descriptor's data, not from a recording of ours"
-        ))
-        .at_start();
-    }
-    let name = args.recording.display().to_string();
-    let bytes = std::fs::read(&args.recording)
-        .with_context(|| format!("reading the recording `{name}`"))
-        .at_start()?;
-    let mut reader = Reader::open(&bytes)
-        .with_context(|| format!("recording `{name}`"))
-        .at_start()?;
-    let config = recorded_config(args, &reader.header().config_toml).at_start()?;
-    let truth = args
-        .truth
-        .as_deref()
-        .map(read_truth)
-        .transpose()
-        .at_start()?;
-    let mut events = args.events.as_deref().map(create).transpose().at_start()?;
-    let mut pipeline = Pipeline::new(config.pipeline().at_start()?, Stamp::ZERO).at_start()?;
-    let mut collector = Collector::default();
-    for item in &mut reader {
-        match item {
-            Ok((now, input)) => pipeline.handle(now, &input),
-            // What is whole behind the damage is still worth replaying.
-            Err(error) => say(&format!(
-                "{name}: {error}; the replay is not that of the live run any more"
-            )),
-        }
-        take_outputs(&mut pipeline, &mut collector, events.as_mut()).while_running()?;
-    }
-    if let Some(mut events) = events {
-        events.flush().while_running()?;
-    }
-    if let Ending::Torn { offset, what } = reader.ending() {
-        say(&format!(
-            "{name}: cut off at byte {offset} ({what}); everything before was replayed"
-        ));
-    }
-    let errors = truth.as_ref().map_or_else(ErrorSummary::default, |truth| {
-        summarise(&errors_of_estimates(collector.estimates.items(), truth))
-    });
-    draw(args, &name, &collector, truth.as_ref()).while_running()?;
-    let prior = config.filter_config().at_start()?.calibration;
-    let learned = Learned::of(&pipeline, "recording", &config.robot, &prior);
-    Ok(Replayed {
-        recording: name,
-        runs: vec!["recording".to_owned()],
-        observations: collector.observations,
-        bad_rows: 0,
-        outcomes: vec![Outcome {
-            name: config.filter.name,
-            errors,
-            position_rms_uncorrected_m: None,
-            learned: learned.into_iter().collect(),
-            sources: collector.sources,
-        }],
-    })
-}
-
-/// The configuration that a recording was made with, and what the flags change of it.
-fn recorded_config(args: &ReplayArgs, header: &str) -> Result<config::Config> {
-    let origin = "the recording's own configuration";
-    let mut config = config::load_text(origin, header, &args.data.settings)?.config;
-    match args.filters.as_slice() {
-        [] => {}
-        [filter] => config.filter.name.clone_from(filter),
-        _ => bail!("a recording of ours is replayed with one filter: give --filter once"),
-    }
-    Ok(config)
-}
-
-fn read_truth(path: &Path) -> Result<Track> {
-    let name = path.display();
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("reading the truth `{name}`"))?;
-    truth_file::read(&text).with_context(|| format!("truth `{name}`"))
 }
 
 fn take_outputs(
@@ -261,7 +184,7 @@ fn draw(
     args: &ReplayArgs,
     title: &str,
     collector: &Collector,
-    truth: Option<&Track>,
+    (truth, smoothed): (Option<&Track>, Option<&Track>),
 ) -> Result<()> {
     let (Some(path), Some(figure)) = (&args.figure, FIGURES.first()) else {
         return Ok(());
@@ -271,6 +194,7 @@ fn draw(
         truth,
         estimates: collector.estimates.items(),
         fixes: collector.fixes.items(),
+        smoothed,
         ..RunLayers::default()
     };
     std::fs::write(path, (figure.render)(&layers))

@@ -7,7 +7,7 @@ use posebridge_analysis::SourceTally;
 use posebridge_telemetry::Span;
 use serde::Serialize;
 
-use crate::commands::replay::{Outcome, Replayed};
+use crate::commands::replay::{Found, Outcome, Replayed, SmoothedRun};
 use crate::config::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey};
 use crate::learned::Learned;
 
@@ -20,6 +20,22 @@ struct Report<'a> {
     estimators: Vec<Estimator<'a>>,
     runs: &'a [String],
     bad_rows: u64,
+    /// By run.
+    smooth: Option<BTreeMap<&'a str, Smooth<'a>>>,
+}
+
+#[derive(Serialize)]
+struct Smooth<'a> {
+    position_rms_m: Option<f64>,
+    position_max_m: Option<f64>,
+    position_rms_uncorrected_m: Option<f64>,
+    heading_rms_rad: Option<f64>,
+    fixes_used: Option<usize>,
+    fixes_left_out: Option<usize>,
+    iterations: Option<u32>,
+    seconds: f64,
+    not_read: &'a BTreeMap<&'static str, u64>,
+    reason: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -67,6 +83,7 @@ pub fn text(replayed: &Replayed, wall: Span, cpu: Span) -> Result<String> {
         estimators: replayed.outcomes.iter().map(estimator).collect(),
         runs: &replayed.runs,
         bad_rows: replayed.bad_rows,
+        smooth: smooth(&replayed.smoothed),
     };
     Ok(serde_json::to_string(&report)?)
 }
@@ -83,6 +100,29 @@ fn estimator(outcome: &Outcome) -> Estimator<'_> {
         anees: errors.anees,
         sources: outcome.sources.iter().map(source).collect(),
         calibration: calibration(&outcome.learned),
+    }
+}
+
+/// What was found of each run; `None` if it was not asked for.
+fn smooth(runs: &[SmoothedRun]) -> Option<BTreeMap<&str, Smooth<'_>>> {
+    let by_run = runs.iter().map(|run| (run.run.as_str(), smooth_of(run)));
+    (!runs.is_empty()).then(|| by_run.collect())
+}
+
+fn smooth_of(run: &SmoothedRun) -> Smooth<'_> {
+    let found = run.found.as_ref().ok();
+    let of_found = |count: fn(&Found) -> usize| found.map(count);
+    Smooth {
+        position_rms_m: run.errors.position_rms_m,
+        position_max_m: run.errors.position_max_m,
+        position_rms_uncorrected_m: run.uncorrected.position_rms_m,
+        heading_rms_rad: run.errors.heading_rms_rad,
+        fixes_used: of_found(|found| found.fixes_used),
+        fixes_left_out: of_found(|found| found.fixes_left_out),
+        iterations: found.map(|found| found.iterations),
+        seconds: run.took.as_secs_f64(),
+        not_read: &run.not_read,
+        reason: run.found.as_ref().err().map(ToString::to_string),
     }
 }
 

@@ -123,6 +123,7 @@ pub fn draw(
         odometry: truth.map(|truth| &truth.odometry),
         estimates: collector.estimates.items(),
         fixes: collector.fixes.items(),
+        ..RunLayers::default()
     };
     let mut drawn = Vec::new();
     for figure in FIGURES {

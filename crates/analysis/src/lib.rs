@@ -22,6 +22,7 @@ pub mod accuracy;
 pub mod figures;
 pub mod metrics;
 pub mod report;
+pub mod smoothed;
 pub mod track;
 
 pub use figures::{FIGURES, Figure, FixMark, RunLayers};
@@ -30,4 +31,5 @@ pub use metrics::{
     mean_over_runs, summarise, tally,
 };
 pub use report::{EstimatorRow, RunRow};
+pub use smoothed::SmoothedPath;
 pub use track::{TimedPose, Track};

@@ -194,6 +194,7 @@ fn what_cannot_be_scored_is_counted_and_said() {
     let rows = [ScoreRow {
         name: "toy",
         score: &lost,
+        bound_m: None,
     }];
     let table = score_table(&rows);
     for line in [
@@ -248,4 +249,29 @@ fn a_filter_of_the_table_runs_by_its_name() {
     assert!((result.position_max_m().unwrap() - 0.1).abs() < 1e-12);
     let error = score_filter("kalmann", &config, &drive).unwrap_err();
     assert_eq!(error.to_string(), "there is no filter `kalmann`");
+}
+
+#[test]
+fn the_table_tells_the_error_as_a_multiple_of_the_bound() {
+    let score = score(&at_rest(), &mut Toy::at(3.0, 4.0, 3.1, 1.0));
+    let with = |bound_m| {
+        let row = ScoreRow {
+            name: "toy",
+            score: &score,
+            bound_m,
+        };
+        let table = score_table(&[row]);
+        let cells = |line: usize| -> Vec<String> {
+            let line = table.lines().nth(line).unwrap();
+            line.split("  ")
+                .filter(|cell| !cell.is_empty())
+                .map(|cell| cell.trim().to_owned())
+                .collect()
+        };
+        assert_eq!(cells(0)[1..3], ["rms mm", "rms/bound"]);
+        cells(1)[2].clone()
+    };
+    assert_eq!(with(Some(4.0)), "1.25");
+    assert_eq!(with(None), "-");
+    assert_eq!(with(Some(0.0)), "-");
 }

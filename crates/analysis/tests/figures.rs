@@ -88,6 +88,27 @@ fn every_figure_does_with_any_layer_missing() {
 }
 
 #[test]
+fn a_smoothed_path_is_a_layer_of_its_own() {
+    let scene = scene::two_laps(7);
+    let without = scene.layers(TITLE);
+    let with = RunLayers {
+        smoothed: Some(&scene.odometry),
+        ..without
+    };
+    for (figure, label) in [
+        ("track", "smoothed path"),
+        ("error", "smoothed path's error"),
+    ] {
+        let (plain, smoothed) = (render(figure, &without), render(figure, &with));
+        check_document(&smoothed).unwrap();
+        assert!(!plain.contains(label), "{figure}");
+        assert!(smoothed.contains(label), "{figure}");
+        let lines = |svg: &str| svg.matches("<polyline").count();
+        assert!(lines(&smoothed) > lines(&plain), "{figure}");
+    }
+}
+
+#[test]
 fn one_point_makes_a_picture() {
     let scene = scene::two_laps(7);
     let truth = track_of(&scene.truth.samples()[..1]);

@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::{
     Arena, BrickClock, Calibration, DriveGeometry, Heading, Known, Meters, Observation, Observed,
-    Pose, SensorId, SensorNoise, Span, Stamp,
+    Pose, Radians, SensorId, SensorNoise, Span, Stamp,
 };
 
 use super::camera::CameraSensor;
@@ -18,6 +18,8 @@ pub struct Drive {
     pub step: Span,
     /// The true pose: at the start, then after each step.
     pub truth: Vec<Pose<Arena>>,
+    /// What the wheels really did over each step: one fewer than there are poses.
+    pub wheel_turns: Vec<WheelTurn>,
     /// What the sensors said, in the order of arrival.
     pub arrivals: Vec<Arrival>,
     /// The error counts from this step on, 1 or later.
@@ -26,6 +28,15 @@ pub struct Drive {
     pub true_geometry: DriveGeometry,
     /// What a filter is told.
     pub told: Told,
+}
+
+/// The rotation of both wheels over one step, as encoders without counts would tell it: free of rounding, blind to slip.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WheelTurn {
+    /// Of the left wheel, forward positive.
+    pub left: Radians,
+    /// Of the right wheel, forward positive.
+    pub right: Radians,
 }
 
 /// An observation and the step at whose end it arrives; its own stamp may be earlier.
@@ -86,6 +97,7 @@ pub(super) fn draw(scenario: &Scenario, run: u32) -> Drive {
     let mut log = Log {
         step: Span::from_secs_f64(step_s),
         truth: vec![pose(plan.start)],
+        wheel_turns: Vec::new(),
         arrivals: Vec::new(),
     };
     let mut robot = Robot::new(scenario, true_geometry, plan.start, seed);
@@ -102,6 +114,7 @@ pub(super) fn draw(scenario: &Scenario, run: u32) -> Drive {
         let step = index + 1;
         let moved = robot.advance(command);
         log.truth.push(pose(robot.pose));
+        log.wheel_turns.push(moved.wheels);
         log.arrive(step, step, SensorId::WHEELS, robot.wheel_angles());
         if let Some(sensors) = &mut accelerometers {
             let observed = sensors.observe(&moved);
@@ -118,6 +131,7 @@ pub(super) fn draw(scenario: &Scenario, run: u32) -> Drive {
     Drive {
         step: log.step,
         truth: log.truth,
+        wheel_turns: log.wheel_turns,
         arrivals: log.arrivals,
         scored_from: ((scenario.score_from_s / step_s).ceil() as usize).max(1),
         true_geometry,
@@ -128,6 +142,7 @@ pub(super) fn draw(scenario: &Scenario, run: u32) -> Drive {
 struct Log {
     step: Span,
     truth: Vec<Pose<Arena>>,
+    wheel_turns: Vec<WheelTurn>,
     arrivals: Vec<Arrival>,
 }
 

@@ -5,6 +5,7 @@ use posebridge_telemetry::{
     quantities::wrap_rad,
 };
 
+use super::drive::WheelTurn;
 use super::path::Command;
 use super::scenario::{Accelerometer, Gyro, Kicks, Motion, Nominal, Scenario};
 use crate::random::Stream;
@@ -56,6 +57,8 @@ pub(super) struct Moved {
     pub(super) left_m: f64,
     /// Travel of the right wheel, in metres.
     pub(super) right_m: f64,
+    /// Rotation of the wheels, slip or not.
+    pub(super) wheels: WheelTurn,
 }
 
 impl Robot {
@@ -86,8 +89,12 @@ impl Robot {
         let track_m = self.geometry.track_width.0;
         let left_m = command.forward_m - 0.5 * commanded_rad * track_m;
         let right_m = command.forward_m + 0.5 * commanded_rad * track_m;
-        self.left_rad += left_m / self.geometry.left_wheel_radius.0;
-        self.right_rad += right_m / self.geometry.right_wheel_radius.0;
+        let wheels = WheelTurn {
+            left: Radians(left_m / self.geometry.left_wheel_radius.0),
+            right: Radians(right_m / self.geometry.right_wheel_radius.0),
+        };
+        self.left_rad += wheels.left.0;
+        self.right_rad += wheels.right.0;
         let left_m = self.slipped(left_m);
         let right_m = self.slipped(right_m);
         let rolled_rad = (right_m - left_m) / track_m;
@@ -101,6 +108,7 @@ impl Robot {
             turn_rad: rolled_rad + noise_rad * self.slip.normal() + kick_rad,
             left_m,
             right_m,
+            wheels,
         };
         self.displace(&moved);
         moved

@@ -7,13 +7,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
-use posebridge_analysis::report::{ScoreRow, score_table};
+use posebridge_analysis::report::{ScoreRow, bound_line, score_table};
 use posebridge_link::HostTimer;
 use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
+use posebridge_telemetry::Span;
 
 use super::Estimator;
 use super::accuracy_json as json;
-use super::accuracy_runs::{Planned, Scored, score_all};
+use super::accuracy_runs::{Planned, Scored, Scores, score_all};
 use crate::cli::LabAccuracyArgs;
 use crate::commands::{Failure, Stage};
 use crate::stderr::say;
@@ -34,7 +35,7 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     let folder = folder(args).at_start()?;
     let runs: u64 = planned.iter().map(|planned| u64::from(planned.runs)).sum();
     let bar = ProgressBar::new(runs).with_style(bar_style().at_start()?);
-    let scored = score_all(planned, &estimators, || bar.inc(1));
+    let scored = score_all(planned, &estimators, &timer, || bar.inc(1));
     bar.finish_and_clear();
     let picture = folder.join(PICTURE);
     std::fs::write(&picture, accuracy_chart(&chart(&scored, &estimators)))
@@ -42,12 +43,19 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
         .while_running()?;
     print(args, &scored, &estimators).while_running()?;
     say(&format!(
-        "{runs} runs with {} estimators in {:.1} s; picture: {}",
+        "{runs} runs with {} estimators in {:.1} s, bounds: {:.1} s of one core; picture: {}",
         estimators.len(),
         (timer.now() - started).as_secs_f64(),
+        bounds_took(&scored).as_secs_f64(),
         picture.display()
     ));
     Ok(())
+}
+
+fn bounds_took(scored: &[Scored]) -> Span {
+    scored
+        .iter()
+        .fold(Span::ZERO, |sum, scored| sum + scored.bound_took)
 }
 
 fn bar_style() -> Result<ProgressStyle> {
@@ -121,19 +129,40 @@ fn print(args: &LabAccuracyArgs, scored: &[Scored], estimators: &[Estimator]) ->
         return Ok(());
     }
     let names = names(estimators);
-    let tables: Vec<String> = scored
-        .iter()
-        .map(|scored| {
-            let rows: Vec<ScoreRow<'_>> = names
-                .iter()
-                .zip(&scored.scores)
-                .map(|(name, score)| ScoreRow { name, score })
-                .collect();
-            format!("{}\n{}", headline(scored), score_table(&rows))
-        })
-        .collect();
+    let tables: Vec<String> = scored.iter().map(|scored| table(scored, &names)).collect();
     stdout::print(&tables.join("\n"))?;
     Ok(())
+}
+
+fn table(scored: &Scored, names: &[String]) -> String {
+    let bound_m = scored.bound_rms_m();
+    let rows: Vec<ScoreRow<'_>> = names
+        .iter()
+        .zip(&scored.results)
+        .map(|(name, Scores { score, .. })| ScoreRow {
+            name,
+            score,
+            bound_m,
+        })
+        .collect();
+    let refusals = names.iter().zip(&scored.results);
+    let refusals: Vec<String> = refusals.filter_map(refusals_of).collect();
+    format!(
+        "{}\n{}{}{}",
+        headline(scored),
+        score_table(&rows),
+        bound_line(bound_m, scored.bounded.note().as_deref()),
+        refusals.concat()
+    )
+}
+
+/// Of which runs an estimator says nothing; the first reason stands for all.
+fn refusals_of((name, scores): (&String, &Scores)) -> Option<String> {
+    let (run, reason) = scores.refusals.first()?;
+    let count = scores.refusals.len();
+    Some(format!(
+        "{name}: says nothing of {count} runs; of run {run}: {reason}\n"
+    ))
 }
 
 fn names(estimators: &[Estimator]) -> Vec<String> {
@@ -154,8 +183,8 @@ fn chart(scored: &[Scored], estimators: &[Estimator]) -> AccuracyChart {
         title: headline(scored),
         marks: names
             .iter()
-            .zip(&scored.scores)
-            .map(|(name, score)| AccuracyMark {
+            .zip(&scored.results)
+            .map(|(name, Scores { score, .. })| AccuracyMark {
                 name: name.clone(),
                 rms_m: score.position_rms_m(),
                 claimed_m: score.claimed_rms_m(),

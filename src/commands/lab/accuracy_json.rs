@@ -1,12 +1,11 @@
 //! `lab accuracy --json`: one object, documented in docs/lab-accuracy.md. The same seeds give the same text.
 
 use anyhow::Result;
-use posebridge_analysis::accuracy::Score;
 use posebridge_analysis::{ConsistencyBand, SourceTally};
 use serde::Serialize;
 
 use super::Estimator;
-use super::accuracy_runs::Scored;
+use super::accuracy_runs::{Scored, Scores};
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -18,6 +17,8 @@ struct ScenarioRow<'a> {
     name: &'a str,
     seed: u64,
     runs: u32,
+    bound_rms_m: Option<f64>,
+    bound_note: Option<String>,
     estimators: Vec<EstimatorRow<'a>>,
 }
 
@@ -37,7 +38,14 @@ struct EstimatorRow<'a> {
     steps_not_finite: u64,
     refused_covariances: u64,
     run_rms_m: &'a [f64],
+    refused_runs: Vec<RefusedRun>,
     sources: Vec<SourceRow>,
+}
+
+#[derive(Serialize)]
+struct RefusedRun {
+    run: u32,
+    reason: String,
 }
 
 #[derive(Serialize)]
@@ -60,10 +68,12 @@ pub(super) fn text(scored: &[Scored], estimators: &[Estimator]) -> Result<String
         name: &scored.planned.name,
         seed: scored.planned.scenario.seed,
         runs: scored.planned.runs,
+        bound_rms_m: scored.bound_rms_m(),
+        bound_note: scored.bounded.note(),
         estimators: estimators
             .iter()
-            .zip(&scored.scores)
-            .map(|(estimator, score)| estimator_row(estimator, score))
+            .zip(&scored.results)
+            .map(|(estimator, scores)| estimator_row(estimator, scores))
             .collect(),
     });
     let report = Report {
@@ -72,7 +82,12 @@ pub(super) fn text(scored: &[Scored], estimators: &[Estimator]) -> Result<String
     Ok(serde_json::to_string(&report)?)
 }
 
-fn estimator_row<'a>(estimator: &Estimator, score: &'a Score) -> EstimatorRow<'a> {
+fn estimator_row<'a>(estimator: &Estimator, scores: &'a Scores) -> EstimatorRow<'a> {
+    let score = &scores.score;
+    let refused = scores.refusals.iter().map(|(run, refusal)| RefusedRun {
+        run: *run,
+        reason: refusal.to_string(),
+    });
     EstimatorRow {
         name: estimator.name(),
         position_rms_m: score.position_rms_m(),
@@ -90,6 +105,7 @@ fn estimator_row<'a>(estimator: &Estimator, score: &'a Score) -> EstimatorRow<'a
         steps_not_finite: score.steps_not_finite(),
         refused_covariances: score.refused_covariances(),
         run_rms_m: score.run_rms_m(),
+        refused_runs: refused.collect(),
         sources: score.sources().iter().map(source_row).collect(),
     }
 }

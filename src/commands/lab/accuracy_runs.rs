@@ -9,10 +9,14 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 
 use posebridge_analysis::TimedPose;
-use posebridge_analysis::accuracy::{Arrival, KnownDrive, Score};
+use posebridge_analysis::accuracy::{Arrival, BoundSum, KnownDrive, Score};
+use posebridge_estimator::offline::OfflineError;
+use posebridge_link::HostTimer;
 use posebridge_sim::montecarlo::{Drive, Scenario};
+use posebridge_telemetry::Span;
 
-use super::Estimator;
+use super::bounds::Bounded;
+use super::{Estimator, Verdict};
 
 /// A scenario with its name and how often it is driven.
 pub(super) struct Planned {
@@ -21,10 +25,31 @@ pub(super) struct Planned {
     pub(super) runs: u32,
 }
 
-/// One score per estimator.
+/// A scenario that has been driven.
 pub(super) struct Scored {
     pub(super) planned: Planned,
-    pub(super) scores: Vec<Score>,
+    /// One per estimator.
+    pub(super) results: Vec<Scores>,
+    /// What no filter can be better than, where there is such a bound.
+    pub(super) bound: Option<BoundSum>,
+    pub(super) bounded: Bounded,
+    /// What the bound has cost, on one core.
+    pub(super) bound_took: Span,
+}
+
+/// One estimator over all runs.
+#[derive(Clone, Default)]
+pub(super) struct Scores {
+    pub(super) score: Score,
+    /// The runs of which it says nothing, and why.
+    pub(super) refusals: Vec<(u32, OfflineError)>,
+}
+
+/// What one job gives back.
+struct Driven {
+    verdicts: Vec<Verdict>,
+    bound: Option<BoundSum>,
+    bound_took: Span,
 }
 
 /// One run of one scenario, both by their index.
@@ -41,6 +66,7 @@ const SCORES_UNDER_WAY: usize = 64;
 pub(super) fn score_all(
     planned: Vec<Planned>,
     estimators: &[Estimator],
+    timer: &HostTimer,
     mut ended: impl FnMut(),
 ) -> Vec<Scored> {
     let jobs: Vec<Job> = planned
@@ -48,7 +74,7 @@ pub(super) fn score_all(
         .enumerate()
         .flat_map(|(scenario, planned)| (0..planned.runs).map(move |run| Job { scenario, run }))
         .collect();
-    let mut by_job: Vec<Option<Vec<Score>>> = jobs.iter().map(|_| None).collect();
+    let mut by_job: Vec<Option<Driven>> = jobs.iter().map(|_| None).collect();
     let next = AtomicUsize::new(0);
     let workers = thread::available_parallelism().map_or(1, NonZeroUsize::get);
     thread::scope(|scope| {
@@ -56,12 +82,21 @@ pub(super) fn score_all(
         for _ in 0..workers.min(jobs.len()) {
             let sender = sender.clone();
             let (jobs, planned, next) = (&jobs, &planned, &next);
-            scope.spawn(move || work(jobs, planned, estimators, next, &sender));
+            scope.spawn(move || {
+                work(jobs, next, &sender, |job| {
+                    Some(drive(
+                        planned.get(job.scenario)?,
+                        job.run,
+                        estimators,
+                        timer,
+                    ))
+                });
+            });
         }
         drop(sender);
-        for (index, scores) in receiver {
+        for (index, driven) in receiver {
             if let Some(slot) = by_job.get_mut(index) {
-                *slot = Some(scores);
+                *slot = Some(driven);
             }
             ended();
         }
@@ -72,26 +107,35 @@ pub(super) fn score_all(
 /// Takes jobs until there is none, or until nobody listens.
 fn work(
     jobs: &[Job],
-    planned: &[Planned],
-    estimators: &[Estimator],
     next: &AtomicUsize,
-    sender: &SyncSender<(usize, Vec<Score>)>,
+    sender: &SyncSender<(usize, Driven)>,
+    run: impl Fn(&Job) -> Option<Driven>,
 ) {
     loop {
         let index = next.fetch_add(1, Ordering::Relaxed);
-        let Some(job) = jobs.get(index) else { return };
-        let Some(planned) = planned.get(job.scenario) else {
+        let Some(driven) = jobs.get(index).and_then(&run) else {
             return;
         };
-        let drive = planned.scenario.drive(job.run);
-        let known = known_drive(&drive);
-        let scores = estimators
-            .iter()
-            .map(|estimator| estimator.score(&drive, &known))
-            .collect();
-        if sender.send((index, scores)).is_err() {
+        if sender.send((index, driven)).is_err() {
             return;
         }
+    }
+}
+
+/// Draws one drive and runs everything over it.
+fn drive(planned: &Planned, run: u32, estimators: &[Estimator], timer: &HostTimer) -> Driven {
+    let drive = planned.scenario.drive(run);
+    let known = known_drive(&drive);
+    let before = timer.now();
+    let bound = Bounded::of(&planned.scenario).of_drive(&drive, &known);
+    let bound_took = timer.now() - before;
+    Driven {
+        verdicts: estimators
+            .iter()
+            .map(|estimator| estimator.score(&drive, &known))
+            .collect(),
+        bound,
+        bound_took,
     }
 }
 
@@ -99,28 +143,49 @@ fn added_up(
     planned: Vec<Planned>,
     estimators: usize,
     jobs: &[Job],
-    by_job: Vec<Option<Vec<Score>>>,
+    by_job: Vec<Option<Driven>>,
 ) -> Vec<Scored> {
     let mut all: Vec<Scored> = planned
         .into_iter()
         .map(|planned| Scored {
+            bounded: Bounded::of(&planned.scenario),
             planned,
-            scores: vec![Score::default(); estimators],
+            results: vec![Scores::default(); estimators],
+            bound: None,
+            bound_took: Span::ZERO,
         })
         .collect();
-    for (job, scores) in jobs.iter().zip(by_job) {
-        let (Some(scored), Some(scores)) = (all.get_mut(job.scenario), scores) else {
-            continue;
-        };
-        for (sum, score) in scored.scores.iter_mut().zip(&scores) {
-            sum.absorb(score);
+    for (job, driven) in jobs.iter().zip(by_job) {
+        if let (Some(scored), Some(driven)) = (all.get_mut(job.scenario), driven) {
+            scored.add(job.run, driven);
         }
     }
     all
 }
 
+impl Scored {
+    fn add(&mut self, run: u32, driven: Driven) {
+        for (sum, verdict) in self.results.iter_mut().zip(driven.verdicts) {
+            sum.score.absorb(&verdict.score);
+            sum.refusals
+                .extend(verdict.refusal.map(|refusal| (run, refusal)));
+        }
+        if let Some(bound) = driven.bound {
+            self.bound
+                .get_or_insert_with(BoundSum::default)
+                .absorb(&bound);
+        }
+        self.bound_took += driven.bound_took;
+    }
+
+    /// Root mean square of the bound over steps and runs, in metres.
+    pub(super) fn bound_rms_m(&self) -> Option<f64> {
+        self.bound.as_ref().and_then(BoundSum::rms_m)
+    }
+}
+
 /// The drive as the scoring wants it.
-fn known_drive(drive: &Drive) -> KnownDrive {
+pub(super) fn known_drive(drive: &Drive) -> KnownDrive {
     let truth = drive
         .truth
         .iter()

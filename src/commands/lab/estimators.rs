@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use posebridge_analysis::accuracy::{KnownDrive, Score, score};
+use posebridge_analysis::accuracy::{HindsightScore, KnownDrive, Score, score, score_in_hindsight};
+use posebridge_estimator::offline::OfflineError;
 use posebridge_estimator::{
     Estimates, FILTERS, FilterConfig, FilterEntry, Params, StartPose, filter_named,
 };
@@ -13,10 +14,12 @@ use posebridge_telemetry::Calibration;
 const FLAGSHIP: &str = "pose";
 /// What a clairvoyant filter's name ends in.
 const CLAIRVOYANT: &str = "-true-geometry";
+/// The offline smoother's name.
+const SMOOTH: &str = "smooth";
 
 /// An estimator that can be run over a drive.
 ///
-/// One that is no row of the table of filters (an offline smoother, a foreign program) is a variant here, a line in
+/// One that is no row of the table of filters (the offline smoother, a foreign program) is a variant here, a line in
 /// [`Estimator::all`] and an arm in [`Estimator::score`].
 #[derive(Clone, Copy)]
 pub enum Estimator {
@@ -24,6 +27,32 @@ pub enum Estimator {
     Filter(&'static FilterEntry),
     /// A row of the table, told the true geometry of the run: the bound for every filter that has to learn it.
     TrueGeometry(&'static FilterEntry),
+    /// The most likely path of the whole run, found when it is over.
+    Smooth,
+}
+
+/// What an estimator made of a drive.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdict {
+    /// What its errors add up to.
+    pub score: Score,
+    /// Why it says nothing at all; only the smoother can refuse a whole drive.
+    pub refusal: Option<OfflineError>,
+}
+
+impl Verdict {
+    const fn of_filter(score: Score) -> Self {
+        Self {
+            score,
+            refusal: None,
+        }
+    }
+}
+
+impl From<HindsightScore> for Verdict {
+    fn from(HindsightScore { score, refusal }: HindsightScore) -> Self {
+        Self { score, refusal }
+    }
 }
 
 impl Estimator {
@@ -35,7 +64,7 @@ impl Estimator {
             .filter(|entry| entry.estimates == Estimates::Pose)
             .map(Self::Filter);
         let clairvoyant = filter_named(FLAGSHIP).map(Self::TrueGeometry);
-        filters.chain(clairvoyant).collect()
+        filters.chain(clairvoyant).chain([Self::Smooth]).collect()
     }
 
     /// The estimator of this name.
@@ -64,6 +93,7 @@ impl Estimator {
         match self {
             Self::Filter(entry) => entry.name.to_owned(),
             Self::TrueGeometry(entry) => format!("{}{CLAIRVOYANT}", entry.name),
+            Self::Smooth => SMOOTH.to_owned(),
         }
     }
 
@@ -76,15 +106,19 @@ impl Estimator {
                 "`{}` told the true geometry of each run: what no filter can know",
                 entry.name
             ),
+            Self::Smooth => {
+                "the most likely path of the whole run, found afterwards: what no filter can know in time".to_owned()
+            }
         }
     }
 
     /// Runs it over a drive. `known` is the same drive as the scoring wants it.
     #[must_use]
-    pub fn score(&self, drive: &Drive, known: &KnownDrive) -> Score {
+    pub fn score(&self, drive: &Drive, known: &KnownDrive) -> Verdict {
         match self {
             Self::Filter(entry) => {
-                score(known, (entry.build)(&filter_config(&drive.told)).as_mut())
+                let mut filter = (entry.build)(&filter_config(&drive.told));
+                Verdict::of_filter(score(known, filter.as_mut()))
             }
             Self::TrueGeometry(entry) => {
                 let config = FilterConfig {
@@ -92,14 +126,15 @@ impl Estimator {
                     calibration: Calibration::default(),
                     ..filter_config(&drive.told)
                 };
-                score(known, (entry.build)(&config).as_mut())
+                Verdict::of_filter(score(known, (entry.build)(&config).as_mut()))
             }
+            Self::Smooth => score_in_hindsight(known, &filter_config(&drive.told)).into(),
         }
     }
 }
 
 /// A filter's configuration from what it may know.
-fn filter_config(told: &Told) -> FilterConfig {
+pub(super) fn filter_config(told: &Told) -> FilterConfig {
     FilterConfig {
         geometry: told.geometry,
         noise: told.noise,

@@ -3,9 +3,10 @@
 pub mod accuracy;
 mod accuracy_json;
 mod accuracy_runs;
+mod bounds;
 mod estimators;
 
-pub use estimators::{Estimator, UnknownEstimator};
+pub use estimators::{Estimator, UnknownEstimator, Verdict};
 
 use super::Failure;
 use crate::cli::{LabArgs, LabExperiment};

@@ -6,9 +6,9 @@ use anyhow::{Result, anyhow, bail, ensure};
 use posebridge_analysis::metrics::summarise;
 use posebridge_analysis::{ErrorSummary, SourceTally, TimedPose, Track, mean_over_runs};
 use posebridge_pipeline::{DescriptionPolicy, Pipeline, PipelineConfig};
-use posebridge_telemetry::{Address, Input, Point2, Span};
+use posebridge_telemetry::{Address, Input, Observation, Point2, Span};
 
-use super::{Outcome, Replayed, draw, take_outputs};
+use super::{Outcome, Replayed, SmoothedRun, draw, take_outputs};
 use crate::cli::ReplayArgs;
 use crate::collect::{Collector, LONGEST_GAP};
 use crate::commands::{Failure, Stage};
@@ -42,17 +42,21 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     let mut events = args.events.as_deref().map(create).transpose().at_start()?;
     let mut observations = 0;
     let mut bad_rows = 0;
+    let mut smoothed = Vec::new();
     let mut per_filter: Vec<Gathered> = filters.iter().map(|_| Gathered::default()).collect();
     for name in &data.runs {
         let robot_run = data.load(name, &args.data).at_start()?;
         observations += robot_run.run.observations.len() as u64;
         bad_rows += tell_bad_rows(&robot_run);
+        if args.smooth {
+            smoothed.push(smoothed_run(&robot_run));
+        }
         for (filter, gathered) in filters.iter().zip(&mut per_filter) {
             let mut one = Collector::default();
             let scored =
                 replay_run(&robot_run, filter, &mut one, events.as_mut()).while_running()?;
             if Some(filter) == filters.last() {
-                draw_run(args, &robot_run, &one).while_running()?;
+                draw_run(args, &robot_run, &one, smoothed.last()).while_running()?;
             }
             gathered.take(scored, one);
         }
@@ -67,6 +71,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         runs: data.runs,
         observations,
         bad_rows,
+        smoothed,
     })
 }
 
@@ -165,7 +170,23 @@ fn replay_run(
     })
 }
 
-fn draw_run(args: &ReplayArgs, robot_run: &RobotRun, collector: &Collector) -> Result<()> {
+/// What the filters are given, in hindsight.
+fn smoothed_run(robot_run: &RobotRun) -> SmoothedRun {
+    let (run, config) = (&robot_run.run, &robot_run.filter_config);
+    let observations: Vec<Observation> = run
+        .observations
+        .iter()
+        .map(|timed| timed.observation)
+        .collect();
+    SmoothedRun::new(&run.name, config, &observations).scored_on(run, &config.calibration)
+}
+
+fn draw_run(
+    args: &ReplayArgs,
+    robot_run: &RobotRun,
+    collector: &Collector,
+    smoothed: Option<&SmoothedRun>,
+) -> Result<()> {
     let run = &robot_run.run;
     let truth = run.truth.iter().map(|truth| TimedPose {
         stamp: truth.stamp,
@@ -173,5 +194,6 @@ fn draw_run(args: &ReplayArgs, robot_run: &RobotRun, collector: &Collector) -> R
     });
     let truth = Track::new(truth, LONGEST_GAP);
     let truth = (!run.truth.is_empty()).then_some(&truth);
-    draw(args, &run.name, collector, truth)
+    let smoothed = smoothed.and_then(SmoothedRun::track);
+    draw(args, &run.name, collector, (truth, smoothed.as_ref()))
 }

@@ -10,15 +10,20 @@
 //! ANEES  mean(e' P^-1 e) / 3      over all steps and runs
 //! claim  sqrt(mean(P_xx + P_yy))  what the RMSE would be if P were right
 //! NIS    mean of nu' S^-1 nu over its degrees of freedom, of the updates that were accepted, by sensor
+//! bound  sqrt(mean(B_k))          B_k the least mean squared position error after step k
 //! ```
 //! Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001),
 //! section 5.4.
 
+mod bound;
+mod hindsight;
 mod score;
 
 use posebridge_estimator::{Filter, FilterConfig, filter_named};
 use posebridge_telemetry::Observation;
 
+pub use bound::{BoundSum, WheelTurn};
+pub use hindsight::{HindsightScore, score_in_hindsight};
 pub use score::Score;
 
 use crate::track::TimedPose;

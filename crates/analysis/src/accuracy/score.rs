@@ -118,6 +118,18 @@ impl Score {
         }
     }
 
+    /// Counts what became of many observations of one sensor.
+    pub fn add_tally(&mut self, tally: &SourceTally) {
+        match self
+            .sources
+            .iter_mut()
+            .find(|known| known.sensor == tally.sensor)
+        {
+            Some(known) => known.absorb(tally),
+            None => self.sources.push(*tally),
+        }
+    }
+
     /// Closes a run: what was added since the last one is one independent sample of the consistency test.
     pub fn end_run(&mut self) {
         self.runs += 1;
@@ -137,14 +149,7 @@ impl Score {
         self.not_finite += other.not_finite;
         self.refused_covariances += other.refused_covariances;
         for theirs in &other.sources {
-            match self
-                .sources
-                .iter_mut()
-                .find(|ours| ours.sensor == theirs.sensor)
-            {
-                Some(ours) => ours.absorb(theirs),
-                None => self.sources.push(*theirs),
-            }
+            self.add_tally(theirs);
         }
     }
 

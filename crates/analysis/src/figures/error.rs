@@ -10,7 +10,7 @@ use posebridge_telemetry::{Arena, BrickClock, Estimate, Pose, Stamp};
 
 use super::layers::{SIGMAS, can_draw};
 use super::legend::{Entry, Mark};
-use super::palette::{CLAIM, ESTIMATE, FAINT_INK, FILL_OPACITY, ODOMETRY, SKY_BLUE};
+use super::palette::{CLAIM, ESTIMATE, FAINT_INK, FILL_OPACITY, ODOMETRY, SKY_BLUE, SMOOTHED};
 use super::panel::{Panel, Range, Tick, round_ticks};
 use super::svg::{Anchor, Px, Rect, Svg, TextStyle};
 use super::thin::thin_series;
@@ -20,7 +20,7 @@ use crate::track::{TimedPose, Track};
 /// Position error over time.
 pub const ERROR: Figure = Figure {
     name: "error",
-    doc: "Position error of odometry and estimate over time, with the estimate's 2-sigma claim; logarithmic.",
+    doc: "Position error of odometry, estimate and smoothed path over time, with the estimate's 2-sigma claim; logarithmic.",
     render,
 };
 
@@ -73,7 +73,11 @@ pub(super) fn draw(
         for part in &curves.claim {
             draw_claim(svg, &panel, &placed(&panel, part));
         }
-        for (series, stroke) in [(&curves.odometry, &ODOMETRY), (&curves.estimate, &ESTIMATE)] {
+        for (series, stroke) in [
+            (&curves.odometry, &ODOMETRY),
+            (&curves.estimate, &ESTIMATE),
+            (&curves.smoothed, &SMOOTHED),
+        ] {
             for part in series {
                 svg.polyline(&placed(&panel, part), stroke);
             }
@@ -92,6 +96,7 @@ pub(super) fn draw(
 struct Curves {
     odometry: Series,
     estimate: Series,
+    smoothed: Series,
     claim: Series,
     dropped: usize,
 }
@@ -100,16 +105,16 @@ impl Curves {
     fn of(layers: &RunLayers<'_>) -> Self {
         let origin = first_stamp(layers);
         let secs = |stamp: Stamp<BrickClock>| (stamp - origin).as_secs_f64();
-        let parts = layers.odometry.into_iter().flat_map(Track::parts);
-        let odometry = parts.flat_map(|part| {
-            let errors = part.iter().map(|sample: &TimedPose| {
-                (
-                    secs(sample.stamp),
-                    error_m(sample.pose, sample.stamp, layers.truth),
-                )
+        let of_track = |track: Option<&Track>| -> Series {
+            let parts = track.into_iter().flat_map(Track::parts);
+            let errors = parts.flat_map(|part| {
+                connected(part.iter().map(|sample: &TimedPose| {
+                    let error = error_m(sample.pose, sample.stamp, layers.truth);
+                    (secs(sample.stamp), error)
+                }))
             });
-            connected(errors)
-        });
+            errors.collect()
+        };
         let valid = || {
             layers
                 .estimates
@@ -124,8 +129,9 @@ impl Curves {
             .map(|estimate| (secs(estimate.stamp), claim_m(estimate)))
             .collect();
         Self {
-            odometry: odometry.collect(),
+            odometry: of_track(layers.odometry),
             estimate,
+            smoothed: of_track(layers.smoothed),
             dropped: claims.iter().filter(|(_, claim)| claim.is_none()).count(),
             claim: connected(claims.into_iter()),
         }
@@ -136,7 +142,7 @@ impl Curves {
     }
 
     fn points(&self) -> impl Iterator<Item = &(f64, f64)> {
-        [&self.odometry, &self.estimate, &self.claim]
+        [&self.odometry, &self.estimate, &self.smoothed, &self.claim]
             .into_iter()
             .flatten()
             .flatten()
@@ -172,6 +178,11 @@ impl Curves {
             (&self.odometry, Mark::Line(&ODOMETRY), "odometry's error"),
             (&self.estimate, Mark::Line(&ESTIMATE), "estimate's error"),
             (
+                &self.smoothed,
+                Mark::Line(&SMOOTHED),
+                "smoothed path's error",
+            ),
+            (
                 &self.claim,
                 Mark::Area(&CLAIM, SKY_BLUE),
                 "its 2-sigma claim",
@@ -185,7 +196,9 @@ impl Curves {
 }
 
 fn first_stamp(layers: &RunLayers<'_>) -> Stamp<BrickClock> {
-    let tracks = [layers.truth, layers.odometry].into_iter().flatten();
+    let tracks = [layers.truth, layers.odometry, layers.smoothed]
+        .into_iter()
+        .flatten();
     tracks
         .filter_map(|track| Some(track.samples().first()?.stamp))
         .chain(layers.estimates.iter().map(|estimate| estimate.stamp))
@@ -283,6 +296,7 @@ mod tests {
                     .collect(),
             ],
             estimate: Series::new(),
+            smoothed: Series::new(),
             claim: Series::new(),
             dropped: 0,
         }

@@ -22,6 +22,7 @@ pub(super) struct Drawable {
     pub(super) truth: Lines,
     pub(super) odometry: Lines,
     pub(super) estimate: Lines,
+    pub(super) smoothed: Lines,
     pub(super) ellipses: Vec<Vec<Point2<Arena>>>,
     pub(super) used_fixes: Vec<Point2<Arena>>,
     pub(super) refused_fixes: Vec<Point2<Arena>>,
@@ -35,6 +36,7 @@ impl Drawable {
         drawable.truth = drawable.track(layers.truth);
         drawable.odometry = drawable.track(layers.odometry);
         drawable.estimate = drawable.estimate_lines(layers.estimates);
+        drawable.smoothed = drawable.track(layers.smoothed);
         drawable.ellipses = drawable.ellipses_of(layers.estimates);
         let (used, refused): (Vec<FixMark>, Vec<FixMark>) =
             layers.fixes.iter().partition(|fix| was_used(fix.verdict));
@@ -53,7 +55,7 @@ impl Drawable {
 
     /// What the panel must hold, x and y. Refused fixes may be anywhere and do not stretch it.
     pub(super) fn bounds(&self) -> (Range, Range) {
-        let lines = [&self.truth, &self.odometry, &self.estimate];
+        let lines = [&self.truth, &self.odometry, &self.estimate, &self.smoothed];
         let points: Vec<Point2<Arena>> = lines
             .into_iter()
             .flatten()

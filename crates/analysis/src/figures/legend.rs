@@ -3,7 +3,7 @@
 use super::palette::{FILL_OPACITY, INK};
 use super::svg::{Anchor, Px, Stroke, Svg, TextStyle};
 
-const ROW_PX: f64 = 24.0;
+const ROW_PX: f64 = 22.0;
 const SAMPLE_PX: f64 = 30.0;
 
 /// How a layer is marked.

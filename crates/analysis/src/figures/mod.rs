@@ -52,6 +52,8 @@ pub struct RunLayers<'a> {
     pub odometry: Option<&'a Track>,
     /// Where the station believed it was, in the order of time.
     pub estimates: &'a [Estimate],
+    /// Where it must have been, by everything that was observed, before and after.
+    pub smoothed: Option<&'a Track>,
     /// The fixes that came from outside.
     pub fixes: &'a [FixMark],
 }

@@ -6,6 +6,7 @@
 use super::svg::Stroke;
 
 pub(super) const BLACK: &str = "#000000";
+pub(super) const ORANGE: &str = "#E69F00";
 pub(super) const SKY_BLUE: &str = "#56B4E9";
 pub(super) const BLUISH_GREEN: &str = "#009E73";
 pub(super) const BLUE: &str = "#0072B2";
@@ -23,6 +24,7 @@ pub(super) const IDEAL: Stroke = Stroke::dashed("#8C8C8C", 1.3, "7 5");
 pub(super) const TRUTH: Stroke = Stroke::solid(BLACK, 2.6);
 pub(super) const ODOMETRY: Stroke = Stroke::dashed(VERMILLION, 1.8, "9 2.5");
 pub(super) const ESTIMATE: Stroke = Stroke::solid(BLUE, 1.5);
+pub(super) const SMOOTHED: Stroke = Stroke::dashed(ORANGE, 1.8, "3 2.5");
 pub(super) const ELLIPSE: Stroke = Stroke::solid(SKY_BLUE, 0.9);
 pub(super) const CLAIM: Stroke = Stroke::solid(SKY_BLUE, 1.1);
 pub(super) const REFUSED: Stroke = Stroke::solid(REDDISH_PURPLE, 1.6);

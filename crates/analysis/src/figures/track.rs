@@ -8,7 +8,7 @@ use super::layers::{Drawable, Lines};
 use super::legend::{Entry, Mark, draw_start};
 use super::palette::{
     BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, ODOMETRY,
-    REFUSED, SKY_BLUE, TRUTH, VERMILLION,
+    ORANGE, REFUSED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION,
 };
 use super::panel::{Panel, round_ticks};
 use super::svg::{Anchor, Px, Rect, Stroke, Svg, TextStyle};
@@ -18,7 +18,7 @@ use super::{Figure, RunLayers, canvas, detail, error, legend};
 /// The map of a run with its errors over time.
 pub const TRACK: Figure = Figure {
     name: "track",
-    doc: "Map of the ideal path, truth, odometry, estimate with 2-sigma ellipses and fixes; position error over time.",
+    doc: "Map of the ideal path, truth, odometry, estimate with 2-sigma ellipses, smoothed path and fixes; position error over time.",
     render,
 };
 
@@ -121,6 +121,7 @@ fn draw_layers(svg: &mut Svg, panel: &Panel, drawable: &Drawable) {
     lines(&drawable.odometry, &ODOMETRY, svg);
     draw_fixes(svg, panel, drawable);
     lines(&drawable.estimate, &ESTIMATE, svg);
+    lines(&drawable.smoothed, &SMOOTHED, svg);
     draw_ends(svg, panel, drawable);
 }
 
@@ -146,6 +147,7 @@ fn draw_ends(svg: &mut Svg, panel: &Panel, drawable: &Drawable) {
         (&drawable.truth, BLACK),
         (&drawable.odometry, VERMILLION),
         (&drawable.estimate, BLUE),
+        (&drawable.smoothed, ORANGE),
     ] {
         if let Some(end) = lines.last().and_then(|line| line.last()) {
             svg.disc(panel.place(end.x.0, end.y.0), 4.0, fill, None);
@@ -185,6 +187,10 @@ fn entries(drawable: &Drawable) -> Vec<Entry> {
         (
             !drawable.ellipses.is_empty(),
             Entry::new(Mark::Area(&ELLIPSE, SKY_BLUE), "its 2-sigma ellipses"),
+        ),
+        (
+            !drawable.smoothed.is_empty(),
+            Entry::new(Mark::Line(&SMOOTHED), "smoothed path"),
         ),
         (
             used > 0,

@@ -12,13 +12,16 @@ pub struct ScoreRow<'a> {
     pub name: &'a str,
     /// What its errors add up to.
     pub score: &'a Score,
+    /// The root mean square position error that no filter can be better than, in metres; `None` where there is no such bound.
+    pub bound_m: Option<f64>,
 }
 
-/// Accuracy in millimetres and degrees, what the estimator claims, and how its observations fared.
+/// Accuracy in millimetres and degrees and as a multiple of the bound, what the estimator claims, and how its observations fared.
 pub fn score_table(rows: &[ScoreRow<'_>]) -> String {
     let mut table = Table::new([
         "estimator",
         "rms mm",
+        "rms/bound",
         "mean mm",
         "max mm",
         "heading rms deg",
@@ -32,6 +35,7 @@ pub fn score_table(rows: &[ScoreRow<'_>]) -> String {
         table.push([
             row.name.to_owned(),
             millimetres(score.position_rms_m()),
+            three_digits(over_bound(row)),
             millimetres(score.position_mean_m()),
             millimetres(score.position_max_m()),
             degrees(score.heading_rms_rad()),
@@ -42,6 +46,21 @@ pub fn score_table(rows: &[ScoreRow<'_>]) -> String {
         ]);
     }
     table.render() + &rows.iter().map(footnotes).collect::<String>()
+}
+
+/// The bound of a scenario, with what is to be said about it: what it leaves out, or why there is none.
+pub fn bound_line(bound_m: Option<f64>, note: Option<&str>) -> String {
+    let bound = match bound_m {
+        Some(_) => format!("bound: {} mm rms", millimetres(bound_m)),
+        None => "no bound".to_owned(),
+    };
+    let note = note.map(|note| format!(", {note}")).unwrap_or_default();
+    format!("{bound}{note}\n")
+}
+
+fn over_bound(row: &ScoreRow<'_>) -> Option<f64> {
+    let bound_m = row.bound_m.filter(|bound_m| *bound_m > 0.0)?;
+    Some(row.score.position_rms_m()? / bound_m)
 }
 
 /// The sensors whose observations were predicted, each with its mean and the verdict on it.
@@ -114,5 +133,13 @@ mod tests {
         assert_eq!(cells, ["1.33", "13.7", "224", "1812", "4.3e5"]);
         assert_eq!(three_digits(Some(0.0104)), "0.010");
         assert_eq!(three_digits(None), "-");
+    }
+
+    #[test]
+    fn a_bound_is_told_with_what_it_leaves_out_and_a_missing_one_with_the_reason() {
+        let line = bound_line(Some(0.000_971), Some("without the kicks"));
+        assert_eq!(line, "bound: 0.971 mm rms, without the kicks\n");
+        assert_eq!(bound_line(Some(0.000_971), None), "bound: 0.971 mm rms\n");
+        assert_eq!(bound_line(None, Some("why")), "no bound, why\n");
     }
 }

@@ -6,8 +6,10 @@
 pub(crate) mod accuracy;
 mod replay;
 mod run;
+mod smooth;
 mod table;
 
-pub use accuracy::{ScoreRow, score_table};
+pub use accuracy::{ScoreRow, bound_line, score_table};
 pub use replay::{EstimatorRow, estimator_table, source_table};
 pub use run::{RunRow, run_table};
+pub use smooth::{SmoothRow, smooth_table};

@@ -41,6 +41,7 @@ impl Scene {
             odometry: Some(&self.odometry),
             estimates: &self.estimates,
             fixes: &self.fixes,
+            ..RunLayers::default()
         }
     }
 }

@@ -1,0 +1,56 @@
+//! The offline smoother over a known drive: what a report can know, where a filter must answer at once.
+
+use posebridge_estimator::FilterConfig;
+use posebridge_estimator::offline::{OfflineError, Smoothed, batch};
+use posebridge_telemetry::{Observation, Observed};
+
+use super::{KnownDrive, Score};
+use crate::metrics::SourceTally;
+use crate::smoothed::SmoothedPath;
+
+/// The score of one drive in hindsight.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HindsightScore {
+    /// Of every step that counts; without a path, of steps without an estimate.
+    pub score: Score,
+    /// Why there is no path.
+    pub refusal: Option<OfflineError>,
+}
+
+/// Finds the most likely path of a whole drive and scores it at the steps at which a filter is scored.
+///
+/// The path at a step knows what was observed after it. Of the observations only the fixes are tallied, all under the sensor of the
+/// first one: a fix that the path leaves out counts as gated.
+pub fn score_in_hindsight(drive: &KnownDrive, config: &FilterConfig) -> HindsightScore {
+    let observations: Vec<Observation> = drive
+        .arrivals
+        .iter()
+        .map(|arrival| arrival.observation)
+        .collect();
+    let (path, tally, refusal) = match batch(config, &observations) {
+        Ok(smoothed) => {
+            let tally = fixes_of(&smoothed, &observations);
+            (SmoothedPath::new(smoothed.poses), tally, None)
+        }
+        Err(refusal) => (SmoothedPath::default(), None, Some(refusal)),
+    };
+    let mut score = Score::default();
+    if let Some(tally) = tally {
+        score.add_tally(&tally);
+    }
+    for truth in drive.truth.iter().skip(drive.scored_from) {
+        score.add_step(truth.pose, path.at(truth.stamp).as_ref());
+    }
+    score.end_run();
+    HindsightScore { score, refusal }
+}
+
+fn fixes_of(smoothed: &Smoothed, observations: &[Observation]) -> Option<SourceTally> {
+    let first = observations
+        .iter()
+        .find(|observation| matches!(observation.observed, Observed::Fix(_)))?;
+    let mut tally = SourceTally::new(first.sensor);
+    tally.used = smoothed.fixes_used as u64;
+    tally.gated = smoothed.fixes_left_out as u64;
+    Some(tally)
+}

@@ -1,0 +1,191 @@
+//! `replay --smooth`: the path in hindsight beside the filters, on a robot whose drive is known by hand, and what a person reads
+//! when there is none.
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+mod support;
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use serde_json::Value;
+use support::posebridge;
+
+/// Straight along x at 0.1 m/s for 20 s: a tick is a millimetre, the camera looks once a second and every second fix is withheld.
+const DESCRIPTOR: &str = r#"
+name = "by-hand"
+source = "written by this test"
+licence = "-"
+default_run = "straight"
+
+[robot]
+left_wheel_radius_m = 0.1
+right_wheel_radius_m = 0.1
+track_width_m = 0.2
+ticks_per_turn = 628.3185307179587
+
+[robot.noise]
+wheel_travel_m_per_sqrt_m = 0.002
+turn_rad_per_sqrt_rad = 0.01
+fix_position_m = 0.005
+wall_range_m = 0.01
+
+[[runs]]
+name = "straight"
+
+[files.wheels]
+path = "wheels.csv"
+header_lines = 1
+time = { column = "t_s" }
+
+[files.camera]
+path = "camera.csv"
+header_lines = 1
+time = { column = "t_s" }
+
+[[wheels]]
+file = "wheels"
+counting = "absolute"
+left = { column = "left", unit = "ticks" }
+right = { column = "right", unit = "ticks" }
+
+[[wall_range]]
+file = "wheels"
+range = { column = "wall_m" }
+"#;
+
+const FIXES: &str = r#"
+[[fixes]]
+file = "camera"
+x = { column = "x_m" }
+y = { column = "y_m" }
+use_every = 2
+"#;
+
+/// The start that it is told is 50 mm beside the true one, and said to be good to 100 mm.
+const START: &str = r"
+[start]
+x_m = 0.0
+y_m = 0.05
+heading_deg = 0.0
+position_sigma_m = 0.1
+heading_sigma_rad = 0.1
+";
+
+/// The descriptor and its data in a folder; one of the fixes is half a metre off.
+fn recording(parts: &[&str]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut wheels = "t_s,left,right,wall_m\n".to_owned();
+    for tenth in 0..=200 {
+        let (t_s, ticks) = (f64::from(tenth) / 10.0, tenth * 10);
+        writeln!(wheels, "{t_s},{ticks},{ticks},{}", 3.0 - t_s * 0.1).unwrap();
+    }
+    let mut camera = "t_s,x_m,y_m\n".to_owned();
+    for second in 0..=20 {
+        let y_m = if second == 10 { 0.5 } else { 0.0 };
+        writeln!(camera, "{second},{},{y_m}", f64::from(second) * 0.1).unwrap();
+    }
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    write("wheels.csv", &wheels);
+    write("camera.csv", &camera);
+    write("by-hand.toml", &parts.concat());
+    folder
+}
+
+/// What `replay` prints for these arguments; it must end well.
+fn replay(folder: &Path, args: &[&str]) -> String {
+    let output = posebridge(folder)
+        .arg("replay")
+        .args(args)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn object(folder: &Path, args: &[&str]) -> Value {
+    serde_json::from_str(&replay(folder, args)).unwrap()
+}
+
+#[test]
+fn in_hindsight_the_start_is_known_and_the_outlier_left_out() {
+    let folder = recording(&[DESCRIPTOR, FIXES, START]);
+    let args = ["by-hand.toml", "--filter", "pose", "--smooth", "--json"];
+    let report = object(folder.path(), &args);
+    let smooth = &report["smooth"]["straight"];
+    // Of 21 fixes every second one is used, among them the one at 10 s.
+    let used = smooth["fixes_used"].as_u64().unwrap();
+    assert_eq!(used + smooth["fixes_left_out"].as_u64().unwrap(), 11);
+    assert_eq!(smooth["fixes_left_out"], 1, "{smooth}");
+    assert!(smooth["reason"].is_null());
+    assert!(smooth["iterations"].as_u64().unwrap() > 0);
+    assert!(smooth["seconds"].as_f64().unwrap() > 0.0);
+    assert_eq!(smooth["not_read"]["range"], 201);
+    // The withheld fixes are exact. A filter must begin where it is told; the path knows better.
+    let rms_m = smooth["position_rms_m"].as_f64().unwrap();
+    assert!(rms_m < 0.001, "{rms_m}");
+    assert!(smooth["position_max_m"].as_f64().unwrap() < 0.002);
+    assert!(smooth["heading_rms_rad"].is_null(), "no heading withheld");
+    assert!(rms_m < report["estimators"][0]["position_rms_m"].as_f64().unwrap());
+}
+
+#[test]
+fn without_the_flag_there_is_none() {
+    let folder = recording(&[DESCRIPTOR, FIXES, START]);
+    let report = object(folder.path(), &["by-hand.toml", "--json"]);
+    assert!(report["smooth"].is_null());
+    assert!(!replay(folder.path(), &["by-hand.toml"]).contains("smooth"));
+}
+
+#[test]
+fn the_table_names_what_is_not_read_and_the_picture_has_the_path() {
+    let folder = recording(&[DESCRIPTOR, FIXES, START]);
+    let table = replay(
+        folder.path(),
+        &["by-hand.toml", "--smooth", "--figure", "track.svg"],
+    );
+    let row = table.lines().find(|line| line.starts_with("straight  "));
+    let cells: Vec<&str> = row.unwrap().split_whitespace().collect();
+    assert_eq!(cells[5..7], ["10", "1"], "{table}");
+    let said = "straight: the smoother reads wheels, gyro and fixes only, not: range (201)";
+    assert!(table.lines().any(|line| line == said), "{table}");
+    let picture = std::fs::read_to_string(folder.path().join("track.svg")).unwrap();
+    assert!(picture.contains("smoothed path"));
+}
+
+#[test]
+fn without_start_and_fixes_a_person_reads_why_there_is_no_path() {
+    let folder = recording(&[DESCRIPTOR]);
+    let reason = "nothing to smooth: 201 motion readings, 0 fixes and no start";
+    let table = replay(folder.path(), &["by-hand.toml", "--smooth"]);
+    let said = format!("straight: no smoothed path: {reason}");
+    assert!(table.lines().any(|line| line == said), "{table}");
+    let report = object(folder.path(), &["by-hand.toml", "--smooth", "--json"]);
+    let smooth = &report["smooth"]["straight"];
+    assert_eq!(smooth["reason"], reason);
+    for figure in ["position_rms_m", "fixes_used", "iterations"] {
+        assert!(smooth[figure].is_null(), "{figure}");
+    }
+}
+
+#[test]
+fn a_recording_of_ours_is_smoothed_from_what_its_filter_was_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["run", "--link", "sim://square", "--duration", "3"];
+    let live = posebridge(folder.path())
+        .args(args)
+        .args(["--out", "live"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&live.stderr);
+    assert!(live.status.success(), "{said}");
+    let args = ["live/recording.mcap", "--smooth", "--json"];
+    let report = object(folder.path(), &args);
+    let smooth = &report["smooth"]["recording"];
+    assert!(smooth["reason"].is_null(), "{smooth}");
+    assert!(smooth["fixes_used"].as_u64().unwrap() > 5, "{smooth}");
+    assert!(smooth["position_rms_m"].is_null(), "there is no truth");
+}
