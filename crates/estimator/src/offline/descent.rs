@@ -18,6 +18,8 @@ const MOST_STEPS: u32 = 100;
 const CONVERGED: f64 = 1e-8;
 /// The first damping; the information of one good fix is ten thousand times that.
 const FIRST_DAMPING: f64 = 1.0;
+/// Below this it is dropped: sooner, the first step without it would overshoot along the rows that are known to a micrometre.
+const LEAST_DAMPING: f64 = 1e-6;
 /// With this much the step is far below a nanometre.
 const MOST_DAMPING: f64 = 1e16;
 /// Rounding alone may raise the cost by this share.
@@ -66,7 +68,7 @@ pub(super) fn descend(
         }
         let tried = linearise(ground, &there, damping);
         if is_finite && tried.cost <= here.cost * (1.0 + ROUNDING) + ROUNDING {
-            let relaxed = if damping > FIRST_DAMPING {
+            let relaxed = if damping > LEAST_DAMPING {
                 damping / 10.0
             } else {
                 0.0
