@@ -9,6 +9,7 @@ use std::sync::Arc;
 use posebridge_analysis::TimedPose;
 use posebridge_analysis::accuracy::{Arrival, BoundSum, KnownDrive, WheelTurn, score_in_hindsight};
 use posebridge_estimator::offline::OfflineError;
+use posebridge_estimator::offline::batch;
 use posebridge_estimator::{FilterConfig, Params, StartPose};
 use posebridge_telemetry::{
     Arena, BrickClock, Calibration, DriveGeometry, Fix, Heading, Meters, Observation, Observed,
@@ -187,7 +188,7 @@ fn in_hindsight_the_first_step_knows_the_last_fix() {
             (55, 0.0),
         ],
     );
-    let result = score_in_hindsight(&drive, &told);
+    let result = score_in_hindsight(&drive, &told, batch);
     assert_eq!(result.refusal, None);
     let score = result.score;
     assert_eq!(
@@ -209,7 +210,7 @@ fn without_a_path_no_step_has_an_estimate_and_the_reason_is_told() {
         start: None,
         ..config()
     };
-    let result = score_in_hindsight(&straight(20, &[]), &nowhere);
+    let result = score_in_hindsight(&straight(20, &[]), &nowhere, batch);
     let refusal = result.refusal.unwrap();
     assert!(matches!(refusal, OfflineError::NothingObserved { .. }));
     assert_eq!(

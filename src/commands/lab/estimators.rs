@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use posebridge_analysis::accuracy::{HindsightScore, KnownDrive, Score, score, score_in_hindsight};
-use posebridge_estimator::offline::OfflineError;
+use posebridge_estimator::offline::{OfflineError, batch, rts};
 use posebridge_estimator::{
     Estimates, FILTERS, FilterConfig, FilterEntry, Params, StartPose, filter_named,
 };
@@ -14,8 +14,10 @@ use posebridge_telemetry::Calibration;
 const FLAGSHIP: &str = "pose";
 /// What a clairvoyant filter's name ends in.
 const CLAIRVOYANT: &str = "-true-geometry";
-/// The offline smoother's name.
+/// The name of the most likely path.
 const SMOOTH: &str = "smooth";
+/// The name of the flagship run forwards and back.
+const RTS: &str = "rts";
 
 /// An estimator that can be run over a drive.
 ///
@@ -27,6 +29,8 @@ pub enum Estimator {
     Filter(&'static FilterEntry),
     /// A row of the table, told the true geometry of the run: the bound for every filter that has to learn it.
     TrueGeometry(&'static FilterEntry),
+    /// The flagship run forwards and back.
+    Rts,
     /// The most likely path of the whole run, found when it is over.
     Smooth,
 }
@@ -64,7 +68,10 @@ impl Estimator {
             .filter(|entry| entry.estimates == Estimates::Pose)
             .map(Self::Filter);
         let clairvoyant = filter_named(FLAGSHIP).map(Self::TrueGeometry);
-        filters.chain(clairvoyant).chain([Self::Smooth]).collect()
+        filters
+            .chain(clairvoyant)
+            .chain([Self::Rts, Self::Smooth])
+            .collect()
     }
 
     /// The estimator of this name.
@@ -93,6 +100,7 @@ impl Estimator {
         match self {
             Self::Filter(entry) => entry.name.to_owned(),
             Self::TrueGeometry(entry) => format!("{}{CLAIRVOYANT}", entry.name),
+            Self::Rts => RTS.to_owned(),
             Self::Smooth => SMOOTH.to_owned(),
         }
     }
@@ -106,6 +114,9 @@ impl Estimator {
                 "`{}` told the true geometry of each run: what no filter can know",
                 entry.name
             ),
+            Self::Rts => {
+                "`pose` run forwards and back over the whole run: what it would have believed, had it known the rest".to_owned()
+            }
             Self::Smooth => {
                 "the most likely path of the whole run, found afterwards: what no filter can know in time".to_owned()
             }
@@ -128,7 +139,8 @@ impl Estimator {
                 };
                 Verdict::of_filter(score(known, (entry.build)(&config).as_mut()))
             }
-            Self::Smooth => score_in_hindsight(known, &filter_config(&drive.told)).into(),
+            Self::Rts => score_in_hindsight(known, &filter_config(&drive.told), rts).into(),
+            Self::Smooth => score_in_hindsight(known, &filter_config(&drive.told), batch).into(),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The offline smoother over a known drive: what a report can know, where a filter must answer at once.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::offline::{OfflineError, Smoothed, batch};
+use posebridge_estimator::offline::{OfflineError, Smoothed};
 use posebridge_telemetry::{Observation, Observed};
 
 use super::{KnownDrive, Score};
@@ -17,17 +17,24 @@ pub struct HindsightScore {
     pub refusal: Option<OfflineError>,
 }
 
-/// Finds the most likely path of a whole drive and scores it at the steps at which a filter is scored.
+/// A way to smooth a whole run: [`posebridge_estimator::offline::batch`] or [`posebridge_estimator::offline::rts`].
+pub type Smoother = fn(&FilterConfig, &[Observation]) -> Result<Smoothed, OfflineError>;
+
+/// Smooths a whole drive and scores the path at the steps at which a filter is scored.
 ///
 /// The path at a step knows what was observed after it. Of the observations only the fixes are tallied, all under the sensor of the
 /// first one: a fix that the path leaves out counts as gated.
-pub fn score_in_hindsight(drive: &KnownDrive, config: &FilterConfig) -> HindsightScore {
+pub fn score_in_hindsight(
+    drive: &KnownDrive,
+    config: &FilterConfig,
+    smoother: Smoother,
+) -> HindsightScore {
     let observations: Vec<Observation> = drive
         .arrivals
         .iter()
         .map(|arrival| arrival.observation)
         .collect();
-    let (path, tally, refusal) = match batch(config, &observations) {
+    let (path, tally, refusal) = match smoother(config, &observations) {
         Ok(smoothed) => {
             let tally = fixes_of(&smoothed, &observations);
             (SmoothedPath::new(smoothed.poses), tally, None)

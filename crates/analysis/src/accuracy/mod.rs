@@ -23,7 +23,7 @@ use posebridge_estimator::{Filter, FilterConfig, filter_named};
 use posebridge_telemetry::Observation;
 
 pub use bound::{BoundSum, WheelTurn};
-pub use hindsight::{HindsightScore, score_in_hindsight};
+pub use hindsight::{HindsightScore, Smoother, score_in_hindsight};
 pub use score::Score;
 
 use crate::track::TimedPose;

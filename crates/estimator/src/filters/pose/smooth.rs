@@ -162,13 +162,11 @@ fn forwards(
     smoothing: &mut Smoothing,
 ) -> Vec<Passed> {
     let mut state = widened(initial);
+    copy_rows(&mut state);
     let mut passed = Vec::with_capacity(told.len());
     for entry in told {
         let tells_of_pose = matches!(entry.action, Action::Motion | Action::Sight(..));
         let before = state;
-        if tells_of_pose {
-            copy_rows(&mut state);
-        }
         let mut record: FusionRecord = scratch_record(entry.stamp, entry.sensor);
         act(&mut state, entry.stamp, entry.action, context, &mut record);
         if matches!(entry.action, Action::Sight(..)) {
@@ -186,6 +184,8 @@ fn forwards(
         }
         if tells_of_pose {
             passed.push(kept(&state, entry.stamp, rows));
+            // At once: what the gyro's entries let grow until the next one lies between the copy and that.
+            copy_rows(&mut state);
         }
     }
     passed
