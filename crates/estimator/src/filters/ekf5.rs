@@ -25,8 +25,8 @@ use posebridge_telemetry::{Fix, FusionRecord, Heading, Verdict, quantities::wrap
 use super::paper1::{INTERVAL_S, UNITS, covariance_si};
 use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, innovation, rows};
 use super::{Filter, FilterConfig, StartPose};
-use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, advance, jacobian};
-use crate::update::{Measurement, Scalar, apply, symmetrise};
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, Step};
+use crate::update::{Measurement, Scalar, apply};
 
 /// Variance of v_enc, (cm/s)²: paper 1, equation 26.
 const FORWARD_VARIANCE: f64 = 5.1;
@@ -155,10 +155,11 @@ impl Maths for FiveStates {
     }
 
     fn advance(&mut self, dt_s: f64, felt: Acceleration, _context: &Context) {
-        let f = jacobian(&self.mean, dt_s);
-        self.mean = advance(&self.mean, felt, dt_s);
-        self.covariance = f * self.covariance * f.transpose() + process_noise(self.order, dt_s);
-        symmetrise(&mut self.covariance);
+        let step = Step {
+            interval_s: dt_s,
+            variances: process_noise(self.order, dt_s).diagonal().into(),
+        };
+        step.predict(&mut self.mean, &mut self.covariance, felt);
     }
 
     fn wait(&mut self, dt_s: f64, _context: &Context) {

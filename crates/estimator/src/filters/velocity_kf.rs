@@ -19,11 +19,10 @@ use nalgebra::{Matrix2, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, TURN};
 use posebridge_telemetry::{FusionRecord, Verdict};
 
-use super::paper1::{INTERVAL_S, UNITS, covariance_si};
+use super::paper1::{INTERVAL_S, UNITS, covariance_si, variances_si};
 use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, innovation, rows};
 use super::{Filter, FilterConfig, StartPose};
-use crate::models::planar_speeds::{Acceleration, Covariance, Mean, advance, jacobian};
-use crate::update::symmetrise;
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, Step};
 
 /// Diagonal of R, (cm/s)² and (degrees/s)²: paper 1, equation 23.
 const NOISE: [f64; 2] = [5.1, 1.938];
@@ -85,11 +84,11 @@ impl Maths for VelocityKf {
     }
 
     fn advance(&mut self, dt_s: f64, felt: Acceleration, _context: &Context) {
-        let f = jacobian(&self.mean, dt_s);
-        let q = covariance_si(PROCESS) * (dt_s / INTERVAL_S);
-        self.mean = advance(&self.mean, felt, dt_s);
-        self.covariance = f * self.covariance * f.transpose() + q;
-        symmetrise(&mut self.covariance);
+        let step = Step {
+            interval_s: dt_s,
+            variances: variances_si(PROCESS).map(|variance| variance * (dt_s / INTERVAL_S)),
+        };
+        step.predict(&mut self.mean, &mut self.covariance, felt);
     }
 
     fn wait(&mut self, dt_s: f64, _context: &Context) {
