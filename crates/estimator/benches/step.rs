@@ -19,11 +19,10 @@ mod steady;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use bare::Bare;
+use bare::{Bare, learning};
 use criterion::{Criterion, Throughput};
 use posebridge_estimator::{Filter, filter_named};
 use posebridge_telemetry::Verdict;
-use robot::learning;
 use speed::{AGREEMENT, Input, STEPS, WAYS, recorded};
 use steady::{LATE_STEPS, fix, gyro, wheels};
 
