@@ -96,9 +96,11 @@ impl<const K: usize> Scalar<K> {
     }
 
     /// P H'.
+    #[inline]
     #[must_use]
     pub fn cross<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> SVector<f64, N> {
-        let mut cross = SVector::zeros();
+        // Minus zero, because adding it changes nothing, so that the compiler may leave the first sum out.
+        let mut cross = SVector::<f64, N>::repeat(-0.0);
         for (&row, &by) in self.rows.iter().zip(&self.by_row) {
             for i in 0..N {
                 cross[i] += by * covariance[(i, row)];
@@ -144,7 +146,7 @@ pub fn use_scalar<const N: usize, const K: usize>(
     scalar: &Scalar<K>,
     gate: f64,
 ) -> ScalarOutcome {
-    let cross = cross_covariance(covariance, scalar);
+    let cross = scalar.cross(covariance);
     let mut s = scalar.variance;
     for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
         s += by * cross[row];
@@ -168,22 +170,6 @@ pub fn use_scalar<const N: usize, const K: usize>(
         nis,
         usage,
     }
-}
-
-/// P H' of a scalar observation.
-#[inline]
-fn cross_covariance<const N: usize, const K: usize>(
-    covariance: &SMatrix<f64, N, N>,
-    scalar: &Scalar<K>,
-) -> SVector<f64, N> {
-    // Minus zero, because adding it changes nothing, so that the compiler may leave the first sum out.
-    let mut cross = SVector::<f64, N>::repeat(-0.0);
-    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
-        for i in 0..N {
-            cross[i] += by * covariance[(i, row)];
-        }
-    }
-    cross
 }
 
 /// P <- P - c c' / s: one triangle computed, the other copied, so that the result is symmetric.
@@ -216,25 +202,42 @@ pub fn symmetrise<const N: usize>(matrix: &mut SMatrix<f64, N, N>) {
 
 /// Cholesky's factor; `None` when the matrix is not positive definite.
 fn lower_triangle<const M: usize>(matrix: &SMatrix<f64, M, M>) -> Option<SMatrix<f64, M, M>> {
+    let root_of = |_, pivot: f64| {
+        let is_positive = pivot > 0.0 && pivot.is_finite();
+        is_positive.then(|| pivot.sqrt()).ok_or(())
+    };
+    factorise(matrix, root_of).ok()
+}
+
+/// Cholesky's decomposition L L' of a symmetric matrix, of which the lower triangle is read. `root_of` says of a row and its pivot,
+/// what is left of the diagonal there, what the diagonal of L becomes; with zero the whole column does.
+///
+/// # Errors
+/// The first of `root_of`.
+pub fn factorise<const M: usize, E>(
+    matrix: &SMatrix<f64, M, M>,
+    root_of: impl Fn(usize, f64) -> Result<f64, E>,
+) -> Result<SMatrix<f64, M, M>, E> {
     let mut lower = SMatrix::<f64, M, M>::zeros();
     for j in 0..M {
-        let mut diagonal = matrix[(j, j)];
+        let mut pivot = matrix[(j, j)];
         for k in 0..j {
-            diagonal -= lower[(j, k)] * lower[(j, k)];
+            pivot -= lower[(j, k)] * lower[(j, k)];
         }
-        if diagonal.is_nan() || diagonal <= 0.0 || diagonal.is_infinite() {
-            return None;
+        let root = root_of(j, pivot)?;
+        if root == 0.0 {
+            continue;
         }
-        lower[(j, j)] = diagonal.sqrt();
+        lower[(j, j)] = root;
         for i in j + 1..M {
             let mut value = matrix[(i, j)];
             for k in 0..j {
                 value -= lower[(i, k)] * lower[(j, k)];
             }
-            lower[(i, j)] = value / lower[(j, j)];
+            lower[(i, j)] = value / root;
         }
     }
-    Some(lower)
+    Ok(lower)
 }
 
 fn solve_lower<const M: usize>(

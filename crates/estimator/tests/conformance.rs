@@ -1,249 +1,34 @@
-//! What every filter of the table must do, whatever it makes of its observations.
+//! What every filter of the table must do, whatever it makes of its observations. What it must refuse: `conformance_refusals.rs`.
 #![expect(
     clippy::expect_used,
     reason = "helpers outside #[test] stop when a filter gives no estimate"
 )]
 
+#[path = "support/conformance.rs"]
+mod conformance;
 #[path = "support/robot.rs"]
 mod robot;
 
 use std::f64::consts::PI;
 
-use nalgebra::Matrix5;
-use posebridge_estimator::{
-    Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, StartPose,
+use conformance::{
+    at, belief, drive_straight, fix, fix_of, for_each, gyro, latest, ms, start, wheels,
 };
+use nalgebra::Matrix5;
+use posebridge_estimator::{Filter, FilterConfig, Late, StartPose};
 use posebridge_telemetry::{
-    BrickClock, Estimate, Fix, Heading, Meters, MetersPerSecond, Observation, Observed, Point2,
-    Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp, Verdict,
+    Estimate, Fix, Heading, Meters, MetersPerSecond, Observed, Point2, PositionCovariance, Radians,
+    RadiansPerSecond, SensorId, Span, Verdict,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use robot::{DEGREE, RADIUS_M, TRACK_M, config};
-
-fn ms(millis: i64) -> Stamp<BrickClock> {
-    Stamp::from_millis(millis)
-}
-
-fn at(millis: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: ms(millis),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
-}
-
-fn wheels(millis: i64, left_rad: f64, right_rad: f64) -> Observation {
-    let observed = Observed::WheelAngles {
-        left: Radians(left_rad),
-        right: Radians(right_rad),
-    };
-    at(millis, SensorId::WHEELS, observed)
-}
-
-fn gyro(millis: i64, rad_per_s: f64) -> Observation {
-    let observed = Observed::TurnRate(RadiansPerSecond(rad_per_s));
-    at(millis, SensorId::GYRO, observed)
-}
-
-fn fix_of(x_m: f64, y_m: f64, heading_rad: f64) -> Fix {
-    Fix {
-        position: Point2::new(Meters(x_m), Meters(y_m)),
-        heading: Some(Heading::from_rad(heading_rad)),
-        covariance: None,
-        tag_in_body: Point2::ORIGIN,
-        reset_counter: 0,
-    }
-}
-
-fn fix(millis: i64, fix: Fix) -> Observation {
-    at(millis, SensorId::CAMERA, Observed::Fix(fix))
-}
 
 fn without_start() -> FilterConfig {
     FilterConfig {
         start: None,
         ..config()
     }
-}
-
-/// Runs a check on every filter of the pose, freshly built, with the row that built it. Those of one quantity have a suite of their
-/// own, `conformance_scalar.rs`.
-fn for_each(config: &FilterConfig, check: impl Fn(&FilterEntry, Box<dyn Filter>)) {
-    for entry in FILTERS {
-        if entry.estimates == Estimates::Pose {
-            check(entry, (entry.build)(config));
-        }
-    }
-}
-
-/// Drives straight on at 0.2 m/s from 0 to `until_ms`, wheels and gyro every 50 ms; the last observation is that of the wheels.
-fn drive_straight(filter: &mut dyn Filter, until_ms: i64) {
-    for millis in (0..=until_ms).step_by(50) {
-        filter.observe(&gyro(millis, 0.0));
-        let rad = 0.2e-3 * millis as f64 / RADIUS_M;
-        filter.observe(&wheels(millis, rad, rad));
-    }
-}
-
-fn latest(filter: &dyn Filter) -> Estimate {
-    filter
-        .latest()
-        .and_then(|latest| filter.estimate_at(latest))
-        .expect("something was observed")
-}
-
-/// What a filter believes of the last seconds and of the next, in digits that tell any two numbers apart.
-fn belief(filter: &dyn Filter) -> String {
-    let instants = (-20..=20).map(|k| k * 100);
-    let latest = filter.latest();
-    let believed: Vec<_> = instants
-        .filter_map(|millis| filter.estimate_at(latest? + Span::from_millis(millis)))
-        .collect();
-    format!("{latest:?} {believed:?}")
-}
-
-fn malformed_fixes() -> Vec<Fix> {
-    let good = fix_of(0.2, 0.1, 0.0);
-    let with = |xx_m2, xy_m2, yy_m2, heading_rad2| Fix {
-        covariance: Some(PositionCovariance {
-            xx_m2,
-            xy_m2,
-            yy_m2,
-            heading_rad2,
-        }),
-        ..good
-    };
-    let tag = |x_m, y_m| Fix {
-        tag_in_body: Point2::new(Meters(x_m), Meters(y_m)),
-        ..good
-    };
-    let mut fixes = vec![
-        with(0.0, 0.0, 1e-4, 1e-4),
-        with(1e-4, 0.0, -1e-4, 1e-4),
-        with(1e-4, 2e-4, 1e-4, 1e-4),
-        with(1e-4, 0.0, 1e-4, 0.0),
-        with(1e-200, 0.0, 1e-200, 1e-4),
-        with(1e-4, 0.0, 1e-4, f64::NAN),
-        with(1e-4, 0.0, 1e-4, 1e300),
-    ];
-    for bad in BAD {
-        fixes.extend([fix_of(bad, 0.0, 0.0), fix_of(0.0, bad, 0.0)]);
-        fixes.extend([tag(bad, 0.0), tag(0.0, bad)]);
-        fixes.extend([
-            with(bad, 0.0, 1e-4, 1e-4),
-            with(1e-4, bad, 1e-4, 1e-4),
-            with(1e-4, 0.0, bad, 1e-4),
-        ]);
-    }
-    fixes.extend([f64::NAN, f64::INFINITY].map(|bad| fix_of(0.0, 0.0, bad)));
-    fixes
-}
-
-const BAD: [f64; 5] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e12];
-
-#[test]
-fn numbers_that_cannot_be_are_refused_and_change_nothing() {
-    let mut observations: Vec<_> = malformed_fixes()
-        .into_iter()
-        .map(|bad| fix(1_000, bad))
-        .collect();
-    for bad in BAD {
-        observations.extend([wheels(1_010, bad, 0.0), wheels(1_010, 0.0, bad)]);
-        observations.push(gyro(1_010, bad));
-        let forward = MetersPerSecond(bad);
-        let turn = RadiansPerSecond(bad);
-        for (forward, turn) in [
-            (forward, RadiansPerSecond(0.0)),
-            (MetersPerSecond(0.0), turn),
-        ] {
-            let velocity = Observed::BodyVelocity { forward, turn };
-            observations.push(at(1_010, SensorId::ODOMETER, velocity));
-        }
-        let pose = Pose::new(Meters(bad), Meters(0.0), Heading::default());
-        observations.push(at(1_010, SensorId::ODOMETER, Observed::OdometerPose(pose)));
-    }
-    observations.push(Observation {
-        stamp_sigma: Span::from_millis(-1),
-        ..fix(1_000, fix_of(0.2, 0.0, 0.0))
-    });
-    for_each(&config(), |entry, mut filter| {
-        drive_straight(filter.as_mut(), 1_000);
-        let before = belief(filter.as_ref());
-        for observation in &observations {
-            let verdict = filter.observe(observation).verdict;
-            assert_eq!(
-                verdict,
-                Verdict::Malformed,
-                "{}: {observation:?}",
-                entry.name
-            );
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
-        }
-    });
-}
-
-#[test]
-fn a_reading_that_comes_twice_counts_once() {
-    for_each(&config(), |entry, mut filter| {
-        drive_straight(filter.as_mut(), 1_000);
-        let before = belief(filter.as_ref());
-        // One that looks back no further than its last reading cannot tell a copy of an older one from a late one.
-        let of_older: &[Verdict] = match entry.late {
-            Late::Replayed => &[Verdict::Malformed],
-            Late::OnArrival => &[Verdict::Malformed, Verdict::TooOld],
-        };
-        for (again, expected) in [
-            (wheels(1_000, 99.0, 99.0), &[Verdict::Malformed][..]),
-            (wheels(950, 0.0, 0.0), of_older),
-        ] {
-            let verdict = filter.observe(&again).verdict;
-            assert!(expected.contains(&verdict), "{}: {verdict:?}", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
-        }
-    });
-}
-
-/// A filter that replays takes it at its own time; one that uses what comes when it comes must refuse a counter's past, for
-/// the interval since its last reading would be negative.
-#[test]
-fn a_reading_from_the_past_is_taken_at_its_own_time_and_the_latest_instant_stays() {
-    for_each(&config(), |entry, mut filter| {
-        drive_straight(filter.as_mut(), 1_000);
-        let (before, latest_before) = (latest(filter.as_ref()), filter.latest());
-        let believed_before = belief(filter.as_ref());
-        let rad = 0.2 * 0.525 / RADIUS_M;
-        let record = filter.observe(&wheels(525, rad, rad));
-        match entry.late {
-            Late::Replayed => assert_eq!(record.verdict, Verdict::Accepted, "{}", entry.name),
-            Late::OnArrival => {
-                assert_eq!(record.verdict, Verdict::TooOld, "{}", entry.name);
-                assert_eq!(belief(filter.as_ref()), believed_before, "{}", entry.name);
-            }
-        }
-        assert_eq!(record.lag, Span::from_millis(475), "{}", entry.name);
-        assert_eq!(filter.latest(), latest_before, "{}", entry.name);
-        let moved_m = latest(filter.as_ref()).pose.x.0 - before.pose.x.0;
-        assert!(moved_m.abs() < 1e-9, "{}: {moved_m}", entry.name);
-    });
-}
-
-#[test]
-fn a_stamp_of_long_ago_or_of_next_year_is_refused_and_changes_nothing() {
-    for_each(&config(), |entry, mut filter| {
-        drive_straight(filter.as_mut(), 10_000);
-        let before = belief(filter.as_ref());
-        for (millis, expected) in [
-            (6_999, Verdict::TooOld),
-            (-5_000_000, Verdict::TooOld),
-            (31_536_000_000, Verdict::Malformed),
-        ] {
-            let verdict = filter.observe(&wheels(millis, 50.0, 50.0)).verdict;
-            assert_eq!(verdict, expected, "{} at {millis} ms", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
-        }
-    });
 }
 
 #[test]
@@ -273,14 +58,6 @@ fn nothing_is_valid_before_a_fix_or_a_start_and_a_pose_that_is_set_is_a_start() 
             entry.name
         );
     });
-}
-
-fn start(x_m: f64, y_m: f64, heading_rad: f64) -> StartPose {
-    StartPose {
-        pose: Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad)),
-        position_sigma_m: 0.02,
-        heading_sigma_rad: 0.05,
-    }
 }
 
 #[test]
@@ -321,33 +98,6 @@ fn a_pose_that_is_set_is_believed_and_counted_with_its_jump() {
             entry.name
         );
         assert_eq!(later.reset_counter, after.reset_counter, "{}", entry.name);
-    });
-}
-
-#[test]
-fn a_pose_that_cannot_be_is_not_set() {
-    let good = start(1.0, 1.0, 0.0);
-    let bad = [
-        start(f64::NAN, 0.0, 0.0),
-        start(0.0, f64::INFINITY, 0.0),
-        start(0.0, 0.0, f64::NAN),
-        StartPose {
-            position_sigma_m: -0.1,
-            ..good
-        },
-        StartPose {
-            heading_sigma_rad: f64::NAN,
-            ..good
-        },
-    ];
-    for_each(&config(), |entry, mut filter| {
-        drive_straight(filter.as_mut(), 1_000);
-        let before = belief(filter.as_ref());
-        for start in &bad {
-            let verdict = filter.set_pose(start);
-            assert_eq!(verdict, Verdict::Malformed, "{}: {start:?}", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
-        }
     });
 }
 
@@ -459,27 +209,6 @@ fn an_estimate_of_the_future_is_no_surer_than_one_of_the_present() {
                 "{}: speeds grow stale",
                 entry.name
             );
-        }
-    });
-}
-
-#[test]
-fn a_fix_that_does_not_fit_leaves_the_estimate_untouched() {
-    for_each(&config(), |entry, mut filter| {
-        drive_straight(filter.as_mut(), 2_000);
-        let before = belief(filter.as_ref());
-        let position_only = Fix {
-            heading: None,
-            ..fix_of(0.9, 0.2, 0.0)
-        };
-        for seen in [fix_of(0.4, 0.5, 0.0), fix_of(0.4, 0.0, 1.0), position_only] {
-            let verdict = filter.observe(&fix(1_990, seen)).verdict;
-            assert!(
-                matches!(verdict, Verdict::Gated | Verdict::Unused),
-                "{}: {verdict:?}",
-                entry.name
-            );
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
     });
 }

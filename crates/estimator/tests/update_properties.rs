@@ -1,7 +1,7 @@
 //! What must hold for every measurement update, whatever the state, the observation and the order: laws, not examples.
 
 use nalgebra::{Matrix3, Matrix5, SMatrix, Vector3, Vector5};
-use posebridge_estimator::models::planar_speed::{Acceleration, PlanarSpeed};
+use posebridge_estimator::models::planar_speeds::{self, Acceleration};
 use posebridge_estimator::update::{Measurement, Scalar, Usage, apply, use_scalar};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -99,7 +99,7 @@ proptest! {
         for step in steps {
             match step {
                 Step::Predict(interval_s, [forward_m_per_s2, turn_rad_per_s2]) => {
-                    let motion = PlanarSpeed { interval_s, variances: [1e-6; 5] };
+                    let motion = planar_speeds::Step { interval_s, variances: [1e-6; 5] };
                     let input = Acceleration { forward_m_per_s2, turn_rad_per_s2 };
                     motion.predict(&mut mean, &mut covariance, input);
                 }

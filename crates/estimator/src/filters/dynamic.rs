@@ -174,11 +174,7 @@ impl DynamicFilter {
             .iter()
             .flatten()
             .find(|(sensor, _)| *sensor == observation.sensor)?;
-        if observation.stamp == *last {
-            Some(Verdict::Malformed)
-        } else {
-            (observation.stamp < *last).then_some(Verdict::TooOld)
-        }
+        intake::refuse_repeated(Some(*last), observation.stamp)
     }
 
     fn remember(&mut self, observation: &Observation) {

@@ -18,15 +18,16 @@
 //! # Sources
 //! Paper 1 (Valera et al.), equations 24 to 26; docs/maths/paper1.md section 4.
 
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
-use posebridge_telemetry::{Fix, FusionRecord, Heading, Verdict, quantities::wrap_rad};
+use posebridge_telemetry::{Fix, FusionRecord, Verdict, quantities::wrap_rad};
 
-use super::paper1::{INTERVAL_S, UNITS, covariance_si};
+use super::paper1::{INTERVAL_S, UNITS, covariance_si, variances_si};
+use super::records::write_innovation;
 use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, innovation, rows};
 use super::{Filter, FilterConfig, StartPose};
-use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, advance, jacobian};
-use crate::update::{Measurement, Scalar, apply, symmetrise};
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, Step};
+use crate::observations::fix::{Circumstances, noise_of, position_in_arena, with_heading};
+use crate::update::{Measurement, Scalar, apply};
 
 /// Variance of v_enc, (cm/s)²: paper 1, equation 26.
 const FORWARD_VARIANCE: f64 = 5.1;
@@ -112,7 +113,7 @@ impl FiveStates {
         record: &mut FusionRecord,
     ) -> Verdict {
         let s = measurement.innovation_covariance(&self.covariance);
-        if !innovation::write(record, &measurement.innovation, &s) {
+        if !write_innovation(record, &measurement.innovation, &s) {
             return Verdict::Malformed;
         }
         if record.nis > context.gates[M - 1] {
@@ -147,18 +148,19 @@ impl Maths for FiveStates {
     }
 
     fn restart(&mut self, position_m: f64, heading_rad: f64, _context: &Context) {
-        let start = covariance_si(START);
-        let variances = [start[(FORWARD, FORWARD)], start[(TURN, TURN)]];
-        rows::doubt(&mut self.covariance, position_m, heading_rad);
-        rows::forget_speeds(&mut self.mean, &mut self.covariance, variances);
+        let start = variances_si(START);
+        let doubt = (position_m, heading_rad);
+        let speeds = [start[FORWARD], start[TURN]];
+        rows::restart(&mut self.mean, &mut self.covariance, doubt, speeds);
         self.rebase_headings();
     }
 
     fn advance(&mut self, dt_s: f64, felt: Acceleration, _context: &Context) {
-        let f = jacobian(&self.mean, dt_s);
-        self.mean = advance(&self.mean, felt, dt_s);
-        self.covariance = f * self.covariance * f.transpose() + process_noise(self.order, dt_s);
-        symmetrise(&mut self.covariance);
+        let step = Step {
+            interval_s: dt_s,
+            variances: process_noise(self.order, dt_s).diagonal().into(),
+        };
+        step.predict(&mut self.mean, &mut self.covariance, felt);
     }
 
     fn wait(&mut self, dt_s: f64, _context: &Context) {
@@ -220,12 +222,25 @@ impl Maths for FiveStates {
         context: &Context,
         record: &mut FusionRecord,
     ) -> Verdict {
-        let position = position_measurement(&self.mean, fix, stamp_sigma_s, context);
+        let circumstances = Circumstances {
+            stamp_sigma_s,
+            forward_m_per_s: self.mean[FORWARD],
+            turn_rad_per_s: self.mean[TURN],
+            ..Circumstances::default()
+        };
+        let noise = noise_of(fix, &context.config.noise, [1.0, 1.0], &circumstances);
+        let rows = [X, Y, HEADING];
+        let (innovation, jacobian) = position_in_arena(rows.map(|row| self.mean[row]), rows, fix);
+        let position = Measurement {
+            innovation,
+            jacobian,
+            noise: noise.position,
+        };
         match fix.heading {
             None => self.use_if_near(&position, context, record),
             Some(heading) => {
-                let heading_rad2 = heading_variance(&self.mean, fix, stamp_sigma_s, context);
-                let full = with_heading(&self.mean, &position, heading, heading_rad2);
+                let turn_rad = wrap_rad(heading.rad() - self.mean[HEADING]);
+                let full = with_heading(&position, HEADING, (turn_rad, noise.heading_rad2));
                 self.use_if_near(&full, context, record)
             }
         }
@@ -239,67 +254,5 @@ fn observe(mean: &Mean, row: usize, seen: f64, variance: f64) -> Scalar<1> {
         rows: [row],
         by_row: [1.0],
         variance: variance * UNITS[row] * UNITS[row],
-    }
-}
-
-/// Innovation, H and R of a fix's position: the tag sits at the lever arm, turned by the heading. A stamp that may be off moves
-/// what was seen along the path; R allows for it in any direction.
-fn position_measurement(
-    mean: &Mean,
-    fix: &Fix,
-    stamp_sigma_s: f64,
-    context: &Context,
-) -> Measurement<N, 2> {
-    let (sin, cos) = mean[HEADING].sin_cos();
-    let (lever_x, lever_y) = (fix.tag_in_body.x.0, fix.tag_in_body.y.0);
-    let offset = Vector2::new(lever_x * cos - lever_y * sin, lever_x * sin + lever_y * cos);
-    let mut jacobian = SMatrix::<f64, 2, N>::zeros();
-    jacobian[(0, X)] = 1.0;
-    jacobian[(1, Y)] = 1.0;
-    jacobian[(0, HEADING)] = -offset[1];
-    jacobian[(1, HEADING)] = offset[0];
-    let configured_m2 = context.config.noise.fix_position_m.powi(2);
-    let own = fix.covariance.map_or_else(
-        || Matrix2::from_diagonal_element(configured_m2),
-        |own| Matrix2::new(own.xx_m2, own.xy_m2, own.xy_m2, own.yy_m2),
-    );
-    let smear_m2 = (mean[FORWARD] * stamp_sigma_s).powi(2);
-    Measurement {
-        innovation: Vector2::new(fix.position.x.0 - mean[X], fix.position.y.0 - mean[Y]) - offset,
-        jacobian,
-        noise: own + Matrix2::from_diagonal_element(smear_m2),
-    }
-}
-
-fn heading_variance(mean: &Mean, fix: &Fix, stamp_sigma_s: f64, context: &Context) -> f64 {
-    let configured_rad2 = context.config.noise.fix_heading_rad.powi(2);
-    let own_rad2 = fix
-        .covariance
-        .map(|own| own.heading_rad2)
-        .filter(|rad2| rad2.is_finite())
-        .unwrap_or(configured_rad2);
-    own_rad2 + (mean[TURN] * stamp_sigma_s).powi(2)
-}
-
-fn with_heading(
-    mean: &Mean,
-    position: &Measurement<N, 2>,
-    heading: Heading,
-    heading_rad2: f64,
-) -> Measurement<N, 3> {
-    let mut jacobian = SMatrix::<f64, 3, N>::zeros();
-    jacobian
-        .fixed_rows_mut::<2>(0)
-        .copy_from(&position.jacobian);
-    jacobian[(2, HEADING)] = 1.0;
-    let turn_rad = wrap_rad(heading.rad() - mean[HEADING]);
-    let mut noise = Matrix3::from_diagonal_element(heading_rad2);
-    noise
-        .fixed_view_mut::<2, 2>(0, 0)
-        .copy_from(&position.noise);
-    Measurement {
-        innovation: Vector3::new(position.innovation[0], position.innovation[1], turn_rad),
-        jacobian,
-        noise,
     }
 }

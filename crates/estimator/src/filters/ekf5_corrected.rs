@@ -235,9 +235,9 @@ impl Maths for Corrected {
     }
 
     fn restart(&mut self, position_m: f64, heading_rad: f64, context: &Context) {
-        rows::doubt(&mut self.covariance, position_m, heading_rad);
-        let variances = [START_FORWARD.powi(2), START_TURN.powi(2)];
-        rows::forget_speeds(&mut self.mean, &mut self.covariance, variances);
+        let doubt = (position_m, heading_rad);
+        let speeds = [START_FORWARD.powi(2), START_TURN.powi(2)];
+        rows::restart(&mut self.mean, &mut self.covariance, doubt, speeds);
         let bias_sigma = context.config.noise.gyro_bias_rad_per_s;
         rows::set_alone(&mut self.covariance, GYRO_BIAS, bias_sigma * bias_sigma);
         self.begin_wheels();

@@ -40,6 +40,19 @@ pub(crate) fn refuse_outright(
     (observation.stamp < horizon).then_some(Verdict::TooOld)
 }
 
+/// Why a reading cannot follow the one before it, if so: readings of one kind are used in their order and once, and the interval
+/// between two of them must be more than zero.
+pub(super) fn refuse_repeated(
+    before: Option<Stamp<BrickClock>>,
+    stamp: Stamp<BrickClock>,
+) -> Option<Verdict> {
+    let before = before?;
+    if stamp == before {
+        return Some(Verdict::Malformed);
+    }
+    (stamp < before).then_some(Verdict::TooOld)
+}
+
 /// How far an observation is behind the latest one.
 pub(super) fn lag_of(observation: &Observation, latest: Option<Stamp<BrickClock>>) -> Span {
     latest.map_or(Span::ZERO, |latest| {

@@ -4,9 +4,7 @@
 //! section 1). A Kalman filter does not care in which units its states are kept as long as P, Q and R are in the same ones, so
 //! the states here are SI and the printed numbers are brought to SI, which changes no gain.
 
-use nalgebra::SVector;
-
-use crate::models::planar_speeds::{Covariance, N};
+use crate::models::planar_speeds::{Covariance, Mean, N};
 
 /// The paper samples every 50 ms; its Q is that of one such interval.
 pub const INTERVAL_S: f64 = 0.05;
@@ -17,8 +15,14 @@ pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
 /// The units of x, y, heading, forward speed and turn rate in the paper: cm, cm, degrees, cm/s, degrees/s.
 pub const UNITS: [f64; N] = [CENTIMETRE, CENTIMETRE, DEGREE, CENTIMETRE, DEGREE];
 
+/// A printed diagonal of five variances in SI units.
+#[must_use]
+pub fn variances_si(diagonal: [f64; N]) -> [f64; N] {
+    std::array::from_fn(|i| diagonal[i] * UNITS[i] * UNITS[i])
+}
+
 /// A printed diagonal of five variances as a matrix in SI units.
 #[must_use]
 pub fn covariance_si(diagonal: [f64; N]) -> Covariance {
-    Covariance::from_diagonal(&SVector::from_fn(|i, _| diagonal[i] * UNITS[i] * UNITS[i]))
+    Covariance::from_diagonal(&Mean::from(variances_si(diagonal)))
 }

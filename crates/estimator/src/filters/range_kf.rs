@@ -134,7 +134,7 @@ impl RangeFilter {
     }
 
     fn take_command(&mut self, stamp: Stamp<BrickClock>, command_m_per_s: f64) -> Verdict {
-        if let Some(verdict) = refuse_repeated(self.command.map(|(last, _)| last), stamp) {
+        if let Some(verdict) = intake::refuse_repeated(self.command.map(|(last, _)| last), stamp) {
             return verdict;
         }
         self.command = Some((stamp, command_m_per_s));
@@ -147,7 +147,7 @@ impl RangeFilter {
     }
 
     fn take_range(&mut self, record: &mut FusionRecord, stamp: Stamp<BrickClock>, range_m: f64) {
-        if let Some(verdict) = refuse_repeated(self.last_range, stamp) {
+        if let Some(verdict) = intake::refuse_repeated(self.last_range, stamp) {
             record.verdict = verdict;
             return;
         }
@@ -231,16 +231,6 @@ impl RangeFilter {
     fn keep(&mut self, state: State) {
         self.state = Some(state);
         self.timeline.push(state.stamp, state);
-    }
-}
-
-/// Readings of one kind are used in their order and once.
-fn refuse_repeated(last: Option<Stamp<BrickClock>>, stamp: Stamp<BrickClock>) -> Option<Verdict> {
-    let last = last?;
-    if stamp == last {
-        Some(Verdict::Malformed)
-    } else {
-        (stamp < last).then_some(Verdict::TooOld)
     }
 }
 

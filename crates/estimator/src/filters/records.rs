@@ -1,9 +1,31 @@
-//! Filling in a record: what the sequential scalar updates of one observation come to together.
+//! Filling in a record: an innovation at once, or what the sequential scalar updates of one observation come to together.
 
+use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{FusionRecord, Verdict};
 
 use super::{StartPose, intake};
-use crate::update::{ScalarOutcome, Usage};
+use crate::update::{ScalarOutcome, Usage, consistency};
+
+/// Writes an innovation with its covariance into a record; `false`, and nothing written, when the covariance is none.
+pub(super) fn write_innovation<const M: usize>(
+    record: &mut FusionRecord,
+    innovation: &SVector<f64, M>,
+    s: &SMatrix<f64, M, M>,
+) -> bool {
+    let Some((nis, log_likelihood)) = consistency(innovation, s) else {
+        return false;
+    };
+    for row in 0..M {
+        record.innovation[row] = innovation[row];
+        for column in 0..M {
+            record.innovation_covariance[row][column] = s[(row, column)];
+        }
+    }
+    record.nis = nis;
+    record.degrees_of_freedom = M as u8;
+    record.log_likelihood = log_likelihood;
+    true
+}
 
 /// Enters one more innovation with its S; beyond three there is no room.
 ///
@@ -53,7 +75,7 @@ mod tests {
             add_innovation(&mut record, innovation, &outcome);
         }
         let s = nalgebra::Matrix2::new(4.0, 0.0, 0.0, 1.0);
-        let together = crate::update::consistency(&nalgebra::Vector2::new(0.5, -2.0), &s).unwrap();
+        let together = consistency(&nalgebra::Vector2::new(0.5, -2.0), &s).unwrap();
         assert!((record.nis - together.0).abs() < 1e-12);
         assert!((record.log_likelihood - together.1).abs() < 1e-12);
         assert_eq!(record.degrees_of_freedom, 2);

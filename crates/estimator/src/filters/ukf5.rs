@@ -25,7 +25,7 @@ use super::ekf5::{FiveStates, Fixes, SpeedOrder, process_noise};
 use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep};
 use super::{Filter, FilterConfig, StartPose};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, advance};
-use crate::update::symmetrise;
+use crate::update::{factorise, symmetrise};
 
 /// A pivot this far below zero, as a share of its diagonal element, is rounding; further below the matrix is no covariance.
 const ROUNDING: f64 = 1e-9;
@@ -82,29 +82,13 @@ pub fn predict(
 /// # Errors
 /// [`NotPositive`] when P has a negative eigenvalue beyond rounding or is not finite.
 pub fn square_root(covariance: &Covariance) -> Result<Covariance, NotPositive> {
-    let mut lower = Covariance::zeros();
-    for j in 0..N {
-        let mut pivot = covariance[(j, j)];
-        for k in 0..j {
-            pivot -= lower[(j, k)] * lower[(j, k)];
-        }
-        let rounding = ROUNDING * covariance[(j, j)].abs();
+    factorise(covariance, |row, pivot| {
+        let rounding = ROUNDING * covariance[(row, row)].abs();
         if !pivot.is_finite() || pivot < -rounding {
-            return Err(NotPositive { row: j, pivot });
+            return Err(NotPositive { row, pivot });
         }
-        if pivot <= rounding {
-            continue;
-        }
-        lower[(j, j)] = pivot.sqrt();
-        for i in j + 1..N {
-            let mut value = covariance[(i, j)];
-            for k in 0..j {
-                value -= lower[(i, k)] * lower[(j, k)];
-            }
-            lower[(i, j)] = value / lower[(j, j)];
-        }
-    }
-    Ok(lower)
+        Ok(if pivot <= rounding { 0.0 } else { pivot.sqrt() })
+    })
 }
 
 /// The five states with another prediction.

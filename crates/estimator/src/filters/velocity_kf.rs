@@ -19,11 +19,11 @@ use nalgebra::{Matrix2, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, TURN};
 use posebridge_telemetry::{FusionRecord, Verdict};
 
-use super::paper1::{INTERVAL_S, UNITS, covariance_si};
-use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, innovation, rows};
+use super::paper1::{INTERVAL_S, UNITS, covariance_si, variances_si};
+use super::records::write_innovation;
+use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, rows};
 use super::{Filter, FilterConfig, StartPose};
-use crate::models::planar_speeds::{Acceleration, Covariance, Mean, advance, jacobian};
-use crate::update::symmetrise;
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, Step};
 
 /// Diagonal of R, (cm/s)² and (degrees/s)²: paper 1, equation 23.
 const NOISE: [f64; 2] = [5.1, 1.938];
@@ -78,18 +78,18 @@ impl Maths for VelocityKf {
     }
 
     fn restart(&mut self, position_m: f64, heading_rad: f64, _context: &Context) {
-        let start = covariance_si(START);
-        let variances = [start[(FORWARD, FORWARD)], start[(TURN, TURN)]];
-        rows::doubt(&mut self.covariance, position_m, heading_rad);
-        rows::forget_speeds(&mut self.mean, &mut self.covariance, variances);
+        let start = variances_si(START);
+        let doubt = (position_m, heading_rad);
+        let speeds = [start[FORWARD], start[TURN]];
+        rows::restart(&mut self.mean, &mut self.covariance, doubt, speeds);
     }
 
     fn advance(&mut self, dt_s: f64, felt: Acceleration, _context: &Context) {
-        let f = jacobian(&self.mean, dt_s);
-        let q = covariance_si(PROCESS) * (dt_s / INTERVAL_S);
-        self.mean = advance(&self.mean, felt, dt_s);
-        self.covariance = f * self.covariance * f.transpose() + q;
-        symmetrise(&mut self.covariance);
+        let step = Step {
+            interval_s: dt_s,
+            variances: variances_si(PROCESS).map(|variance| variance * (dt_s / INTERVAL_S)),
+        };
+        step.predict(&mut self.mean, &mut self.covariance, felt);
     }
 
     fn wait(&mut self, dt_s: f64, _context: &Context) {
@@ -125,7 +125,7 @@ impl Maths for VelocityKf {
             0.0,
             self.covariance[(TURN, TURN)] + noise[1],
         );
-        if !innovation::write(record, &nu, &s) {
+        if !write_innovation(record, &nu, &s) {
             return Verdict::Malformed;
         }
         for i in 0..2 {

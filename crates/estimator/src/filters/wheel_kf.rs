@@ -20,7 +20,8 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use posebridge_telemetry::{FusionRecord, Verdict, estimate::row};
 
 use super::paper1::INTERVAL_S;
-use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, innovation, rows};
+use super::records::write_innovation;
+use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, rows};
 use super::{Filter, FilterConfig, StartPose};
 use crate::models::differential_drive::{StepNoise, WheelTravel, body_step, step_noise};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
@@ -271,7 +272,7 @@ impl Maths for WheelKf {
             nu[i] = innovation.to_radians();
             s[(i, i)] = variance * 1.0_f64.to_radians().powi(2);
         }
-        if !innovation::write(record, &nu, &s) {
+        if !write_innovation(record, &nu, &s) {
             return Verdict::Malformed;
         }
         *self = next;

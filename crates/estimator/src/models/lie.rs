@@ -100,11 +100,13 @@ impl Se2 {
         self.inverse().then(other)
     }
 
-    /// A vector of the outer space, in the body's space.
+    /// Where a point of the space in which this pose is given, in metres, lies for the body: (forward, left), in metres.
+    #[inline]
     #[must_use]
-    pub fn turn_back(self, x_m: f64, y_m: f64) -> [f64; 2] {
+    pub fn seen_from(self, x_m: f64, y_m: f64) -> [f64; 2] {
         let (sin, cos) = self.heading_rad.sin_cos();
-        [cos * x_m + sin * y_m, cos * y_m - sin * x_m]
+        let (dx_m, dy_m) = (x_m - self.x_m, y_m - self.y_m);
+        [cos * dx_m + sin * dy_m, cos * dy_m - sin * dx_m]
     }
 }
 

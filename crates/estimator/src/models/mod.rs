@@ -3,7 +3,6 @@
 pub mod differential_drive;
 pub mod dynamic_measurement;
 pub mod lie;
-pub mod planar_speed;
 pub mod planar_speeds;
 pub mod se2;
 pub mod wall_approach;

@@ -1,27 +1,37 @@
 //! A body in the plane whose speeds are states and whose accelerations are an input.
 //!
+//! The motion of the filters that believe in speeds rather than in wheel travel. [`advance`] and [`jacobian`] are for filters that
+//! carry more rows or sigma points; [`Step`] carries mean and covariance together, and neither multiplies the zeros of F nor
+//! computes more than one triangle of P.
+//!
 //! # Model
 //! ```text
-//! x  = [x, y, th, v, w]'              rows as telemetry::estimate::row      u = [a, alpha]'
-//! ph = th + w dt / 2
-//! x' = x + v dt cos ph      y' = y + v dt sin ph      th' = th + w dt      v' = v + a dt      w' = w + alpha dt
+//! x = [x, y, th, v, w]'     m, m, rad, m/s, rad/s; rows as telemetry::estimate::row
+//! u = [a, alpha]'           m/s2, rad/s2          T  length of the step, s
 //!
-//!     [ 1 0 -v dt sin ph  dt cos ph  -v dt^2 sin ph / 2 ]
-//!     [ 0 1  v dt cos ph  dt sin ph   v dt^2 cos ph / 2 ]
-//! F = [ 0 0  1            0           dt                ]
-//!     [ 0 0  0            1           0                 ]
-//!     [ 0 0  0            0           1                 ]
+//! phi = th + T w / 2                     mean heading during the step
+//! x'  = x + v T cos phi
+//! y'  = y + v T sin phi
+//! th' = th + T w
+//! v'  = v + T a
+//! w'  = w + T alpha
+//!
+//!     | 1  0  -v T sin phi   T cos phi   -v T^2 sin phi / 2 |
+//!     | 0  1   v T cos phi   T sin phi    v T^2 cos phi / 2 |
+//! F = | 0  0   1             0            T                 |          P' = F P F' + Q
+//!     | 0  0   0             1            0                 |
+//!     | 0  0   0             0            1                 |
 //! ```
-//! The heading is not wrapped: a filter that compares it with an integral must know how many turns both have made.
+//! # Assumptions
+//! Accelerations are constant over a step, and the step is short against v / a: position and heading follow the speeds at its
+//! beginning. The heading is not wrapped: a filter that compares it with an integral must know how many turns both have made.
 //!
 //! # Sources
-//! Paper 1 (Valera et al.), equations 13, 20 to 22 and 24; docs/maths/paper1.md sections 3 and 4.
+//! Paper 1 (Valera et al.), equations 13, 20 to 22 and 24; its Jacobian by hand; docs/maths/paper1.md sections 3 and 4.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::DriveGeometry;
-use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
-
-use super::se2::{BodyStep, StepRule, displace};
+use posebridge_telemetry::estimate::row;
 
 /// Number of states.
 pub const N: usize = 5;
@@ -54,36 +64,203 @@ impl Acceleration {
     }
 }
 
+/// One step of the motion, for mean and covariance together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// Length of the step, in seconds, more than zero.
+    pub interval_s: f64,
+    /// The diagonal of Q for this step, rows as telemetry's `estimate::row`: m², m², rad², m²/s², rad²/s².
+    pub variances: [f64; N],
+}
+
+impl Step {
+    /// Carries mean and covariance over the step: [`advance`], and F P F' + Q with the F of [`jacobian`]. Of the covariance only
+    /// the lower triangle is read; the result is symmetric to the last bit.
+    #[inline]
+    pub fn predict(&self, mean: &mut Mean, covariance: &mut Covariance, felt: Acceleration) {
+        let slope = Slope::at(mean, self.interval_s);
+        *mean = slope.moved(mean, felt);
+        slope.carry(covariance, &self.variances);
+    }
+}
+
 /// Moves the state by `dt_s` seconds: pose by the speeds at the beginning, speeds by the accelerations.
 #[must_use]
 pub fn advance(mean: &Mean, felt: Acceleration, dt_s: f64) -> Mean {
-    let moved = displace(mean[HEADING], step_of(mean, dt_s), StepRule::Midpoint);
-    Mean::new(
-        mean[X] + moved.dx_m,
-        mean[Y] + moved.dy_m,
-        mean[HEADING] + mean[TURN] * dt_s,
-        mean[FORWARD] + felt.forward_m_per_s2 * dt_s,
-        mean[TURN] + felt.turn_rad_per_s2 * dt_s,
-    )
+    Slope::at(mean, dt_s).moved(mean, felt)
 }
 
 /// F: the derivative of [`advance`] by the state, 5 x 5. The input does not enter it.
 #[must_use]
 pub fn jacobian(mean: &Mean, dt_s: f64) -> Covariance {
-    let moved = displace(mean[HEADING], step_of(mean, dt_s), StepRule::Midpoint);
+    let slope = Slope::at(mean, dt_s);
     let mut f = Covariance::identity();
-    for (axis, row) in [X, Y].into_iter().enumerate() {
-        f[(row, HEADING)] = moved.by_heading[axis];
-        f[(row, FORWARD)] = moved.by_forward[axis] * dt_s;
-        f[(row, TURN)] = moved.by_turn[axis] * dt_s;
-    }
-    f[(HEADING, TURN)] = dt_s;
+    f[(row::X, row::HEADING)] = slope.x_by_heading;
+    f[(row::X, row::FORWARD)] = slope.x_by_forward;
+    f[(row::X, row::TURN)] = slope.x_by_turn;
+    f[(row::Y, row::HEADING)] = slope.y_by_heading;
+    f[(row::Y, row::FORWARD)] = slope.y_by_forward;
+    f[(row::Y, row::TURN)] = slope.y_by_turn;
+    f[(row::HEADING, row::TURN)] = slope.heading_by_turn;
     f
 }
 
-fn step_of(mean: &Mean, dt_s: f64) -> BodyStep {
-    BodyStep {
-        forward_m: mean[FORWARD] * dt_s,
-        turn_rad: mean[TURN] * dt_s,
+/// The entries of F that are neither 0 nor 1.
+#[derive(Clone, Copy)]
+struct Slope {
+    x_by_heading: f64,
+    x_by_forward: f64,
+    x_by_turn: f64,
+    y_by_heading: f64,
+    y_by_forward: f64,
+    y_by_turn: f64,
+    heading_by_turn: f64,
+}
+
+impl Slope {
+    #[inline]
+    fn at(mean: &Mean, t: f64) -> Self {
+        let (sin, cos) = (mean[row::HEADING] + 0.5 * t * mean[row::TURN]).sin_cos();
+        let travel_m = t * mean[row::FORWARD];
+        let (x_by_heading, y_by_heading) = (-travel_m * sin, travel_m * cos);
+        Self {
+            x_by_heading,
+            x_by_forward: t * cos,
+            x_by_turn: 0.5 * t * x_by_heading,
+            y_by_heading,
+            y_by_forward: t * sin,
+            y_by_turn: 0.5 * t * y_by_heading,
+            heading_by_turn: t,
+        }
+    }
+
+    /// The state behind the step: the motion is linear in v and w but for the direction, so F's own entries move it.
+    #[inline]
+    fn moved(&self, mean: &Mean, felt: Acceleration) -> Mean {
+        let t = self.heading_by_turn;
+        Mean::new(
+            mean[row::X] + mean[row::FORWARD] * self.x_by_forward,
+            mean[row::Y] + mean[row::FORWARD] * self.y_by_forward,
+            mean[row::HEADING] + t * mean[row::TURN],
+            mean[row::FORWARD] + t * felt.forward_m_per_s2,
+            mean[row::TURN] + t * felt.turn_rad_per_s2,
+        )
+    }
+
+    /// P <- F P F' + Q. The rows of v and w of F are those of the identity, so G = F P differs from P in three rows only.
+    #[inline]
+    fn carry(&self, p: &mut Covariance, q: &[f64; N]) {
+        use row::{FORWARD as V, HEADING as H, TURN as W, X, Y};
+        let (a, b, c) = (self.x_by_heading, self.x_by_forward, self.x_by_turn);
+        let (d, e, f) = (self.y_by_heading, self.y_by_forward, self.y_by_turn);
+        let t = self.heading_by_turn;
+        let (hh, vh, wh) = (p[(H, H)], p[(V, H)], p[(W, H)]);
+        let (vv, wv, ww) = (p[(V, V)], p[(W, V)], p[(W, W)]);
+        let (hx, vx, wx) = (p[(H, X)], p[(V, X)], p[(W, X)]);
+        let (hy, vy, wy) = (p[(H, Y)], p[(V, Y)], p[(W, Y)]);
+
+        let xh = hx + a * hh + b * vh + c * wh;
+        let xv = vx + a * vh + b * vv + c * wv;
+        let xw = wx + a * wh + b * wv + c * ww;
+        let xy = p[(Y, X)] + a * hy + b * vy + c * wy;
+        let xx = p[(X, X)] + a * hx + b * vx + c * wx;
+        let yh = hy + d * hh + e * vh + f * wh;
+        let yv = vy + d * vh + e * vv + f * wv;
+        let yw = wy + d * wh + e * wv + f * ww;
+        let yy = p[(Y, Y)] + d * hy + e * vy + f * wy;
+        let hv = vh + t * wv;
+        let hw = wh + t * ww;
+
+        p[(X, X)] = xx + a * xh + b * xv + c * xw + q[X];
+        p[(Y, Y)] = yy + d * yh + e * yv + f * yw + q[Y];
+        p[(H, H)] = hh + t * wh + t * hw + q[H];
+        p[(V, V)] = vv + q[V];
+        p[(W, W)] = ww + q[W];
+        let mut set = |row, column, value| {
+            p[(row, column)] = value;
+            p[(column, row)] = value;
+        };
+        set(Y, X, xy + d * xh + e * xv + f * xw);
+        set(H, X, xh + t * xw);
+        set(V, X, xv);
+        set(W, X, xw);
+        set(H, Y, yh + t * yw);
+        set(V, Y, yv);
+        set(W, Y, yw);
+        set(V, H, hv);
+        set(W, H, hw);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP: Step = Step {
+        interval_s: 0.05,
+        variances: [1e-6, 2e-6, 3e-6, 4e-4, 5e-3],
+    };
+    const ACCELERATION: Acceleration = Acceleration {
+        forward_m_per_s2: 0.7,
+        turn_rad_per_s2: -1.9,
+    };
+
+    fn states() -> [Mean; 4] {
+        [
+            Mean::from([0.0, 0.0, 0.0, 0.0, 0.0]),
+            Mean::from([1.3, -0.7, 0.4, 0.2, 0.3]),
+            Mean::from([-2.1, 3.9, 1.9, 0.35, 2.5]),
+            Mean::from([5.0, 5.0, -2.6, -0.15, -4.0]),
+        ]
+    }
+
+    fn covariance() -> Covariance {
+        let root = Covariance::from_fn(|i, j| 0.1 * ((3 * i + 5 * j) as f64 + 0.5).sin());
+        root * root.transpose() + Covariance::identity() * 0.02
+    }
+
+    fn moved(from: &Mean) -> Mean {
+        advance(from, ACCELERATION, STEP.interval_s)
+    }
+
+    #[test]
+    fn a_step_on_a_circle_follows_the_mean_heading() {
+        let to = moved(&Mean::from([1.0, 2.0, 0.3, 0.4, 2.0]));
+        let phi = 0.3 + 0.05;
+        assert!((to[row::X] - (1.0 + 0.02 * f64::cos(phi))).abs() < 1e-15);
+        assert!((to[row::Y] - (2.0 + 0.02 * f64::sin(phi))).abs() < 1e-15);
+        assert!((to[row::HEADING] - 0.4).abs() < 1e-15);
+        assert!((to[row::FORWARD] - (0.4 + 0.035)).abs() < 1e-15);
+        assert!((to[row::TURN] - (2.0 - 0.095)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn the_jacobian_agrees_with_central_differences() {
+        let h = 1e-6;
+        for mean in states() {
+            let f = jacobian(&mean, STEP.interval_s);
+            for column in 0..N {
+                let (mut above, mut below) = (mean, mean);
+                above[column] += h;
+                below[column] -= h;
+                let slope = (moved(&above) - moved(&below)) / (2.0 * h);
+                let error = (f.column(column) - slope).norm();
+                assert!(error < 1e-9, "{mean} {column}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_sparse_propagation_equals_the_dense_product_and_is_symmetric() {
+        for mean in states() {
+            let f = jacobian(&mean, STEP.interval_s);
+            let q = Covariance::from_diagonal(&Mean::from(STEP.variances));
+            let dense = f * covariance() * f.transpose() + q;
+            let (mut carried, mut sparse) = (mean, covariance());
+            STEP.predict(&mut carried, &mut sparse, ACCELERATION);
+            assert!((sparse - dense).norm() < 1e-15, "{mean}");
+            assert_eq!(sparse, sparse.transpose());
+            assert_eq!(carried, moved(&mean), "the mean goes with it");
+        }
     }
 }

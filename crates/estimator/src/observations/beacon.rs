@@ -35,9 +35,7 @@ pub fn measurement<const N: usize>(
     variance_m2: f64,
 ) -> Option<Measurement<N, 1>> {
     let place = beacon.place;
-    let [qx, qy] = state
-        .pose
-        .turn_back(place.x.0 - state.pose.x_m, place.y.0 - state.pose.y_m);
+    let [qx, qy] = state.pose.seen_from(place.x.0, place.y.0);
     let true_m = qx.hypot(qy);
     if true_m < NEAREST_M {
         return None;

@@ -13,7 +13,7 @@
 //! Source: docs/maths/pose.md section 4.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
-use posebridge_telemetry::{Fix, SensorNoise, quantities::wrap_rad};
+use posebridge_telemetry::{Arena, Fix, Heading, Meters, Pose, SensorNoise, quantities::wrap_rad};
 
 use crate::filters::pose::state::{
     DELAY, FORWARD, HEADING, LEFT, PoseState, TAG_FORWARD, TAG_LEFT,
@@ -21,8 +21,8 @@ use crate::filters::pose::state::{
 use crate::models::lie::Se2;
 use crate::update::Measurement;
 
-/// What is known besides the fix itself.
-#[derive(Clone, Copy, Debug)]
+/// What is known besides the fix itself; by default that the robot stands and the stamp is right.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Circumstances {
     /// How the body has moved between the instant that the fix shows and its stamp.
     pub moved_since: Se2,
@@ -91,7 +91,7 @@ pub fn position<const N: usize>(
         fix.tag_in_body.x.0 + state.value(TAG_FORWARD),
         fix.tag_in_body.y.0 + state.value(TAG_LEFT),
     ];
-    let seen = shown.turn_back(fix.position.x.0 - shown.x_m, fix.position.y.0 - shown.y_m);
+    let seen = shown.seen_from(fix.position.x.0, fix.position.y.0);
     let (sin, cos) = moved.heading_rad.sin_cos();
     let mut jacobian = SMatrix::<f64, 2, N>::zeros();
     // (rho, phi) at the instant shown is Ad(U) times that at the stamp: (R rho - phi J t, phi), J t = (-t_y, t_x).
@@ -126,21 +126,76 @@ pub fn pose<const N: usize>(
     circumstances: &Circumstances,
 ) -> Measurement<N, 3> {
     let flat = position(state, fix, noise, circumstances);
-    let mut jacobian = SMatrix::<f64, 3, N>::zeros();
-    jacobian.fixed_rows_mut::<2>(0).copy_from(&flat.jacobian);
-    jacobian[(2, HEADING)] = 1.0;
-    set(&mut jacobian, 2, DELAY, -circumstances.turn_rad_per_s);
     let shown_rad = state.pose.heading_rad - circumstances.moved_since.heading_rad;
-    let turn = wrap_rad(heading_rad - shown_rad);
-    let mut full_noise = Matrix3::from_diagonal_element(noise.heading_rad2);
-    full_noise
+    let turn_rad = wrap_rad(heading_rad - shown_rad);
+    let mut full = with_heading(&flat, HEADING, (turn_rad, noise.heading_rad2));
+    set(&mut full.jacobian, 2, DELAY, -circumstances.turn_rad_per_s);
+    full
+}
+
+/// Puts a heading behind a position: its innovation, in rad, is that of the state's `row`, and its variance, in rad², is not shared
+/// with the position.
+#[must_use]
+pub fn with_heading<const N: usize>(
+    position: &Measurement<N, 2>,
+    row: usize,
+    (turn_rad, heading_rad2): (f64, f64),
+) -> Measurement<N, 3> {
+    let mut jacobian = SMatrix::<f64, 3, N>::zeros();
+    jacobian
+        .fixed_rows_mut::<2>(0)
+        .copy_from(&position.jacobian);
+    jacobian[(2, row)] = 1.0;
+    let mut noise = Matrix3::from_diagonal_element(heading_rad2);
+    noise
         .fixed_view_mut::<2, 2>(0, 0)
-        .copy_from(&flat.noise);
+        .copy_from(&position.noise);
     Measurement {
-        innovation: Vector3::new(flat.innovation[0], flat.innovation[1], turn),
+        innovation: Vector3::new(position.innovation[0], position.innovation[1], turn_rad),
         jacobian,
-        noise: full_noise,
+        noise,
     }
+}
+
+/// Innovation and H of a fix's position for a state that holds x, y and heading themselves, in the arena.
+///
+/// ```text
+/// nu = z - (x, y) - R(th) l          H = [ 1 0 -(R l)_y ]
+///                                        [ 0 1  (R l)_x ]          l the tag in the body
+/// ```
+/// What is believed comes first, x in m, y in m and the heading in rad, then the rows of these.
+#[must_use]
+pub fn position_in_arena<const N: usize>(
+    [x_m, y_m, heading_rad]: [f64; 3],
+    [x, y, heading]: [usize; 3],
+    fix: &Fix,
+) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
+    let lever = lever_in_arena(fix, heading_rad);
+    let mut jacobian = SMatrix::<f64, 2, N>::zeros();
+    jacobian[(0, x)] = 1.0;
+    jacobian[(1, y)] = 1.0;
+    jacobian[(0, heading)] = -lever[1];
+    jacobian[(1, heading)] = lever[0];
+    let seen = Vector2::new(fix.position.x.0, fix.position.y.0);
+    (seen - Vector2::new(x_m, y_m) - lever, jacobian)
+}
+
+/// The pose of a robot with this heading, in rad, whose tag is where a fix sees it.
+#[must_use]
+pub fn mid_axle(fix: &Fix, heading_rad: f64) -> Pose<Arena> {
+    let lever = lever_in_arena(fix, heading_rad);
+    Pose::new(
+        Meters(fix.position.x.0 - lever[0]),
+        Meters(fix.position.y.0 - lever[1]),
+        Heading::from_rad(heading_rad),
+    )
+}
+
+/// From mid-axle to the tag of a robot with this heading, m.
+fn lever_in_arena(fix: &Fix, heading_rad: f64) -> Vector2<f64> {
+    let (sin, cos) = heading_rad.sin_cos();
+    let (x, y) = (fix.tag_in_body.x.0, fix.tag_in_body.y.0);
+    Vector2::new(x * cos - y * sin, x * sin + y * cos)
 }
 
 /// Sets a derivative, where the state has that row.
@@ -152,5 +207,46 @@ fn set<const M: usize, const N: usize>(
 ) {
     if column < N {
         jacobian[(row, column)] = value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::Point2;
+
+    const FIX: Fix = Fix {
+        position: Point2::new(Meters(1.3), Meters(-0.4)),
+        heading: None,
+        covariance: None,
+        tag_in_body: Point2::new(Meters(0.2), Meters(-0.1)),
+        reset_counter: 0,
+    };
+
+    fn innovation(at: [f64; 3]) -> Vector2<f64> {
+        position_in_arena::<3>(at, [0, 1, 2], &FIX).0
+    }
+
+    #[test]
+    fn a_robot_that_turned_left_has_its_tag_ahead_of_it_to_the_north() {
+        let pose = mid_axle(&FIX, std::f64::consts::FRAC_PI_2);
+        // The tag is 0.2 m ahead, which is north, and 0.1 m to the right, which is east.
+        assert!((pose.x.0 - 1.2).abs() < 1e-12 && (pose.y.0 + 0.6).abs() < 1e-12);
+        assert!(innovation([pose.x.0, pose.y.0, pose.heading.rad()]).norm() < 1e-12);
+    }
+
+    #[test]
+    fn the_jacobian_of_a_position_in_the_arena_agrees_with_central_differences() {
+        let at = [0.7, 0.2, -2.3];
+        let jacobian = position_in_arena::<3>(at, [0, 1, 2], &FIX).1;
+        let h = 1e-6;
+        for column in 0..3 {
+            let (mut above, mut below) = (at, at);
+            above[column] += h;
+            below[column] -= h;
+            // The innovation falls by as much as the prediction grows.
+            let slope = (innovation(below) - innovation(above)) / (2.0 * h);
+            assert!((jacobian.column(column) - slope).norm() < 1e-9, "{column}");
+        }
     }
 }

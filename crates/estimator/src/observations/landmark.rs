@@ -36,9 +36,7 @@ pub fn measurement<const N: usize>(
     seen: Sighting,
     (range_var_m2, bearing_var_rad2): (f64, f64),
 ) -> Option<Measurement<N, 2>> {
-    let [qx, qy] = state
-        .pose
-        .turn_back(place.x.0 - state.pose.x_m, place.y.0 - state.pose.y_m);
+    let [qx, qy] = state.pose.seen_from(place.x.0, place.y.0);
     let range_m = qx.hypot(qy);
     if range_m < NEAREST_M {
         return None;

@@ -50,13 +50,8 @@ pub fn measurement<const N: usize>(
 }
 
 fn meet<const N: usize>(state: &PoseState<N>, wall: &Wall) -> Option<Meeting> {
-    let in_body = |x_m: f64, y_m: f64| {
-        state
-            .pose
-            .turn_back(x_m - state.pose.x_m, y_m - state.pose.y_m)
-    };
-    let [from_x, from_y] = in_body(wall.from.x.0, wall.from.y.0);
-    let [to_x, to_y] = in_body(wall.to.x.0, wall.to.y.0);
+    let [from_x, from_y] = state.pose.seen_from(wall.from.x.0, wall.from.y.0);
+    let [to_x, to_y] = state.pose.seen_from(wall.to.x.0, wall.to.y.0);
     let (dx, dy) = (to_x - from_x, to_y - from_y);
     let length_m = dx.hypot(dy);
     // The robot looks along y = 0 of its own space: the wall must have an end on either side.

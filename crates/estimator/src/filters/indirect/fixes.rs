@@ -1,19 +1,19 @@
 //! Fixes against the nominal path, and the poses at which it is put down.
 
-use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionRecord, Heading, Meters, Pose, Stamp, Verdict,
-    quantities::wrap_rad,
+    Arena, BrickClock, Fix, FusionRecord, Pose, Stamp, Verdict, quantities::wrap_rad,
 };
 
 use super::error_state::{DISTANCE, HEADING, N, X, Y, clear_row};
 use super::nominal::Path;
 use crate::filters::StartPose;
 use crate::filters::intake::{self, RESTART_HEADING_RAD, RESTART_POSITION_M};
+use crate::filters::records::write_innovation;
 use crate::gate::chi_square_quantile;
-use crate::models::lie::Se2;
-use crate::observations::fix::{Circumstances, FixNoise, noise_of};
-use crate::update::{Measurement, apply, consistency};
+use crate::observations::fix::{
+    Circumstances, FixNoise, mid_axle, noise_of, position_in_arena, with_heading,
+};
+use crate::update::{Measurement, apply};
 
 /// Heading of a robot whose first fix had none: uniform on the circle, rad².
 const UNKNOWN_HEADING_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
@@ -27,50 +27,23 @@ impl Path {
         stamp_sigma_s: f64,
     ) -> Verdict {
         let noise = self.noise_of(fix, stamp_sigma_s);
-        let (dz, by_errors) = self.difference(fix);
+        // dz - H e: paper 4's linearisation about the nominal path.
+        let path = [self.x_m, self.y_m, self.end.angle_rad];
+        let (dz, jacobian) = position_in_arena(path, [X, Y, HEADING], fix);
+        let position = Measurement {
+            innovation: dz - jacobian * self.errors,
+            jacobian,
+            noise: noise.position,
+        };
         let verdict = if let Some(heading) = fix.heading {
             let turn_rad = wrap_rad(heading.rad() - self.end.angle_rad - self.errors[HEADING]);
-            let mut jacobian = SMatrix::<f64, 3, N>::zeros();
-            jacobian.fixed_rows_mut::<2>(0).copy_from(&by_errors);
-            jacobian[(2, HEADING)] = 1.0;
-            let mut full = Matrix3::from_diagonal_element(noise.heading_rad2);
-            full.fixed_view_mut::<2, 2>(0, 0).copy_from(&noise.position);
-            let innovation = Vector3::new(dz[0], dz[1], turn_rad);
-            self.fuse(
-                record,
-                &Measurement {
-                    innovation,
-                    jacobian,
-                    noise: full,
-                },
-            )
+            let full = with_heading(&position, HEADING, (turn_rad, noise.heading_rad2));
+            self.fuse(record, &full)
         } else {
-            self.fuse(
-                record,
-                &Measurement {
-                    innovation: dz,
-                    jacobian: by_errors,
-                    noise: noise.position,
-                },
-            )
+            self.fuse(record, &position)
         };
         self.feed_back();
         verdict
-    }
-
-    /// dz - H e of a fix's position, and H: paper 4's linearisation about the nominal path.
-    fn difference(&self, fix: &Fix) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
-        let (sin, cos) = self.end.angle_rad.sin_cos();
-        let (lever_x, lever_y) = (fix.tag_in_body.x.0, fix.tag_in_body.y.0);
-        let offset = Vector2::new(lever_x * cos - lever_y * sin, lever_x * sin + lever_y * cos);
-        let mut jacobian = SMatrix::<f64, 2, N>::zeros();
-        jacobian[(0, X)] = 1.0;
-        jacobian[(1, Y)] = 1.0;
-        jacobian[(0, HEADING)] = -offset[1];
-        jacobian[(1, HEADING)] = offset[0];
-        let seen = Vector2::new(fix.position.x.0, fix.position.y.0);
-        let dz = seen - Vector2::new(self.x_m, self.y_m) - offset;
-        (dz - jacobian * self.errors, jacobian)
     }
 
     fn fuse<const M: usize>(
@@ -79,19 +52,10 @@ impl Path {
         measurement: &Measurement<N, M>,
     ) -> Verdict {
         let s = measurement.innovation_covariance(&self.covariance);
-        let Some((nis, log_likelihood)) = consistency(&measurement.innovation, &s) else {
+        if !write_innovation(record, &measurement.innovation, &s) {
             return Verdict::Malformed;
-        };
-        for i in 0..M {
-            record.innovation[i] = measurement.innovation[i];
-            for j in 0..M {
-                record.innovation_covariance[i][j] = s[(i, j)];
-            }
         }
-        record.nis = nis;
-        record.degrees_of_freedom = M as u8;
-        record.log_likelihood = log_likelihood;
-        if nis > chi_square_quantile(M as u8, self.config.params.gate_probability) {
+        if record.nis > chi_square_quantile(M as u8, self.config.params.gate_probability) {
             return Verdict::Gated;
         }
         if apply(&mut self.errors, &mut self.covariance, measurement) {
@@ -103,10 +67,10 @@ impl Path {
 
     fn noise_of(&self, fix: &Fix, stamp_sigma_s: f64) -> FixNoise {
         let circumstances = Circumstances {
-            moved_since: Se2::default(),
             stamp_sigma_s,
             forward_m_per_s: self.forward_m_per_s,
             turn_rad_per_s: self.turn_rad_per_s,
+            ..Circumstances::default()
         };
         noise_of(fix, &self.config.noise, [1.0, 1.0], &circumstances)
     }
@@ -124,13 +88,7 @@ impl Path {
             None if self.is_placed => (before.heading.rad(), self.covariance[(HEADING, HEADING)]),
             None => (before.heading.rad(), UNKNOWN_HEADING_RAD2),
         };
-        let (sin, cos) = heading_rad.sin_cos();
-        let (lever_x, lever_y) = (fix.tag_in_body.x.0, fix.tag_in_body.y.0);
-        self.move_to(&Pose::new(
-            Meters(fix.position.x.0 - lever_x * cos + lever_y * sin),
-            Meters(fix.position.y.0 - lever_x * sin - lever_y * cos),
-            Heading::from_rad(heading_rad),
-        ));
+        self.move_to(&mid_axle(fix, heading_rad));
         for (i, row) in [X, Y].into_iter().enumerate() {
             for (j, column) in [X, Y].into_iter().enumerate() {
                 self.covariance[(row, column)] = noise.position[(i, j)];

@@ -1,9 +1,7 @@
 //! What absolute observations do to the state of the pose filter: gate, weight, update, and the way out when the gate is wrong.
 
 use nalgebra::SMatrix;
-use posebridge_telemetry::{
-    Fix, FusionRecord, Heading, Meters, Observed, Pose, SensorId, Span, Stamp, Verdict,
-};
+use posebridge_telemetry::{Fix, FusionRecord, Heading, Observed, SensorId, Span, Stamp, Verdict};
 
 use super::fuse::{Context, has_slipped, use_gyro_window};
 use super::history::kind_of;
@@ -11,10 +9,11 @@ use super::iterate::{ITERATE_ABOVE_RAD, iterate};
 use super::scales::{Source, vote};
 use super::state::{DELAY, HEADING, Located, PoseState, Refused};
 use crate::filters::StartPose;
+use crate::filters::records::write_innovation;
 use crate::observations::beacon::Beacon;
 use crate::observations::landmark::Sighting;
 use crate::observations::{beacon, compass, fix, landmark, wall};
-use crate::update::{Measurement, apply, consistency};
+use crate::update::{Measurement, apply};
 
 /// Refused fixes agree with each other when their innovations differ by less than this many standard deviations.
 const AGREEMENT_SIGMAS: f64 = 5.0;
@@ -325,17 +324,7 @@ fn write<const N: usize, const M: usize>(
     covariance: &SMatrix<f64, N, N>,
 ) -> Option<SMatrix<f64, M, M>> {
     let s = measurement.innovation_covariance(covariance);
-    let (nis, log_likelihood) = consistency(&measurement.innovation, &s)?;
-    for row in 0..M {
-        record.innovation[row] = measurement.innovation[row];
-        for column in 0..M {
-            record.innovation_covariance[row][column] = s[(row, column)];
-        }
-    }
-    record.nis = nis;
-    record.degrees_of_freedom = M as u8;
-    record.log_likelihood = log_likelihood;
-    Some(s)
+    write_innovation(record, &measurement.innovation, &s).then_some(s)
 }
 
 /// Counts a refused fix; true when enough of them agree with each other for long enough that the estimate must be wrong.
@@ -383,19 +372,15 @@ fn move_to<const N: usize>(state: &mut PoseState<N>, seen: &Fix, noise: &fix::Fi
 /// Takes position, and heading if there is one, from a fix.
 fn locate<const N: usize>(state: &mut PoseState<N>, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
     let heading_rad = seen.heading.map_or(state.pose.heading_rad, Heading::rad);
-    let (sin, cos) = heading_rad.sin_cos();
-    let (lever_x, lever_y) = (seen.tag_in_body.x.0, seen.tag_in_body.y.0);
-    let x_m = seen.position.x.0 - (lever_x * cos - lever_y * sin);
-    let y_m = seen.position.y.0 - (lever_x * sin + lever_y * cos);
     // Without a heading the tag may be anywhere on a circle about mid-axle.
     let lever_var_m2 = if seen.heading.is_some() {
         0.0
     } else {
-        lever_x * lever_x + lever_y * lever_y
+        seen.tag_in_body.x.0.powi(2) + seen.tag_in_body.y.0.powi(2)
     };
     let position_var_m2 = 0.5 * noise.position.trace() + lever_var_m2;
     state.place(&StartPose {
-        pose: Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad)),
+        pose: fix::mid_axle(seen, heading_rad),
         position_sigma_m: position_var_m2.max(0.0).sqrt(),
         heading_sigma_rad: match seen.heading {
             Some(_) => noise.heading_rad2.max(0.0).sqrt(),

@@ -3,6 +3,7 @@
 use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp, Verdict};
 
 use crate::filters::FilterConfig;
+use crate::filters::intake::refuse_repeated;
 use crate::models::differential_drive::{WheelTravel, body_step};
 use crate::models::se2::BodyStep;
 
@@ -64,7 +65,7 @@ impl Counters {
         config: &FilterConfig,
     ) -> Reading {
         let before = self.last;
-        if let Some(verdict) = refuse_interval(before.map(|(stamp, _)| stamp), stamp) {
+        if let Some(verdict) = refuse_repeated(before.map(|(stamp, _)| stamp), stamp) {
             return Reading::Refused(verdict);
         }
         self.last = Some((stamp, angles_rad));
@@ -85,16 +86,4 @@ impl Counters {
             Reading::Rebased
         }
     }
-}
-
-/// Why the interval since a sensor's reading before cannot be used, if so: it must be more than zero.
-pub(super) fn refuse_interval(
-    before: Option<Stamp<BrickClock>>,
-    stamp: Stamp<BrickClock>,
-) -> Option<Verdict> {
-    let before = before?;
-    if stamp == before {
-        return Some(Verdict::Malformed);
-    }
-    (stamp < before).then_some(Verdict::TooOld)
 }

@@ -3,28 +3,8 @@
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{FusionRecord, Verdict};
 
-use crate::update::{Scalar, Usage, consistency, use_scalar};
-
-/// Writes an innovation with its covariance into a record; `false`, and nothing written, when the covariance is none.
-pub(in crate::filters) fn write<const M: usize>(
-    record: &mut FusionRecord,
-    innovation: &SVector<f64, M>,
-    s: &SMatrix<f64, M, M>,
-) -> bool {
-    let Some((nis, log_likelihood)) = consistency(innovation, s) else {
-        return false;
-    };
-    for row in 0..M {
-        record.innovation[row] = innovation[row];
-        for column in 0..M {
-            record.innovation_covariance[row][column] = s[(row, column)];
-        }
-    }
-    record.nis = nis;
-    record.degrees_of_freedom = M as u8;
-    record.log_likelihood = log_likelihood;
-    true
-}
+use crate::filters::records::write_innovation;
+use crate::update::{Scalar, Usage, use_scalar};
 
 /// Uses scalars whose noises are independent of each other, all predicted from the state as it is, without a gate.
 ///
@@ -40,7 +20,7 @@ pub(in crate::filters) fn use_all<const N: usize, const K: usize, const M: usize
         let noise = if i == j { scalars[i].variance } else { 0.0 };
         noise + shared(&scalars[i], &scalars[j], covariance)
     });
-    if !write(record, &innovation, &s) {
+    if !write_innovation(record, &innovation, &s) {
         return Verdict::Malformed;
     }
     let (before, covariance_before) = (*mean, *covariance);

@@ -10,7 +10,7 @@
 //! an interval of more than 0.3 s between two readings of the wheels is a gap: over what of it has not been predicted yet the
 //! robot is taken to have driven at the counters' mean speeds
 //! ```
-//! A ring of past beliefs answers for earlier instants: as they were believed then, for nothing is corrected afterwards.
+//! A timeline of past beliefs answers for earlier instants: as they were believed then, for nothing is corrected afterwards.
 //!
 //! Source: docs/maths/paper1.md section 1.
 
@@ -19,7 +19,7 @@ pub(super) mod innovation;
 mod maths;
 pub(super) mod rows;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 use posebridge_telemetry::{
     BrickClock, Calibration, Estimate, Fix, FusionRecord, Heading, Meters, MetersPerSecond,
@@ -27,12 +27,14 @@ use posebridge_telemetry::{
     Verdict, estimate::row,
 };
 
-use self::counters::{Counters, Reading, refuse_interval};
+use self::counters::{Counters, Reading};
 pub(super) use self::counters::{LONGEST_STEP, WheelStep};
 pub(super) use self::maths::{Belief, Context, Extra, Maths};
+use super::timeline::Timeline;
 use super::{Filter, FilterConfig, StartPose, intake};
 use crate::gate::chi_square_quantile;
 use crate::models::planar_speeds::{Acceleration, Mean};
+use crate::observations::fix::{Circumstances, mid_axle, noise_of};
 
 /// Speeds are held for this long after the last reading of the wheels, and are stale behind it.
 const SPEEDS_HELD: Span = Span::from_millis(500);
@@ -100,9 +102,9 @@ pub(super) struct OnArrival<M> {
     last_gyro: Option<Stamp<BrickClock>>,
     last_felt: Option<Stamp<BrickClock>>,
     last_fixes: BTreeMap<SensorId, Stamp<BrickClock>>,
-    /// Oldest first, never empty: the belief after each instant within the history.
-    past: VecDeque<Instant<M>>,
-    first: Instant<M>,
+    last: Instant<M>,
+    /// The belief after each instant within the history.
+    past: Timeline<Instant<M>>,
     reset_counter: u8,
     last_jump: Option<PoseJump>,
 }
@@ -131,36 +133,29 @@ impl<M: Maths> OnArrival<M> {
             last_gyro: None,
             last_felt: None,
             last_fixes: BTreeMap::new(),
-            past: VecDeque::from([first]),
-            first,
+            last: first,
+            past: Timeline::new(config.params.history_s),
             reset_counter: 0,
             last_jump: None,
         }
     }
 
-    fn last(&self) -> Instant<M> {
-        self.past.back().copied().unwrap_or(self.first)
-    }
-
     /// Keeps a belief: one for each instant, as far back as the history reaches.
     fn keep(&mut self, next: Instant<M>) {
-        match self.past.back_mut() {
-            Some(last) if last.stamp == next.stamp => *last = next,
-            _ => self.past.push_back(next),
+        self.last = next;
+        if let Some(stamp) = next.stamp {
+            self.past.push(stamp, next);
         }
-        let Some(latest) = next.stamp else { return };
-        let horizon = latest - Span::from_secs_f64(self.context.config.params.history_s);
-        while self
-            .past
-            .get(1)
-            .is_some_and(|second| second.stamp <= Some(horizon))
-        {
-            self.past.pop_front();
-        }
+    }
+
+    /// Goes on from a belief that owes nothing to those before it, which are forgotten.
+    fn begin(&mut self, next: Instant<M>) {
+        self.past.clear();
+        self.keep(next);
     }
 
     fn take(&mut self, observation: &Observation, record: &mut FusionRecord) -> Verdict {
-        let uses = |extra| self.first.maths.uses(extra);
+        let uses = |extra| self.last.maths.uses(extra);
         match observation.observed {
             Observed::WheelAngles { left, right } => {
                 self.take_wheels(observation.stamp, [left.0, right.0], record)
@@ -194,7 +189,7 @@ impl<M: Maths> OnArrival<M> {
         record: &mut FusionRecord,
     ) -> Verdict {
         let reading = self.counters.read(stamp, angles_rad, &self.context.config);
-        let mut next = self.last();
+        let mut next = self.last;
         let verdict = match reading {
             Reading::Refused(verdict) => return verdict,
             Reading::First | Reading::Rebased => {
@@ -226,12 +221,12 @@ impl<M: Maths> OnArrival<M> {
         rate_rad_per_s: f64,
         record: &mut FusionRecord,
     ) -> Verdict {
-        if let Some(verdict) = refuse_interval(self.last_gyro, stamp) {
+        if let Some(verdict) = intake::refuse_repeated(self.last_gyro, stamp) {
             return verdict;
         }
         let interval = self.last_gyro.map(|before| stamp - before);
         self.last_gyro = Some(stamp);
-        let mut next = self.last();
+        let mut next = self.last;
         next.advance_to(stamp, &self.context);
         let short = interval.filter(|interval| *interval <= LONGEST_STEP);
         let verdict = if let Some(interval) = short {
@@ -247,11 +242,11 @@ impl<M: Maths> OnArrival<M> {
     }
 
     fn take_accelerations(&mut self, stamp: Stamp<BrickClock>, felt: Acceleration) -> Verdict {
-        if let Some(verdict) = refuse_interval(self.last_felt, stamp) {
+        if let Some(verdict) = intake::refuse_repeated(self.last_felt, stamp) {
             return verdict;
         }
         self.last_felt = Some(stamp);
-        let mut next = self.last();
+        let mut next = self.last;
         next.advance_to(stamp, &self.context);
         next.felt = Some((stamp, felt));
         self.keep(next);
@@ -265,10 +260,10 @@ impl<M: Maths> OnArrival<M> {
         record: &mut FusionRecord,
     ) -> Verdict {
         let before = self.last_fixes.get(&observation.sensor).copied();
-        if let Some(verdict) = refuse_interval(before, observation.stamp) {
+        if let Some(verdict) = intake::refuse_repeated(before, observation.stamp) {
             return verdict;
         }
-        let mut next = self.last();
+        let mut next = self.last;
         next.advance_to(observation.stamp, &self.context);
         let verdict = if next.is_placed {
             let stamp_sigma_s = observation.stamp_sigma.as_secs_f64();
@@ -319,29 +314,12 @@ fn place_at(maths: &mut impl Maths, fix: &Fix, context: &Context) -> Verdict {
     let Some(heading) = fix.heading else {
         return Verdict::Unused;
     };
-    let (sin, cos) = heading.rad().sin_cos();
-    let (lever_x, lever_y) = (fix.tag_in_body.x.0, fix.tag_in_body.y.0);
-    let configured = &context.config.noise;
-    let (position_m2, heading_rad2) = fix.covariance.map_or(
-        (
-            configured.fix_position_m.powi(2),
-            configured.fix_heading_rad.powi(2),
-        ),
-        |own| (0.5 * (own.xx_m2 + own.yy_m2), own.heading_rad2),
-    );
-    let heading_sigma_rad = if heading_rad2.is_finite() {
-        heading_rad2.sqrt()
-    } else {
-        configured.fix_heading_rad
-    };
+    let circumstances = Circumstances::default();
+    let noise = noise_of(fix, &context.config.noise, [1.0, 1.0], &circumstances);
     maths.place(&StartPose {
-        pose: Pose::new(
-            Meters(fix.position.x.0 - (lever_x * cos - lever_y * sin)),
-            Meters(fix.position.y.0 - (lever_x * sin + lever_y * cos)),
-            heading,
-        ),
-        position_sigma_m: position_m2.sqrt(),
-        heading_sigma_rad,
+        pose: mid_axle(fix, heading.rad()),
+        position_sigma_m: (0.5 * noise.position.trace()).sqrt(),
+        heading_sigma_rad: noise.heading_rad2.sqrt(),
     });
     Verdict::Accepted
 }
@@ -371,12 +349,11 @@ impl<M: Maths> Filter for OnArrival<M> {
         if !intake::is_usable(start) {
             return Verdict::Malformed;
         }
-        let mut next = self.last();
+        let mut next = self.last;
         let before = pose_of(&next.maths.belief(&self.context).mean);
         next.maths.place(start);
         next.is_placed = true;
-        self.past.clear();
-        self.past.push_back(next);
+        self.begin(next);
         self.reset_counter = self.reset_counter.wrapping_add(1);
         self.last_jump = Some(intake::jump_between(before, start.pose));
         Verdict::ResetTo
@@ -388,7 +365,7 @@ impl<M: Maths> Filter for OnArrival<M> {
             felt: None,
             last_motion: None,
             last_fix: None,
-            ..self.last()
+            ..self.last
         };
         let position_m = intake::RESTART_POSITION_M;
         let heading_rad = intake::RESTART_HEADING_RAD;
@@ -397,16 +374,15 @@ impl<M: Maths> Filter for OnArrival<M> {
         self.last_gyro = None;
         self.last_felt = None;
         self.last_fixes.clear();
-        self.past.clear();
-        self.past.push_back(next);
+        self.begin(next);
     }
 
     fn latest(&self) -> Option<Stamp<BrickClock>> {
-        self.last().stamp
+        self.last.stamp
     }
 
     fn calibration(&self) -> Option<Calibration> {
-        let gyro_bias_rad_per_s = self.last().maths.gyro_bias()?;
+        let gyro_bias_rad_per_s = self.last.maths.gyro_bias()?;
         Some(Calibration {
             gyro_bias_rad_per_s,
             ..self.context.config.calibration
@@ -414,9 +390,7 @@ impl<M: Maths> Filter for OnArrival<M> {
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
-        let index = self.past.partition_point(|at| at.stamp <= Some(stamp));
-        let mut at = *self.past.get(index.checked_sub(1)?)?;
-        at.stamp?;
+        let (_, mut at) = self.past.up_to(stamp)?;
         at.advance_to(stamp, &self.context);
         Some(self.published(&at, stamp))
     }

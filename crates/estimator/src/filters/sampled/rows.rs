@@ -49,13 +49,16 @@ pub(in crate::filters) fn unseen<const N: usize>(covariance: &mut SMatrix<f64, N
     );
 }
 
-/// Makes the speeds zero with these variances, independent of all other rows.
-pub(in crate::filters) fn forget_speeds<const N: usize>(
+/// Adds standard deviations, in m and rad, to the pose, and makes the speeds zero with these variances, independent of all other
+/// rows.
+pub(in crate::filters) fn restart<const N: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
-    variances: [f64; 2],
+    (position_m, heading_rad): (f64, f64),
+    speed_variances: [f64; 2],
 ) {
-    for (row, variance) in [FORWARD, TURN].into_iter().zip(variances) {
+    doubt(covariance, position_m, heading_rad);
+    for (row, variance) in [FORWARD, TURN].into_iter().zip(speed_variances) {
         mean[row] = 0.0;
         set_alone(covariance, row, variance);
     }

@@ -1,8 +1,9 @@
 //! The filter by the library's own parts, sparse as its filters use them, and dense as a textbook prints it.
 
 use nalgebra::{Matrix4, Matrix4x5, Matrix5, Vector4, Vector5};
-use posebridge_estimator::models::planar_speed::{Acceleration, PlanarSpeed, row};
+use posebridge_estimator::models::planar_speeds::{Acceleration, Step, jacobian};
 use posebridge_estimator::update::{Scalar, Usage, use_scalar};
+use posebridge_telemetry::estimate::row;
 
 use super::{Belief, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
 
@@ -11,7 +12,7 @@ const ROWS: [usize; 4] = [row::FORWARD, row::HEADING, row::HEADING, row::TURN];
 /// Six sigma: every scalar is held against the gate, and none of the inputs is refused, so that all ways do the same.
 const GATE: f64 = 36.0;
 
-const STEP: PlanarSpeed = PlanarSpeed {
+const STEP: Step = Step {
     interval_s: INTERVAL_S,
     variances: PROCESS_VARIANCES,
 };
@@ -59,7 +60,7 @@ pub(super) fn run_dense(inputs: &[Input]) -> Belief {
     let r = Matrix4::from_diagonal(&OBSERVED_VARIANCES.into());
     let h = Matrix4x5::from_fn(|i, j| f64::from(u8::from(ROWS[i] == j)));
     for input in inputs {
-        let f = STEP.jacobian(&mean);
+        let f = jacobian(&mean, INTERVAL_S);
         let u = acceleration(input);
         let travel_m = mean[row::FORWARD] * INTERVAL_S;
         let phi = mean[row::HEADING] + 0.5 * INTERVAL_S * mean[row::TURN];

@@ -1,6 +1,6 @@
 //! One and the same five-state filter, written in several ways: what the benchmark measures and a test compares.
 //!
-//! States, motion and Jacobian are those of `models::planar_speed` (paper 1, equation 24). Each step predicts with the two
+//! States, motion and Jacobian are those of `models::planar_speeds` (paper 1, equation 24). Each step predicts with the two
 //! accelerations and then uses v from the encoders, the heading from the encoders, the heading from the gyro and w.
 
 mod floor;

@@ -1,0 +1,430 @@
+//! The indirect filter of paper 4 on the square of 3 m by 3 m: against the wheels alone, and feed-forward against feedback.
+#![expect(
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] print their figures and stop where a filter gives nothing"
+)]
+
+#[path = "support/indirect.rs"]
+mod indirect;
+#[path = "support/robot.rs"]
+mod robot;
+
+use indirect::{ACCELEROMETER_M_PER_S2, STEP_S, built, latest};
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_telemetry::{
+    Arena, Fix, Heading, Known, Meters, MetersPerSecondSquared, Observation, Observed, Point2,
+    Radians, RadiansPerSecond, SensorId, Span, Stamp, Verdict, quantities::wrap_rad,
+};
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64;
+use robot::{DEGREE, RADIUS_M, TRACK_M, config};
+
+/// How well the wheels of the square's robot are known: calibrated radii, an effective track that is 3 % off at one sigma.
+const SCALE_SIGMAS: [f64; 3] = [0.002, 0.001, 0.03];
+
+/// Which sensors the robot has beside its wheels.
+#[derive(Clone, Copy)]
+struct Sensors {
+    has_accelerometers: bool,
+    has_gyro: bool,
+    fixes_every: Option<usize>,
+}
+
+const WHEELS_ONLY: Sensors = Sensors {
+    has_accelerometers: false,
+    has_gyro: false,
+    fixes_every: None,
+};
+const ACCELEROMETERS: Sensors = Sensors {
+    has_accelerometers: true,
+    ..WHEELS_ONLY
+};
+const ACCELEROMETERS_AND_GYRO: Sensors = Sensors {
+    has_gyro: true,
+    ..ACCELEROMETERS
+};
+
+/// What happened on a drive: truth at its end and all observations.
+struct Drive {
+    end: (f64, f64, f64),
+    observations: Vec<Observation>,
+}
+
+/// The path printed in the paper, read as (0,0), (3,0), (3,-3), (0,-3), (0,0): four sides of 3 m, turns to the right. Each step's
+/// commanded speed and turn rate; a rest before, and after each motion.
+fn commands() -> Vec<(f64, f64)> {
+    let mut steps = vec![(0.0, 0.0); 40];
+    for _ in 0..4 {
+        for (amount, speed, sign) in [(3.0, 0.2, 0.0), (std::f64::consts::FRAC_PI_2, 1.0, -1.0)] {
+            let whole = (amount / (speed * STEP_S)).round() as usize;
+            let total = whole + 6;
+            for k in 0..total {
+                let edge = (k + 1).min(total - k).min(7) as f64 / 7.0;
+                let now = edge * speed;
+                steps.push(if sign == 0.0 {
+                    (now, 0.0)
+                } else {
+                    (0.0, sign * now)
+                });
+            }
+            steps.extend([(0.0, 0.0); 15]);
+        }
+    }
+    steps
+}
+
+struct World {
+    normals: Pcg64,
+    truth: (f64, f64, f64),
+    wheels_rad: [f64; 2],
+    scales: [f64; 3],
+    biases: [f64; 3],
+    /// At the end of the last step: commanded, and true.
+    commanded: (f64, f64),
+    speeds: (f64, f64),
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let mut world = Self {
+            normals: Pcg64::seed_from_u64(seed),
+            truth: (0.0, 0.0, 0.0),
+            wheels_rad: [0.0; 2],
+            scales: [0.0; 3],
+            biases: [0.0; 3],
+            commanded: (0.0, 0.0),
+            speeds: (0.0, 0.0),
+        };
+        world.scales = SCALE_SIGMAS.map(|sigma| sigma * world.normal());
+        world.biases = [
+            0.05 * world.normal(),
+            0.05 * world.normal(),
+            DEGREE * world.normal(),
+        ];
+        world
+    }
+
+    fn normal(&mut self) -> f64 {
+        self.normals.sample(StandardNormal)
+    }
+
+    /// Moves for one step, from the speeds at its start to those at its end, linearly; returns the true accelerations. The wheels
+    /// turn as commanded; the robot slips.
+    fn advance(&mut self, speed: f64, turn: f64) -> (f64, f64) {
+        let d = 0.5 * (self.commanded.0 + speed) * STEP_S;
+        let dth = 0.5 * (self.commanded.1 + turn) * STEP_S;
+        self.commanded = (speed, turn);
+        let [m, dr, tb] = self.scales;
+        let half_m = 0.5 * dth * TRACK_M * (1.0 + tb);
+        let mut slips_m = [0.0; 2];
+        for (i, side) in [-1.0, 1.0].into_iter().enumerate() {
+            let travel_m = d + side * half_m;
+            slips_m[i] = 0.0008 * travel_m.abs().sqrt() * self.normal();
+            self.wheels_rad[i] += travel_m / (RADIUS_M * (1.0 + m + side * 0.5 * dr));
+        }
+        let slipped_rad =
+            (slips_m[1] - slips_m[0]) / TRACK_M + 0.004 * dth.abs().sqrt() * self.normal();
+        let ends = (
+            speed + 0.5 * (slips_m[0] + slips_m[1]) / STEP_S,
+            turn + slipped_rad / STEP_S,
+        );
+        let accelerations = (
+            (ends.0 - self.speeds.0) / STEP_S,
+            (ends.1 - self.speeds.1) / STEP_S,
+        );
+        let true_m = 0.5 * (self.speeds.0 + ends.0) * STEP_S;
+        let true_rad = 0.5 * (self.speeds.1 + ends.1) * STEP_S;
+        self.speeds = ends;
+        let middle = self.truth.2 + 0.5 * true_rad;
+        self.truth.0 += true_m * middle.cos();
+        self.truth.1 += true_m * middle.sin();
+        self.truth.2 = wrap_rad(self.truth.2 + true_rad);
+        accelerations
+    }
+
+    fn wheels(&self) -> Observed {
+        let floored = |rad: f64| Radians((rad / DEGREE).floor() * DEGREE);
+        Observed::WheelAngles {
+            left: floored(self.wheels_rad[0]),
+            right: floored(self.wheels_rad[1]),
+        }
+    }
+
+    /// The accelerometers sit on the frame at the nominal track, which a ruler tells; the tyres' effective track is another.
+    fn accelerations(&mut self, (forward, turn): (f64, f64)) -> Observed {
+        let half = 0.5 * TRACK_M * turn;
+        let left = forward - half + self.biases[0] + ACCELEROMETER_M_PER_S2 * self.normal();
+        let right = forward + half + self.biases[1] + ACCELEROMETER_M_PER_S2 * self.normal();
+        Observed::WheelAccelerations {
+            left: MetersPerSecondSquared(left),
+            right: MetersPerSecondSquared(right),
+        }
+    }
+
+    fn gyro(&mut self, turned_rad: f64) -> Observed {
+        let rate = turned_rad / STEP_S + self.biases[2] + 0.6 * DEGREE * self.normal();
+        Observed::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE))
+    }
+
+    fn fix(&mut self) -> Observed {
+        let (x, y, heading) = self.truth;
+        let noise = [0.005, 0.005, DEGREE].map(|sigma| sigma * self.normal());
+        Observed::Fix(Fix {
+            position: Point2::<Arena>::new(Meters(x + noise[0]), Meters(y + noise[1])),
+            heading: Some(Heading::from_rad(heading + noise[2])),
+            covariance: None,
+            tag_in_body: Point2::ORIGIN,
+            reset_counter: 0,
+        })
+    }
+}
+
+fn drive(sensors: Sensors, seed: u64) -> Drive {
+    let mut world = World::new(seed);
+    let mut observations = vec![];
+    for (index, (speed, turn)) in commands().into_iter().enumerate() {
+        let before_rad = world.truth.2;
+        let accelerations = world.advance(speed, turn);
+        let turned_rad = wrap_rad(world.truth.2 - before_rad);
+        // Every sensor draws its noise in every case: the cases differ by what is used, not by the world.
+        let of_accelerometers = world.accelerations(accelerations);
+        let of_gyro = world.gyro(turned_rad);
+        let of_camera = world.fix();
+        let is_fixed = sensors
+            .fixes_every
+            .is_some_and(|every| index.is_multiple_of(every));
+        let stamp = Stamp::from_millis(50 * (index as i64 + 1));
+        for (sensor, observed, is_used) in [
+            (
+                SensorId::ACCELEROMETER,
+                of_accelerometers,
+                sensors.has_accelerometers,
+            ),
+            (SensorId::GYRO, of_gyro, sensors.has_gyro),
+            (SensorId::WHEELS, world.wheels(), true),
+            (SensorId::CAMERA, of_camera, is_fixed),
+        ] {
+            if is_used {
+                observations.push(Observation {
+                    sensor,
+                    stamp,
+                    stamp_sigma: Span::ZERO,
+                    observed,
+                });
+            }
+        }
+    }
+    Drive {
+        end: world.truth,
+        observations,
+    }
+}
+
+/// The robot of the square: its scales as doubtful as they are.
+fn square_config() -> FilterConfig {
+    let mut config = config();
+    config.noise.accelerometer_m_per_s2 = ACCELEROMETER_M_PER_S2;
+    let doubt = |sigma| Known { value: 0.0, sigma };
+    config.calibration.radius_scale = doubt(SCALE_SIGMAS[0]);
+    config.calibration.radius_difference = doubt(SCALE_SIGMAS[1]);
+    config.calibration.track_scale = doubt(SCALE_SIGMAS[2]);
+    config
+}
+
+fn played(name: &str, config: &FilterConfig, drive: &Drive) -> Box<dyn Filter> {
+    let mut filter = built(name, config);
+    for observation in &drive.observations {
+        let verdict = filter.observe(observation).verdict;
+        let is_fine = matches!(
+            verdict,
+            Verdict::Accepted | Verdict::Gated | Verdict::Unused | Verdict::ResetTo
+        );
+        assert!(is_fine, "{name}: {observation:?} {verdict:?}");
+    }
+    filter
+}
+
+/// Error at the end in x and y, m, and the heading's, rad.
+fn end_error(filter: &dyn Filter, drive: &Drive) -> [f64; 3] {
+    let end = latest(filter);
+    [
+        end.pose.x.0 - drive.end.0,
+        end.pose.y.0 - drive.end.1,
+        wrap_rad(end.pose.heading.rad() - drive.end.2),
+    ]
+}
+
+const SEEDS: u64 = 100;
+
+/// Root mean squares of the end errors in x and y, medians of their lengths, and the mean NEES per degree of freedom.
+struct Ends {
+    rms_m: [f64; 2],
+    lengths_m: Vec<f64>,
+    anees: f64,
+}
+
+impl Ends {
+    fn median_m(&self) -> f64 {
+        let mut sorted = self.lengths_m.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted[sorted.len() / 2]
+    }
+}
+
+fn ends(name: &str, sensors: Sensors, seeds: u64) -> Ends {
+    let config = square_config();
+    let (mut squares, mut lengths_m, mut nees) = ([0.0; 2], vec![], 0.0);
+    for seed in 0..seeds {
+        let drive = drive(sensors, seed);
+        let filter = played(name, &config, &drive);
+        let error = end_error(filter.as_ref(), &drive);
+        squares[0] += error[0] * error[0];
+        squares[1] += error[1] * error[1];
+        lengths_m.push(error[0].hypot(error[1]));
+        let p = latest(filter.as_ref()).covariance;
+        let p = nalgebra::Matrix3::from_fn(|i, j| p[i][j]);
+        let error = nalgebra::Vector3::from(error);
+        nees += (error.transpose() * p.try_inverse().unwrap() * error)[0] / 3.0;
+    }
+    let ends = Ends {
+        rms_m: squares.map(|sum| f64::sqrt(sum / seeds as f64)),
+        lengths_m,
+        anees: nees / seeds as f64,
+    };
+    println!(
+        "{name}: x {:.3} m, y {:.3} m rms, median {:.3} m, NEES/3 {:.2}",
+        ends.rms_m[0],
+        ends.rms_m[1],
+        ends.median_m(),
+        ends.anees
+    );
+    ends
+}
+
+#[test]
+fn on_the_square_accelerometers_bring_the_end_closer_than_the_wheels_alone() {
+    let wheels = ends("odometry", WHEELS_ONLY, SEEDS);
+    for name in ["indirect", "indirect-feedback"] {
+        let fused = ends(name, ACCELEROMETERS, SEEDS);
+        // The paper's own end errors.
+        assert!(fused.rms_m[0] <= 0.235, "{name}");
+        assert!(fused.rms_m[1] <= 0.32, "{name}");
+        let better = fused
+            .lengths_m
+            .iter()
+            .zip(&wheels.lengths_m)
+            .filter(|(fused, wheels)| fused < wheels)
+            .count();
+        println!("{name}: better than the wheels in {better} of {SEEDS}");
+        assert!(2 * better as u64 > SEEDS, "{name}");
+        assert!(fused.median_m() < wheels.median_m(), "{name}");
+    }
+}
+
+/// Fed forward the errors stay linearised about the wheels' path, which is wrong by tens of degrees in the end: what it says of
+/// itself is then too good, and fixes are refused until the path is put down anew. Fed back it is consistent.
+#[test]
+fn a_gyro_brings_it_closer_still_fixes_closest_and_feedback_knows_how_close() {
+    let seeds = 30;
+    for (name, anees) in [("indirect", 1.3..10.0), ("indirect-feedback", 0.5..1.4)] {
+        let accelerometers = ends(name, ACCELEROMETERS, seeds);
+        let gyro = ends(name, ACCELEROMETERS_AND_GYRO, seeds);
+        let with_fixes = Sensors {
+            fixes_every: Some(20),
+            ..ACCELEROMETERS_AND_GYRO
+        };
+        let fixed = ends(name, with_fixes, seeds);
+        assert!(gyro.median_m() < accelerometers.median_m(), "{name}");
+        assert!(fixed.median_m() < 0.02, "{name}");
+        assert!(anees.contains(&gyro.anees), "{name}: {}", gyro.anees);
+    }
+}
+
+#[test]
+fn without_other_sensors_it_is_dead_reckoning() {
+    let drive = drive(WHEELS_ONLY, 3);
+    let config = square_config();
+    let of_wheels = end_error(played("odometry", &config, &drive).as_ref(), &drive);
+    for name in ["indirect", "indirect-feedback"] {
+        let error = end_error(played(name, &config, &drive).as_ref(), &drive);
+        // The midpoint rule of the one and the arcs of the other.
+        assert!((error[0] - of_wheels[0]).abs() < 1e-3, "{name}");
+        assert!((error[1] - of_wheels[1]).abs() < 1e-3, "{name}");
+    }
+}
+
+/// The errors of feed-forward are linearised about the wheels' path, those of feedback about the corrected one: the same while
+/// the errors are small, and not when they have grown.
+#[test]
+fn feed_forward_and_feedback_agree_while_errors_are_small() {
+    let config = square_config();
+    let mut grown_m: f64 = 0.0;
+    for seed in 0..10 {
+        let drive = drive(ACCELEROMETERS_AND_GYRO, seed);
+        let [mut forward, mut back] =
+            ["indirect", "indirect-feedback"].map(|name| built(name, &config));
+        let mut small_m: f64 = 0.0;
+        for observation in &drive.observations {
+            forward.observe(observation);
+            back.observe(observation);
+            if observation.sensor != SensorId::WHEELS {
+                continue;
+            }
+            let (a, b) = (latest(forward.as_ref()).pose, latest(back.as_ref()).pose);
+            let differ_m = (a.x.0 - b.x.0).hypot(a.y.0 - b.y.0);
+            if observation.stamp <= Stamp::from_millis(10_000) {
+                small_m = small_m.max(differ_m);
+            }
+            grown_m = grown_m.max(differ_m);
+        }
+        assert!(small_m < 2e-3, "{seed}: {small_m}");
+    }
+    println!("by the end of the square they differ by up to {grown_m:.3} m");
+    assert!(grown_m > 0.02, "{grown_m}");
+}
+
+#[test]
+fn every_comparison_is_told_with_its_innovation() {
+    let drive = drive(ACCELEROMETERS_AND_GYRO, 1);
+    let config = square_config();
+    for name in ["indirect", "indirect-feedback"] {
+        let mut filter = built(name, &config);
+        let (mut nis, mut count) = (0.0, 0.0);
+        for observation in &drive.observations {
+            let record = filter.observe(observation);
+            let is_first = observation.stamp < Stamp::from_millis(150);
+            if observation.sensor == SensorId::WHEELS && !is_first {
+                assert_eq!(record.degrees_of_freedom, 3, "{name} {observation:?}");
+                assert!(record.innovation_covariance[2][2] > 0.0);
+                nis += record.nis / 3.0;
+                count += 1.0;
+            }
+        }
+        let mean: f64 = nis / count;
+        println!("{name}: mean NIS per degree of freedom {mean:.2}");
+        assert!((0.3..1.5).contains(&mean), "{name}: {mean}");
+    }
+}
+
+#[test]
+fn the_track_width_is_learned_from_the_accelerometers_and_the_gyro_bias_at_rest() {
+    let drive = drive(ACCELEROMETERS_AND_GYRO, 4);
+    let truth = World::new(4);
+    for name in ["indirect", "indirect-feedback"] {
+        let filter = played(name, &square_config(), &drive);
+        let learned = filter.calibration().unwrap();
+        let track = learned.track_scale;
+        let bias = learned.gyro_bias_rad_per_s;
+        println!(
+            "{name}: track {track:?} of {}, bias {bias:?} of {}",
+            truth.scales[2], truth.biases[2]
+        );
+        assert!(track.sigma < 0.01);
+        assert!((track.value - truth.scales[2]).abs() < 4.0 * track.sigma);
+        assert!(bias.sigma < 0.1 * DEGREE);
+        assert!((bias.value - truth.biases[2]).abs() < 4.0 * bias.sigma);
+    }
+}
