@@ -46,7 +46,10 @@ fn the_object_has_the_promised_keys_and_sensible_figures() {
         .map(|estimator| estimator["name"].as_str().unwrap())
         .collect();
     assert!(names.contains(&"odometry") && names.contains(&"pose"));
-    assert_eq!(names[names.len() - 2..], ["pose-true-geometry", "smooth"]);
+    assert_eq!(
+        names[names.len() - 3..],
+        ["pose-true-geometry", "rts", "smooth"]
+    );
     for estimator in estimators {
         for key in [
             "position_rms_m",
