@@ -243,7 +243,13 @@ fn a_device_without_permission_is_named_with_the_cure() {
     let path = nix::unistd::ttyname(&pty.slave).expect("its name");
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
     let program = folder.path().join("posebridge");
-    std::fs::copy(env!("CARGO_BIN_EXE_posebridge"), &program).unwrap();
+    // Copied by another process: a program that this one starts meanwhile would inherit the file, open for writing, and what is open
+    // for writing cannot be run.
+    let copied = Command::new("cp")
+        .arg(env!("CARGO_BIN_EXE_posebridge"))
+        .arg(&program)
+        .status();
+    assert!(copied.unwrap().success());
     let mut command = Command::new(&program);
     command
         .current_dir(folder.path())
