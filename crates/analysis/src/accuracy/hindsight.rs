@@ -17,7 +17,7 @@ pub struct HindsightScore {
     pub refusal: Option<OfflineError>,
 }
 
-/// A way to smooth a whole run: [`posebridge_estimator::offline::batch`] or [`posebridge_estimator::offline::rts`].
+/// A way to smooth a whole run: [`posebridge_estimator::offline::batch()`] or [`posebridge_estimator::offline::rts()`].
 pub type Smoother = fn(&FilterConfig, &[Observation]) -> Result<Smoothed, OfflineError>;
 
 /// Smooths a whole drive and scores the path at the steps at which a filter is scored.
