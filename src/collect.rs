@@ -85,17 +85,7 @@ impl Collector {
     }
 
     fn take_record(&mut self, record: &FusionRecord) {
-        let known = self
-            .sources
-            .iter_mut()
-            .find(|tally| tally.sensor == record.sensor);
-        if let Some(tally) = known {
-            tally.add(record);
-        } else {
-            let mut tally = SourceTally::new(record.sensor);
-            tally.add(record);
-            self.sources.push(tally);
-        }
+        posebridge_analysis::metrics::count_in(&mut self.sources, record);
         if let Some(position) = self.last_fix {
             self.fixes.push(FixMark {
                 stamp: record.stamp,

@@ -3,7 +3,7 @@
 use posebridge_telemetry::{Arena, Estimate, FusionRecord, Pose, quantities::wrap_rad};
 
 use crate::metrics::anees::nees;
-use crate::metrics::{Anees, Consistency, ConsistencyBand, PoseError, SourceTally};
+use crate::metrics::{Anees, Consistency, ConsistencyBand, PoseError, SourceTally, count_in};
 
 /// Degrees of freedom of a pose error: x, y, heading.
 const POSE_DEGREES_OF_FREEDOM: f64 = 3.0;
@@ -105,17 +105,7 @@ impl Score {
 
     /// Counts what became of one observation.
     pub fn add_record(&mut self, record: &FusionRecord) {
-        let known = self
-            .sources
-            .iter_mut()
-            .find(|tally| tally.sensor == record.sensor);
-        if let Some(tally) = known {
-            tally.add(record);
-        } else {
-            let mut tally = SourceTally::new(record.sensor);
-            tally.add(record);
-            self.sources.push(tally);
-        }
+        count_in(&mut self.sources, record);
     }
 
     /// Counts what became of many observations of one sensor.

@@ -18,7 +18,7 @@ pub mod summary;
 pub use anees::{Anees, NeesError, anees, nees};
 pub use consistency::{Consistency, ConsistencyBand};
 pub use error::{PoseError, errors_of_estimates, errors_of_track};
-pub use nis::{SourceTally, tally};
+pub use nis::{SourceTally, count_in, tally};
 pub use path::{PathError, deviations_from_path, path_error};
 pub use summary::{ErrorSummary, mean_over_runs, summarise};
 

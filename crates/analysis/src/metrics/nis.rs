@@ -131,6 +131,20 @@ fn mean_per_degree(nis_sum: f64, degrees_of_freedom: u64) -> Option<f64> {
     (degrees_of_freedom > 0).then(|| nis_sum / degrees_of_freedom as f64)
 }
 
+/// Counts one record with its sensor; tallies stand in the order in which their sensors were heard first.
+pub fn count_in(tallies: &mut Vec<SourceTally>, record: &FusionRecord) {
+    let known = tallies
+        .iter_mut()
+        .find(|tally| tally.sensor == record.sensor);
+    if let Some(tally) = known {
+        tally.add(record);
+    } else {
+        let mut tally = SourceTally::new(record.sensor);
+        tally.add(record);
+        tallies.push(tally);
+    }
+}
+
 /// One tally per sensor that occurs in the records, in the order of the sensor ids.
 pub fn tally<'a>(records: impl IntoIterator<Item = &'a FusionRecord>) -> Vec<SourceTally> {
     let mut tallies = BTreeMap::new();

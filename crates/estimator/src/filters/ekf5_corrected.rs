@@ -32,6 +32,7 @@ use super::sampled::{Belief, Context, Extra, Maths, OnArrival, WheelStep, innova
 use super::{Filter, FilterConfig, StartPose};
 use crate::models::differential_drive::{WheelTravel, step_noise};
 use crate::models::planar_speeds::{self, Acceleration};
+use crate::observations::gyro_window::gyro_variance;
 use crate::update::{Scalar, symmetrise};
 
 /// Number of states.
@@ -306,9 +307,7 @@ impl Maths for Corrected {
         record: &mut FusionRecord,
     ) -> Verdict {
         let noise = &context.config.noise;
-        let sample_var =
-            noise.gyro_rad_per_s.powi(2) + noise.gyro_resolution_rad_per_s.powi(2) / 12.0;
-        self.covariance[(GYRO_ERROR, GYRO_ERROR)] += sample_var * dt_s * dt_s;
+        self.covariance[(GYRO_ERROR, GYRO_ERROR)] += gyro_variance(noise, dt_s * dt_s);
         self.gyro_heading_rad += rate_rad_per_s * dt_s;
         let expected_rad = self.mean[HEADING] + self.mean[GYRO_ERROR];
         let scalar = Scalar {

@@ -22,6 +22,7 @@ use posebridge_telemetry::{DriveGeometry, SensorNoise};
 
 use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
 use crate::models::se2::{BodyStep, Displacement, StepRule, displace};
+use crate::observations::gyro_window::gyro_variance;
 use crate::update::symmetrise;
 
 /// Number of rows.
@@ -212,8 +213,7 @@ pub fn process_noise(
         q[(first + 1, first)] = 0.5 * variance * dt_s;
         q[(first + 1, first + 1)] = variance;
     }
-    let gyro_var = noise.gyro_rad_per_s.powi(2) + noise.gyro_resolution_rad_per_s.powi(2) / 12.0;
-    q[(GYRO_ANGLE, GYRO_ANGLE)] = gyro_var * elapsed.gyro_s2;
+    q[(GYRO_ANGLE, GYRO_ANGLE)] = gyro_variance(noise, elapsed.gyro_s2);
     q[(GYRO_BIAS, GYRO_BIAS)] = noise.gyro_bias_walk_rad_per_s_sqrt_s.powi(2) * elapsed.dt_s;
     q
 }
