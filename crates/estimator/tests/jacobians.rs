@@ -14,6 +14,7 @@ use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::motion::{GyroTurn, MotionReading, MotionTrack};
 use posebridge_estimator::observations::accelerometer::{Accelerations, drive_speeds};
 use posebridge_estimator::observations::beacon::Beacon;
+use posebridge_estimator::observations::gyro_window::Rounded;
 use posebridge_estimator::observations::landmark::Sighting;
 use posebridge_estimator::observations::{beacon, compass, fix, gyro_window, landmark, wall};
 use posebridge_estimator::update::Measurement;
@@ -318,18 +319,21 @@ fn a_wall_that_is_not_met_is_not_expected() {
 #[test]
 fn a_gyro_window_has_the_derivatives_of_its_prediction() {
     for state in odd_states::<WITH_RANGES>() {
-        for forward_m in [0.0, 0.08] {
+        let moved = Rounded::Anew {
+            variance_rad2: 1e-6,
+        };
+        for rounded in [moved, Rounded::AsBefore] {
             let window = gyro_window::GyroWindow {
                 start: ms(1_000),
                 until: ms(1_450),
-                forward_m,
+                forward_m: 0.08,
             };
             let turn = GyroTurn {
                 turn_rad: 0.31,
                 squared_secs: 0.02,
             };
             let measure =
-                |state: &State| gyro_window::measurement(state, &window, &turn, &GEOMETRY, &QUIET);
+                |state: &State| gyro_window::measurement(state, &window, &turn, &QUIET, rounded);
             let scalar = measure(&state);
             for row in 0..WITH_RANGES {
                 let ahead = measure(&with_error(&state, row, H)).innovation;

@@ -11,9 +11,9 @@
 //! R = q + (r tick / b)^2 / 6     q = sum of dt^2 (sigma_g^2 + res^2 / 12); the second part is the rounding at the end
 //! ```
 //! The rounding at the end of one window is the one at the beginning of the next, with the opposite sign: it is kept as a state,
-//! so that it cancels instead of adding up. That holds for windows in which no count changed as well: a robot that turns by less
-//! than a count per window is not at rest, and its turn must be taken neither for bias nor, when the count comes, for slip. A
-//! robot that does rest loses little, because over many windows the two ends of the rest are all that is rounded.
+//! so that it cancels instead of adding up. Where the robot stood through the window, both ends have the same rounding, and it
+//! drops out of h and R. That no count changed is not enough to say so: a robot that turns by less than a count per window is not
+//! at rest, and its turn must be taken neither for bias nor, when the count comes, for slip.
 //!
 //! When the window closes, psi is forgotten (zero mean, zero variance) and the next one begins.
 //!
@@ -48,6 +48,18 @@ impl GyroWindow {
     }
 }
 
+/// What the rounding of the encoders' heading is at the end of a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rounded {
+    /// Another one than at its beginning: the wheels moved, or may have.
+    Anew {
+        /// What is known about it.
+        variance_rad2: f64,
+    },
+    /// The same: the robot stood.
+    AsBefore,
+}
+
 /// Variance of the turn that a gyro reports over samples with this sum of squared lengths, rad².
 #[must_use]
 pub fn gyro_variance(noise: &SensorNoise, squared_secs: f64) -> f64 {
@@ -69,22 +81,27 @@ pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
         / geometry.track_width.0
 }
 
-/// Innovation, H and R of a window. R holds the rounding at its end; that at its beginning is a state.
+/// Innovation, H and R of a window. R holds the rounding at its end where that is another; that at its beginning is a state.
 #[must_use]
 pub fn measurement<const N: usize>(
     state: &PoseState<N>,
     window: &GyroWindow,
     gyro: &GyroTurn,
-    geometry: &DriveGeometry,
     noise: &SensorNoise,
+    rounded: Rounded,
 ) -> Scalar<3> {
     let length_s = (window.until - window.start).as_secs_f64();
-    let predicted =
-        state.mean[WINDOW_TURN] + state.mean[GYRO_BIAS] * length_s + state.mean[ROUNDING];
+    let (by_rounding, rounding_rad2) = match rounded {
+        Rounded::Anew { variance_rad2 } => (1.0, variance_rad2),
+        Rounded::AsBefore => (0.0, 0.0),
+    };
+    let predicted = state.mean[WINDOW_TURN]
+        + state.mean[GYRO_BIAS] * length_s
+        + by_rounding * state.mean[ROUNDING];
     Scalar {
         innovation: gyro.turn_rad - predicted,
         rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING],
-        by_row: [1.0, length_s, 1.0],
-        variance: gyro_variance(noise, gyro.squared_secs) + rounding_variance(geometry),
+        by_row: [1.0, length_s, by_rounding],
+        variance: gyro_variance(noise, gyro.squared_secs) + rounding_rad2,
     }
 }

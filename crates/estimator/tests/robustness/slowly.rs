@@ -22,11 +22,24 @@ fn of(sensor: SensorId, step: usize, observed: Observed) -> Observation {
 
 /// Feeds wheels that are floored to counts, and the gyro with its noise, of a robot that turns in place.
 fn turn_slowly(filter: &mut impl Filter, rate_rad_per_s: f64, bias_rad_per_s: f64, seed: u64) {
+    turn_by_counts(filter, bias_rad_per_s, seed, |_| rate_rad_per_s);
+}
+
+/// The same at the rate that is told for each step but the first, at which the robot begins.
+fn turn_by_counts(
+    filter: &mut impl Filter,
+    bias_rad_per_s: f64,
+    seed: u64,
+    mut rate_rad_per_s: impl FnMut(usize) -> f64,
+) {
     let mut rng = Pcg64::seed_from_u64(seed);
     // Where within a count the wheels begin.
     let start: [f64; 2] = [rng.random(), rng.random()];
+    let mut turned_rad = 0.0;
     for step in 0..1_200 {
-        let half_rad = 0.5 * rate_rad_per_s * step as f64 * STEP_S * TRACK_M / RADIUS_M;
+        let rate_rad_per_s = if step > 0 { rate_rad_per_s(step) } else { 0.0 };
+        turned_rad += rate_rad_per_s * STEP_S;
+        let half_rad = 0.5 * turned_rad * TRACK_M / RADIUS_M;
         let counted = |rad: f64, begun: f64| Radians((rad / DEGREE + begun).floor() * DEGREE);
         let wheels = Observed::WheelAngles {
             left: counted(-half_rad, start[0]),
@@ -71,6 +84,40 @@ fn a_rotation_below_a_count_per_window_is_not_taken_for_bias() {
             worst_heading < 1.0,
             "{rate_deg_per_s} degrees/s: {worst_heading}"
         );
+    }
+}
+
+#[test]
+fn a_robot_that_brakes_to_a_creep_is_taken_for_resting_no_longer_than_until_its_first_counts() {
+    // 90 degrees at 1 rad/s, then on at a rate that shows a count now and then: worse than any rest for telling one from the other.
+    for creep_deg_per_s in [0.0, 0.1, 0.2, 0.5, 1.0, 2.0] {
+        let (mut worst_bias, mut worst_heading) = (0.0_f64, 0.0_f64);
+        for seed in 0..10 {
+            let bias = 0.7 * DEGREE;
+            let mut filter = PoseFilter::<CORE>::new(&config());
+            let mut heading_rad = 0.0;
+            turn_by_counts(&mut filter, bias, seed, |step| {
+                let rate = if step < 32 {
+                    1.0
+                } else {
+                    creep_deg_per_s * DEGREE
+                };
+                heading_rad += rate * STEP_S;
+                rate
+            });
+            let state = filter.state();
+            worst_bias = worst_bias.max((state.mean[GYRO_BIAS] - bias).abs() / DEGREE);
+            let estimate = filter.estimate_at(stamp(1_199)).unwrap();
+            let error = posebridge_telemetry::quantities::wrap_rad(
+                estimate.pose.heading.rad() - heading_rad,
+            );
+            worst_heading = worst_heading.max(error.abs() / DEGREE);
+        }
+        println!("{creep_deg_per_s} degrees/s: bias {worst_bias:.3}, heading {worst_heading:.3}");
+        // Three times what a long rest leaves, and the heading that comes of it. A filter that takes every pause for rest is off by
+        // tens of degrees.
+        assert!(worst_bias < 0.12, "{creep_deg_per_s}: {worst_bias}");
+        assert!(worst_heading < 1.2, "{creep_deg_per_s}: {worst_heading}");
     }
 }
 

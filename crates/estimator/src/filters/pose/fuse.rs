@@ -5,10 +5,10 @@ use posebridge_telemetry::{BrickClock, FusionRecord, Span, Stamp};
 use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, ROUNDING, WINDOW_TURN};
 use crate::filters::FilterConfig;
 use crate::gate::chi_square_quantile;
-use crate::models::differential_drive::{body_step, step_noise};
+use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
 use crate::motion::{GyroTrack, MotionTrack};
 use crate::observations::accelerometer::{Accelerations, drive_speeds};
-use crate::observations::gyro_window::{largest_rounding, rounding_variance};
+use crate::observations::gyro_window::{Rounded, largest_rounding, rounding_variance};
 use crate::observations::{gyro_window, speed};
 use crate::update::{Scalar, ScalarOutcome, Usage, use_scalar};
 
@@ -45,7 +45,11 @@ pub fn motion<const N: usize>(
     context: &Context<'_>,
     record: &mut FusionRecord,
 ) {
-    if let Some((before, travel)) = context.track.step_to(stamp) {
+    let step = context.track.step_to(stamp);
+    if step.is_none_or(|(_, travel)| travel != WheelTravel::default()) {
+        state.counts.change(stamp);
+    }
+    if let Some((before, travel)) = step {
         let geometry = &context.config.geometry;
         let step = body_step(travel, geometry);
         let noise = step_noise(travel, geometry, &context.config.noise);
@@ -123,7 +127,13 @@ pub fn use_gyro_window<const N: usize>(
     if shows_slip(state, &scalar, context) {
         allow_for_slip(state, scalar.innovation.powi(2), before.nis, context);
     }
-    let outcome = use_and_pass_rounding(state, &scalar, context);
+    let outcome = match rounded(state, context) {
+        Rounded::Anew { variance_rad2 } => use_and_pass_rounding(state, &scalar, variance_rad2),
+        Rounded::AsBefore => {
+            let (mean, covariance) = (&mut state.mean, &mut state.covariance);
+            use_scalar(mean, covariance, &scalar, f64::INFINITY)
+        }
+    };
     state.inject();
     (outcome.usage == Usage::Used).then_some((scalar, outcome))
 }
@@ -137,13 +147,12 @@ pub fn use_gyro_window<const N: usize>(
 fn use_and_pass_rounding<const N: usize>(
     state: &mut PoseState<N>,
     scalar: &Scalar<3>,
-    context: &Context<'_>,
+    variance: f64,
 ) -> ScalarOutcome {
     let cross = scalar.cross(&state.covariance);
     let (mean, covariance) = (&mut state.mean, &mut state.covariance);
     let outcome = use_scalar(mean, covariance, scalar, f64::INFINITY);
     if outcome.usage == Usage::Used {
-        let variance = rounding_variance(&context.config.geometry);
         let share = variance / outcome.innovation_variance;
         for row in 0..N {
             covariance[(row, ROUNDING)] = cross[row] * share;
@@ -168,21 +177,25 @@ fn shows_slip<const N: usize>(
     context: &Context<'_>,
 ) -> bool {
     let geometry = &context.config.geometry;
-    let counted_rad = (scalar.innovation + state.mean[ROUNDING]).abs();
+    let rounding_rad2 = match rounded(state, context) {
+        Rounded::Anew { variance_rad2 } => variance_rad2,
+        Rounded::AsBefore => 0.0,
+    };
+    let counted_rad = (scalar.innovation + scalar.by_row[2] * state.mean[ROUNDING]).abs();
     let beyond_rad = counted_rad - largest_rounding(geometry);
     let but_rounding = Scalar {
         innovation: beyond_rad,
         rows: [scalar.rows[0], scalar.rows[1]],
         by_row: [scalar.by_row[0], scalar.by_row[1]],
-        variance: scalar.variance - rounding_variance(geometry),
+        variance: scalar.variance - rounding_rad2,
     };
     let chance_rad2 = but_rounding.innovation_variance(&state.covariance);
     beyond_rad > 0.0 && beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
 }
 
-/// The wheels counted a turn too much that may be all of the disagreement. Whichever wheel it was, the distance is then wrong
-/// by half of what that wheel slipped, and the window's path was laid out in a wrong direction. For these the share that chance
-/// explains does not count: a false alarm must not cost position.
+/// The wheels counted a turn too much that may be all of the disagreement. Nobody knows which share of it was either wheel's: the
+/// distance is wrong by something between minus and plus half of it, alike, and the window's path was laid out in a wrong
+/// direction. For these the share that chance explains does not count: a false alarm must not cost position.
 fn allow_for_slip<const N: usize>(
     state: &mut PoseState<N>,
     slip_rad2: f64,
@@ -197,10 +210,20 @@ fn allow_for_slip<const N: usize>(
     }
     // A rounding that is known to be large can hide a slip in a small innovation: then none of it is beyond chance.
     let beyond_chance_rad2 = slip_rad2 * (1.0 - context.config.params.slip_nis / nis).max(0.0);
-    let along_m2 = 0.25 * beyond_chance_rad2 * context.config.geometry.track_width.0.powi(2);
+    let along_m2 = beyond_chance_rad2 * context.config.geometry.track_width.0.powi(2) / 12.0;
     let across_m2 = 0.25 * beyond_chance_rad2 * forward_m * forward_m;
     state.covariance[(FORWARD, FORWARD)] += along_m2;
     state.covariance[(LEFT, LEFT)] += across_m2;
+}
+
+/// What the rounding is where the window ends.
+fn rounded<const N: usize>(state: &PoseState<N>, context: &Context<'_>) -> Rounded {
+    match state.window {
+        Some(window) if state.counts.stood(window.start, window.until) => Rounded::AsBefore,
+        _ => Rounded::Anew {
+            variance_rad2: rounding_variance(&context.config.geometry),
+        },
+    }
 }
 
 /// The window so far: its measurement and how it fits, nothing changed.
@@ -213,8 +236,8 @@ fn judged_gyro<const N: usize>(
         return None;
     }
     let turn = context.gyro.turn_between(window.start, window.until);
-    let config = context.config;
-    let scalar = gyro_window::measurement(state, &window, &turn, &config.geometry, &config.noise);
+    let noise = &context.config.noise;
+    let scalar = gyro_window::measurement(state, &window, &turn, noise, rounded(state, context));
     let s = scalar.innovation_variance(&state.covariance);
     (s > 0.0).then(|| {
         let outcome = ScalarOutcome {

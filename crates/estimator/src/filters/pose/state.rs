@@ -16,7 +16,7 @@
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Heading, Known, Meters, Pose, PoseJump, Stamp,
+    Arena, BrickClock, Calibration, Heading, Known, Meters, Pose, PoseJump, Span, Stamp,
     quantities::wrap_rad,
 };
 
@@ -109,6 +109,36 @@ pub struct Refused {
     pub innovation_m: [f64; 2],
 }
 
+/// When the wheels' counts changed, and how far apart: what tells a robot that stands from one that creeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Counts {
+    /// The last reading in which a count had changed.
+    pub changed_at: Option<Stamp<BrickClock>>,
+    /// The times between the last changes.
+    pub apart: [Span; 3],
+}
+
+impl Counts {
+    /// Counts changed between the reading before and this one.
+    pub fn change(&mut self, stamp: Stamp<BrickClock>) {
+        if let Some(last) = self.changed_at {
+            self.apart = [stamp - last, self.apart[0], self.apart[1]];
+        }
+        self.changed_at = Some(stamp);
+    }
+
+    /// Whether the robot stood from one instant to another: no count changed for clearly longer than between the last changes. A
+    /// robot that creeps has longer and longer pauses before it has one that is twice as long as all of the last three.
+    #[must_use]
+    pub fn stood(&self, from: Stamp<BrickClock>, until: Stamp<BrickClock>) -> bool {
+        let longest = self.apart.into_iter().max().unwrap_or(Span::ZERO);
+        longest > Span::ZERO
+            && self
+                .changed_at
+                .is_some_and(|last| last <= from && until - last > longest + longest)
+    }
+}
+
 /// Everything that a replay must restore.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseState<const N: usize> {
@@ -134,6 +164,8 @@ pub struct PoseState<const N: usize> {
     pub last_fix: Option<Stamp<BrickClock>>,
     /// The stamp of the last motion observation.
     pub last_motion: Option<Stamp<BrickClock>>,
+    /// When the wheels' counts changed.
+    pub counts: Counts,
     /// The stamp of the last acceleration.
     pub last_acceleration: Option<Stamp<BrickClock>>,
     /// Fixes refused since the last one that was used.
@@ -169,6 +201,7 @@ impl<const N: usize> PoseState<N> {
             located: Located::No,
             last_fix: None,
             last_motion: None,
+            counts: Counts::default(),
             last_acceleration: None,
             refused: Refused::default(),
             scales: Scales::default(),
@@ -201,6 +234,7 @@ impl<const N: usize> PoseState<N> {
             located: other.located,
             last_fix: other.last_fix,
             last_motion: other.last_motion,
+            counts: other.counts,
             last_acceleration: other.last_acceleration,
             refused: other.refused,
             scales: other.scales,
