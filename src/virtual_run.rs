@@ -5,7 +5,7 @@
 
 use posebridge_pipeline::{BuildError, Pipeline, PipelineConfig};
 use posebridge_sim::{Scenario, Simulation};
-use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, Span, Stamp};
+use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
 
 use crate::collect::Collector;
 
@@ -50,7 +50,11 @@ pub fn run(scenario: Scenario, config: PipelineConfig) -> Result<VirtualRun, Bui
             give(
                 &mut pipeline,
                 now,
-                &Input::Bytes { link, bytes },
+                &Input::Bytes {
+                    link,
+                    peer: PeerId::default(),
+                    bytes,
+                },
                 &mut simulation,
                 &mut collector,
             );

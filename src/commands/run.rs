@@ -31,9 +31,6 @@ use crate::tasks::shard::{Ending, Shard};
 use crate::tasks::sim_brick::EmbeddedBrick;
 use crate::virtual_run;
 
-/// Version of the header's meaning; the container has one of its own.
-const HEADER_FORMAT: u32 = 1;
-
 /// Runs the station.
 ///
 /// # Errors
@@ -321,7 +318,7 @@ fn start_recorder(
         return Ok(None);
     }
     let header = Header {
-        format: HEADER_FORMAT,
+        format: posebridge_recording::container::FORMAT,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
         utc_start_micros: timer.utc_start(),
         config_toml: toml::to_string(config)

@@ -104,7 +104,7 @@ impl LiveView {
         self.now = now;
         match event {
             Event::Link { link, state } => self.links.entry(*link).or_default().state = *state,
-            Event::Health { link, health } => self.links.entry(*link).or_default().take(health),
+            Event::Health { link, health, .. } => self.links.entry(*link).or_default().take(health),
             Event::BrickClockAligned {
                 offset,
                 skew_ppm,

@@ -7,4 +7,3 @@ pub mod observer;
 pub mod recorder;
 pub mod shard;
 pub mod sim_brick;
-pub mod speakers;

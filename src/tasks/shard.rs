@@ -2,14 +2,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_link::{HostTimer, PortEvent, PortSet};
+use posebridge_link::{HostTimer, Outgoing, PortEvent, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, Span, Stamp};
 use tokio_util::sync::CancellationToken;
 
 use super::observer::Observer;
 use super::recorder::Recorder;
-use super::speakers::Speakers;
+
+/// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
+const COUNTS_PERIOD: Span = Span::from_millis(1_000);
 
 /// What ends a shard.
 #[derive(Clone, Debug)]
@@ -42,8 +44,8 @@ impl Shard {
     /// Runs until the ending says so; the recorder and the observer then finish what waits.
     /// A recorder that fails is put away with its reason: a full disk must not stop a robot that steers by us.
     pub async fn run(&mut self, ending: &Ending) {
+        let mut next_counts = self.timer.now() + COUNTS_PERIOD;
         let mut last_byte: Option<Stamp<HostClock>> = None;
-        let mut speakers = Speakers::default();
         let mut finished: BTreeSet<LinkId> = BTreeSet::new();
         let mut states: BTreeMap<LinkId, LinkState> = BTreeMap::new();
         loop {
@@ -54,9 +56,6 @@ impl Shard {
             let deadline = self.pipeline.deadline().into_iter().chain(end_at).min();
             let (now, input) = tokio::select! {
                 (link, event) = self.ports.next() => {
-                    if !self.is_heard(link, &event, &mut speakers) {
-                        continue;
-                    }
                     if matches!(event, PortEvent::Finished { .. }) {
                         finished.insert(link);
                     }
@@ -76,26 +75,25 @@ impl Shard {
                 return;
             }
             self.take(now, input);
+            if now >= next_counts {
+                next_counts = now + COUNTS_PERIOD;
+                self.tell_counts(now);
+            }
             if finished.len() == self.ports.iter().len() {
                 return;
             }
         }
     }
 
-    fn is_heard(&mut self, link: LinkId, event: &PortEvent, speakers: &mut Speakers) -> bool {
-        match event {
-            PortEvent::Bytes { peer, arrival, .. } => {
-                let is_stream = self
-                    .ports
-                    .get_mut(link)
-                    .is_some_and(|port| !port.is_datagram());
-                !is_stream || speakers.hears(link, *peer, *arrival)
-            }
-            PortEvent::Down { .. } => {
-                speakers.forget(link);
-                true
-            }
-            PortEvent::Up { .. } | PortEvent::Finished { .. } => true,
+    /// Tells the pipeline what its ports have counted.
+    fn tell_counts(&mut self, now: Stamp<HostClock>) {
+        let counts: Vec<_> = self
+            .ports
+            .iter()
+            .map(|port| (port.id(), port.counts()))
+            .collect();
+        for (link, counts) in counts {
+            self.take(now, Input::Port { link, counts });
         }
     }
 
@@ -103,9 +101,19 @@ impl Shard {
         self.pipeline.handle(now, &input);
         while let Some(output) = self.pipeline.poll() {
             match output {
-                Output::Transmit { link, bytes } => {
+                Output::Transmit {
+                    link,
+                    to,
+                    priority,
+                    bytes,
+                } => {
                     if let Some(port) = self.ports.get_mut(link) {
-                        port.send(&bytes);
+                        let frame = &bytes;
+                        port.give(&Outgoing {
+                            to,
+                            priority,
+                            frame,
+                        });
                     }
                 }
                 Output::Event(event) => self.observer.show(now, event),
@@ -140,7 +148,11 @@ fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, Link
 /// What a port's event is to the pipeline.
 fn input_of(link: LinkId, event: PortEvent) -> (Stamp<HostClock>, Input) {
     match event {
-        PortEvent::Bytes { arrival, bytes, .. } => (arrival, Input::Bytes { link, bytes }),
+        PortEvent::Bytes {
+            peer,
+            arrival,
+            bytes,
+        } => (arrival, Input::Bytes { link, peer, bytes }),
         PortEvent::Up { at, detail } => {
             tracing::info!(link = link.0, detail, "link up");
             (

@@ -6,23 +6,9 @@
 use std::net::SocketAddr;
 use std::task::{Context, Poll};
 
-use posebridge_telemetry::{HostClock, Stamp};
+use posebridge_telemetry::{Audience, HostClock, PeerId, Priority, Stamp};
 
 use crate::error::LinkLoss;
-
-/// One peer of a link, in the order in which the link met them. A link with a single peer calls it 0. A peer that was
-/// forgotten and comes back has a new number, so whoever keeps half a frame per peer starts afresh.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PeerId(pub u32);
-
-/// For whom a frame is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Audience {
-    /// Every peer of the link.
-    All,
-    /// One of them; nobody if it has gone.
-    Peer(PeerId),
-}
 
 /// Counts of one port since the session began; they only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -35,6 +21,17 @@ pub struct PortCounters {
     pub drops_out: u64,
     /// Times the link came up again after it had been up before.
     pub reconnects: u64,
+}
+
+/// One whole frame on its way out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outgoing<'a> {
+    /// For whom.
+    pub to: Audience,
+    /// What may happen to it while the link backs up.
+    pub priority: Priority,
+    /// The frame.
+    pub frame: &'a [u8],
 }
 
 /// What an open link delivers.
@@ -66,7 +63,7 @@ pub trait Connection: Send {
 
     /// Offers one whole frame. What the system does not take at once waits in a bounded queue and is written by the
     /// next calls of [`Connection::poll`]; a failure is told there too.
-    fn send(&mut self, audience: Audience, frame: &[u8], counters: &mut PortCounters);
+    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters);
 
     /// Writes what waits and delivers what has arrived.
     ///

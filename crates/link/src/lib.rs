@@ -35,7 +35,7 @@ mod stream;
 pub mod transports;
 pub mod url;
 
-pub use connection::{Audience, Connection, Incoming, PeerId, PortCounters};
+pub use connection::{Connection, Incoming, Outgoing, PortCounters};
 pub use error::{LinkLoss, OpenError};
 pub use host_timer::HostTimer;
 pub use port::{Port, PortConfig, PortEvent};

@@ -10,11 +10,13 @@ use std::net::SocketAddr;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 
-use posebridge_telemetry::{HostClock, LinkId, Span, Stamp};
+use posebridge_telemetry::{
+    Audience, HostClock, LinkId, PeerId, PortCounts, Priority, Span, Stamp,
+};
 use tokio::time::Sleep;
 
 use crate::backoff::Backoff;
-use crate::connection::{Audience, Connection, Incoming, PeerId, PortCounters};
+use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
 use crate::transports::{OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, Role, timed_out};
@@ -241,20 +243,44 @@ impl Port {
     /// queue whose oldest frames are dropped and counted when it is full. While the link is down the frame is dropped
     /// and counted. Poll the port afterwards; that writes what waits and tells of failures.
     pub fn send(&mut self, frame: &[u8]) {
-        self.send_to_audience(Audience::All, frame);
+        self.give(&Outgoing {
+            to: Audience::All,
+            priority: Priority::Forwarded,
+            frame,
+        });
     }
 
     /// Sends one whole frame to one peer, otherwise like [`Port::send`]. Nobody hears it if the peer has gone.
     pub fn send_to(&mut self, peer: PeerId, frame: &[u8]) {
-        self.send_to_audience(Audience::Peer(peer), frame);
+        self.give(&Outgoing {
+            to: Audience::Peer(peer),
+            priority: Priority::Forwarded,
+            frame,
+        });
     }
 
-    fn send_to_audience(&mut self, audience: Audience, frame: &[u8]) {
+    /// Sends one whole frame to whom it is for; what a slow link cannot take is dropped as its priority says.
+    pub fn give(&mut self, out: &Outgoing<'_>) {
         match &mut self.state {
-            State::Up { connection, .. } => connection.send(audience, frame, &mut self.counters),
+            State::Up { connection, .. } => connection.send(out, &mut self.counters),
             State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => {
                 self.counters.drops_out += 1;
             }
+        }
+    }
+
+    /// What the port has counted and what waits in it.
+    #[must_use]
+    pub fn counts(&self) -> PortCounts {
+        let queued_frames = match &self.state {
+            State::Up { connection, .. } => connection.unsent_frames(),
+            State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => 0,
+        };
+        PortCounts {
+            bytes_out: self.counters.bytes_out,
+            drops_out: self.counters.drops_out,
+            queued_frames: u32::try_from(queued_frames).unwrap_or(u32::MAX),
+            ..PortCounts::default()
         }
     }
 

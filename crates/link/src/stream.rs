@@ -9,7 +9,9 @@ use std::task::{Context, Poll, Waker};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use crate::connection::{Audience, Connection, Incoming, PeerId, PortCounters};
+use posebridge_telemetry::PeerId;
+
+use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
 use crate::error::LinkLoss;
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
@@ -98,12 +100,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin + Send> Connection for StreamConnection<S
         self.label.local_address
     }
 
-    fn send(&mut self, audience: Audience, frame: &[u8], counters: &mut PortCounters) {
-        let is_addressed = match audience {
-            Audience::All => true,
-            Audience::Peer(peer) => peer == self.label.peer,
-        };
-        if !is_addressed || frame.is_empty() {
+    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
+        let frame = out.frame;
+        if !out.to.includes(self.label.peer) || frame.is_empty() {
             return;
         }
         if self.write_failure.is_some() {

@@ -113,8 +113,15 @@ impl Pipeline {
     /// Takes one input that came at `now`.
     pub fn handle(&mut self, now: Stamp<HostClock>, input: &Input) {
         match input {
-            Input::Bytes { link, bytes } => self.handle_bytes(now, *link, Some(bytes)),
+            Input::Bytes { link, peer, bytes } => {
+                self.handle_bytes(now, (*link, *peer), Some(bytes))
+            }
             Input::Link { link, state } => self.handle_link(*link, *state),
+            Input::Port { link, counts } => {
+                if let Some(link) = self.links.get_mut(link) {
+                    link.health.port = *counts;
+                }
+            }
             Input::Observation(observation) => {
                 let robot = self.robot.unwrap_or_default();
                 self.observe(robot, robot.address, now, *observation);
@@ -137,7 +144,7 @@ impl Pipeline {
         let links = self
             .links
             .values()
-            .flat_map(|link| [link.scanner.deadline(), link.session.deadline()])
+            .flat_map(|link| [link.peers.deadline(), link.session.deadline()])
             .flatten();
         links.chain(self.next_health).min()
     }
@@ -208,14 +215,13 @@ impl Pipeline {
     fn pass_time(&mut self, now: Stamp<HostClock>) {
         let ids: Vec<LinkId> = self.links.keys().copied().collect();
         for id in &ids {
-            let is_stalled = self
+            let stalled = self
                 .links
                 .get(id)
-                .and_then(|link| link.scanner.deadline())
-                .is_some_and(|deadline| deadline <= now);
-            if is_stalled {
+                .map_or_else(Vec::new, |link| link.peers.stalled(now));
+            for peer in stalled {
                 // Before the session's turn: what comes to light may give it something to do at once.
-                self.handle_bytes(now, *id, None);
+                self.handle_bytes(now, (*id, peer), None);
             }
             if let Some(link) = self.links.get_mut(id) {
                 link.session.tick(now);
@@ -242,8 +248,12 @@ impl Pipeline {
             link.health.round_trip = self.brick_clock.round_trip();
             link.health.clock_uncertainty = self.brick_clock.uncertainty();
         }
-        let health = link.health;
-        self.tell(Event::Health { link: id, health });
+        let (health, sources) = (link.health, link.peers.sources());
+        self.tell(Event::Health {
+            link: id,
+            health,
+            sources,
+        });
     }
 
     fn tell(&mut self, event: Event) {

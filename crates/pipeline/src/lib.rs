@@ -12,6 +12,7 @@ pub mod config;
 mod engine;
 mod interpret;
 mod link_state;
+mod peers;
 mod publish;
 
 pub use config::{

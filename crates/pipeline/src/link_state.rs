@@ -1,12 +1,13 @@
-//! What the pipeline keeps for one link: scanner, encoder, sequence numbers, session, counters.
+//! What the pipeline keeps for one link: its peers, encoder, session, counters.
 
 use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::framing::{Scanner, ScannerConfig, SequenceTracker};
+use posebridge_protocol::framing::ScannerConfig;
 use posebridge_protocol::message::Heartbeat;
 use posebridge_protocol::session::{Session, SessionConfig};
 use posebridge_telemetry::{HostClock, LinkHealth, LinkState, Span, Stamp};
 
 use crate::config::{AcceptedVersions, LinkConfig, PipelineConfig};
+use crate::peers::Peers;
 use crate::publish::{self, Publisher};
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.
@@ -22,16 +23,13 @@ const PEER_TIMEOUT: Span = Span::from_millis(5_000);
 
 /// One link.
 pub(crate) struct Link {
-    pub(crate) config: LinkConfig,
-    pub(crate) scanner: Scanner,
+    /// Who is heard there; the bytes of each are a stream of their own.
+    pub(crate) peers: Peers,
     pub(crate) encoder: Encoder,
-    pub(crate) sequences: SequenceTracker,
     pub(crate) session: Session<HostClock>,
     pub(crate) publisher: Publisher,
     pub(crate) state: LinkState,
     pub(crate) health: LinkHealth,
-    /// What earlier scanners of this link had counted.
-    scanned_before: LinkHealth,
 }
 
 impl Link {
@@ -41,44 +39,37 @@ impl Link {
         now: Stamp<HostClock>,
     ) -> Self {
         Self {
-            config: config.clone(),
-            scanner: new_scanner(config),
+            peers: Peers::new(scanner_config(config)),
             encoder: Encoder::new(config.speaks),
-            sequences: SequenceTracker::new(),
             session: Session::new(session_config(pipeline), now),
             publisher: Publisher::new(&config.outputs),
             state: LinkState::Down,
             health: LinkHealth::default(),
-            scanned_before: LinkHealth::default(),
         }
     }
 
     /// The link was lost: what was half received will never be completed.
     pub(crate) fn restart(&mut self) {
-        self.refresh_health();
-        self.scanned_before = self.health;
-        self.scanner = new_scanner(&self.config);
-        self.sequences = SequenceTracker::new();
+        self.peers.restart();
     }
 
-    /// Brings the scanner's counters into the health record.
+    /// Brings the scanners' counters into the health record.
     pub(crate) fn refresh_health(&mut self) {
-        let counters = self.scanner.counters();
-        self.health.frames_in = self.scanned_before.frames_in + counters.frames;
-        self.health.checksum_errors =
-            self.scanned_before.checksum_errors + counters.checksum_errors;
-        self.health.garbage_bytes = self.scanned_before.garbage_bytes + counters.garbage_bytes;
-        self.health.unknown_ids = self.scanned_before.unknown_ids + counters.unknown_ids;
-        self.health.stalls = self.scanned_before.stalls + counters.stalls;
+        let counters = self.peers.counters();
+        self.health.frames_in = counters.frames;
+        self.health.checksum_errors = counters.checksum_errors;
+        self.health.garbage_bytes = counters.garbage_bytes;
+        self.health.unknown_ids = counters.unknown_ids;
+        self.health.stalls = counters.stalls;
     }
 }
 
-fn new_scanner(config: &LinkConfig) -> Scanner {
-    Scanner::new(ScannerConfig {
+fn scanner_config(config: &LinkConfig) -> ScannerConfig {
+    ScannerConfig {
         accept_v1: config.version == AcceptedVersions::V1AndV2,
         transport: config.framing,
         ..ScannerConfig::default()
-    })
+    }
 }
 
 fn session_config(pipeline: &PipelineConfig) -> SessionConfig {

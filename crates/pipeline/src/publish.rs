@@ -6,8 +6,8 @@ use posebridge_protocol::message::{
     WireStamp,
 };
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, HostClock, Meters, MetersPerSecond, SensorId, Span, Stamp,
-    Verdict, estimate::row,
+    BrickClock, Estimate, FusionRecord, HostClock, Meters, MetersPerSecond, Priority, SensorId,
+    Span, Stamp, Verdict, estimate::row,
 };
 use std::collections::BTreeMap;
 
@@ -22,6 +22,14 @@ pub(crate) const SETTABLE: [(u32, OutputKind); 6] = [
     (ids::ESTIMATOR_STATUS, OutputKind::EstimatorStatus),
     (ids::PB_FUSION_HEALTH, OutputKind::FusionHealth),
 ];
+
+/// What one of the outputs is worth on a slow link.
+pub(crate) fn priority(kind: OutputKind) -> Priority {
+    let named = SETTABLE.iter().find(|(_, known)| *known == kind);
+    Priority::Estimate {
+        stream: named.map_or(0, |(id, _)| *id),
+    }
+}
 
 /// Keeps the intervals of one link's outputs.
 #[derive(Clone, Debug)]

@@ -96,12 +96,19 @@ fn how_the_bytes_are_cut_changes_neither_what_is_observed_nor_what_is_fused() {
 }
 
 fn cut(now: Stamp<HostClock>, input: &Input, size: usize) -> Vec<(Stamp<HostClock>, Input)> {
-    let Input::Bytes { link, bytes } = input else {
+    let Input::Bytes { link, peer, bytes } = input else {
         return vec![(now, input.clone())];
     };
     let pieces = bytes.chunks(size).map(|piece| {
         let bytes = piece.to_vec();
-        (now, Input::Bytes { link: *link, bytes })
+        (
+            now,
+            Input::Bytes {
+                link: *link,
+                peer: *peer,
+                bytes,
+            },
+        )
     });
     pieces.collect()
 }
@@ -501,7 +508,12 @@ fn any_input() -> impl Strategy<Value = (i64, Input)> {
         2 => frames,
         1 => Just(frame(BRICK, &HEARTBEAT)),
     ];
-    let bytes = (link.clone(), bytes).prop_map(|(link, bytes)| Input::Bytes { link, bytes });
+    let peer = (0_u32..3).prop_map(posebridge_telemetry::PeerId);
+    let bytes = (link.clone(), peer, bytes).prop_map(|(link, peer, bytes)| Input::Bytes {
+        link,
+        peer,
+        bytes,
+    });
     let state = prop_oneof![Just(LinkState::Up), Just(LinkState::Down)];
     let state = (link, state).prop_map(|(link, state)| Input::Link { link, state });
     let number = prop_oneof![4 => -100.0..100.0, 1 => any::<f64>()];

@@ -71,6 +71,7 @@ fn the_same_address_on_another_link_is_another_robot() {
     let mut station = Station::new(&config);
     station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
     let input = posebridge_telemetry::Input::Bytes {
+        peer: posebridge_telemetry::PeerId::default(),
         link: LinkId(4),
         bytes: frame(BRICK, &ticks(70_000, 0, 0)),
     };

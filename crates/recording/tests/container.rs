@@ -101,10 +101,12 @@ fn every_kind() -> Vec<Input> {
     let mut inputs: Vec<Input> = every_observed().into_iter().map(observation).collect();
     inputs.extend([
         Input::Bytes {
+            peer: posebridge_telemetry::PeerId(0),
             link,
             bytes: vec![0xFD, 0, 0xFF],
         },
         Input::Bytes {
+            peer: posebridge_telemetry::PeerId(70_000),
             link,
             bytes: Vec::new(),
         },
@@ -422,6 +424,7 @@ fn any_input() -> impl Strategy<Value = Input> {
     prop_oneof![
         (any::<u16>(), proptest::collection::vec(any::<u8>(), 0..300)).prop_map(|(link, bytes)| {
             Input::Bytes {
+                peer: posebridge_telemetry::PeerId(0),
                 link: LinkId(link),
                 bytes,
             }

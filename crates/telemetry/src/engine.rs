@@ -5,8 +5,10 @@
 
 use crate::command::Command;
 use crate::event::{Event, LinkState};
-use crate::ids::LinkId;
+use crate::ids::{LinkId, PeerId};
+use crate::link_health::PortCounts;
 use crate::observation::Observation;
+use crate::outbound::{Audience, Priority};
 
 /// What can be given to the pipeline.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,6 +17,8 @@ pub enum Input {
     Bytes {
         /// The link that they came from.
         link: LinkId,
+        /// Who of its peers sent them; the bytes of different peers are different streams.
+        peer: PeerId,
         /// The bytes.
         bytes: Vec<u8>,
     },
@@ -24,6 +28,13 @@ pub enum Input {
         link: LinkId,
         /// Its new state.
         state: LinkState,
+    },
+    /// What the port of a link has counted; given now and then, so that the link's health can tell of it.
+    Port {
+        /// The link.
+        link: LinkId,
+        /// Its counts.
+        counts: PortCounts,
     },
     /// An observation from a foreign recording, already in SI units and in brick time.
     Observation(Observation),
@@ -46,7 +57,11 @@ pub enum Output {
     Transmit {
         /// The link.
         link: LinkId,
-        /// Whole frames, ready for the wire.
+        /// For whom.
+        to: Audience,
+        /// What may happen to them on a slow link.
+        priority: Priority,
+        /// One whole frame, ready for the wire.
         bytes: Vec<u8>,
     },
 }

@@ -4,7 +4,7 @@ use crate::clock::{BrickClock, CameraClock, HostClock, Span, Stamp};
 use crate::estimate::Estimate;
 use crate::fusion::FusionRecord;
 use crate::ids::{Address, LinkId, RobotId};
-use crate::link_health::LinkHealth;
+use crate::link_health::{LinkHealth, SourceHealth};
 use crate::observation::Observation;
 
 /// One thing that happened.
@@ -95,6 +95,8 @@ pub enum Event {
         link: LinkId,
         /// Its counters.
         health: LinkHealth,
+        /// What each sender sent on it, in the order of their addresses.
+        sources: Vec<SourceHealth>,
     },
     /// Damaged input was skipped.
     Defect {
@@ -121,6 +123,19 @@ pub enum LinkState {
     Up,
     /// The peer, the device or the network went away; reconnecting.
     Down,
+}
+
+/// Why a frame's signature was not accepted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// It has none, and this link wants one.
+    Unsigned,
+    /// It was not made with our key, or the frame was changed.
+    WrongSignature,
+    /// It was used before: its time is not later than that of the last frame of its stream.
+    Replayed,
+    /// Its stream is new, and its time lies more than a minute behind.
+    Stale,
 }
 
 /// Damaged input: data, not an error; counted and never the end of a session.
@@ -163,6 +178,13 @@ pub enum Defect {
         source: Address,
         /// How many are missing.
         frames: u8,
+    },
+    /// A frame was refused for its signature.
+    Refused {
+        /// Who seems to have sent it.
+        source: Address,
+        /// Why.
+        reason: Refusal,
     },
     /// The stamp of a message was refused: the clock is not aligned yet, or it ran backwards.
     Unaligned {

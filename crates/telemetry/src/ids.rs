@@ -25,6 +25,9 @@ id!(/// A MAVLink component within a system. 0 means "all components".
     ComponentId(u8));
 id!(/// One link of this station, in the order in which the configuration names them.
     LinkId(u16));
+id!(/// One peer of a link, in the order in which the link met them. A link with a single peer calls it 0. A peer that was
+    /// forgotten and comes back has a new number, so whoever keeps half a frame per peer starts afresh.
+    PeerId(u32));
 id!(/// One sensor of a robot, as its wire messages number it.
     SensorId(u8));
 id!(/// A landmark with a known place in the arena.

@@ -16,6 +16,7 @@ pub mod fusion;
 pub mod ids;
 pub mod link_health;
 pub mod observation;
+pub mod outbound;
 pub mod quantities;
 pub mod robot;
 pub mod spaces;
@@ -26,11 +27,14 @@ pub use clock::{BrickClock, CameraClock, HostClock, Span, Stamp};
 pub use command::Command;
 pub use engine::{Input, Output};
 pub use estimate::{Estimate, PoseJump, ScalarEstimate, Validity};
-pub use event::{Defect, Event, LinkState};
+pub use event::{Defect, Event, LinkState, Refusal};
 pub use fusion::{FusionRecord, Verdict};
-pub use ids::{Address, BeaconId, ComponentId, LandmarkId, LinkId, RobotId, SensorId, SystemId};
-pub use link_health::LinkHealth;
+pub use ids::{
+    Address, BeaconId, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId, SystemId,
+};
+pub use link_health::{LinkHealth, PortCounts, SourceHealth};
 pub use observation::{Fix, Observation, Observed, PositionCovariance};
+pub use outbound::{Audience, Priority};
 pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians,
     RadiansPerSecond, Volts,

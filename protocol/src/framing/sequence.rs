@@ -6,15 +6,23 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::Address;
+use posebridge_telemetry::{Address, SourceHealth};
 
 /// The largest gap that counts as a loss: half the circle of an 8-bit counter.
 const LARGEST_GAP: u8 = 127;
 
-/// Remembers the last sequence number of every sender on one link.
+/// Remembers the last sequence number of every sender on one link, and counts.
 #[derive(Clone, Debug, Default)]
 pub struct SequenceTracker {
-    last: BTreeMap<Address, u8>,
+    senders: BTreeMap<Address, Sender>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sender {
+    /// `None` after a break: the next frame follows nothing.
+    last: Option<u8>,
+    frames: u64,
+    lost: u64,
 }
 
 impl SequenceTracker {
@@ -26,11 +34,35 @@ impl SequenceTracker {
 
     /// Takes note of a frame and returns how many frames of its sender are missing before it: 0 to 127.
     pub fn missing_before(&mut self, source: Address, sequence: u8) -> u8 {
-        let Some(previous) = self.last.insert(source, sequence) else {
+        let sender = self.senders.entry(source).or_insert(Sender {
+            last: None,
+            frames: 0,
+            lost: 0,
+        });
+        sender.frames += 1;
+        let Some(previous) = sender.last.replace(sequence) else {
             return 0;
         };
         let missing = sequence.wrapping_sub(previous).wrapping_sub(1);
-        if missing <= LARGEST_GAP { missing } else { 0 }
+        let missing = if missing <= LARGEST_GAP { missing } else { 0 };
+        sender.lost += u64::from(missing);
+        missing
+    }
+
+    /// The link was away: nobody knows what was sent meanwhile, and the next frame of each sender follows nothing.
+    pub fn break_off(&mut self) {
+        for sender in self.senders.values_mut() {
+            sender.last = None;
+        }
+    }
+
+    /// What each sender has sent, in the order of their addresses.
+    pub fn sources(&self) -> impl Iterator<Item = SourceHealth> {
+        self.senders.iter().map(|(source, sender)| SourceHealth {
+            source: *source,
+            frames: sender.frames,
+            lost: sender.lost,
+        })
     }
 }
 
@@ -56,6 +88,24 @@ mod tests {
         assert_eq!(tracker.missing_before(ROBOT, 8), 0, "older frame");
         assert_eq!(tracker.missing_before(ROBOT, 136), 127, "largest gap");
         assert_eq!(tracker.missing_before(ROBOT, 9), 0, "gap of 128");
+    }
+
+    #[test]
+    fn what_was_sent_while_the_link_was_away_is_no_loss() {
+        let mut tracker = SequenceTracker::new();
+        tracker.missing_before(ROBOT, 10);
+        tracker.missing_before(ROBOT, 12);
+        tracker.break_off();
+        assert_eq!(tracker.missing_before(ROBOT, 90), 0);
+        let sources: Vec<_> = tracker.sources().collect();
+        assert_eq!(
+            sources,
+            [SourceHealth {
+                source: ROBOT,
+                frames: 3,
+                lost: 1
+            }]
+        );
     }
 
     #[test]

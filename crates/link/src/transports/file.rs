@@ -10,7 +10,9 @@ use std::path::Path;
 use std::pin::pin;
 use std::task::{Context, Poll, ready};
 
-use crate::connection::{Audience, Connection, Incoming, PeerId, PortCounters};
+use posebridge_telemetry::PeerId;
+
+use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
 use crate::error::{FileKind, LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
 use crate::transports::{OpenFuture, OpenRequest, Transport};
@@ -145,7 +147,7 @@ impl Connection for Played {
     }
 
     /// What is sent to a played file goes nowhere: nobody is there who could have wanted it.
-    fn send(&mut self, _audience: Audience, _frame: &[u8], _counters: &mut PortCounters) {}
+    fn send(&mut self, _out: &Outgoing<'_>, _counters: &mut PortCounters) {}
 
     fn poll(
         &mut self,
@@ -186,7 +188,8 @@ impl Connection for Appended {
         self.detail.clone()
     }
 
-    fn send(&mut self, _audience: Audience, frame: &[u8], counters: &mut PortCounters) {
+    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
+        let frame = out.frame;
         match self.file.write_all(frame) {
             Ok(()) => counters.bytes_out += frame.len() as u64,
             Err(error) => {

@@ -9,7 +9,9 @@ use std::task::{Context, Poll};
 
 use tokio::net::{TcpListener, TcpStream};
 
-use crate::connection::{Audience, Connection, Incoming, PeerId, PortCounters};
+use posebridge_telemetry::PeerId;
+
+use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
 use crate::error::{LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
 use crate::stream::{StreamConnection, StreamLabel};
@@ -132,9 +134,9 @@ impl Connection for TcpServer {
         Some(self.address)
     }
 
-    fn send(&mut self, audience: Audience, frame: &[u8], counters: &mut PortCounters) {
+    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
         for client in &mut self.clients {
-            client.send(audience, frame, counters);
+            client.send(out, counters);
         }
     }
 

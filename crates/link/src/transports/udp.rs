@@ -9,11 +9,11 @@ use std::io;
 use std::net::{Ipv6Addr, SocketAddr};
 use std::task::{Context, Poll, Waker, ready};
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
 use socket2::SockRef;
 use tokio::net::UdpSocket;
 
-use crate::connection::{Audience, Connection, Incoming, PeerId, PortCounters};
+use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
 use crate::error::{LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
@@ -210,13 +210,15 @@ impl Peers {
 
     /// The addresses of those who are to hear a frame.
     fn audience(&mut self, audience: Audience, now: Stamp<HostClock>) -> Vec<SocketAddr> {
-        match audience {
-            Audience::All => {
-                self.forget_idle(now);
-                self.by_address.keys().copied().collect()
-            }
-            Audience::Peer(id) => self.by_id.get(&id).copied().into_iter().collect(),
+        if let Audience::Peer(id) = audience {
+            return self.by_id.get(&id).copied().into_iter().collect();
         }
+        self.forget_idle(now);
+        self.by_address
+            .iter()
+            .filter(|(_, peer)| audience.includes(peer.id))
+            .map(|(address, _)| *address)
+            .collect()
     }
 }
 
@@ -284,9 +286,10 @@ impl Connection for UdpConnection {
         Some(self.local_address)
     }
 
-    fn send(&mut self, audience: Audience, frame: &[u8], counters: &mut PortCounters) {
+    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
+        let frame = out.frame;
         let mut cx = Context::from_waker(Waker::noop());
-        for to in self.peers.audience(audience, self.timer.now()) {
+        for to in self.peers.audience(out.to, self.timer.now()) {
             if !self.queue.is_empty() {
                 counters.drops_out += self.queue.push(to, frame);
                 continue;

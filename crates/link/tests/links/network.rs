@@ -4,8 +4,8 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
 use crate::support::{bytes, down, next_beside, poll_once, port, up};
-use posebridge_link::{HostTimer, PeerId, Port, PortConfig, PortEvent, PortSet, Role};
-use posebridge_telemetry::{LinkId, Span};
+use posebridge_link::{HostTimer, Port, PortConfig, PortEvent, PortSet, Role};
+use posebridge_telemetry::{LinkId, PeerId, Span};
 
 async fn listening(url: &str, timer: HostTimer) -> (Port, SocketAddr) {
     let mut server = port(url, Role::Listen, timer);

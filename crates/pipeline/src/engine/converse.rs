@@ -1,7 +1,10 @@
 //! The conversation beside the telemetry: what the sessions want done, and what they learn about clocks.
 
+use posebridge_protocol::message::Message;
 use posebridge_protocol::session::SessionOutput;
-use posebridge_telemetry::{Address, Event, HostClock, LinkId, LinkState, RobotId, Stamp};
+use posebridge_telemetry::{
+    Address, Event, HostClock, LinkId, LinkState, Priority, RobotId, Stamp,
+};
 
 use super::Pipeline;
 use crate::clock::align::Alignment;
@@ -21,7 +24,9 @@ impl Pipeline {
             match output {
                 // Nobody hears it; the session says it again when the link is back.
                 SessionOutput::Send(_) if self.is_down(id) => {}
-                SessionOutput::Send(message) => self.transmit(id, &message),
+                SessionOutput::Send(message) => {
+                    self.transmit(id, &message, priority_of(&message));
+                }
                 SessionOutput::PeerSeen { peer, .. } => {
                     self.tell(Event::RobotSeen {
                         robot: RobotId {
@@ -140,5 +145,14 @@ impl Pipeline {
                 host: alignment.host,
             });
         }
+    }
+}
+
+/// What a message of the session is worth on a slow link: heartbeats and time requests are said again, the others are not.
+const fn priority_of(message: &Message) -> Priority {
+    if matches!(message, Message::Heartbeat(_) | Message::TimeSync(_)) {
+        Priority::Conversation
+    } else {
+        Priority::Command
     }
 }

@@ -1,7 +1,9 @@
 //! Estimates and messages on their way out.
 
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{Estimate, Event, HostClock, LinkId, LinkState, Output, Stamp};
+use posebridge_telemetry::{
+    Audience, Estimate, Event, HostClock, LinkId, LinkState, Output, Priority, Stamp,
+};
 
 use super::Pipeline;
 use crate::config::{OutputInstant, OutputStream};
@@ -30,7 +32,7 @@ impl Pipeline {
             };
             for stream in due {
                 if let Some(message) = self.message_for(&stream, &estimate, now) {
-                    self.transmit(id, &message);
+                    self.transmit(id, &message, publish::priority(stream.kind));
                 }
             }
         }
@@ -68,7 +70,8 @@ impl Pipeline {
         publish::message(stream.kind, observed, &circumstances)
     }
 
-    pub(super) fn transmit(&mut self, id: LinkId, message: &Message) {
+    /// Sends a message of our own to all peers of a link.
+    pub(super) fn transmit(&mut self, id: LinkId, message: &Message, priority: Priority) {
         let own = self.config.own;
         let Some(link) = self.links.get_mut(&id) else {
             return;
@@ -85,6 +88,11 @@ impl Pipeline {
         }
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
-        self.outputs.push_back(Output::Transmit { link: id, bytes });
+        self.outputs.push_back(Output::Transmit {
+            link: id,
+            to: Audience::All,
+            priority,
+            bytes,
+        });
     }
 }

@@ -7,13 +7,14 @@ use posebridge_protocol::framing::{FrameRef, Scanned};
 use posebridge_protocol::message::{Message, RobotDescription};
 use posebridge_telemetry::{
     Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
-    Output, Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId,
+    Output, PeerId, Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId,
 };
 
 use super::Pipeline;
 use crate::clock::unwrap::Unwrapped;
-use crate::config::DescriptionPolicy;
+use crate::config::{DescriptionPolicy, OutputKind};
 use crate::interpret::{Reading, StampedBy};
+use crate::publish;
 
 /// An integral of the gyro over a longer gap than this says nothing about the rate.
 const LONGEST_GYRO_GAP: Span = Span::from_millis(1_000);
@@ -21,7 +22,13 @@ const LONGEST_GYRO_GAP: Span = Span::from_millis(1_000);
 const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
 
 impl Pipeline {
-    pub(super) fn handle_bytes(&mut self, now: Stamp<HostClock>, id: LinkId, bytes: Option<&[u8]>) {
+    /// Bytes of one peer of a link; `None` gives up what waits of it.
+    pub(super) fn handle_bytes(
+        &mut self,
+        now: Stamp<HostClock>,
+        (id, peer): (LinkId, PeerId),
+        bytes: Option<&[u8]>,
+    ) {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
@@ -30,18 +37,16 @@ impl Pipeline {
         }
         let mut arrived: Vec<(Address, Message)> = Vec::new();
         let mut events: Vec<Event> = Vec::new();
-        let sequences = &mut link.sequences;
         let frames_lost = &mut link.health.frames_lost;
-        let mut sink = |scanned: Scanned<'_>| match scanned {
+        let mut sink = |scanned: Scanned<'_>, missing: u8| match scanned {
             Scanned::Frame(frame) => {
-                let frames = sequences.missing_before(frame.source, frame.sequence);
-                if frames > 0 {
-                    *frames_lost += u64::from(frames);
+                if missing > 0 {
+                    *frames_lost += u64::from(missing);
                     events.push(Event::Defect {
                         link: id,
                         defect: Defect::Lost {
                             source: frame.source,
-                            frames,
+                            frames: missing,
                         },
                     });
                 }
@@ -51,8 +56,8 @@ impl Pipeline {
             Scanned::Defect(defect) => events.push(Event::Defect { link: id, defect }),
         };
         match bytes {
-            Some(bytes) => link.scanner.push(now, bytes, &mut sink),
-            None => link.scanner.tick(now, &mut sink),
+            Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
+            None => link.peers.give_up(now, peer, &mut sink),
         }
         self.outputs.extend(events.into_iter().map(Output::Event));
         for (source, message) in arrived {
@@ -253,7 +258,7 @@ impl Pipeline {
             );
         }
         for (id, message) in health {
-            self.transmit(id, &message);
+            self.transmit(id, &message, publish::priority(OutputKind::FusionHealth));
         }
         self.tell(Event::Fused { robot, record });
         self.is_news = true;

@@ -121,7 +121,14 @@ impl Station {
 
     pub(crate) fn bytes(&mut self, now: Stamp<HostClock>, bytes: &[u8]) {
         let bytes = bytes.to_vec();
-        self.give(now, Input::Bytes { link: LINK, bytes });
+        self.give(
+            now,
+            Input::Bytes {
+                link: LINK,
+                peer: posebridge_telemetry::PeerId::default(),
+                bytes,
+            },
+        );
     }
 
     /// Gives ticks at the deadlines until an instant.

@@ -65,7 +65,14 @@ impl World {
             self.to_station.push_back((arrival, bytes));
         }
         while let Some(bytes) = take_due(&mut self.to_station, now) {
-            self.station.give(now, Input::Bytes { link: LINK, bytes });
+            self.station.give(
+                now,
+                Input::Bytes {
+                    link: LINK,
+                    peer: posebridge_telemetry::PeerId::default(),
+                    bytes,
+                },
+            );
         }
         if self
             .station

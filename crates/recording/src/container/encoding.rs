@@ -6,12 +6,14 @@
 use flate2::Crc;
 use posebridge_telemetry::{
     BeaconId, Celsius, Command, Fix, Heading, Input, LandmarkId, LinkId, LinkState, Meters,
-    MetersPerSecond, MetersPerSecondSquared, Observation, Observed, Point2, Pose,
-    PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    MetersPerSecond, MetersPerSecondSquared, Observation, Observed, PeerId, Point2, PortCounts,
+    Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp,
 };
 
 /// First byte of every message; a change of layout changes it.
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
+/// The oldest layout that is still read: it has the same tags, but for those that came later.
+const OLDEST: u8 = 1;
 /// Bytes of the checksum at the end.
 const CHECKSUM_BYTES: usize = 4;
 
@@ -22,6 +24,9 @@ mod tag {
     pub(super) const OBSERVATION: u8 = 2;
     pub(super) const SET_POSE: u8 = 3;
     pub(super) const TICK: u8 = 4;
+    /// Bytes of a peer that is not the first of its link.
+    pub(super) const PEER_BYTES: u8 = 5;
+    pub(super) const PORT: u8 = 6;
 }
 
 /// Which kind of observation follows.
@@ -110,11 +115,25 @@ pub(super) fn encode(input: &Input, place: Place, bytes: &mut Vec<u8>) {
     match input {
         Input::Bytes {
             link,
+            peer,
             bytes: payload,
         } => {
-            bytes.push(tag::BYTES);
+            let is_first = *peer == PeerId::default();
+            bytes.push(if is_first {
+                tag::BYTES
+            } else {
+                tag::PEER_BYTES
+            });
             bytes.extend_from_slice(&link.0.to_le_bytes());
+            if !is_first {
+                bytes.extend_from_slice(&peer.0.to_le_bytes());
+            }
             bytes.extend_from_slice(payload);
+        }
+        Input::Port { link, counts } => {
+            bytes.push(tag::PORT);
+            bytes.extend_from_slice(&link.0.to_le_bytes());
+            put_counts(counts, bytes);
         }
         Input::Link { link, state } => {
             bytes.push(tag::LINK);
@@ -151,6 +170,16 @@ fn put_all(values: &[f64], bytes: &mut Vec<u8>) {
 
 fn put_pose<S>(pose: Pose<S>, bytes: &mut Vec<u8>) {
     put_all(&[pose.x.0, pose.y.0, pose.heading.rad()], bytes);
+}
+
+fn put_counts(counts: &PortCounts, bytes: &mut Vec<u8>) {
+    bytes.extend_from_slice(&counts.bytes_out.to_le_bytes());
+    bytes.extend_from_slice(&counts.drops_out.to_le_bytes());
+    for count in [counts.peers, counts.queued_frames, counts.queued_bytes] {
+        bytes.extend_from_slice(&count.to_le_bytes());
+    }
+    // No link takes less than nothing: a negative capacity says that none was measured.
+    put_all(&[counts.capacity_bytes_per_s.unwrap_or(-1.0)], bytes);
 }
 
 fn put_observation(observation: &Observation, bytes: &mut Vec<u8>) {
@@ -240,7 +269,7 @@ pub(super) fn decode(bytes: &[u8], place: Place) -> Result<Input, DecodeError> {
     }
     let mut cursor = Cursor { bytes: body };
     let version = cursor.u8()?;
-    if version != VERSION {
+    if !(OLDEST..=VERSION).contains(&version) {
         return Err(DecodeError::Version(version));
     }
     let input = cursor.input()?;
@@ -288,6 +317,21 @@ impl Cursor<'_> {
         self.take().map(f64::from_le_bytes)
     }
 
+    fn u64(&mut self) -> Result<u64, DecodeError> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn counts(&mut self) -> Result<PortCounts, DecodeError> {
+        Ok(PortCounts {
+            bytes_out: self.u64()?,
+            drops_out: self.u64()?,
+            peers: self.u32()?,
+            queued_frames: self.u32()?,
+            queued_bytes: self.u32()?,
+            capacity_bytes_per_s: Some(self.f64()?).filter(|capacity| *capacity >= 0.0),
+        })
+    }
+
     fn heading(&mut self) -> Result<Heading, DecodeError> {
         let angle_rad = self.f64()?;
         let heading = Heading::from_rad(angle_rad);
@@ -315,7 +359,17 @@ impl Cursor<'_> {
         Ok(match self.u8()? {
             tag::BYTES => Input::Bytes {
                 link: LinkId(self.u16()?),
+                peer: PeerId::default(),
                 bytes: std::mem::take(&mut self.bytes).to_vec(),
+            },
+            tag::PEER_BYTES => Input::Bytes {
+                link: LinkId(self.u16()?),
+                peer: PeerId(self.u32()?),
+                bytes: std::mem::take(&mut self.bytes).to_vec(),
+            },
+            tag::PORT => Input::Port {
+                link: LinkId(self.u16()?),
+                counts: self.counts()?,
             },
             tag::LINK => Input::Link {
                 link: LinkId(self.u16()?),
@@ -471,25 +525,53 @@ mod tests {
     #[test]
     fn the_bytes_are_those_of_the_format_page() {
         check(
-            &[1, 0, 0x02, 0x01, 0xFE, 0x09],
+            &[2, 0, 0x02, 0x01, 0xFE, 0x09],
             &Input::Bytes {
                 link: LinkId(0x0102),
+                peer: PeerId(0),
                 bytes: vec![0xFE, 0x09],
             },
         );
         check(
-            &[1, 1, 3, 0, 1],
+            &[2, 5, 0x02, 0x01, 9, 0, 0, 1, 0xFE],
+            &Input::Bytes {
+                link: LinkId(0x0102),
+                peer: PeerId(0x0100_0009),
+                bytes: vec![0xFE],
+            },
+        );
+        let mut counts = vec![2, 6, 7, 0];
+        counts.extend_from_slice(&[1, 0, 0, 0, 0, 0, 0, 0]);
+        counts.extend_from_slice(&[2, 0, 0, 0, 0, 0, 0, 0]);
+        counts.extend_from_slice(&[3, 0, 0, 0, 4, 0, 0, 0, 5, 0, 0, 0]);
+        counts.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xF0, 0xBF]); // -1: none measured
+        check(
+            &counts,
+            &Input::Port {
+                link: LinkId(7),
+                counts: PortCounts {
+                    bytes_out: 1,
+                    drops_out: 2,
+                    peers: 3,
+                    queued_frames: 4,
+                    queued_bytes: 5,
+                    capacity_bytes_per_s: None,
+                },
+            },
+        );
+        check(
+            &[2, 1, 3, 0, 1],
             &Input::Link {
                 link: LinkId(3),
                 state: LinkState::Up,
             },
         );
-        check(&[1, 4], &Input::Tick);
+        check(&[2, 4], &Input::Tick);
     }
 
     #[test]
     fn a_turn_rate_stands_where_the_format_page_says() {
-        let mut body = vec![1, 2, 1];
+        let mut body = vec![2, 2, 1];
         body.extend_from_slice(&[0x00, 0xCA, 0x9A, 0x3B, 0, 0, 0, 0]); // 1e9 ns
         body.extend_from_slice(&[0xFF; 8]); // -1 ns
         body.push(3);
@@ -514,10 +596,10 @@ mod tests {
         check(&[1, 4, 0, 0], DecodeError::TooLong(2));
         check(&[1, 0, 5], DecodeError::TooShort { wanted: 2, left: 1 });
         check(
-            &[1, 5],
+            &[2, 7],
             DecodeError::Unknown {
                 field: "input tag",
-                value: 5,
+                value: 7,
             },
         );
         check(
@@ -529,6 +611,11 @@ mod tests {
         );
         let set_pose = [&[1, 3][..], &[0; 16], &4.0_f64.to_le_bytes(), &[0; 16]].concat();
         check(&set_pose, DecodeError::Heading(4.0));
+    }
+
+    #[test]
+    fn the_layout_before_this_one_is_still_read() {
+        assert_eq!(decode(&sealed(&[1, 4], PLACE), PLACE), Ok(Input::Tick));
     }
 
     #[test]

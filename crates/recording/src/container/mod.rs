@@ -15,7 +15,7 @@ pub use reader::{Ending, ReadError, Reader};
 pub use writer::{WriteError, Writer};
 
 /// Version of the recording's layout that this program writes, and the newest that it reads.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 
 /// Topic of the one channel that holds the pipeline's inputs.
 pub const INPUT_TOPIC: &str = "posebridge/input";

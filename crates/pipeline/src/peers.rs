@@ -1,0 +1,185 @@
+//! The peers of one link: each has a scanner and sequence numbers of its own.
+//!
+//! Bytes of several peers must not mix in one scanner, and two robots behind one port may bear the same address. A peer that
+//! has been silent for long is forgotten; what it had counted stays counted.
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::framing::{
+    ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker,
+};
+use posebridge_telemetry::{Address, HostClock, PeerId, SourceHealth, Span, Stamp};
+
+/// Silence after which a peer is forgotten: three times as long as ports remember one, so that they decide.
+const IDLE: Span = Span::from_millis(30_000);
+/// Most peers of one link; the most silent goes first. As many as a UDP port remembers.
+const MOST_PEERS: usize = 4_096;
+
+/// The peers of one link.
+#[derive(Debug)]
+pub(crate) struct Peers {
+    config: ScannerConfig,
+    present: BTreeMap<PeerId, Peer>,
+    /// What those that are gone had counted.
+    gone: ScanCounters,
+    gone_sources: BTreeMap<Address, SourceHealth>,
+}
+
+#[derive(Debug)]
+struct Peer {
+    scanner: Scanner,
+    sequences: SequenceTracker,
+    last_heard: Stamp<HostClock>,
+}
+
+impl Peers {
+    pub(crate) const fn new(config: ScannerConfig) -> Self {
+        Self {
+            config,
+            present: BTreeMap::new(),
+            gone: NOTHING,
+            gone_sources: BTreeMap::new(),
+        }
+    }
+
+    /// Bytes of a peer; what is found in them goes to `sink`, with how many frames of the sender are missing before it.
+    pub(crate) fn push(
+        &mut self,
+        now: Stamp<HostClock>,
+        id: PeerId,
+        bytes: &[u8],
+        sink: &mut impl FnMut(Scanned<'_>, u8),
+    ) {
+        if !self.present.contains_key(&id) {
+            self.make_room(now);
+        }
+        let peer = self.present.entry(id).or_insert_with(|| Peer {
+            scanner: Scanner::new(self.config),
+            sequences: SequenceTracker::new(),
+            last_heard: now,
+        });
+        peer.last_heard = now;
+        let sequences = &mut peer.sequences;
+        peer.scanner.push(now, bytes, &mut |scanned| {
+            let missing = missing_before(sequences, &scanned);
+            sink(scanned, missing);
+        });
+    }
+
+    /// Peers whose waiting bytes are to be given up now.
+    pub(crate) fn stalled(&self, now: Stamp<HostClock>) -> Vec<PeerId> {
+        self.present
+            .iter()
+            .filter(|(_, peer)| peer.scanner.deadline().is_some_and(|due| due <= now))
+            .map(|(id, _)| *id)
+            .collect()
+    }
+
+    /// Gives up what waits of a peer.
+    pub(crate) fn give_up(
+        &mut self,
+        now: Stamp<HostClock>,
+        id: PeerId,
+        sink: &mut impl FnMut(Scanned<'_>, u8),
+    ) {
+        if let Some(peer) = self.present.get_mut(&id) {
+            let sequences = &mut peer.sequences;
+            peer.scanner.tick(now, &mut |scanned| {
+                let missing = missing_before(sequences, &scanned);
+                sink(scanned, missing);
+            });
+        }
+    }
+
+    /// When [`Self::stalled`] has somebody next.
+    pub(crate) fn deadline(&self) -> Option<Stamp<HostClock>> {
+        self.present
+            .values()
+            .filter_map(|peer| peer.scanner.deadline())
+            .min()
+    }
+
+    /// The link was lost: nothing that was half received goes on.
+    pub(crate) fn restart(&mut self) {
+        for (_, peer) in std::mem::take(&mut self.present) {
+            self.count_gone(&peer);
+        }
+    }
+
+    /// Counts of all peers, those included that are gone.
+    pub(crate) fn counters(&self) -> ScanCounters {
+        let present = self.present.values().map(|peer| peer.scanner.counters());
+        present.fold(self.gone, |a, b| sum(a, *b))
+    }
+
+    /// What each sender has sent, in the order of their addresses.
+    pub(crate) fn sources(&self) -> Vec<SourceHealth> {
+        let mut sources = self.gone_sources.clone();
+        for peer in self.present.values() {
+            add_sources(&mut sources, &peer.sequences);
+        }
+        sources.into_values().collect()
+    }
+
+    fn make_room(&mut self, now: Stamp<HostClock>) {
+        let idle: Vec<PeerId> = self
+            .present
+            .iter()
+            .filter(|(_, peer)| now - peer.last_heard > IDLE)
+            .map(|(id, _)| *id)
+            .collect();
+        let most_silent = (self.present.len() - idle.len() >= MOST_PEERS)
+            .then(|| self.present.iter().min_by_key(|(_, peer)| peer.last_heard))
+            .flatten()
+            .map(|(id, _)| *id);
+        for id in idle.into_iter().chain(most_silent) {
+            if let Some(peer) = self.present.remove(&id) {
+                self.count_gone(&peer);
+            }
+        }
+    }
+
+    fn count_gone(&mut self, peer: &Peer) {
+        self.gone = sum(self.gone, *peer.scanner.counters());
+        add_sources(&mut self.gone_sources, &peer.sequences);
+    }
+}
+
+const NOTHING: ScanCounters = ScanCounters {
+    frames: 0,
+    checksum_errors: 0,
+    garbage_bytes: 0,
+    unknown_ids: 0,
+    stalls: 0,
+    impossible_headers: 0,
+};
+
+fn sum(a: ScanCounters, b: ScanCounters) -> ScanCounters {
+    ScanCounters {
+        frames: a.frames + b.frames,
+        checksum_errors: a.checksum_errors + b.checksum_errors,
+        garbage_bytes: a.garbage_bytes + b.garbage_bytes,
+        unknown_ids: a.unknown_ids + b.unknown_ids,
+        stalls: a.stalls + b.stalls,
+        impossible_headers: a.impossible_headers + b.impossible_headers,
+    }
+}
+
+fn missing_before(sequences: &mut SequenceTracker, scanned: &Scanned<'_>) -> u8 {
+    match scanned {
+        Scanned::Frame(frame) => sequences.missing_before(frame.source, frame.sequence),
+        Scanned::Unknown(_) | Scanned::Defect(_) => 0,
+    }
+}
+
+fn add_sources(sums: &mut BTreeMap<Address, SourceHealth>, sequences: &SequenceTracker) {
+    for said in sequences.sources() {
+        let sum = sums.entry(said.source).or_insert(SourceHealth {
+            source: said.source,
+            frames: 0,
+            lost: 0,
+        });
+        sum.frames += said.frames;
+        sum.lost += said.lost;
+    }
+}

@@ -1,0 +1,42 @@
+//! For whom outgoing bytes are, and what may happen to them on a slow link.
+
+use crate::ids::PeerId;
+
+/// For whom a frame is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Audience {
+    /// Every peer of the link.
+    All,
+    /// One of them; nobody if it has gone.
+    Peer(PeerId),
+    /// Every peer but one: the one that a forwarded frame came from.
+    AllBut(PeerId),
+}
+
+impl Audience {
+    /// Whether a peer belongs to it.
+    #[must_use]
+    pub fn includes(self, peer: PeerId) -> bool {
+        match self {
+            Self::All => true,
+            Self::Peer(only) => only == peer,
+            Self::AllBut(origin) => origin != peer,
+        }
+    }
+}
+
+/// What a frame is worth while a slow link backs up. A later variant goes before an earlier one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Priority {
+    /// Somebody waits for it and will not ask twice: never dropped while the link is up.
+    Command,
+    /// Heartbeats and time requests: said again soon.
+    Conversation,
+    /// Telemetry of somebody else that is passed on.
+    Forwarded,
+    /// An estimate: worth nothing once the next one of the same stream is there.
+    Estimate {
+        /// Which stream of the link: the message id.
+        stream: u32,
+    },
+}
