@@ -114,7 +114,7 @@ impl Pipeline {
     pub fn handle(&mut self, now: Stamp<HostClock>, input: &Input) {
         match input {
             Input::Bytes { link, peer, bytes } => {
-                self.handle_bytes(now, (*link, *peer), Some(bytes))
+                self.handle_bytes(now, (*link, *peer), Some(bytes));
             }
             Input::Link { link, state } => self.handle_link(*link, *state),
             Input::Port { link, counts } => {
