@@ -39,41 +39,57 @@ const ESTIMATE_BYTES: usize = 64;
 
 fn main() {
     let stop = CancellationToken::new();
-    let echo = start_echo();
+    let many = start_echo(Threads::Many);
+    let one = start_echo(Threads::One);
     let (station, thread) = start_station(stop.clone());
     let mut brick = Brick::new();
-    let (mut ours, mut bare) = (Vec::new(), Vec::new());
+    let [mut ours, mut bare, mut bare_one] = [const { Vec::new() }; 3];
     for round in 0..=ROUNDS {
         let station_round = brick.exchange_with(station, Answer::Estimate);
-        let echo_round = brick.exchange_with(echo, Answer::Anything);
+        let echo_round = brick.exchange_with(many, Answer::Anything);
+        let one_round = brick.exchange_with(one, Answer::Anything);
         // The first round warms caches and fills the filter's history.
         if round > 0 {
             ours.extend(station_round);
             bare.extend(echo_round);
+            bare_one.extend(one_round);
         }
     }
     stop.cancel();
     thread.join().expect("the station's thread ends");
-    report(&mut ours, &mut bare);
+    report(&mut ours, &mut bare, &mut bare_one);
 }
 
-fn report(ours: &mut [Duration], bare: &mut [Duration]) {
-    let percentile =
-        |sorted: &[Duration], share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];
-    ours.sort_unstable();
-    bare.sort_unstable();
+fn report(ours: &mut [Duration], bare: &mut [Duration], bare_one: &mut [Duration]) {
     println!(
-        "{:<28} {:>9} {:>9}",
+        "{:<34} {:>9} {:>9}",
         "telemetry to estimate, UDP", "p50 us", "p99 us"
     );
-    for (name, sorted) in [("station, recorder attached", &ours), ("bare echo", &bare)] {
-        let micros = |share| percentile(sorted, share).as_secs_f64() * 1e6;
-        println!("{name:<28} {:>9.1} {:>9.1}", micros(0.5), micros(0.99));
+    let told = [
+        ("station, recorder and output", ours),
+        ("bare echo, multi-threaded runtime", bare),
+        ("bare echo, one thread", bare_one),
+    ]
+    .map(|(name, sample)| {
+        sample.sort_unstable();
+        let micros =
+            |share: f64| sample[((sample.len() - 1) as f64 * share) as usize].as_secs_f64() * 1e6;
+        let [p50, p99] = [micros(0.5), micros(0.99)];
+        println!("{name:<34} {p50:>9.1} {p99:>9.1}");
+        [p50, p99]
+    });
+    let [station, many, one] = told;
+    for (name, echo) in [
+        ("ratio to the first echo", many),
+        ("ratio to the second", one),
+    ] {
+        println!(
+            "{name:<34} {:>9.2} {:>9.2}",
+            station[0] / echo[0],
+            station[1] / echo[1]
+        );
     }
-    let ratio =
-        |share| percentile(ours, share).as_secs_f64() / percentile(bare, share).as_secs_f64();
-    println!("{:<28} {:>9.2} {:>9.2}", "ratio", ratio(0.5), ratio(0.99));
-    println!("{} exchanges each", ours.len());
+    println!("{} exchanges each", ROUNDS * EXCHANGES_PER_ROUND);
 }
 
 /// Which datagram ends an exchange.
@@ -160,30 +176,51 @@ fn runtime() -> tokio::runtime::Runtime {
         .expect("a runtime")
 }
 
-fn start_echo() -> SocketAddr {
+/// On which kind of runtime an echo runs.
+#[derive(Clone, Copy)]
+enum Threads {
+    /// As a task of a runtime with worker threads, as most servers are written.
+    Many,
+    /// On a runtime of its own thread, as the station's shard runs.
+    One,
+}
+
+fn start_echo(threads: Threads) -> SocketAddr {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
-    std::thread::spawn(move || {
-        runtime().block_on(async {
-            let socket = tokio::net::UdpSocket::bind("127.0.0.1:0")
-                .await
-                .expect("a loopback socket");
-            tell.send(socket.local_addr().expect("an address"))
-                .expect("somebody waits");
-            let mut buffer = [0; 512];
-            while let Ok((_, peer)) = socket.recv_from(&mut buffer).await {
-                socket
-                    .send_to(&buffer[..ESTIMATE_BYTES], peer)
-                    .await
-                    .expect("the echo leaves");
-            }
-        });
+    std::thread::spawn(move || match threads {
+        Threads::Many => {
+            let runtime = tokio::runtime::Builder::new_multi_thread()
+                .enable_all()
+                .build()
+                .expect("a runtime");
+            runtime
+                .block_on(runtime.spawn(echo(tell)))
+                .expect("the echo ends");
+        }
+        Threads::One => runtime().block_on(echo(tell)),
     });
     told.recv().expect("the echo starts")
 }
 
+async fn echo(tell: std::sync::mpsc::SyncSender<SocketAddr>) {
+    let socket = tokio::net::UdpSocket::bind("127.0.0.1:0")
+        .await
+        .expect("a loopback socket");
+    tell.send(socket.local_addr().expect("an address"))
+        .expect("somebody waits");
+    let mut buffer = [0; 512];
+    while let Ok((_, peer)) = socket.recv_from(&mut buffer).await {
+        socket
+            .send_to(&buffer[..ESTIMATE_BYTES], peer)
+            .await
+            .expect("the echo leaves");
+    }
+}
+
 fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandle<()>) {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
-    let thread = std::thread::spawn(move || {
+    let thread = std::thread::Builder::new().name("station".to_owned());
+    let thread = thread.spawn(move || {
         let folder =
             std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a scratch folder");
@@ -208,6 +245,7 @@ fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandl
         });
         std::fs::remove_dir_all(&folder).expect("the scratch folder goes");
     });
+    let thread = thread.expect("a thread");
     (told.recv().expect("the station starts"), thread)
 }
 

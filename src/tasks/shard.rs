@@ -13,6 +13,9 @@ use super::recorder::Recorder;
 /// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
 const COUNTS_PERIOD: Span = Span::from_millis(1_000);
 
+/// An observation makes three events: it came, it was fused, this is the estimate.
+const USUAL_EVENTS: usize = 4;
+
 /// What ends a shard.
 #[derive(Clone, Debug)]
 pub struct Ending {
@@ -99,6 +102,8 @@ impl Shard {
 
     fn take(&mut self, now: Stamp<HostClock>, input: Input) {
         self.pipeline.handle(now, &input);
+        // The reply first: to wake the threads that watch and record must not delay it.
+        let mut events = Vec::with_capacity(USUAL_EVENTS);
         while let Some(output) = self.pipeline.poll() {
             match output {
                 Output::Transmit {
@@ -116,8 +121,11 @@ impl Shard {
                         });
                     }
                 }
-                Output::Event(event) => self.observer.show(now, event),
+                Output::Event(event) => events.push(event),
             }
+        }
+        for event in events {
+            self.observer.show(now, event);
         }
         let is_lost = self
             .recorder
