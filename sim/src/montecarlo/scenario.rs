@@ -391,6 +391,13 @@ impl Scenario {
                 self.step_s
             )));
         }
+        if self.score_from_s >= steps * self.step_s {
+            return Err(impossible(format!(
+                "score_from_s {} lies behind the end of [path], about {:.1} s",
+                self.score_from_s,
+                steps * self.step_s
+            )));
+        }
         if let Some(camera) = &self.camera
             && camera.delay_spread_steps > camera.delay_steps
         {
@@ -508,6 +515,7 @@ mod tests {
                 "before it is made",
             ),
             ("runs = 40", "runs = 0", "runs"),
+            ("from_s = 0.0 ", "from_s = 400.0 ", "score_from_s"),
             (
                 "wheel_radius_m = 0.028",
                 "wheel_radius_m = nan",
