@@ -10,8 +10,8 @@ use posebridge_analysis::PoseError;
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::dataset::{Run, TruthPose, Withheld};
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Estimate, Heading, Meters, Observed, Point2, Pose, Span, Stamp,
-    Transform2,
+    Arena, Body, BrickClock, Calibration, Estimate, Heading, Meters, Observed, Point2, Pose, Span,
+    Stamp, Tag, Transform2,
 };
 
 /// What an estimator is held against at one instant.
@@ -21,7 +21,7 @@ struct Yardstick {
     position: Point2<Arena>,
     heading: Option<Heading>,
     /// Where on the robot that point is.
-    body_from_point: Transform2<posebridge_telemetry::Body, posebridge_telemetry::Tag>,
+    body_from_point: Transform2<Body, Tag>,
     is_truth: bool,
 }
 
@@ -209,7 +209,8 @@ pub fn pose_at(position: Point2<Arena>, heading: Option<Heading>) -> Pose<Arena>
 mod tests {
     use std::cell::Cell;
 
-    use posebridge_telemetry::{Fix, Known, MetersPerSecond, Odom, RadiansPerSecond, Validity};
+    use posebridge_analysis::TimedPose;
+    use posebridge_telemetry::{Fix, Known, Odom};
 
     use super::*;
 
@@ -224,22 +225,8 @@ mod tests {
     impl Belief for Driver {
         fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
             self.asked.set(self.asked.get().max(stamp));
-            Some(Estimate {
-                stamp,
-                pose: Pose::new(Meters(stamp.as_secs_f64()), Meters(0.0), Heading::default()),
-                forward_speed: MetersPerSecond(1.0),
-                turn_rate: RadiansPerSecond(0.0),
-                covariance: [[0.0; 5]; 5],
-                validity: Validity {
-                    position: true,
-                    heading: true,
-                    speeds: true,
-                },
-                is_dead_reckoning: false,
-                fix_age: None,
-                reset_counter: 0,
-                last_jump: None,
-            })
+            let pose = Pose::new(Meters(stamp.as_secs_f64()), Meters(0.0), Heading::default());
+            Some(TimedPose { stamp, pose }.believed([[0.0; 5]; 5]))
         }
         fn calibration(&self) -> Option<Calibration> {
             Some(Calibration {

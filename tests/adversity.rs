@@ -104,6 +104,49 @@ fn an_event_file_on_a_full_disk_is_named_and_the_exit_code_is_one() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("writing the event file"));
 }
 
+/// So few events that all of them wait for the end.
+#[test]
+fn the_events_of_a_foreign_replay_on_a_full_disk_are_named_and_the_exit_code_is_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let descriptor = r#"
+name = "short"
+source = "written by this test"
+licence = "-"
+default_run = "one"
+[robot]
+[[runs]]
+name = "one"
+[files.wheels]
+path = "wheels.csv"
+header_lines = 1
+time = { column = "t_s" }
+[[wheels]]
+file = "wheels"
+counting = "absolute"
+left = { column = "left", unit = "ticks" }
+right = { column = "right", unit = "ticks" }
+"#;
+    std::fs::write(folder.path().join("short.toml"), descriptor).unwrap();
+    std::fs::write(
+        folder.path().join("wheels.csv"),
+        "t_s,left,right\n0,0,0\n0.1,9,9\n",
+    )
+    .unwrap();
+    let replay = |events: &str| {
+        posebridge(folder.path())
+            .args(["replay", "short.toml", "--filter", "odometry", "--events"])
+            .arg(events)
+            .output()
+            .unwrap()
+    };
+    assert!(replay("events.txt").status.success());
+    let written = std::fs::metadata(folder.path().join("events.txt")).unwrap();
+    assert!((1..8_000).contains(&written.len()), "{}", written.len());
+    let output = replay("/dev/full");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("writing the events"));
+}
+
 #[test]
 fn a_recording_that_is_there_is_never_overwritten() {
     let folder = tempfile::tempdir().unwrap();

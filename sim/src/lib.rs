@@ -22,6 +22,7 @@
 //! # Ok::<(), posebridge_sim::ScenarioError>(())
 //! ```
 
+mod bundled;
 mod camera;
 mod clock;
 mod firmware;

@@ -385,8 +385,26 @@ mod tests {
         assert!((high - 0.01 * width..high + slack).contains(&largest));
     }
 
-    fn steps() -> u32 {
-        (f64::from(MINUTES) * 60.0 / STEP_S).round() as u32
+    /// What both wheels turn in a step, in radians.
+    const TURNING: Pair<f64> = Pair {
+        left: 0.001,
+        right: 0.001,
+    };
+
+    /// The sizes of all events; `step` makes one step and tells the size of what began in it, or zero.
+    fn events_of(errors: ErrorSettings, mut step: impl FnMut(&mut Slip) -> f64) -> Vec<f64> {
+        let steps = (f64::from(MINUTES) * 60.0 / STEP_S).round() as u32;
+        let mut sizes_deg = vec![];
+        for seed in 0..SEEDS {
+            let mut slip = Slip::new(seed, errors);
+            for _ in 0..steps {
+                let size_deg = step(&mut slip);
+                if size_deg != 0.0 {
+                    sizes_deg.push(size_deg);
+                }
+            }
+        }
+        sizes_deg
     }
 
     #[test]
@@ -395,24 +413,12 @@ mod tests {
             slip_events_per_min: PER_MIN,
             ..ErrorSettings::none()
         };
-        let turning = Pair {
-            left: 0.001,
-            right: 0.001,
-        };
-        let mut sizes_deg = vec![];
-        for seed in 0..SEEDS {
-            let mut slip = Slip::new(seed, errors);
-            for _ in 0..steps() {
-                slip.lost_rad = Pair::default();
-                let gripped = slip.grip(turning);
-                let lost = |left: f64, grip: f64| (left + turning.left - grip).to_degrees();
-                let left_deg = lost(slip.lost_rad.left, gripped.left);
-                let right_deg = lost(slip.lost_rad.right, gripped.right);
-                if left_deg + right_deg > 0.0 {
-                    sizes_deg.push(left_deg - right_deg);
-                }
-            }
-        }
+        let sizes_deg = events_of(errors, |slip| {
+            slip.lost_rad = Pair::default();
+            let gripped = slip.grip(TURNING);
+            let lost = |left: f64, grip: f64| (left + TURNING.left - grip).to_degrees();
+            lost(slip.lost_rad.left, gripped.left) - lost(slip.lost_rad.right, gripped.right)
+        });
         check_events(&sizes_deg, (10.0, 40.0));
     }
 
@@ -422,21 +428,11 @@ mod tests {
             kicks_per_min: PER_MIN,
             ..ErrorSettings::none()
         };
-        let turning = Pair {
-            left: 0.001,
-            right: 0.001,
-        };
-        let mut sizes_deg = vec![];
-        for seed in 0..SEEDS {
-            let mut slip = Slip::new(seed, errors);
-            for _ in 0..steps() {
-                slip.kick_rad = 0.0;
-                assert_eq!(slip.grip(turning), turning, "a kick costs no travel");
-                if slip.kick_rad != 0.0 {
-                    sizes_deg.push(slip.kick_rad.to_degrees());
-                }
-            }
-        }
+        let sizes_deg = events_of(errors, |slip| {
+            slip.kick_rad = 0.0;
+            assert_eq!(slip.grip(TURNING), TURNING, "a kick costs no travel");
+            slip.kick_rad.to_degrees()
+        });
         check_events(&sizes_deg, (3.0, 8.0));
     }
 

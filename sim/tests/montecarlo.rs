@@ -458,6 +458,24 @@ fn a_blackout_has_no_fix_and_the_rest_does() {
 }
 
 #[test]
+fn instants_that_are_steps_are_those_steps_on_a_grid_that_binary_fractions_do_not_hit() {
+    // 1.05 / 0.15 is above 7 and 6 x 0.15 below 0.9, both by the last bit.
+    let blackout = "blackout = { from_s = 0.9, to_s = 1.8 }\ntrue_noise_factor = 1.0";
+    let scenario = changed(
+        "unknown-heading",
+        &[
+            ("\nstep_s = 0.05", "\nstep_s = 0.15"),
+            ("score_from_s = 2.0", "score_from_s = 1.05"),
+            ("true_noise_factor = 1.0", blackout),
+        ],
+    );
+    let drive = scenario.drive(0);
+    assert_eq!(drive.scored_from, 7);
+    let taken: Vec<usize> = fixes(&drive).iter().map(|fix| fix.1).take(4).collect();
+    assert_eq!(taken, [2, 4, 14, 16]);
+}
+
+#[test]
 fn kicks_turn_the_robot_and_not_its_wheels() {
     let scenario = bundled("kicks");
     let (mut kicked, mut sides_s) = (0, 0.0);

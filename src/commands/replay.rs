@@ -9,6 +9,8 @@ mod own;
 mod smooth;
 
 use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
 
 use anyhow::{Context, Result, bail};
 use posebridge_analysis::report::{SmoothRow, estimator_table, smooth_table, source_table};
@@ -164,10 +166,15 @@ fn cpu_time() -> Result<Span> {
     Ok(micros(usage.user_time()) + micros(usage.system_time()))
 }
 
+/// Writes what still waits: a writer that is dropped tells nobody that the disk is full.
+fn finish_events(mut events: BufWriter<File>) -> Result<()> {
+    events.flush().context("writing the events")
+}
+
 fn take_outputs(
     pipeline: &mut Pipeline,
     collector: &mut Collector,
-    mut events: Option<&mut std::io::BufWriter<std::fs::File>>,
+    mut events: Option<&mut BufWriter<File>>,
 ) -> Result<()> {
     while let Some(output) = pipeline.poll() {
         if let Output::Event(event) = output {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use posebridge_telemetry::{Calibration, Known};
 
 use super::calibration::{CALIBRATION_KEYS, RobotCalibration};
@@ -61,9 +61,13 @@ impl CalibratedRobot {
     /// The profile as a text.
     ///
     /// # Errors
-    /// The robot cannot be written as TOML, which would be a fault of ours.
+    /// What was learned is so far off that `--robot` would refuse it.
     pub fn to_toml(&self) -> Result<String> {
-        let mut robot = toml::Table::try_from(self.profile())?;
+        let profile = self.profile();
+        profile
+            .calibration()
+            .context("what was learned is no calibration")?;
+        let mut robot = toml::Table::try_from(profile)?;
         let noise = robot.remove("noise");
         // A table inside a table would make sections of one number each.
         robot.remove("calibration");
@@ -207,6 +211,16 @@ mod tests {
         let profile = calibrated().profile();
         let prior = profile.calibration().unwrap().gyro_bias_rad_per_s;
         assert_eq!((prior.value, prior.sigma), (-0.0101, 0.03));
+    }
+
+    #[test]
+    fn what_could_not_be_loaded_again_is_not_saved() {
+        for value in [0.6, f64::NAN] {
+            let mut calibrated = calibrated();
+            calibrated.learned.track_scale.value = value;
+            let said = format!("{:#}", calibrated.to_toml().unwrap_err());
+            assert!(said.contains("robot.calibration.track_scale"), "{said}");
+        }
     }
 
     #[test]

@@ -11,10 +11,7 @@
 
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::offline::SmoothedPose;
-use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Stamp,
-    Validity,
-};
+use posebridge_telemetry::{Arena, BrickClock, Estimate, Heading, Meters, Pose, Stamp};
 
 use crate::track::TimedPose;
 
@@ -68,10 +65,7 @@ impl SmoothedPath {
 
     /// The poses at its own stamps.
     pub fn poses(&self) -> impl Iterator<Item = TimedPose> {
-        self.poses.iter().map(|pose| TimedPose {
-            stamp: pose.stamp,
-            pose: pose.pose,
-        })
+        self.poses.iter().map(timed)
     }
 }
 
@@ -93,6 +87,13 @@ fn element(pose: Pose<Arena>) -> Se2 {
     }
 }
 
+const fn timed(smoothed: &SmoothedPose) -> TimedPose {
+    TimedPose {
+        stamp: smoothed.stamp,
+        pose: smoothed.pose,
+    }
+}
+
 fn estimate(smoothed: &SmoothedPose) -> Estimate {
     let mut covariance = [[0.0; 5]; 5];
     for (row, of_pose) in covariance.iter_mut().zip(&smoothed.covariance) {
@@ -100,22 +101,7 @@ fn estimate(smoothed: &SmoothedPose) -> Estimate {
             *value = *of_pose;
         }
     }
-    Estimate {
-        stamp: smoothed.stamp,
-        pose: smoothed.pose,
-        forward_speed: MetersPerSecond(0.0),
-        turn_rate: RadiansPerSecond(0.0),
-        covariance,
-        validity: Validity {
-            position: true,
-            heading: true,
-            speeds: false,
-        },
-        is_dead_reckoning: false,
-        fix_age: None,
-        reset_counter: 0,
-        last_jump: None,
-    }
+    timed(smoothed).believed(covariance)
 }
 
 #[cfg(test)]

@@ -4,7 +4,10 @@
 //! the other's stamps. A track answers only where it knows: not before its first sample, not after its last, and not
 //! inside a gap. It does not extrapolate, smooth or convert clocks.
 
-use posebridge_telemetry::{Arena, BrickClock, Meters, Pose, Span, Stamp};
+use posebridge_telemetry::{
+    Arena, BrickClock, Estimate, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp,
+    Validity,
+};
 
 /// A pose and the instant for which it holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +19,27 @@ pub struct TimedPose {
 }
 
 impl TimedPose {
+    /// This pose as an estimate with a covariance, rows and columns as in [`Estimate::covariance`]: valid in position and heading;
+    /// of speeds, fixes and jumps it says nothing.
+    pub const fn believed(self, covariance: [[f64; 5]; 5]) -> Estimate {
+        Estimate {
+            stamp: self.stamp,
+            pose: self.pose,
+            forward_speed: MetersPerSecond(0.0),
+            turn_rate: RadiansPerSecond(0.0),
+            covariance,
+            validity: Validity {
+                position: true,
+                heading: true,
+                speeds: false,
+            },
+            is_dead_reckoning: false,
+            fix_age: None,
+            reset_counter: 0,
+            last_jump: None,
+        }
+    }
+
     fn is_finite(&self) -> bool {
         self.pose.x.0.is_finite()
             && self.pose.y.0.is_finite()

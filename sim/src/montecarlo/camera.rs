@@ -5,6 +5,7 @@
 
 use posebridge_telemetry::{Arena, Fix, Heading, Meters, Observed, Point2};
 
+use super::drive::{first_step_from, last_step_until};
 use super::scenario::{Camera, CameraSees};
 use crate::random::Stream;
 
@@ -101,9 +102,9 @@ impl CameraSensor {
     }
 
     fn is_dark(&self, step: usize) -> bool {
-        let at_s = step as f64 * self.step_s;
-        self.camera
-            .blackout
-            .is_some_and(|dark| (dark.from_s..=dark.to_s).contains(&at_s))
+        self.camera.blackout.is_some_and(|dark| {
+            let from = first_step_from(dark.from_s, self.step_s);
+            (from..=last_step_until(dark.to_s, self.step_s)).contains(&step)
+        })
     }
 }

@@ -77,6 +77,19 @@ fn stamp(step: Span, count: usize) -> Stamp<BrickClock> {
     Stamp::from_nanos(step.as_nanos().saturating_mul(count as i64))
 }
 
+/// An instant so little beside a step, in steps, is that step: decimal seconds are no binary fractions.
+const SAME_STEP: f64 = 1e-6;
+
+/// The first step at or after an instant.
+pub(super) fn first_step_from(at_s: f64, step_s: f64) -> usize {
+    (at_s / step_s - SAME_STEP).ceil() as usize
+}
+
+/// The last step at or before an instant.
+pub(super) fn last_step_until(at_s: f64, step_s: f64) -> usize {
+    (at_s / step_s + SAME_STEP).floor() as usize
+}
+
 /// The seed of a run: SplitMix64's output function over base seed and number, so that neighbours have nothing in common.
 ///
 /// Source: G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014, figure 17, with the
@@ -133,7 +146,7 @@ pub(super) fn draw(scenario: &Scenario, run: u32) -> Drive {
         truth: log.truth,
         wheel_turns: log.wheel_turns,
         arrivals: log.arrivals,
-        scored_from: ((scenario.score_from_s / step_s).ceil() as usize).max(1),
+        scored_from: first_step_from(scenario.score_from_s, step_s).max(1),
         true_geometry,
         told: told(scenario, plan.start, true_geometry, seed),
     }

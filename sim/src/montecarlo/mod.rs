@@ -16,8 +16,8 @@
 //! Encoders see `dphi_i`, so they see neither slip nor kick; the gyro sees the true turn.
 //!
 //! Every run draws from its own seed, made of the scenario's seed and the run's number; each sensor has a stream of its own
-//! ([`crate`]'s rule for all its randomness). So a run can be repeated alone, and scenarios with the same seed share their
-//! truth.
+//! ([`crate`]'s rule for all its randomness). So a run can be repeated alone, and scenarios with the same seed, path and
+//! robot share their truth, whatever their camera.
 
 mod bundled;
 mod camera;

@@ -165,7 +165,7 @@ impl Kicker {
         }
     }
 
-    /// The turn of this step; a kick runs to its end before another can begin.
+    /// The turn of this step on a side; a kick runs to its end before another can begin, on the next side if this one ends.
     fn next_rad(&mut self) -> f64 {
         if self.left_over == 0 {
             if !self.stream.happens(self.per_step) {

@@ -5,7 +5,8 @@
 
 use serde::Deserialize;
 
-use super::{SCENARIOS, drive, path};
+use super::{SCENARIOS, drive, path, spline};
+use crate::bundled::text_of;
 use crate::scenario::checks;
 
 /// Most steps of one drive; ten times the longest bundled one.
@@ -127,7 +128,7 @@ pub struct Weave {
 pub struct Spline {
     /// The poses (x in m, y in m, heading in degrees), from the first to the last.
     pub poses_m_deg: [[f64; 3]; 5],
-    /// Length of the tangent at each pose, as a multiple of the distance to the next.
+    /// Length of the tangents at both ends of a leg, as a multiple of the straight distance between them.
     #[serde(deserialize_with = "checks::positive")]
     pub tangent_scale: f64,
     /// Largest speed, in metres per second.
@@ -284,8 +285,8 @@ pub struct Kicks {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Accelerometer {
-    /// White noise of one observation, in metres per second squared.
-    #[serde(deserialize_with = "checks::non_negative")]
+    /// White noise of one observation, in metres per second squared; above zero, because a filter is told it.
+    #[serde(deserialize_with = "checks::positive")]
     pub sigma_m_per_s2: f64,
 }
 
@@ -348,14 +349,9 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError::UnknownName`] lists the names that exist.
     pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
-        let found = SCENARIOS.iter().find(|(known, _)| *known == name);
-        let (_, text) = found.ok_or_else(|| ScenarioError::UnknownName {
+        let text = text_of(SCENARIOS, name).map_err(|known| ScenarioError::UnknownName {
             name: name.to_owned(),
-            known: SCENARIOS
-                .iter()
-                .map(|(known, _)| *known)
-                .collect::<Vec<_>>()
-                .join(", "),
+            known,
         })?;
         Self::from_toml(text)
     }
@@ -381,12 +377,25 @@ impl Scenario {
                     "poses_m_deg holds a number that is not finite or too large".to_owned(),
                 ));
             }
+            if let Some(leg) = spline::leg_without_length(spline) {
+                return Err(impossible(format!(
+                    "poses_m_deg: poses {leg} and {} stand at the same place; a spline has no direction between them",
+                    leg + 1
+                )));
+            }
         }
         let steps = path::steps_estimate(&self.path, self.step_s);
         if !(1.0..=MAX_STEPS).contains(&steps) {
             return Err(impossible(format!(
                 "[path] takes {steps:.0} steps of {} s; give a path of 1 to {MAX_STEPS:.0} steps",
                 self.step_s
+            )));
+        }
+        if self.score_from_s >= steps * self.step_s {
+            return Err(impossible(format!(
+                "score_from_s {} lies behind the end of [path], about {:.1} s",
+                self.score_from_s,
+                steps * self.step_s
             )));
         }
         if let Some(camera) = &self.camera
@@ -506,6 +515,7 @@ mod tests {
                 "before it is made",
             ),
             ("runs = 40", "runs = 0", "runs"),
+            ("from_s = 0.0 ", "from_s = 400.0 ", "score_from_s"),
             (
                 "wheel_radius_m = 0.028",
                 "wheel_radius_m = nan",
@@ -520,6 +530,10 @@ mod tests {
         assert!(message.to_string().contains("exceeds most_deg"));
         let message = changed("wpilib", "[-3.0, 0.0, -90.0]", "[-3.0, inf, -90.0]").unwrap_err();
         assert!(message.to_string().contains("poses_m_deg"));
+        let message = changed("wpilib", "[3.0, 0.0, -90.0]", "[0.0, 0.0, 90.0]").unwrap_err();
+        assert!(message.to_string().contains("poses 1 and 2"), "{message}");
+        let message = changed("paper-square", "per_s2 = 0.05", "per_s2 = 0").unwrap_err();
+        assert!(message.to_string().contains("sigma_m_per_s2"), "{message}");
         let message = Scenario::bundled("camera-5hz").unwrap_err().to_string();
         assert!(message.contains("camera-5hz") && message.contains("paper-square"));
     }

@@ -14,6 +14,9 @@ use super::scenario::Spline;
 /// Points that stand for a leg of some metres; a millimetre apart.
 const POINTS_PER_LEG: usize = 4_000;
 
+/// Poses closer than this have no direction between them, in metres.
+const SHORTEST_LEG_M: f64 = 1e-3;
+
 /// A point of the way.
 #[derive(Clone, Copy, Debug)]
 struct Waypoint {
@@ -54,6 +57,12 @@ pub(super) fn duration_estimate_s(spline: &Spline) -> f64 {
     let straight_m: f64 = legs(spline).map(|(from, to)| distance_m(from, to)).sum();
     let length_m = straight_m * (1.0 + spline.tangent_scale);
     length_m / spline.speed_m_per_s + spline.speed_m_per_s / spline.acceleration_m_per_s2
+}
+
+/// The number, from 1, of the first leg whose ends are less than a millimetre apart.
+pub(super) fn leg_without_length(spline: &Spline) -> Option<usize> {
+    let is_short = |(from, to)| distance_m(from, to) < SHORTEST_LEG_M;
+    legs(spline).position(is_short).map(|index| index + 1)
 }
 
 fn legs(spline: &Spline) -> impl Iterator<Item = ([f64; 3], [f64; 3])> + '_ {

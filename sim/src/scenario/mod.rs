@@ -16,6 +16,8 @@ use std::path::{Path, PathBuf};
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 use serde::Deserialize;
 
+use crate::bundled::text_of;
+
 pub use bundled::BUNDLED;
 pub use course::{Course, Direction, DriveSettings, StartPose};
 pub use observers::{AccelerometerSettings, Blackout, CameraOrder, CameraSettings, GyroSettings};
@@ -88,17 +90,10 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError::UnknownName`] lists the names that exist.
     pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
-        let (_, text) = BUNDLED
-            .iter()
-            .find(|(known, _)| *known == name)
-            .ok_or_else(|| ScenarioError::UnknownName {
-                name: name.to_owned(),
-                known: BUNDLED
-                    .iter()
-                    .map(|(known, _)| *known)
-                    .collect::<Vec<_>>()
-                    .join(", "),
-            })?;
+        let text = text_of(BUNDLED, name).map_err(|known| ScenarioError::UnknownName {
+            name: name.to_owned(),
+            known,
+        })?;
         Self::from_toml(text)
     }
 

@@ -40,7 +40,7 @@ pub enum Estimator {
 pub struct Verdict {
     /// What its errors add up to.
     pub score: Score,
-    /// Why it says nothing at all; only the smoother can refuse a whole drive.
+    /// Why it says nothing at all; only a smoother can refuse a whole drive.
     pub refusal: Option<OfflineError>,
 }
 

@@ -8,7 +8,7 @@ use posebridge_analysis::{ErrorSummary, SourceTally, TimedPose, Track, mean_over
 use posebridge_pipeline::{DescriptionPolicy, Pipeline, PipelineConfig};
 use posebridge_telemetry::{Address, Input, Observation, Point2, Span};
 
-use super::{Outcome, Replayed, SmoothedRun, draw, take_outputs};
+use super::{Outcome, Replayed, SmoothedRun, draw, finish_events, take_outputs};
 use crate::cli::ReplayArgs;
 use crate::collect::{Collector, LONGEST_GAP};
 use crate::commands::{Failure, Stage};
@@ -60,6 +60,9 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
             }
             gathered.take(scored, one);
         }
+    }
+    if let Some(events) = events {
+        finish_events(events).while_running()?;
     }
     let outcomes = filters
         .into_iter()

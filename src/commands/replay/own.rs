@@ -1,7 +1,7 @@
 //! A recording of ours: the pipeline is given what it was given live, so its events are those of the live run, bit for bit.
 
 use std::fs::File;
-use std::io::{BufWriter, Write as _};
+use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -12,7 +12,7 @@ use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::{Ending, Reader};
 use posebridge_telemetry::Stamp;
 
-use super::{NoPath, Outcome, Replayed, SmoothedRun, draw, take_outputs};
+use super::{NoPath, Outcome, Replayed, SmoothedRun, draw, finish_events, take_outputs};
 use crate::cli::ReplayArgs;
 use crate::collect::Collector;
 use crate::commands::{Failure, Stage};
@@ -104,8 +104,8 @@ fn run_through(
         }
         take_outputs(pipeline, collector, events.as_mut())?;
     }
-    if let Some(mut events) = events {
-        events.flush()?;
+    if let Some(events) = events {
+        finish_events(events)?;
     }
     if let Ending::Torn { offset, what } = reader.ending() {
         say(&format!(

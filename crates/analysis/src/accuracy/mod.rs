@@ -1,7 +1,7 @@
 //! Monte-Carlo accuracy: estimators over many drives whose truth is known, and what their errors add up to.
 //!
-//! Gets a [`KnownDrive`] from whoever has one and builds the estimator from the table of filters; gives a [`Score`], which
-//! adds up over runs. It draws nothing, and it knows no scenario: who makes the drives does not mark them.
+//! Gets a [`KnownDrive`] and an estimator from whoever has them; gives a [`Score`], which adds up over runs. It draws nothing, and
+//! it knows no scenario: who makes the drives does not mark them.
 //!
 //! # Model
 //! ```text
@@ -19,7 +19,7 @@ mod bound;
 mod hindsight;
 mod score;
 
-use posebridge_estimator::{Filter, FilterConfig, filter_named};
+use posebridge_estimator::Filter;
 use posebridge_telemetry::Observation;
 
 pub use bound::{BoundSum, WheelTurn};
@@ -48,21 +48,6 @@ pub struct Arrival {
     pub observation: Observation,
 }
 
-/// Runs a filter of the table over a drive and scores it.
-///
-/// # Errors
-/// [`AccuracyError::UnknownFilter`]: the table has no such row.
-pub fn score_filter(
-    name: &str,
-    config: &FilterConfig,
-    drive: &KnownDrive,
-) -> Result<Score, AccuracyError> {
-    let entry = filter_named(name).ok_or_else(|| AccuracyError::UnknownFilter {
-        name: name.to_owned(),
-    })?;
-    Ok(score(drive, (entry.build)(config).as_mut()))
-}
-
 /// Gives a drive to an estimator as it arrives, and scores the estimate that is there at the end of each step.
 pub fn score(drive: &KnownDrive, filter: &mut dyn Filter) -> Score {
     let mut score = Score::default();
@@ -77,16 +62,4 @@ pub fn score(drive: &KnownDrive, filter: &mut dyn Filter) -> Score {
     }
     score.end_run();
     score
-}
-
-/// Why an estimator cannot be scored.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum AccuracyError {
-    /// The table of filters has no row of this name.
-    #[error("there is no filter `{name}`")]
-    UnknownFilter {
-        /// The name.
-        name: String,
-    },
 }

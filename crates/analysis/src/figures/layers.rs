@@ -140,30 +140,16 @@ pub(super) fn can_draw(point: Point2<Arena>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{
-        Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Stamp, Validity,
-    };
+    use crate::track::TimedPose;
+    use posebridge_telemetry::{Heading, Meters, Pose, Stamp};
 
     fn estimate(step: i64, x_m: f64) -> Estimate {
         let mut covariance = [[0.0; 5]; 5];
         covariance[0][0] = 0.03_f64.powi(2);
         covariance[1][1] = 0.01_f64.powi(2);
-        Estimate {
-            stamp: Stamp::from_millis(step),
-            pose: Pose::new(Meters(x_m), Meters(0.0), Heading::from_rad(0.0)),
-            forward_speed: MetersPerSecond(0.0),
-            turn_rate: RadiansPerSecond(0.0),
-            covariance,
-            validity: Validity {
-                position: true,
-                heading: true,
-                speeds: true,
-            },
-            is_dead_reckoning: false,
-            fix_age: None,
-            reset_counter: 0,
-            last_jump: None,
-        }
+        let pose = Pose::new(Meters(x_m), Meters(0.0), Heading::from_rad(0.0));
+        let stamp = Stamp::from_millis(step);
+        TimedPose { stamp, pose }.believed(covariance)
     }
 
     fn drawable(estimates: &[Estimate]) -> Drawable {

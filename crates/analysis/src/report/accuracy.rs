@@ -90,16 +90,16 @@ fn sources(tallies: &[SourceTally]) -> String {
 fn footnotes(row: &ScoreRow<'_>) -> String {
     let score = row.score;
     let lines = [
-        (score.steps_without_estimate(), "no estimate"),
-        (score.steps_not_finite(), "not finite"),
+        (score.steps_without_estimate(), ", no estimate"),
+        (score.steps_not_finite(), ", not finite"),
         (
             score.refused_covariances(),
-            "covariance not positive definite",
+            " of its claim and its ANEES, covariance not positive definite",
         ),
     ]
     .into_iter()
     .filter(|(count, _)| *count > 0)
-    .map(|(count, what)| format!("{}: steps left out, {what}: {count}\n", row.name));
+    .map(|(count, what)| format!("{}: steps left out{what}: {count}\n", row.name));
     lines.collect::<Vec<_>>().concat()
 }
 

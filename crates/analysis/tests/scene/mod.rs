@@ -5,8 +5,7 @@
 
 use posebridge_analysis::{FixMark, RunLayers, TimedPose, Track};
 use posebridge_telemetry::{
-    Arena, Estimate, Heading, Meters, MetersPerSecond, Point2, Pose, Radians, RadiansPerSecond,
-    Span, Stamp, Validity, Verdict,
+    Arena, Estimate, Heading, Meters, Point2, Pose, Radians, Span, Stamp, Verdict,
 };
 use rand::{RngExt as _, SeedableRng as _};
 use rand_distr::{Distribution as _, StandardNormal};
@@ -137,26 +136,15 @@ fn estimate_near(sample: &TimedPose, unit: &[f64; 3], variance_m2: f64) -> Estim
     covariance[0][1] = (along_var - across_var) * sin * cos;
     covariance[1][0] = covariance[0][1];
     covariance[2][2] = heading_var;
-    Estimate {
+    let believed = TimedPose {
         stamp: sample.stamp,
         pose: Pose::new(
             Meters(sample.pose.x.0 + along_m * cos - across_m * sin),
             Meters(sample.pose.y.0 + along_m * sin + across_m * cos),
             sample.pose.heading + Radians(heading_var.sqrt() * unit[2]),
         ),
-        forward_speed: MetersPerSecond(0.24),
-        turn_rate: RadiansPerSecond(0.0),
-        covariance,
-        validity: Validity {
-            position: true,
-            heading: true,
-            speeds: true,
-        },
-        is_dead_reckoning: false,
-        fix_age: None,
-        reset_counter: 0,
-        last_jump: None,
-    }
+    };
+    believed.believed(covariance)
 }
 
 pub(crate) fn normal(random: &mut Pcg64Mcg) -> f64 {
