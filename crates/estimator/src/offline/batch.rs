@@ -32,7 +32,7 @@ const MOST_ROUNDS: u32 = 20;
 /// The most likely path of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Smoothed {
-    /// One per motion reading, in the order of their stamps.
+    /// One per motion reading, in the order of their stamps; of [`super::rts()`] one per fix as well.
     pub poses: Vec<SmoothedPose>,
     /// What fits best; what is not estimated is as it was configured. The gyro bias is that of the last window.
     pub calibration: Calibration,

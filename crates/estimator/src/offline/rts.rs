@@ -13,7 +13,9 @@ use crate::filters::FilterConfig;
 use crate::filters::pose::smooth::{Hindsight, smooth};
 
 /// Smooths a run with the flagship filter. Observations may come in any order; one pose per motion reading and per absolute
-/// observation that was used. `iterations` and `gyro_windows` of the result are those of one pass: 1 and 0.
+/// observation that was used. Of the result, `cost` is the sum of the NIS of the absolute observations that were used, as the
+/// filter met them; `fixes_used` and `fixes_left_out` count all of these, landmarks and ranges too; `iterations` and
+/// `gyro_windows` are those of one pass: 1 and 0.
 ///
 /// # Errors
 /// Nothing moved, neither start nor fix tells where it was, or the configuration is not finite.
