@@ -108,10 +108,20 @@ fn without_motion_or_without_any_place_there_is_nothing_to_smooth() {
         start: None,
         ..config()
     };
-    let (fixes, others): (Vec<_>, Vec<_>) = all
+    let (fixes, others): (Vec<Observation>, Vec<Observation>) = all
         .iter()
         .partition(|one| matches!(one.observed, Observed::Fix(_)));
-    for (config, observations) in [(config(), vec![]), (config(), fixes), (unplaced, others)] {
+    let mut fixed_later = others.clone();
+    fixed_later.extend(fixes.iter().map(|fix| Observation {
+        stamp: fix.stamp + Span::from_millis(1_000_000),
+        ..*fix
+    }));
+    for (config, observations) in [
+        (config(), vec![]),
+        (config(), fixes),
+        (unplaced.clone(), others),
+        (unplaced, fixed_later),
+    ] {
         let error = batch(&config, &observations).unwrap_err();
         assert!(matches!(error, OfflineError::NothingObserved { .. }));
     }

@@ -129,6 +129,18 @@ fn a_pose_that_is_set_is_not_changed_by_what_happened_before() {
 }
 
 #[test]
+fn after_a_restart_of_the_bricks_clock_no_speed_from_before_it_is_left() {
+    for_each(&config(), |entry, mut filter| {
+        drive_straight(filter.as_mut(), 2_000);
+        assert!(latest(filter.as_ref()).forward_speed.0 > 0.15);
+        filter.restart_clock();
+        filter.observe(&wheels(40, 0.0, 0.0));
+        let speed = latest(filter.as_ref()).forward_speed.0;
+        assert_eq!(speed, 0.0, "{}", entry.name);
+    });
+}
+
+#[test]
 fn a_restart_of_the_bricks_clock_keeps_the_pose_with_more_doubt() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 5_000);

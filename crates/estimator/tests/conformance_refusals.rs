@@ -118,6 +118,29 @@ fn a_reading_that_comes_twice_counts_once() {
     });
 }
 
+#[test]
+fn a_fix_that_comes_twice_counts_once() {
+    for_each(&config(), |entry, mut filter| {
+        drive_straight(filter.as_mut(), 1_000);
+        let seen = fix(990, fix_of(0.199, 0.001, 0.002));
+        let first = filter.observe(&seen).verdict;
+        assert!(
+            matches!(first, Verdict::Accepted | Verdict::Unused),
+            "{}: {first:?}",
+            entry.name
+        );
+        let before = belief(filter.as_ref());
+        let again = filter.observe(&seen).verdict;
+        let expected = if first == Verdict::Unused {
+            Verdict::Unused
+        } else {
+            Verdict::Malformed
+        };
+        assert_eq!(again, expected, "{}", entry.name);
+        assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+    });
+}
+
 /// A filter that replays takes it at its own time; one that uses what comes when it comes must refuse a counter's past, for
 /// the interval since its last reading would be negative.
 #[test]

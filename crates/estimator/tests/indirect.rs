@@ -182,6 +182,58 @@ fn a_fix_of_a_tag_with_a_lever_turns_the_robot_the_right_way() {
     }
 }
 
+/// A robot that is known exactly and a fix that is exact have nothing to weigh against each other.
+#[test]
+fn a_fix_that_could_not_be_weighed_is_not_one_that_was_used() {
+    for name in ["indirect", "indirect-feedback"] {
+        let mut config = config();
+        config.start = config.start.map(|mut start| {
+            start.position_sigma_m = 0.0;
+            start.heading_sigma_rad = 0.0;
+            start
+        });
+        config.noise.fix_position_m = 0.0;
+        let mut filter = built(name, &config);
+        for (at, observed) in [
+            (
+                0,
+                Observed::WheelAngles {
+                    left: Radians(0.0),
+                    right: Radians(0.0),
+                },
+            ),
+            (
+                20,
+                Observed::Fix(Fix {
+                    position: Point2::ORIGIN,
+                    heading: None,
+                    covariance: None,
+                    tag_in_body: Point2::ORIGIN,
+                    reset_counter: 0,
+                }),
+            ),
+        ] {
+            let verdict = filter
+                .observe(&Observation {
+                    sensor: SensorId::CAMERA,
+                    stamp: Stamp::from_millis(at),
+                    stamp_sigma: Span::ZERO,
+                    observed,
+                })
+                .verdict;
+            let expected = if at == 0 {
+                Verdict::Accepted
+            } else {
+                Verdict::Malformed
+            };
+            assert_eq!(verdict, expected, "{name}");
+        }
+        let now = latest(filter.as_ref());
+        assert_eq!(now.fix_age, None, "{name}");
+        assert_eq!(filter.latest(), Some(Stamp::ZERO), "{name}");
+    }
+}
+
 #[test]
 fn an_estimate_of_the_future_turns_on_and_grows_doubtful_as_the_turn_rate_may_change() {
     let config = config();

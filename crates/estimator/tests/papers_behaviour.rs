@@ -478,3 +478,88 @@ fn the_covariance_stays_positive_definite_whatever_comes() {
         }
     }
 }
+
+#[test]
+fn accelerations_are_held_for_three_tenths_of_a_second_however_far_ahead_is_asked() {
+    for name in ["velocity-kf", "ekf5", "ekf5-corrected", "ukf5"] {
+        let mut filter = named(name, &config());
+        drive_straight(filter.as_mut(), 0..=2_000);
+        let before = latest(filter.as_ref()).forward_speed.0;
+        filter.observe(&accelerations(2_000, 1.0, 1.0));
+        for (millis, gained_m_per_s) in [(2_200, 0.2), (2_300, 0.3), (2_450, 0.3), (9_000, 0.3)] {
+            let ahead = filter.estimate_at(ms(millis)).expect("a prediction");
+            let gained = ahead.forward_speed.0 - before;
+            assert!(
+                (gained - gained_m_per_s).abs() < 1e-9,
+                "{name} at {millis}: {gained}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_new_base_of_the_counters_makes_no_filter_surer_of_its_pose() {
+    for name in ALL {
+        let mut filter = named(name, &config());
+        drive_straight(filter.as_mut(), 0..=2_000);
+        let before = filter.estimate_at(ms(2_400)).expect("a prediction");
+        let verdict = filter.observe(&wheels(2_400, -500.0, -500.0)).verdict;
+        assert_eq!(verdict, Verdict::Rebased, "{name}");
+        let after = latest(filter.as_ref());
+        for (what, found, least) in [
+            ("x", after.x_sigma_m(), before.x_sigma_m()),
+            ("y", after.y_sigma_m(), before.y_sigma_m()),
+            (
+                "heading",
+                after.heading_sigma_rad(),
+                before.heading_sigma_rad(),
+            ),
+        ] {
+            assert!(found > 0.999 * least, "{name}: {what} {found} {least}");
+        }
+    }
+}
+
+#[test]
+fn the_corrected_filter_takes_the_bias_off_the_gyro_while_the_wheels_are_lost() {
+    let mut told = config();
+    told.calibration.gyro_bias_rad_per_s.value = 3.0 * DEGREE;
+    told.noise.gyro_bias_rad_per_s = 0.05 * DEGREE;
+    let mut filter = named("ekf5-corrected", &told);
+    for k in 0..=60_i64 {
+        filter.observe(&gyro(50 * k, 3.0 * DEGREE));
+        filter.observe(&wheels(50 * k, 0.0, 0.0));
+    }
+    for k in 61..=260_i64 {
+        filter.observe(&gyro(50 * k, 3.0 * DEGREE));
+    }
+    let end = latest(filter.as_ref());
+    // Ten seconds at 3 degrees per second, all of it bias.
+    assert!(end.pose.heading.rad().abs() < 0.5 * DEGREE, "{end:?}");
+    // 0.5 degrees by the bias, which is known to 0.05 degrees per second, and as much by the gyro's noise.
+    let sigma_rad = end.heading_sigma_rad();
+    assert!((0.6 * DEGREE..0.8 * DEGREE).contains(&sigma_rad), "{end:?}");
+}
+
+#[test]
+fn a_path_that_was_driven_unseen_is_no_leap_of_the_corrected_filters_speed() {
+    // The wheels speak with the gyro, or between two of its readings.
+    for offset in [0, 20] {
+        let mut filter = named("ekf5-corrected", &config());
+        for k in 0..=110_i64 {
+            filter.observe(&gyro(50 * k, 0.0));
+            let millis = 50 * k + offset;
+            let rad = 0.2e-3 * millis as f64 / RADIUS_M;
+            if !(61..100).contains(&k) {
+                filter.observe(&wheels(millis, rad, rad));
+            }
+            if k >= 100 {
+                let now = latest(filter.as_ref());
+                let (speed, x_m) = (now.forward_speed.0, now.pose.x.0);
+                assert!((speed - 0.2).abs() < 0.03, "{offset} {k}: {speed}");
+                let way_m = 0.2e-3 * millis as f64;
+                assert!((x_m - way_m).abs() < 0.02, "{offset} {k}: {x_m} {way_m}");
+            }
+        }
+    }
+}

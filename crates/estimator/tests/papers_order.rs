@@ -177,9 +177,9 @@ fn with_exact_bias(mut config: FilterConfig, seed: u64) -> FilterConfig {
     config
 }
 
-/// 95 % band of the average NEES over 50 independent runs, as a ratio to three degrees of freedom: Bar-Shalom, Li, Kirubarajan
-/// (2001), chapter 5. Errors are correlated over a run.
-const HONEST: std::ops::RangeInclusive<f64> = 0.79..=1.24;
+/// 95 % band of the average NEES over 200 independent runs, as a ratio to three degrees of freedom: chi-square with 600 of them,
+/// Bar-Shalom, Li, Kirubarajan (2001), chapter 5. The mean over a run, whose errors are correlated, scatters less than one of them.
+const HONEST: std::ops::RangeInclusive<f64> = 0.89..=1.12;
 
 fn rms(all: &[[Score; 6]], name: &str) -> f64 {
     let index = index_of(name);

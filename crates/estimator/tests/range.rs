@@ -279,6 +279,20 @@ fn a_late_reading_is_used_at_its_own_time_by_the_corrected_row() {
     assert_eq!(again.verdict, Verdict::Malformed, "it was used before");
 }
 
+#[test]
+fn a_drive_train_that_is_faster_than_the_loop_leaves_numbers() {
+    let mut config = configured(0.05);
+    config.params.wall_mass_s2_per_m = 1e-4;
+    let mut filter = RangeFilter::new(&config, Variant::Paper);
+    range(&mut filter, 0.0, 2.0);
+    for step in 1..1_000 {
+        command(&mut filter, STEP_S * f64::from(step), 0.1);
+    }
+    let found = at(&filter, 7.6);
+    assert!((found.rate_per_s + 0.1).abs() < 1e-3, "{found:?}");
+    assert!(found.sigma.is_finite());
+}
+
 /// A robot on its way to a wall: true distances each 10 ms, readings at 10 Hz.
 struct Drive {
     truth_m: Vec<f64>,

@@ -17,7 +17,10 @@ use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::CORE;
 use posebridge_estimator::offline::{OfflineError, Smoothed, batch, rts};
 use posebridge_estimator::{Filter, FilterConfig, Params};
-use posebridge_telemetry::{Observation, Observed, quantities::wrap_rad};
+use posebridge_telemetry::{
+    Meters, MetersPerSecond, Observation, Observed, RadiansPerSecond, SensorId, Stamp,
+    quantities::wrap_rad,
+};
 use robot::config;
 use score::{mean, play, score};
 
@@ -184,12 +187,70 @@ fn what_says_nothing_is_refused() {
         rts(&config(), &[]),
         Err(OfflineError::NothingObserved { .. })
     ));
-    let shuffled: Vec<Observation> = observations(&drive).into_iter().rev().collect();
-    assert_eq!(
-        rts(&config(), &shuffled)
-            .expect("it has a start")
-            .poses
-            .last(),
-        smoothed(&drive, &config()).poses.last()
-    );
+}
+
+/// With what a second tag and a foreign odometer say at the same instants.
+fn crowded() -> Vec<Observation> {
+    let all = observations(&lap(Some(CAMERA), 1));
+    let mut crowded = all.clone();
+    for one in &all {
+        if let Observed::Fix(mut fix) = one.observed {
+            fix.position.x.0 += 0.004;
+            crowded.push(Observation {
+                observed: Observed::Fix(fix),
+                ..*one
+            });
+        } else if let Observed::WheelAngles { left, .. } = one.observed {
+            crowded.push(Observation {
+                sensor: SensorId::ODOMETER,
+                observed: Observed::BodyVelocity {
+                    forward: MetersPerSecond(left.0.sin()),
+                    turn: RadiansPerSecond(0.0),
+                },
+                ..*one
+            });
+        }
+    }
+    crowded
+}
+
+#[test]
+fn the_order_of_the_observations_does_not_matter_bit_for_bit() {
+    let all = crowded();
+    let in_order = rts(&config(), &all).expect("it has a start");
+    let backwards: Vec<Observation> = all.iter().rev().copied().collect();
+    assert!(rts(&config(), &backwards).expect("it has a start") == in_order);
+}
+
+#[test]
+fn what_is_damaged_or_comes_twice_changes_nothing() {
+    let all = observations(&lap(Some(CAMERA), 2));
+    let clean = rts(&config(), &all).expect("it has a start");
+    let mut dirty = all.clone();
+    for one in all.iter().step_by(5) {
+        dirty.push(*one);
+        dirty.push(Observation {
+            observed: Observed::TurnRate(RadiansPerSecond(f64::NAN)),
+            ..*one
+        });
+        dirty.push(Observation {
+            stamp: Stamp::from_nanos(i64::MAX),
+            ..*one
+        });
+    }
+    assert!(rts(&config(), &dirty).expect("it has a start") == clean);
+}
+
+#[test]
+fn a_configuration_that_is_no_number_is_refused() {
+    let all = observations(&lap(None, 1));
+    let mut no_track = config();
+    no_track.geometry.track_width = Meters(0.0);
+    let mut no_noise = config();
+    no_noise.noise.wheel_travel_m_per_sqrt_m = f64::NAN;
+    let mut no_start = config();
+    no_start.start.as_mut().expect("a start").heading_sigma_rad = f64::NAN;
+    for config in [no_track, no_noise, no_start] {
+        assert_eq!(rts(&config, &all), Err(OfflineError::NotFinite));
+    }
 }

@@ -5,7 +5,7 @@
 //!
 //! # Model
 //! ```text
-//! X = [u; x]     F = blkdiag(1, e^(A dt))     H = [G, C]     Q = diag(q dt, 0)     R = sigma^2
+//! X = [u; x]     F = blkdiag(1, e^(A dt))     H = [G, C]     Q by the walk of u     R = sigma^2
 //! start, with the first sample y of a sensor:  u = y / G,  x = 0,  P = (1e5 sigma)^2 I, then that sample is used like any other
 //! ```
 //! With q = 0 this is recursive least squares for u and the initial states, and so block least squares.
@@ -154,7 +154,9 @@ impl DynamicFilter {
         state.stamp = to;
         state.mean = f * state.mean;
         state.covariance = f * state.covariance * f.transpose();
-        state.covariance[(QUANTITY, QUANTITY)] += self.walk_per_sqrt_s.powi(2) * dt_s;
+        if self.walk_per_sqrt_s > 0.0 {
+            state.covariance += self.model.walk_noise(dt_s) * self.walk_per_sqrt_s.powi(2);
+        }
         symmetrise(&mut state.covariance);
         state
     }

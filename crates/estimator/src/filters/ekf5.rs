@@ -12,8 +12,8 @@
 //!
 //! # Assumptions
 //! A known bias of the gyro is subtracted; an unknown one drifts into th_gyro, and into the pose. The integrals begin anew,
-//! at the filter's own heading, when the pose is set, when a sensor had a gap and, with fixes, after each fix that was used:
-//! otherwise their drift would be held against every fix for ever.
+//! at the filter's own heading, when the pose is set, after a gap of the gyro or a new base of the counters, and, with fixes,
+//! after each fix that was used: otherwise their drift would be held against every fix for ever.
 //!
 //! # Sources
 //! Paper 1 (Valera et al.), equations 24 to 26; docs/maths/paper1.md section 4.

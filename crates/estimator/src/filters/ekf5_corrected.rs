@@ -169,8 +169,18 @@ impl Corrected {
         q[(WHEEL_ERROR, WHEEL_ERROR)] += slip.turn_var_rad2;
         q[(PATH, WHEEL_ERROR)] += slip.forward_turn_m_rad;
         q[(WHEEL_ERROR, PATH)] += slip.forward_turn_m_rad;
-        q[(GYRO_BIAS, GYRO_BIAS)] += config.noise.gyro_bias_walk_rad_per_s_sqrt_s.powi(2) * dt_s;
+        q[(GYRO_BIAS, GYRO_BIAS)] += bias_walk(config) * dt_s;
         q
+    }
+
+    /// What the robot drives unseen, of this variance along its heading, the counters see all the same.
+    fn let_path_walk(&mut self, variance: f64) {
+        let (sin, cos) = self.mean[HEADING].sin_cos();
+        self.covariance[(PATH, PATH)] += variance;
+        for (row, share) in [(X, cos), (Y, sin)] {
+            self.covariance[(row, PATH)] += share * variance;
+            self.covariance[(PATH, row)] += share * variance;
+        }
     }
 
     /// A heading that is integrated from here on begins at th: its error is that of th with the other sign.
@@ -197,6 +207,11 @@ impl Corrected {
         self.gyro_heading_rad = self.mean[HEADING];
         self.begin_heading(GYRO_ERROR, 0.0);
     }
+}
+
+/// Variance that the gyro's bias gains in a second, (rad/s)²/s.
+fn bias_walk(config: &FilterConfig) -> f64 {
+    config.noise.gyro_bias_walk_rad_per_s_sqrt_s.powi(2)
 }
 
 /// Adds the noise of a speed that walks at random, and of what moves with it: white acceleration of this density.
@@ -254,14 +269,32 @@ impl Maths for Corrected {
     }
 
     fn wait(&mut self, dt_s: f64, context: &Context) {
-        let params = &context.config.params;
+        let config = &context.config;
+        // The gyro may go on, and its bias with it.
+        let mut f = Covariance::identity();
+        f[(GYRO_ERROR, GYRO_BIAS)] = dt_s;
+        self.mean = f * self.mean;
+        self.covariance = f * self.covariance * f.transpose();
         rows::unseen(&mut self.covariance, dt_s);
-        self.covariance[(FORWARD, FORWARD)] += params.acceleration_m_per_s2.powi(2) * dt_s;
-        self.covariance[(TURN, TURN)] += params.turn_acceleration_rad_per_s2.powi(2) * dt_s;
+        self.let_path_walk(rows::UNSEEN_M_PER_SQRT_S.powi(2) * dt_s);
+        // The speeds afterwards owe nothing to what was predicted before: a path that was missed is no error of theirs.
+        for (row, density) in [
+            (FORWARD, config.params.acceleration_m_per_s2),
+            (TURN, config.params.turn_acceleration_rad_per_s2),
+        ] {
+            let variance = self.covariance[(row, row)] + density * density * dt_s;
+            rows::set_alone(&mut self.covariance, row, variance);
+        }
+        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += bias_walk(config) * dt_s;
+        symmetrise(&mut self.covariance);
     }
 
     fn bridge(&mut self, speeds: [f64; 2], path_m2: f64) {
         rows::bridge(&mut self.mean, &mut self.covariance, speeds, path_m2);
+        // They are measured, and as independent of what was predicted before.
+        for (row, sigma) in [(FORWARD, START_FORWARD), (TURN, START_TURN)] {
+            rows::set_alone(&mut self.covariance, row, sigma * sigma);
+        }
     }
 
     fn rebase_wheels(&mut self, _context: &Context) {

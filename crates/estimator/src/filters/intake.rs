@@ -1,6 +1,8 @@
 //! What every filter asks of an observation before it looks at its own state: are these numbers, is it of this time, does it
 //! tell of motion.
 
+use std::cmp::Reverse;
+
 use posebridge_telemetry::{
     Arena, BrickClock, Fix, FusionRecord, Observation, Observed, Pose, PoseJump, Radians, Span,
     Stamp, Verdict, quantities::wrap_rad,
@@ -38,6 +40,24 @@ pub(crate) fn refuse_outright(
     }
     let horizon = latest - Span::from_secs_f64(history_s);
     (observation.stamp < horizon).then_some(Verdict::TooOld)
+}
+
+/// The observations of a whole run whose numbers can be borne, in the order of time; of one instant the better source of motion
+/// comes first, so that what can be told of it does not depend on the order of arrival.
+pub(crate) fn sound_in_time(observations: &[Observation]) -> Vec<&Observation> {
+    let mut latest = None;
+    let mut sound = Vec::with_capacity(observations.len());
+    for observation in observations {
+        if refuse_outright(observation, latest, f64::INFINITY).is_none() {
+            latest = latest.max(Some(observation.stamp));
+            sound.push(observation);
+        }
+    }
+    sound.sort_by_key(|observation| {
+        let source = motion_reading(&observation.observed).map(|reading| reading.source());
+        (observation.stamp, Reverse(source), observation.sensor)
+    });
+    sound
 }
 
 /// Why a reading cannot follow the one before it, if so: readings of one kind are used in their order and once, and the interval

@@ -222,6 +222,8 @@ impl Filter for OdometryFilter {
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
         self.reckoned = VecDeque::from([Reckoned {
             stamp: None,
+            forward_m_per_s: 0.0,
+            turn_rad_per_s: 0.0,
             ..last
         }]);
     }

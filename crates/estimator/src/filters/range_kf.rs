@@ -37,8 +37,10 @@ const PAPER_STEP_S: f64 = 0.0076;
 const PAPER_RANGE_SIGMA_M: f64 = 0.02;
 /// The paper's matching takes a reading and a step for simultaneous when they are no further apart.
 const MATCHED: Span = Span::from_millis(50);
-/// Longer steps than this are exact in both variants: Euler's rule turns unstable at 0.87 s.
+/// Longer steps than this are exact in both variants. The paper's are 7.6 ms.
 const LONGEST_EULER_STEP_S: f64 = 0.1;
+/// The same for a step in time constants of the drive train: at one Euler's rule begins to swing, at two it turns unstable.
+const LONGEST_EULER_STEP: f64 = 1.0;
 /// Three standard deviations, squared.
 const GATE_NIS: f64 = 9.0;
 
@@ -109,7 +111,9 @@ impl RangeFilter {
         if dt_s <= 0.0 {
             return state;
         }
-        let is_euler = self.variant == Variant::Paper && dt_s <= LONGEST_EULER_STEP_S;
+        let is_euler = self.variant == Variant::Paper
+            && dt_s <= LONGEST_EULER_STEP_S
+            && self.model.rate_per_s() * dt_s <= LONGEST_EULER_STEP;
         let step = if is_euler {
             self.model.euler(dt_s)
         } else {

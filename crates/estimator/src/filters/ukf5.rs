@@ -82,13 +82,24 @@ pub fn predict(
 /// # Errors
 /// [`NotPositive`] when P has a negative eigenvalue beyond rounding or is not finite.
 pub fn square_root(covariance: &Covariance) -> Result<Covariance, NotPositive> {
-    factorise(covariance, |row, pivot| {
+    let root = factorise(covariance, |row, pivot| {
         let rounding = ROUNDING * covariance[(row, row)].abs();
         if !pivot.is_finite() || pivot < -rounding {
             return Err(NotPositive { row, pivot });
         }
         Ok(if pivot <= rounding { 0.0 } else { pivot.sqrt() })
-    })
+    })?;
+    // Rows without variance of their own can share none with the rows below.
+    for row in (0..N).filter(|&row| root[(row, row)] == 0.0) {
+        for below in row + 1..N {
+            let left = covariance[(below, row)] - root.row(below).dot(&root.row(row));
+            let scale = (covariance[(below, below)] * covariance[(row, row)]).sqrt();
+            if left.is_nan() || left.abs() > ROUNDING.sqrt() * scale {
+                return Err(NotPositive { row, pivot: 0.0 });
+            }
+        }
+    }
+    Ok(root)
 }
 
 /// The five states with another prediction.

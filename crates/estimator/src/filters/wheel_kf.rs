@@ -168,9 +168,21 @@ impl WheelKf {
         }
     }
 
-    fn move_pose(&mut self, context: &Context) {
-        (self.pose, self.pose_covariance) = self.carried(StepNoise::default(), context);
+    /// What of the angles' variance is doubt about the pose, left and right, in degrees².
+    fn unsettled(&self) -> [f64; 2] {
+        [0, 1].map(|wheel: usize| {
+            (self.wheels[wheel].covariance[(PHI, PHI)] - self.settled[wheel]).max(0.0)
+        })
+    }
+
+    fn move_pose(&mut self, open: StepNoise, context: &Context) {
+        (self.pose, self.pose_covariance) = self.carried(open, context);
         self.settle();
+    }
+
+    /// Moves the pose to where the angles are, which no later reading will correct: their doubt stays with the pose.
+    fn leave_angles(&mut self, context: &Context) {
+        self.move_pose(Self::open(self.unsettled(), context), context);
     }
 
     fn settle(&mut self) {
@@ -186,10 +198,8 @@ impl Maths for WheelKf {
 
     fn belief(&self, context: &Context) -> Belief {
         // The angles' variance is bounded: it belongs to the pose as it is now and must not be summed up from step to step.
-        let unsettled = [0, 1].map(|wheel: usize| {
-            (self.wheels[wheel].covariance[(PHI, PHI)] - self.settled[wheel]).max(0.0)
-        });
-        let (pose, pose_covariance) = self.carried(Self::open(unsettled, context), context);
+        let open = Self::open(self.unsettled(), context);
+        let (pose, pose_covariance) = self.carried(open, context);
         let rates = self.wheels.map(|wheel| wheel.covariance[(RATE, RATE)]);
         let speeds = Self::open(rates, context);
         let geometry = &context.config.geometry;
@@ -221,7 +231,7 @@ impl Maths for WheelKf {
     }
 
     fn restart(&mut self, position_m: f64, heading_rad: f64, context: &Context) {
-        self.move_pose(context);
+        self.leave_angles(context);
         rows::doubt(&mut self.pose_covariance, position_m, heading_rad);
         self.wheels = self.wheels.map(|wheel| Wheel::at_rest(wheel.variance));
         self.counted = [0.0; 2];
@@ -248,7 +258,7 @@ impl Maths for WheelKf {
     }
 
     fn rebase_wheels(&mut self, context: &Context) {
-        self.move_pose(context);
+        self.leave_angles(context);
         self.counted = self.moved;
     }
 
@@ -276,7 +286,7 @@ impl Maths for WheelKf {
             return Verdict::Malformed;
         }
         *self = next;
-        self.move_pose(context);
+        self.move_pose(StepNoise::default(), context);
         self.settled = [0.0; 2];
         Verdict::Accepted
     }

@@ -11,14 +11,18 @@
 //! lags tau_1 .. tau_n               A_i = diag(-1/tau_j)                     C_i = [1 .. 1]
 //! coefficients a_0 .. a_(n-1)       y^(n) + a_(n-1) y^(n-1) + .. + a_0 y = a_0 G_i u
 //!                                   A_i = companion matrix                   C_i = [1 0 .. 0], x_i = [y - G u, dy/dt, ..]
+//!
+//! a step du of the input            y_i does not leap with it: C_i dx_i = -G_i du, a direction B = [1; -G_i at x_i ..]
+//! an input that walks               Q(dt) = integral over dt of F(s) B B' F(s)' ds, times its density
 //! ```
 //! # Assumptions
-//! The input is the same for all sensors; the dynamics are linear, stable and known.
+//! The input is the same for all sensors; the dynamics are linear, stable and known. Of a sensor with several lags it is not known
+//! which lag takes up a step of the input: each takes up the same share.
 //!
 //! # Sources
 //! Paper 2 (Markovsky), the augmented model; docs/maths/paper2.md sections 1 and 2.
 
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::SensorId;
 
 /// The most states that the sensors of one model may have together. Eight are four sensors of second order.
@@ -35,6 +39,8 @@ pub struct DynamicModel {
     rates: SMatrix<f64, MAX_STATES, MAX_STATES>,
     sensors: Vec<SensorRow>,
     states: usize,
+    /// B: where a step of the quantity leads.
+    step: [f64; ROWS],
 }
 
 /// H of one sensor.
@@ -60,6 +66,7 @@ impl DynamicModel {
             rates: SMatrix::zeros(),
             sensors: Vec::new(),
             states: 0,
+            step: std::array::from_fn(|row| if row == QUANTITY { 1.0 } else { 0.0 }),
         }
     }
 
@@ -139,8 +146,10 @@ impl DynamicModel {
         }
         let mut row = [0.0; ROWS];
         row[QUANTITY] = gain;
+        let read: f64 = readout.iter().sum();
         for j in 0..order {
             row[1 + self.states + j] = readout[j];
+            self.step[1 + self.states + j] = -gain * readout[j] / read;
             for k in 0..order {
                 self.rates[(self.states + j, self.states + k)] = block[(j, k)];
             }
@@ -171,18 +180,47 @@ impl DynamicModel {
             .copy_from(&exponential(&(self.rates * dt_s)));
         f
     }
+
+    /// Q over so many seconds, at least 0, of a quantity that walks with unit density: by doubling from an interval that is short
+    /// against all lags, Q(2 h) = F(h) Q(h) F(h)' + Q(h).
+    #[must_use]
+    pub fn walk_noise(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
+        let doublings = (row_norm(&self.rates) * dt_s / SHORT_STEP)
+            .log2()
+            .ceil()
+            .clamp(0.0, MOST_DOUBLINGS);
+        let short_s = dt_s * (-doublings).exp2();
+        let b = SVector::from(self.step);
+        let middle = self.transition(0.5 * short_s) * b;
+        let mut q = middle * middle.transpose() * short_s;
+        let mut f = self.transition(short_s);
+        for _ in 0..doublings as u32 {
+            q += f * q * f.transpose();
+            f *= f;
+        }
+        q
+    }
+}
+
+/// Over so much of the fastest lag the middle of an interval stands for all of it, to a ten-thousandth.
+const SHORT_STEP: f64 = 1.0 / 32.0;
+/// An hour in steps of a nanosecond.
+const MOST_DOUBLINGS: f64 = 42.0;
+
+/// The largest sum of the magnitudes in a row.
+fn row_norm(matrix: &SMatrix<f64, MAX_STATES, MAX_STATES>) -> f64 {
+    matrix
+        .row_iter()
+        .map(|row| row.iter().map(|value| value.abs()).sum::<f64>())
+        .fold(0.0, f64::max)
 }
 
 /// e^M by Taylor's series of M / 2^s, squared s times (Moler and Van Loan 2003, method 3).
 fn exponential(
     matrix: &SMatrix<f64, MAX_STATES, MAX_STATES>,
 ) -> SMatrix<f64, MAX_STATES, MAX_STATES> {
-    let norm = matrix
-        .row_iter()
-        .map(|row| row.iter().map(|value| value.abs()).sum::<f64>())
-        .fold(0.0, f64::max);
     // Below 1/4 thirteen terms leave less than 1e-17.
-    let squarings = (norm / 0.25).log2().ceil().clamp(0.0, 1_000.0);
+    let squarings = (row_norm(matrix) / 0.25).log2().ceil().clamp(0.0, 1_000.0);
     let small = matrix * (-squarings).exp2();
     let mut sum = SMatrix::identity();
     let mut term = SMatrix::identity();
@@ -289,6 +327,40 @@ mod tests {
         assert!((f[(1, 1)] - decay * (cos + sin / 3.0)).abs() < 1e-14);
         assert!((f[(1, 2)] - decay * sin / 3.0).abs() < 1e-14);
         assert!((f[(2, 1)] + decay * sin * 10.0 / 3.0).abs() < 1e-13);
+    }
+
+    #[test]
+    fn a_walk_of_the_quantity_is_seen_through_the_lag() {
+        let model = DynamicModel::empty().with_lags(A, 2.0, &[3.0]).unwrap();
+        for dt_s in [1e-6_f64, 0.4, 5.0, 900.0] {
+            // u gains dt; x = y - 2 u falls back from each step of it.
+            let (e, e_2) = ((-dt_s / 3.0).exp_m1(), (-2.0 * dt_s / 3.0).exp_m1());
+            let q = model.walk_noise(dt_s);
+            for (found, expected) in [
+                (q[(0, 0)], dt_s),
+                (q[(1, 0)], 2.0 * 3.0 * e),
+                (q[(0, 1)], 2.0 * 3.0 * e),
+                (q[(1, 1)], -4.0 * 1.5 * e_2),
+            ] {
+                assert!((found / expected - 1.0).abs() < 2e-4, "{dt_s}: {q}");
+            }
+        }
+        assert_eq!(model.walk_noise(0.0).norm(), 0.0);
+    }
+
+    #[test]
+    fn a_step_of_the_quantity_makes_no_sensor_leap() {
+        let model = DynamicModel::empty()
+            .with_lags(A, 1.0, &[5.3, 22.0])
+            .unwrap()
+            .with_coefficients(SensorId(7), 0.5, &[0.02, 0.2])
+            .unwrap();
+        let q = model.walk_noise(1e-9) / 1e-9;
+        for sensor in [A, SensorId(7)] {
+            let row = SVector::from(model.row_of(sensor).unwrap());
+            assert!((row.transpose() * q * row)[0].abs() < 1e-12, "{sensor}");
+        }
+        assert!((q[(QUANTITY, QUANTITY)] - 1.0).abs() < 1e-12);
     }
 
     #[test]

@@ -95,7 +95,7 @@ impl WallApproach {
         let g = -(-a * dt_s).exp_m1() / a;
         let g_2 = -(-2.0 * a * dt_s).exp_m1() / (2.0 * a);
         let through = if a * dt_s < SHORT {
-            // The closed form loses its digits; the next term is below a thousandth of a dt of this one.
+            // The closed form loses its digits; the next term is this one times 3/4 a dt.
             dt_s.powi(3) / 3.0
         } else {
             (dt_s - 2.0 * g + g_2) / (a * a)

@@ -32,7 +32,7 @@ const MOST_ROUNDS: u32 = 20;
 /// The most likely path of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Smoothed {
-    /// One per motion reading, in the order of their stamps.
+    /// One per motion reading, in the order of their stamps; of [`super::rts()`] one per fix as well.
     pub poses: Vec<SmoothedPose>,
     /// What fits best; what is not estimated is as it was configured. The gyro bias is that of the last window.
     pub calibration: Calibration,
@@ -68,7 +68,7 @@ pub enum OfflineError {
     NothingObserved {
         /// How many motion readings could be used.
         motion_readings: usize,
-        /// How many fixes.
+        /// How many fixes between the first and the last of them.
         fixes: usize,
     },
     /// The descent does not become still.
@@ -85,7 +85,7 @@ pub enum OfflineError {
 /// Finds the most likely path and calibration.
 ///
 /// Takes the observations in any order. `config` says what is known beforehand, as for a filter: start, noise, calibration (a
-/// constant whose sigma is zero is not estimated), the gate and the length of gyro windows.
+/// constant whose sigma is zero is not estimated) and the gate.
 ///
 /// # Errors
 /// [`OfflineError`]: nothing observed, no convergence, or a configuration that is not finite.
@@ -94,10 +94,10 @@ pub fn batch(
     observations: &[Observation],
 ) -> Result<Smoothed, OfflineError> {
     let run = Run::new(config, observations);
-    if run.motion_readings() == 0 || (config.start.is_none() && run.fixes() == 0) {
+    if run.motion_readings() == 0 {
         return Err(OfflineError::NothingObserved {
-            motion_readings: run.motion_readings(),
-            fixes: run.fixes(),
+            motion_readings: 0,
+            fixes: 0,
         });
     }
     if !is_sane(config) {
@@ -109,6 +109,12 @@ pub fn batch(
     let mut cost = f64::NAN;
     for round in 0..MOST_ROUNDS {
         let problem = run.problem(state.delay_s);
+        if config.start.is_none() && problem.fixes.is_empty() {
+            return Err(OfflineError::NothingObserved {
+                motion_readings: run.motion_readings(),
+                fixes: 0,
+            });
+        }
         let whiteners = whiteners(&problem, &state.constants)?;
         let descended = state.descend(&problem, &whiteners, gates)?;
         iterations += descended.steps;
@@ -131,7 +137,8 @@ pub fn batch(
     Err(OfflineError::Diverged { cost })
 }
 
-fn is_sane(config: &FilterConfig) -> bool {
+/// Whether geometry, start and what is known beforehand are numbers that a robot can have.
+pub(super) fn is_sane(config: &FilterConfig) -> bool {
     let geometry = &config.geometry;
     let lengths = [
         geometry.left_wheel_radius.0,

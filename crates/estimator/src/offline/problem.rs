@@ -6,8 +6,6 @@
 //!
 //! Source: docs/maths/batch.md sections 1 and 2.
 
-use std::cmp::Reverse;
-
 use posebridge_telemetry::{BrickClock, Fix, Observation, Observed, Span, Stamp};
 
 use super::values::{CONSTANTS, Layout, constants_of};
@@ -91,12 +89,6 @@ pub(super) struct Run<'a> {
 impl<'a> Run<'a> {
     /// Sorts and sifts the observations: malformed ones, repeated ones and kinds that are not used are left out.
     pub(super) fn new(config: &'a FilterConfig, observations: &[Observation]) -> Self {
-        let mut sorted: Vec<&Observation> = sound(observations);
-        sorted.sort_by_key(|observation| {
-            let source =
-                intake::motion_reading(&observation.observed).map(|reading| reading.source());
-            (observation.stamp, Reverse(source), observation.sensor)
-        });
         let mut run = Self {
             config,
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
@@ -104,7 +96,7 @@ impl<'a> Run<'a> {
             readings: Vec::new(),
             fixes: Vec::new(),
         };
-        for observation in sorted {
+        for observation in intake::sound_in_time(observations) {
             run.take(observation);
         }
         run
@@ -283,19 +275,6 @@ const SMALLEST_TURN_VARIANCE: f64 = 1e-12;
 enum Stop {
     Reading,
     Fix(usize),
-}
-
-/// The observations whose numbers can be borne, judged in the order in which they came.
-fn sound(observations: &[Observation]) -> Vec<&Observation> {
-    let mut latest = None;
-    let mut sound = Vec::with_capacity(observations.len());
-    for observation in observations {
-        if intake::refuse_outright(observation, latest, f64::INFINITY).is_none() {
-            latest = latest.max(Some(observation.stamp));
-            sound.push(observation);
-        }
-    }
-    sound
 }
 
 /// The unknowns of a run and what ties them together.

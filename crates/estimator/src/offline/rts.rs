@@ -7,16 +7,22 @@
 
 use posebridge_telemetry::{Observation, Observed};
 
+use super::batch::is_sane;
 use super::{OfflineError, Smoothed, SmoothedPose};
 use crate::filters::FilterConfig;
-use crate::filters::pose::smooth::smooth;
+use crate::filters::pose::smooth::{Hindsight, smooth};
 
 /// Smooths a run with the flagship filter. Observations may come in any order; one pose per motion reading and per absolute
-/// observation that was used. `iterations` and `gyro_windows` of the result are those of one pass: 1 and 0.
+/// observation that was used. Of the result, `cost` is the sum of the NIS of the absolute observations that were used, as the
+/// filter met them; `fixes_used` and `fixes_left_out` count all of these, landmarks and ranges too; `iterations` and
+/// `gyro_windows` are those of one pass: 1 and 0.
 ///
 /// # Errors
-/// Nothing moved, or neither start nor fix tells where it was.
+/// Nothing moved, neither start nor fix tells where it was, or the configuration is not finite.
 pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<Smoothed, OfflineError> {
+    if !is_sane(config) {
+        return Err(OfflineError::NotFinite);
+    }
     let smoothing = smooth(config, observations);
     let fixes = observations
         .iter()
@@ -27,6 +33,13 @@ pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<Smooth
             motion_readings: smoothing.states.len(),
             fixes,
         });
+    }
+    let is_finite = |hindsight: &Hindsight| {
+        let covariance = &hindsight.state.covariance;
+        hindsight.state.pose.x_m.is_finite() && covariance.iter().all(|value| value.is_finite())
+    };
+    if !smoothing.states.iter().all(is_finite) {
+        return Err(OfflineError::NotFinite);
     }
     let poses = smoothing.states.iter().map(|hindsight| {
         let published = hindsight.state.published_covariance();

@@ -25,9 +25,11 @@ mod fixes;
 mod instruments;
 mod nominal;
 
+use std::collections::BTreeMap;
+
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, Fix, FusionRecord, Known, Observation, Observed, Span,
-    Stamp, Verdict,
+    BrickClock, Calibration, Estimate, Fix, FusionRecord, Known, Observation, Observed, SensorId,
+    Span, Stamp, Verdict,
 };
 
 use self::belief::Belief;
@@ -62,6 +64,8 @@ pub struct IndirectFilter {
     path: Path,
     timeline: Timeline<Belief>,
     latest: Option<Stamp<BrickClock>>,
+    /// The last fix of each sensor that was used.
+    last_fixes: BTreeMap<SensorId, Stamp<BrickClock>>,
     refused: Option<Refused>,
 }
 
@@ -75,6 +79,7 @@ impl IndirectFilter {
             path: Path::new(config, correction),
             timeline: Timeline::new(config.params.history_s),
             latest: None,
+            last_fixes: BTreeMap::new(),
             refused: None,
         }
     }
@@ -119,6 +124,11 @@ impl IndirectFilter {
 
     fn take_fix(&mut self, record: &mut FusionRecord, fix: &Fix, stamp_sigma_s: f64) {
         let stamp = record.stamp;
+        let before = self.last_fixes.get(&record.sensor).copied();
+        if let Some(verdict) = intake::refuse_repeated(before, stamp) {
+            record.verdict = verdict;
+            return;
+        }
         record.verdict = if self.path.is_placed() {
             self.path.use_fix(record, fix, stamp_sigma_s)
         } else {
@@ -129,9 +139,10 @@ impl IndirectFilter {
             self.path.place(fix);
             record.verdict = Verdict::ResetTo;
         }
-        if record.verdict == Verdict::Gated {
+        if !matches!(record.verdict, Verdict::Accepted | Verdict::ResetTo) {
             return;
         }
+        self.last_fixes.insert(record.sensor, stamp);
         self.refused = None;
         self.path.note_fix(stamp);
         if self.path.stamp().is_none() {
@@ -201,6 +212,7 @@ impl Filter for IndirectFilter {
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
         self.timeline.clear();
         self.latest = None;
+        self.last_fixes.clear();
         self.refused = None;
     }
 

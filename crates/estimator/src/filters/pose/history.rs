@@ -31,6 +31,25 @@ impl Action {
             Self::SetPose(_) => 4,
         }
     }
+
+    /// The order of two actions of one rank, sensor and instant: that of two sights is by what they say.
+    pub(super) fn order(&self, other: &Self) -> Ordering {
+        match (self, other) {
+            (Self::Sight(ours, _), Self::Sight(theirs, _)) => {
+                order_of_numbers(&numbers_of(ours), &numbers_of(theirs))
+            }
+            _ => Ordering::Equal,
+        }
+    }
+
+    /// Whether another action of the same sensor and instant says the same.
+    pub(super) fn repeats(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Sight(ours, _), Self::Sight(theirs, _)) => ours == theirs,
+            (Self::Accelerations(_), Self::Accelerations(_)) => true,
+            _ => false,
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -54,22 +73,14 @@ impl<const N: usize> Entry<N> {
         let key = |entry: &Self| (entry.stamp, entry.action.rank(), entry.sensor);
         key(self)
             .cmp(&key(other))
-            .then_with(|| match (&self.action, &other.action) {
-                (Action::Sight(ours, _), Action::Sight(theirs, _)) => {
-                    order_of_numbers(&numbers_of(ours), &numbers_of(theirs))
-                }
-                _ => Ordering::Equal,
-            })
+            .then_with(|| self.action.order(&other.action))
     }
 
     /// Whether another entry says the same of the same instant: a datagram that came twice.
     pub(super) fn repeats(&self, other: &Self) -> bool {
-        let is_same = match (&self.action, &other.action) {
-            (Action::Sight(ours, _), Action::Sight(theirs, _)) => ours == theirs,
-            (Action::Accelerations(_), Action::Accelerations(_)) => true,
-            _ => false,
-        };
-        is_same && self.stamp == other.stamp && self.sensor == other.sensor
+        self.stamp == other.stamp
+            && self.sensor == other.sensor
+            && self.action.repeats(&other.action)
     }
 }
 

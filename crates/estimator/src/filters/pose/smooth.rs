@@ -14,6 +14,8 @@
 //! # Source
 //! Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
 
+use std::cmp::Ordering;
+
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use posebridge_telemetry::{
     BrickClock, Calibration, FusionRecord, Observation, SensorId, Stamp, Verdict,
@@ -63,6 +65,23 @@ struct Told {
     action: Action,
 }
 
+impl Told {
+    /// The order in which the filter applies them.
+    fn order(&self, other: &Self) -> Ordering {
+        let key = |told: &Self| (told.stamp, told.action.rank(), told.sensor);
+        key(self)
+            .cmp(&key(other))
+            .then_with(|| self.action.order(&other.action))
+    }
+
+    /// Whether it is a datagram that came twice.
+    fn repeats(&self, other: &Self) -> bool {
+        self.stamp == other.stamp
+            && self.sensor == other.sensor
+            && self.action.repeats(&other.action)
+    }
+}
+
 /// What the way back needs of one observation.
 struct Passed {
     stamp: Stamp<BrickClock>,
@@ -109,12 +128,7 @@ fn heard(
     let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
     let mut gyro = GyroTrack::default();
     let mut told = Vec::with_capacity(observations.len());
-    let mut in_time: Vec<&Observation> = observations
-        .iter()
-        .filter(|observation| intake::refuse_outright(observation, None, 0.0).is_none())
-        .collect();
-    in_time.sort_by_key(|observation| observation.stamp);
-    for observation in in_time {
+    for observation in intake::sound_in_time(observations) {
         let Some(action) = action_of(observation) else {
             continue;
         };
@@ -134,7 +148,8 @@ fn heard(
             });
         }
     }
-    told.sort_by_key(|entry| (entry.stamp, entry.action.rank(), entry.sensor.0));
+    told.sort_by(Told::order);
+    told.dedup_by(|later, earlier| later.repeats(earlier));
     (told, track, gyro)
 }
 

@@ -62,13 +62,18 @@ impl<M: Maths> Instant<M> {
         // Before the first reading of the wheels nothing has gone stale yet.
         let held_until = self.last_motion.unwrap_or(from) + SPEEDS_HELD;
         let moving_until = held_until.clamp(from, stamp);
-        if moving_until > from {
-            let felt = self
-                .felt
-                .filter(|(felt_at, _)| from - *felt_at <= ACCELERATIONS_HELD)
-                .map_or_else(Acceleration::default, |(_, felt)| felt);
-            let dt_s = (moving_until - from).as_secs_f64();
+        let (felt, felt_until) = self.felt.map_or_else(
+            || (Acceleration::default(), from),
+            |(felt_at, felt)| (felt, felt_at + ACCELERATIONS_HELD),
+        );
+        let changing_until = felt_until.clamp(from, moving_until);
+        if changing_until > from {
+            let dt_s = (changing_until - from).as_secs_f64();
             self.maths.advance(dt_s, felt, context);
+        }
+        if moving_until > changing_until {
+            let dt_s = (moving_until - changing_until).as_secs_f64();
+            self.maths.advance(dt_s, Acceleration::default(), context);
         }
         if stamp > moving_until {
             self.maths

@@ -7,7 +7,7 @@ use crate::filters::StartPose;
 
 /// What a robot may do while nothing tells of its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
 /// walking pace.
-const UNSEEN_M_PER_SQRT_S: f64 = 0.3;
+pub(in crate::filters) const UNSEEN_M_PER_SQRT_S: f64 = 0.3;
 /// The same for its heading, rad per sqrt(s).
 const UNSEEN_RAD_PER_SQRT_S: f64 = 1.0;
 
