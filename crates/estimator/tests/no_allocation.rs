@@ -6,14 +6,17 @@ mod arena;
 mod robot;
 #[path = "support/steady.rs"]
 mod steady;
+#[path = "support/unknown.rs"]
+mod unknown;
 
 use std::hint::black_box;
 
 use allocation_counter::measure;
 use arena::{furnished, others};
-use posebridge_estimator::{FILTERS, Filter, filter_named};
-use posebridge_telemetry::Verdict;
+use posebridge_estimator::{FILTERS, Filter, FilterConfig, filter_named};
+use posebridge_telemetry::{Known, Observed, Verdict};
 use steady::{LATE_STEPS, fix, gyro, stamp, wheels};
+use unknown::all_unknown;
 
 /// A minute at 20 Hz: twenty times the history.
 const WARM_UP: i64 = 1_200;
@@ -51,6 +54,46 @@ fn a_step_of_any_filter_allocates_nothing_once_its_history_is_full() {
         }
     }
     assert!(guilty.is_empty(), "{guilty:#?}");
+}
+
+/// The flagship with every state, and with a heading that it never comes to know: the robot stands, and no fix tells it.
+#[test]
+fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_heading() {
+    let pose = filter_named("pose").unwrap();
+    let mut config = FilterConfig {
+        calibration: all_unknown(),
+        ..furnished()
+    };
+    config.calibration.fix_delay_s = Known {
+        value: 0.12,
+        sigma: 0.1,
+    };
+    let mut filter = (pose.build)(&config);
+    (0..WARM_UP).for_each(|k| step(filter.as_mut(), k));
+    let counted = measure(|| {
+        (WARM_UP..WARM_UP + MEASURED).for_each(|k| step(filter.as_mut(), k));
+    });
+    assert_eq!(counted.count_total, 0, "{counted:?}");
+
+    config.start = None;
+    let mut lost = (pose.build)(&config);
+    let mut look = |k: i64| {
+        let mut seen = fix(0);
+        seen.stamp = stamp(k);
+        if let Observed::Fix(fix) = &mut seen.observed {
+            fix.heading = None;
+        }
+        black_box(lost.observe(&seen)).verdict
+    };
+    (0..WARM_UP).for_each(|k| assert_ne!(look(k), Verdict::Malformed));
+    let counted = measure(|| {
+        (WARM_UP..WARM_UP + MEASURED).for_each(|k| {
+            look(k);
+        });
+    });
+    assert_eq!(counted.count_total, 0, "{counted:?}");
+    let latest = lost.estimate_at(stamp(WARM_UP + MEASURED - 1)).unwrap();
+    assert!(latest.validity.position && !latest.validity.heading);
 }
 
 #[test]

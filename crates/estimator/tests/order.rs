@@ -10,19 +10,22 @@ mod drive;
 mod robot;
 #[path = "support/senses.rs"]
 mod senses;
+#[path = "support/unknown.rs"]
+mod unknown;
 
 use drive::{Camera, Scenario, drive, stamp};
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::{CORE, WITH_CAMERA, WITH_RANGES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Fix, Known, Meters, Observation, Observed, PositionCovariance, Radians, SensorId,
-    Span, Stamp, Verdict,
+    BrickClock, Fix, Meters, Observation, Observed, PositionCovariance, Radians, SensorId, Span,
+    Stamp, Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use robot::config;
 use senses::{Senses, add, furnished, step_between};
+use unknown::all_unknown;
 
 /// The history of 3 s: every delay is shorter by a millisecond at least.
 const LATEST_BY_MS: i64 = 3_000;
@@ -189,16 +192,19 @@ fn the_order_of_arrival_does_not_matter_across_holes_and_jumps_of_the_counters()
     assert_order_does_not_matter(&config(), &observations);
 }
 
+/// What came before the last fix, and that.
+fn until_a_fix(mut observations: Vec<Observation>) -> (Vec<Observation>, Observation) {
+    loop {
+        let last = observations.pop().expect("the camera looked");
+        if last.sensor == SensorId::CAMERA {
+            return (observations, last);
+        }
+    }
+}
+
 #[test]
 fn two_fixes_of_one_instant_count_in_either_order_and_one_that_comes_twice_counts_once() {
-    let mut before = observations(6);
-    while before
-        .last()
-        .is_some_and(|last| last.sensor != SensorId::CAMERA)
-    {
-        before.pop();
-    }
-    let one = before.pop().expect("the camera looked");
+    let (before, one) = until_a_fix(observations(6));
     let two = moved_by(&one, 0.001);
     let together =
         |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
@@ -308,17 +314,10 @@ fn with_everything(config: &FilterConfig, seed: u64) -> Vec<Observation> {
 
 /// A configuration that asks for every state there is.
 fn learning_everything() -> FilterConfig {
-    let unknown = |sigma| Known { value: 0.0, sigma };
-    let mut config = furnished(&config());
-    config.calibration.radius_scale = unknown(0.005);
-    config.calibration.radius_difference = unknown(0.005);
-    config.calibration.track_scale = unknown(0.03);
-    config.calibration.fix_delay_s = unknown(0.1);
-    config.calibration.tag_forward_m = unknown(0.02);
-    config.calibration.tag_left_m = unknown(0.02);
-    config.calibration.beacon_offset_m = unknown(0.3);
-    config.calibration.beacon_scale = unknown(0.02);
-    config
+    FilterConfig {
+        calibration: all_unknown(),
+        ..furnished(&config())
+    }
 }
 
 #[test]
@@ -362,14 +361,7 @@ fn the_order_of_arrival_does_not_matter_with_a_camera_whose_delay_is_learned() {
 
 #[test]
 fn two_fixes_of_one_instant_and_place_that_claim_other_noise_count_in_either_order() {
-    let mut before = observations(6);
-    while before
-        .last()
-        .is_some_and(|last| last.sensor != SensorId::CAMERA)
-    {
-        before.pop();
-    }
-    let one = before.pop().expect("the camera looked");
+    let (before, one) = until_a_fix(observations(6));
     let claims = |variance: f64| {
         let Observed::Fix(mut fix) = one.observed else {
             return one;

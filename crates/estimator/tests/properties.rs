@@ -5,6 +5,8 @@
 mod any;
 #[path = "support/robot.rs"]
 mod robot;
+#[path = "support/unknown.rs"]
+mod unknown;
 
 use std::f64::consts::PI;
 

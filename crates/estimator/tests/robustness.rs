@@ -15,6 +15,8 @@ mod drive;
 mod heading;
 #[path = "robustness/noise.rs"]
 mod noise;
+#[path = "robustness/placed.rs"]
+mod placed;
 #[path = "support/robot.rs"]
 mod robot;
 #[path = "support/score.rs"]

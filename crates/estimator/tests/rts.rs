@@ -254,3 +254,31 @@ fn a_configuration_that_is_no_number_is_refused() {
         assert_eq!(rts(&config, &all), Err(OfflineError::NotFinite));
     }
 }
+
+#[test]
+fn fixes_that_come_twice_count_once_and_those_of_one_instant_in_either_order() {
+    let mut observations = observations(&lap(Some(CAMERA), 4));
+    // A second view of the same instant by the same camera, a little off.
+    let second_views: Vec<Observation> = observations
+        .iter()
+        .filter_map(|seen| {
+            let Observed::Fix(mut fix) = seen.observed else {
+                return None;
+            };
+            fix.position.x.0 += 0.004;
+            Some(Observation {
+                observed: Observed::Fix(fix),
+                ..*seen
+            })
+        })
+        .collect();
+    observations.extend(second_views);
+    let once = rts(&config(), &observations).expect("it has a start");
+    let twice: Vec<Observation> = observations
+        .iter()
+        .rev()
+        .chain(&observations)
+        .copied()
+        .collect();
+    assert_eq!(rts(&config(), &twice).expect("it has a start"), once);
+}

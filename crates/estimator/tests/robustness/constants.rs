@@ -193,7 +193,7 @@ fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
 }
 
 /// Fixes that carry a stamp which is `late` after the instant that they show, of a tag that is not where they say.
-fn delayed(drive: Drive, late: Span, (forward_m, left_m): (f64, f64)) -> Drive {
+pub(crate) fn delayed(drive: Drive, late: Span, (forward_m, left_m): (f64, f64)) -> Drive {
     let poses = drive.poses.clone();
     altered(drive, |observation| {
         let Observed::Fix(mut fix) = observation.observed else {

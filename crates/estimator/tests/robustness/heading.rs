@@ -9,7 +9,7 @@ use posebridge_telemetry::{
     quantities::wrap_rad,
 };
 
-use crate::alter::{altered_fixes, at, driven};
+use crate::alter::{altered_fixes, at, driven, error_at, fixes, share_accepted, without_start};
 use crate::drive::{Camera, Drive, STEP_S, World, stamp};
 use crate::robot::{DEGREE, NOISE, config};
 use crate::score::{Score, mean, play, score};
@@ -133,6 +133,56 @@ fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
     }
 }
 
+#[test]
+fn a_robot_that_stands_learns_nothing_of_its_heading_from_the_noise_of_its_fixes() {
+    for tag_m in [0.0, 0.1, 0.4] {
+        for seed in 0..5 {
+            let mut world = World::new(seed);
+            let camera = Camera {
+                every: 2,
+                delay: 0,
+                spread: 0,
+                outliers: 0.0,
+            };
+            let standing = driven(&mut world, [(0.0, 0.0); 600], Some(camera));
+            let drive = altered_fixes(standing, |_, mut fix| {
+                fix.position.x += Meters(tag_m);
+                fix.heading = None;
+                fix.tag_in_body = Point2::new(Meters(tag_m), Meters(0.0));
+                Some(fix)
+            });
+            let played = play(&drive, &without_start());
+            let end = at(&played, 600);
+            let sigma_rad = end.heading_sigma_rad();
+            assert!(sigma_rad > 1.8, "tag {tag_m}, seed {seed}: {sigma_rad}");
+            assert!(end.validity.position && !end.validity.heading);
+            let used = share_accepted(&fixes(&played, &(1..600)));
+            assert!(used > 0.98, "tag {tag_m}, seed {seed}: {used}");
+        }
+    }
+}
+
+#[test]
+fn a_start_that_is_wrong_by_far_is_left_however_little_is_known_of_the_heading() {
+    for heading_sigma_rad in [0.2, 1.8, 20.0] {
+        for run in 0..10_u32 {
+            let drive = winding(0.6 * f64::from(run) - 3.0, Point2::ORIGIN, u64::from(run));
+            let mut config = heading_unknown();
+            config.start = Some(StartPose {
+                pose: Pose::new(Meters(40.0), Meters(-70.0), Heading::default()),
+                position_sigma_m: 0.01,
+                heading_sigma_rad,
+            });
+            let played = play(&drive, &config);
+            let (position_m, heading_rad) = error_at(&drive, &played, 400);
+            let what = format!("sigma {heading_sigma_rad}, run {run}");
+            assert!(at(&played, 400).reset_counter > 0, "{what}");
+            assert!(position_m < 0.02, "{what}: {position_m}");
+            assert!(heading_rad < 3.0 * DEGREE, "{what}: {heading_rad}");
+        }
+    }
+}
+
 /// Minus twice the logarithm of the likelihood of a pose: how far it is from the start, and how far its tag from where it was seen.
 fn cost(start: Se2, [forward_m, left_m, turn_rad]: [f64; 3], seen: &Fix) -> f64 {
     let pose = start.then(Se2::exp([forward_m, left_m, turn_rad]));
@@ -180,6 +230,11 @@ fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
         let xi = start.to(filter.state().pose).log();
         let least = cost(start, xi, &seen);
         assert!((record.nis - least).abs() < 1e-6, "it is the NIS: {least}");
+        let s = record.innovation_covariance;
+        let determinant = s[0][0] * s[1][1] - s[0][1] * s[1][0];
+        let log_likelihood =
+            -0.5 * (record.nis + (std::f64::consts::TAU.powi(2) * determinant).ln());
+        assert!((record.log_likelihood - log_likelihood).abs() < 1e-9);
         for row in 0..3 {
             for by in [-1e-3, 1e-3] {
                 let mut other = xi;

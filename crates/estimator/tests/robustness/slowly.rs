@@ -1,7 +1,7 @@
 //! Rest and motion that the encoders hardly show: what the gyro's bias makes of them.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, GYRO_BIAS, ROUNDING, WINDOW_TURN};
+use posebridge_estimator::filters::pose::state::{CORE, Counts, GYRO_BIAS, ROUNDING, WINDOW_TURN};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{Observation, Observed, Radians, RadiansPerSecond, SensorId, Span};
 use rand::{RngExt, SeedableRng};
@@ -157,4 +157,13 @@ fn a_bias_that_was_given_is_where_learning_begins() {
     let known = filter.calibration().unwrap().gyro_bias_rad_per_s;
     assert_eq!(known.value, 0.03);
     assert_eq!(known.sigma, NOISE.gyro_bias_rad_per_s);
+}
+
+#[test]
+fn a_restart_of_the_bricks_clock_forgets_when_counts_changed_by_the_old_one() {
+    let mut filter = PoseFilter::<CORE>::new(&config());
+    turn_slowly(&mut filter, 0.3, 0.01, 1);
+    assert_ne!(filter.state().counts, Counts::default());
+    filter.restart_clock();
+    assert_eq!(filter.state().counts, Counts::default());
 }

@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
-    BeaconId, Celsius, Fix, Heading, Known, LandmarkId, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Observation, Observed, Point2, Pose, PositionCovariance, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, Wall, World,
+    BeaconId, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
+    Observation, Observed, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId,
+    Span, Stamp, Wall, World,
 };
 use proptest::prelude::*;
 
 use super::robot::config;
+use super::unknown::all_unknown;
 
 /// What was observed, by name in messages.
 #[derive(Clone, Copy, Debug)]
@@ -66,17 +67,10 @@ pub(crate) fn without_learning() -> FilterConfig {
 
 /// The same with every constant to be learned.
 pub(crate) fn learning_everything() -> FilterConfig {
-    let unknown = |sigma| Known { value: 0.0, sigma };
-    let mut config = without_learning();
-    config.calibration.radius_scale = unknown(0.005);
-    config.calibration.radius_difference = unknown(0.005);
-    config.calibration.track_scale = unknown(0.03);
-    config.calibration.fix_delay_s = unknown(0.1);
-    config.calibration.tag_forward_m = unknown(0.02);
-    config.calibration.tag_left_m = unknown(0.02);
-    config.calibration.beacon_offset_m = unknown(0.3);
-    config.calibration.beacon_scale = unknown(0.02);
-    config
+    FilterConfig {
+        calibration: all_unknown(),
+        ..without_learning()
+    }
 }
 
 fn fix(

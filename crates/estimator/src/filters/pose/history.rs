@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use posebridge_telemetry::{BrickClock, Fix, Heading, Observed, Span, Stamp, Verdict};
+use posebridge_telemetry::{BrickClock, Fix, Heading, Observed, SensorId, Span, Stamp, Verdict};
 
 use super::state::PoseState;
 use crate::filters::StartPose;
@@ -52,35 +52,43 @@ impl Action {
     }
 }
 
+/// What was told, of which instant and by whom.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Told {
+    pub(super) stamp: Stamp<BrickClock>,
+    pub(super) sensor: SensorId,
+    pub(super) action: Action,
+}
+
+impl Told {
+    /// The order in which it is applied: by stamp, rank and sensor, and two sights of one sensor by what they say.
+    pub(super) fn order(&self, other: &Self) -> Ordering {
+        let key = |told: &Self| (told.stamp, told.action.rank(), told.sensor.0);
+        key(self)
+            .cmp(&key(other))
+            .then_with(|| self.action.order(&other.action))
+    }
+
+    /// Whether another says the same of the same instant: a datagram that came twice.
+    pub(super) fn repeats(&self, other: &Self) -> bool {
+        self.stamp == other.stamp
+            && self.sensor == other.sensor
+            && self.action.repeats(&other.action)
+    }
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct Entry<const N: usize> {
-    pub(super) stamp: Stamp<BrickClock>,
-    pub(super) action: Action,
-    pub(super) sensor: u8,
-    /// The state after this entry.
+    pub(super) told: Told,
+    /// The state after it.
     pub(super) after: PoseState<N>,
 }
 
 impl<const N: usize> Entry<N> {
     /// Whether this is a sight that was not used.
     pub(super) const fn is_without_effect(&self, verdict: Verdict) -> bool {
-        matches!(self.action, Action::Sight(..))
+        matches!(self.told.action, Action::Sight(..))
             && !matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
-    }
-
-    /// The order in which entries are applied: by stamp, rank and sensor, and two sights of one sensor by what they say.
-    pub(super) fn order(&self, other: &Self) -> Ordering {
-        let key = |entry: &Self| (entry.stamp, entry.action.rank(), entry.sensor);
-        key(self)
-            .cmp(&key(other))
-            .then_with(|| self.action.order(&other.action))
-    }
-
-    /// Whether another entry says the same of the same instant: a datagram that came twice.
-    pub(super) fn repeats(&self, other: &Self) -> bool {
-        self.stamp == other.stamp
-            && self.sensor == other.sensor
-            && self.action.repeats(&other.action)
     }
 }
 

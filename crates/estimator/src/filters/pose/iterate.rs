@@ -2,11 +2,14 @@
 //!
 //! # Model
 //! ```text
-//! minimise   xi' P^-1 xi + |z - h(X exp xi)|^2 by R^-1
-//! xi <- P H' S^-1 (nu(xi) + H xi)        H taken at X exp xi, S = H P H' + R
+//! minimise   c(xi) = xi' P^-1 xi + nu' R^-1 nu         nu the innovation at X exp xi
+//! aim at     P H' S^-1 (nu + H xi)                     H taken at X exp xi, S = H P H' + R
+//! xi <- xi + a (aim - xi)                              a = 1, 1/2, 1/4 ..: the first with which c falls
 //! ```
 //! With left-invariant errors an unknown heading is a straight line in xi however far the robot has gone, so that P says exactly
-//! what is known; only the observation bends, and the iteration follows it. The minimum is chi-square distributed like a NIS.
+//! what is known; only the observation bends, and the iteration follows it. Whole steps would swing to and fro where a tag far from
+//! mid-axle has been seen for long: there an innovation of millimetres bends the valley of c by radians. P may be singular (rows
+//! that are certain), so xi = P y is sought by its y. The minimum is chi-square distributed like a NIS.
 //!
 //! # Source
 //! Barrau and Bonnabel (2017); Bell and Cathey (1993) for the iterated update as Gauss-Newton; docs/maths/pose.md section 4.
@@ -21,8 +24,12 @@ use crate::update::{Measurement, symmetrise};
 pub(super) const ITERATE_ABOVE_RAD: f64 = 0.15;
 /// From the far side of the circle it takes about twenty steps.
 const MOST_STEPS: usize = 60;
-/// A correction that moves no more than this in any row has arrived.
+/// A step is halved so often before it counts as none: to a thousandth.
+const MOST_HALVINGS: usize = 10;
+/// A step by which c falls no more has arrived: a thirty-thousandth of a sigma.
 const ARRIVED: f64 = 1e-9;
+/// The same after the last step, in a valley that is long and flat: a thirtieth of a sigma.
+const NEARLY_ARRIVED: f64 = 1e-3;
 
 /// What an iterated update found.
 pub(super) struct Found<const N: usize> {
@@ -32,54 +39,113 @@ pub(super) struct Found<const N: usize> {
     pub(super) nis: f64,
 }
 
-/// Seeks the most likely correction; `None` when S is not positive definite or the iteration does not arrive.
+/// Seeks the most likely correction; `None` when R or S has no inverse, or when the iteration does not arrive.
 pub(super) fn iterate<const N: usize, const M: usize>(
     state: &PoseState<N>,
     measure: &impl Fn(&PoseState<N>) -> Measurement<N, M>,
 ) -> Option<Found<N>> {
-    let p = &state.covariance;
-    let mut xi = SVector::<f64, N>::zeros();
+    let mut at = Trial::at(state, SVector::zeros(), measure)?;
+    let mut fall = f64::INFINITY;
     for _ in 0..MOST_STEPS {
-        let moved = moved_by(state, &xi);
-        let measurement = measure(&moved);
-        let jacobian = measurement.jacobian * turned(&xi);
-        let s = jacobian * p * jacobian.transpose() + measurement.noise;
-        let weighted = s.try_inverse()? * (measurement.innovation + jacobian * xi);
-        let next = p * jacobian.transpose() * weighted;
-        let step = next - xi;
-        xi = next;
-        if step.amax() < ARRIVED {
-            return settle(state, &xi, measure);
+        let aim = at.aim(&state.covariance)?;
+        let Some(next) = at.on_the_way_to(&aim, state, measure) else {
+            // Nowhere on the way is it better than here, but for rounding.
+            return at.settled(state);
+        };
+        fall = at.cost - next.cost;
+        at = next;
+        if fall < ARRIVED {
+            return at.settled(state);
         }
     }
-    None
+    if fall < NEARLY_ARRIVED {
+        at.settled(state)
+    } else {
+        None
+    }
 }
 
-/// The state at the minimum, its covariance in the space that it has there.
-fn settle<const N: usize, const M: usize>(
-    state: &PoseState<N>,
+/// A correction that is tried.
+struct Trial<const N: usize, const M: usize> {
+    /// y of xi = P y.
+    y: SVector<f64, N>,
+    xi: SVector<f64, N>,
+    /// Taken at X exp xi.
+    measurement: Measurement<N, M>,
+    /// c.
+    cost: f64,
+}
+
+impl<const N: usize, const M: usize> Trial<N, M> {
+    fn at(
+        state: &PoseState<N>,
+        y: SVector<f64, N>,
+        measure: &impl Fn(&PoseState<N>) -> Measurement<N, M>,
+    ) -> Option<Self> {
+        let xi = state.covariance * y;
+        let measurement = measure(&moved_by(state, &xi));
+        let nu = measurement.innovation;
+        let cost = y.dot(&xi) + nu.dot(&(measurement.noise.try_inverse()? * nu));
+        cost.is_finite().then_some(Self {
+            y,
+            xi,
+            measurement,
+            cost,
+        })
+    }
+
+    /// The y of the correction that would be the most likely one if nothing bent.
+    fn aim(&self, p: &SMatrix<f64, N, N>) -> Option<SVector<f64, N>> {
+        let jacobian = self.measurement.jacobian * turned(&self.xi);
+        let s = jacobian * p * jacobian.transpose() + self.measurement.noise;
+        let nu = self.measurement.innovation;
+        Some(jacobian.transpose() * (s.try_inverse()? * (nu + jacobian * self.xi)))
+    }
+
+    /// The first trial on the way to another y, from its end, that is better than this.
+    fn on_the_way_to(
+        &self,
+        aim: &SVector<f64, N>,
+        state: &PoseState<N>,
+        measure: &impl Fn(&PoseState<N>) -> Measurement<N, M>,
+    ) -> Option<Self> {
+        let mut share = 1.0;
+        for _ in 0..=MOST_HALVINGS {
+            let y = self.y + (aim - self.y) * share;
+            let better = Self::at(state, y, measure).filter(|next| next.cost < self.cost);
+            if better.is_some() {
+                return better;
+            }
+            share *= 0.5;
+        }
+        None
+    }
+
+    /// The state moved here, its covariance in the space that it has here.
+    fn settled(&self, state: &PoseState<N>) -> Option<Found<N>> {
+        let p = &state.covariance;
+        let turn = turned(&with_heading_alone(p, &self.xi));
+        let jacobian = self.measurement.jacobian * turn;
+        let s = jacobian * p * jacobian.transpose() + self.measurement.noise;
+        let gain = p * jacobian.transpose() * s.try_inverse()?;
+        let mut settled = moved_by(state, &self.xi);
+        settled.covariance = turn * (p - gain * jacobian * p) * turn.transpose();
+        symmetrise(&mut settled.covariance);
+        Some(Found {
+            state: settled,
+            nis: self.cost,
+        })
+    }
+}
+
+/// The part of a correction that follows from its turn: what the position has in common with the heading. The rest, the noise of
+/// the observation for the most part, moves the robot and whatever it may turn about alike. If that turned the errors as well, a
+/// robot that stands would come to know its heading from nothing but the noise of its fixes.
+fn with_heading_alone<const N: usize>(
+    p: &SMatrix<f64, N, N>,
     xi: &SVector<f64, N>,
-    measure: &impl Fn(&PoseState<N>) -> Measurement<N, M>,
-) -> Option<Found<N>> {
-    let p = &state.covariance;
-    let mut settled = moved_by(state, xi);
-    let measurement = measure(&settled);
-    let turn = turned(xi);
-    let jacobian = measurement.jacobian * turn;
-    let s = jacobian * p * jacobian.transpose() + measurement.noise;
-    let inverse = s.try_inverse()?;
-    let gain = p * jacobian.transpose() * inverse;
-    let weighted = inverse * (measurement.innovation + jacobian * xi);
-    let of_prior = (weighted.transpose() * jacobian * p * jacobian.transpose() * weighted)[0];
-    let of_noise = (measurement.innovation.transpose()
-        * measurement.noise.try_inverse()?
-        * measurement.innovation)[0];
-    settled.covariance = turn * (p - gain * jacobian * p) * turn.transpose();
-    symmetrise(&mut settled.covariance);
-    Some(Found {
-        state: settled,
-        nis: of_prior + of_noise,
-    })
+) -> SVector<f64, N> {
+    p.column(HEADING) * (xi[HEADING] / p[(HEADING, HEADING)])
 }
 
 fn moved_by<const N: usize>(state: &PoseState<N>, xi: &SVector<f64, N>) -> PoseState<N> {

@@ -10,6 +10,7 @@ pub mod fuse;
 mod history;
 mod iterate;
 pub mod motion;
+mod placing;
 pub mod scales;
 mod sight;
 pub mod smooth;
@@ -24,7 +25,7 @@ use posebridge_telemetry::{
 };
 
 use self::fuse::{Context, Gates};
-use self::history::{Action, Entry};
+use self::history::{Action, Entry, Told};
 use self::state::{CORE, Located, PoseState, WITH_CAMERA, WITH_RANGES};
 use super::{Filter, FilterConfig, StartPose, intake};
 use crate::motion::{Added, GyroTrack, MotionTrack, count_before};
@@ -68,7 +69,7 @@ pub struct PoseFilter<const N: usize> {
     gates: Gates,
     /// The state before the first entry.
     base: PoseState<N>,
-    /// In the order of [`Entry::order`].
+    /// In the order of [`Told::order`].
     entries: VecDeque<Entry<N>>,
 }
 
@@ -100,11 +101,11 @@ impl<const N: usize> PoseFilter<N> {
         record: &mut FusionRecord,
     ) {
         let index = count_before(&self.entries, |other| {
-            other.order(&entry) != Ordering::Greater
+            other.told.order(&entry.told) != Ordering::Greater
         });
         self.entries.insert(index, entry);
         let first_changed = changed_after.map_or(index, |after| {
-            count_before(&self.entries, |other| other.stamp <= after)
+            count_before(&self.entries, |other| other.told.stamp <= after)
         });
         self.apply_from(first_changed.min(index), Some((index, record)));
         self.forget();
@@ -120,14 +121,14 @@ impl<const N: usize> PoseFilter<N> {
             gates: &self.gates,
         };
         for (index, entry) in self.entries.iter_mut().enumerate().skip(first) {
-            let mut scratch = scratch_record(entry.stamp, SensorId(entry.sensor));
+            let mut scratch = scratch_record(&entry.told);
             let record = match &mut recorded {
                 Some((wanted, record)) if *wanted == index => &mut **record,
                 _ => &mut scratch,
             };
             // The state is large: it is kept aside only where it may be wanted back.
-            let aside = matches!(entry.action, Action::Sight(..)).then_some(state);
-            act(&mut state, entry.stamp, entry.action, &context, record);
+            let aside = matches!(entry.told.action, Action::Sight(..)).then_some(state);
+            act(&mut state, &entry.told, &context, record);
             if let Some(before) = aside.filter(|_| entry.is_without_effect(record.verdict)) {
                 // Not even the way to its instant is kept: two steps would round otherwise than one.
                 state = PoseState {
@@ -159,7 +160,7 @@ impl<const N: usize> PoseFilter<N> {
         while self
             .entries
             .front()
-            .is_some_and(|entry| entry.stamp < settled)
+            .is_some_and(|entry| entry.told.stamp < settled)
         {
             if let Some(entry) = self.entries.pop_front() {
                 self.base = entry.after;
@@ -201,7 +202,15 @@ impl<const N: usize> PoseFilter<N> {
 
     fn take_once(&mut self, observation: &Observation, action: Action, record: &mut FusionRecord) {
         let entry = self.entry(observation, action);
-        if self.entries.iter().rev().any(|other| other.repeats(&entry)) {
+        // In the order of time: behind the first that is older there is no other of this instant.
+        let is_repeated = self
+            .entries
+            .iter()
+            .rev()
+            .map(|other| &other.told)
+            .take_while(|other| other.stamp >= observation.stamp)
+            .any(|other| other.repeats(&entry.told));
+        if is_repeated {
             record.verdict = Verdict::Malformed;
             return;
         }
@@ -226,9 +235,11 @@ impl<const N: usize> PoseFilter<N> {
 
     fn entry(&self, observation: &Observation, action: Action) -> Entry<N> {
         Entry {
-            stamp: observation.stamp,
-            action,
-            sensor: observation.sensor.0,
+            told: Told {
+                stamp: observation.stamp,
+                sensor: observation.sensor,
+                action,
+            },
             after: *self.state(),
         }
     }
@@ -253,13 +264,16 @@ impl<const N: usize> Filter for PoseFilter<N> {
         match self.latest() {
             None => self.base.jump_to(start),
             Some(stamp) => {
-                let entry = Entry {
+                let told = Told {
                     stamp,
+                    sensor: SensorId(0),
                     action: Action::SetPose(*start),
-                    sensor: 0,
+                };
+                let entry = Entry {
+                    told,
                     after: self.base,
                 };
-                self.insert(entry, None, &mut scratch_record(stamp, SensorId(0)));
+                self.insert(entry, None, &mut scratch_record(&told));
             }
         }
         Verdict::ResetTo
@@ -281,12 +295,12 @@ impl<const N: usize> Filter for PoseFilter<N> {
     fn latest(&self) -> Option<Stamp<BrickClock>> {
         self.entries
             .back()
-            .map(|entry| entry.stamp)
+            .map(|entry| entry.told.stamp)
             .or(self.base.stamp)
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
-        let index = count_before(&self.entries, |entry| entry.stamp <= stamp);
+        let index = count_before(&self.entries, |entry| entry.told.stamp <= stamp);
         let from = index
             .checked_sub(1)
             .and_then(|i| self.entries.get(i))
@@ -332,12 +346,12 @@ fn action_of(observation: &Observation) -> Option<Action> {
 
 fn act<const N: usize>(
     state: &mut PoseState<N>,
-    stamp: Stamp<BrickClock>,
-    action: Action,
+    told: &Told,
     context: &Context<'_>,
     record: &mut FusionRecord,
 ) {
-    match action {
+    let stamp = told.stamp;
+    match told.action {
         // These tell of speeds alone: the pose goes on when the wheels have told how.
         Action::TurnRate(_) | Action::Accelerations(_) => {
             state.stamp = state.stamp.or(Some(stamp));
@@ -347,7 +361,7 @@ fn act<const N: usize>(
             state.advance(stamp, context.track, context.config);
         }
     }
-    match action {
+    match told.action {
         Action::TurnRate(rate) => fuse::turn_rate(state, rate, context),
         Action::Accelerations(felt) => fuse::accelerations(state, felt, stamp, context),
         Action::Motion => fuse::motion(state, stamp, context, record),
@@ -384,11 +398,11 @@ fn published<const N: usize>(
 }
 
 /// A record that nobody reads: an entry that is applied again was reported when it came. Its sensor says whose noise is learned.
-fn scratch_record(stamp: Stamp<BrickClock>, sensor: SensorId) -> FusionRecord {
+fn scratch_record(told: &Told) -> FusionRecord {
     FusionRecord {
-        sensor,
+        sensor: told.sensor,
         kind: "",
-        stamp,
+        stamp: told.stamp,
         lag: Span::ZERO,
         verdict: Verdict::Accepted,
         innovation: [0.0; 3],

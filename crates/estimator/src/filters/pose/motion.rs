@@ -185,29 +185,9 @@ impl Transition {
 /// The rows that a step moves.
 const MOVED: [usize; 4] = [FORWARD, LEFT, HEADING, WINDOW_TURN];
 
-/// What happened to the errors on the way, for those who go back over it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Passed {
-    /// A step was made.
-    Step(Transition),
-    /// The turn since the window began was forgotten.
-    WindowClosed,
-}
-
 impl<const N: usize> PoseState<N> {
     /// Carries the state forward to `to`: by the known travel as far as it reaches, then by the held speeds.
     pub fn advance(&mut self, to: Stamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) {
-        self.advance_telling(to, track, config, &mut |_| {});
-    }
-
-    /// The same, telling of each step.
-    pub fn advance_telling(
-        &mut self,
-        to: Stamp<BrickClock>,
-        track: &MotionTrack,
-        config: &FilterConfig,
-        tell: &mut impl FnMut(Passed),
-    ) {
         let Some(from) = self.stamp else {
             self.stamp = Some(to);
             self.age(to, config);
@@ -224,19 +204,18 @@ impl<const N: usize> PoseState<N> {
                     travel,
                     path_var_m2,
                 } => {
-                    self.move_by_travel(travel, until, config, tell);
+                    self.move_by_travel(travel, until, config);
                     self.add_doubt(path_var_m2, 0.0);
                     until
                 }
                 Leg::Gap { until } => {
                     // What the gyro says about a window means nothing without the encoders' turn over all of it.
                     self.close_window();
-                    tell(Passed::WindowClosed);
-                    self.move_unseen(at, until, config, tell);
+                    self.move_unseen(at, until, config);
                     until
                 }
                 Leg::Ahead { until } => {
-                    self.move_unseen(at, until, config, tell);
+                    self.move_unseen(at, until, config);
                     until
                 }
             };
@@ -253,13 +232,13 @@ impl<const N: usize> PoseState<N> {
         if dt_s <= 0.0 {
             return;
         }
-        let accelerations_tell = self
+        // While accelerations tell how the speeds change they do not walk.
+        let walks_from = self
             .last_acceleration
-            .is_some_and(|last| to - last <= ACCELERATION_HELD);
-        if !accelerations_tell {
-            self.forward.variance += config.params.acceleration_m_per_s2.powi(2) * dt_s;
-            self.turn.variance += config.params.turn_acceleration_rad_per_s2.powi(2) * dt_s;
-        }
+            .map_or(from, |last| from.max(last + ACCELERATION_HELD));
+        let walked_s = (to - walks_from).as_secs_f64().max(0.0);
+        self.forward.variance += config.params.acceleration_m_per_s2.powi(2) * walked_s;
+        self.turn.variance += config.params.turn_acceleration_rad_per_s2.powi(2) * walked_s;
         let walk = config.noise.gyro_bias_walk_rad_per_s_sqrt_s;
         self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
     }
@@ -269,7 +248,6 @@ impl<const N: usize> PoseState<N> {
         travel: WheelTravel,
         to: Stamp<BrickClock>,
         config: &FilterConfig,
-        tell: &mut impl FnMut(Passed),
     ) {
         let moved = travel.left_m != 0.0 || travel.right_m != 0.0;
         if let Some(window) = &mut self.window {
@@ -288,7 +266,6 @@ impl<const N: usize> PoseState<N> {
             window.forward_m += forward_m;
             self.mean[WINDOW_TURN] += turn_rad;
         }
-        tell(Passed::Step(transition));
     }
 
     /// Tyres and tracks change with the way, but only as long as something tells of it: without fixes what was learned is kept.
@@ -314,7 +291,6 @@ impl<const N: usize> PoseState<N> {
         from: Stamp<BrickClock>,
         to: Stamp<BrickClock>,
         config: &FilterConfig,
-        tell: &mut impl FnMut(Passed),
     ) {
         let last = self.last_motion.unwrap_or(from);
         let held_to = (last + HOLD).clamp(from, to);
@@ -323,7 +299,7 @@ impl<const N: usize> PoseState<N> {
                 (from - last).as_secs_f64().max(0.0),
                 (held_to - last).as_secs_f64(),
             );
-            self.move_by_speeds(since_s, config, tell);
+            self.move_by_speeds(since_s, config);
         }
         let unseen_s = (to - held_to).as_secs_f64();
         self.add_doubt(
@@ -335,12 +311,7 @@ impl<const N: usize> PoseState<N> {
     /// Moves by the held speeds over an interval that begins and ends so many seconds after the last motion observation. The
     /// errors of the speeds are the same all the way, so the variance grows with the square of the time, and by the integrated
     /// random walk of the speeds with its cube.
-    fn move_by_speeds(
-        &mut self,
-        (start_s, end_s): (f64, f64),
-        config: &FilterConfig,
-        tell: &mut impl FnMut(Passed),
-    ) {
+    fn move_by_speeds(&mut self, (start_s, end_s): (f64, f64), config: &FilterConfig) {
         let dt_s = end_s - start_s;
         let transition = Transition::at_speeds(self.forward.value * dt_s, self.turn.value * dt_s);
         let squared = end_s * end_s - start_s * start_s;
@@ -354,7 +325,6 @@ impl<const N: usize> PoseState<N> {
         };
         transition.carry(&mut self.covariance, &noise);
         self.pose = self.pose.then(transition.step.motion);
-        tell(Passed::Step(transition));
     }
 
     /// The motion of the body from `from` until now, so far as it is known: for what was seen a little earlier than it says.
@@ -386,5 +356,43 @@ impl<const N: usize> PoseState<N> {
             };
         }
         moved
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::filters::pose::state::CORE;
+    use crate::params::Params;
+    use posebridge_telemetry::{Calibration, Meters, Radians, SensorNoise};
+
+    #[test]
+    fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
+        let ms = Stamp::from_millis;
+        let config = FilterConfig {
+            geometry: DriveGeometry {
+                left_wheel_radius: Meters(0.03),
+                right_wheel_radius: Meters(0.03),
+                track_width: Meters(0.1),
+                tick: Radians(0.017),
+            },
+            noise: SensorNoise::EXACT,
+            start: None,
+            params: Params::default(),
+            calibration: Calibration::default(),
+            world: std::sync::Arc::default(),
+        };
+        let mut whole = PoseState::<CORE>::initial(&config);
+        whole.age(ms(0), &config);
+        whole.last_acceleration = Some(ms(0));
+        let mut parts = whole;
+        whole.age(ms(300), &config);
+        for millis in [50, 150, 190, 230, 300] {
+            parts.age(ms(millis), &config);
+        }
+        // For 0.2 s they are felt, and for 0.1 s the speed walks at 1 m/s per root of a second.
+        assert!((whole.forward.variance - 0.01 - 0.1).abs() < 1e-12);
+        assert!((parts.forward.variance - whole.forward.variance).abs() < 1e-12);
+        assert!((parts.turn.variance - whole.turn.variance).abs() < 1e-12);
     }
 }

@@ -1,22 +1,23 @@
-//! What absolute observations do to the state of the pose filter: gate, weight, update, and the way out when the gate is wrong.
+//! What absolute observations do to the state of the pose filter: gate, weight, update.
 
 use nalgebra::SMatrix;
-use posebridge_telemetry::{Fix, FusionRecord, Heading, Observed, SensorId, Span, Stamp, Verdict};
+use posebridge_telemetry::{
+    BrickClock, Fix, FusionRecord, Observed, SensorId, Span, Stamp, Verdict,
+};
 
 use super::fuse::{Context, has_slipped, use_gyro_window};
 use super::history::kind_of;
 use super::iterate::{ITERATE_ABOVE_RAD, iterate};
+use super::placing::{locate, move_to, refuse};
 use super::scales::{Source, vote};
 use super::state::{DELAY, HEADING, Located, PoseState, Refused};
-use crate::filters::StartPose;
 use crate::filters::records::write_innovation;
+use crate::models::lie::Se2;
 use crate::observations::beacon::Beacon;
 use crate::observations::landmark::Sighting;
 use crate::observations::{beacon, compass, fix, landmark, wall};
 use crate::update::{Measurement, apply};
 
-/// Refused fixes agree with each other when their innovations differ by less than this many standard deviations.
-const AGREEMENT_SIGMAS: f64 = 5.0;
 /// The speeds at an earlier instant are told over this time about it: two readings of a 20 Hz brick.
 const SPEED_SPAN: Span = Span::from_millis(100);
 /// No camera is later than this, nor earlier.
@@ -88,7 +89,7 @@ impl Judge<'_> {
         let scales = [0, 1].map(|group| state.scales.factor(self.source(group)));
         let noise = fix::noise_of(seen, &self.context.config.noise, scales, &circumstances);
         if state.located == Located::No {
-            return locate(state, seen, &noise);
+            return locate(state, seen, &noise, &circumstances);
         }
         let verdict = match seen.heading {
             Some(heading) => {
@@ -101,8 +102,10 @@ impl Judge<'_> {
                 fix::position(state, seen, &noise, &circumstances)
             }),
         };
-        if verdict == Verdict::Gated && refuse(state, record, self.context) {
-            return move_to(state, seen, &noise);
+        let turned_since_rad = circumstances.moved_since.heading_rad;
+        let params = &self.context.config.params;
+        if verdict == Verdict::Gated && refuse(state, record, turned_since_rad, params) {
+            return move_to(state, seen, &noise, &circumstances);
         }
         verdict
     }
@@ -126,10 +129,14 @@ impl Judge<'_> {
         if state.covariance[(HEADING, HEADING)] <= ITERATE_ABOVE_RAD.powi(2) {
             return self.use_if_near(state, &measure(state), (record, groups));
         }
-        let Some(found) = iterate(state, measure) else {
+        if write(record, &measure(state), &state.covariance).is_none() {
             return Verdict::Malformed;
+        }
+        // A fix from which no correction is found is too far away: it must count among the refused, or nothing ever helps.
+        let Some(found) = iterate(state, measure) else {
+            return Verdict::Gated;
         };
-        write(record, &measure(state), &state.covariance);
+        record.log_likelihood -= 0.5 * (found.nis - record.nis);
         record.nis = found.nis;
         if found.nis > self.context.gates[M - 1] {
             return Verdict::Gated;
@@ -144,7 +151,7 @@ impl Judge<'_> {
         state: &PoseState<N>,
         stamp_sigma: Span,
     ) -> fix::Circumstances {
-        let now = state.stamp.unwrap_or(Stamp::from_millis(0));
+        let now = state.stamp.unwrap_or(Stamp::ZERO);
         let delay = Span::from_secs_f64(state.value(DELAY)).clamp(-LONGEST_DELAY, LONGEST_DELAY);
         let shown = now - delay;
         let (track, config) = (self.context.track, self.context.config);
@@ -152,7 +159,7 @@ impl Judge<'_> {
             state.moved_since(shown, track, config)
         } else {
             let ahead_s = -delay.as_secs_f64();
-            crate::models::lie::Se2::exp([
+            Se2::exp([
                 -state.forward.value * ahead_s,
                 0.0,
                 -state.turn.value * ahead_s,
@@ -176,7 +183,7 @@ impl Judge<'_> {
     fn speeds_about<const N: usize>(
         &self,
         state: &PoseState<N>,
-        shown: Stamp<posebridge_telemetry::BrickClock>,
+        shown: Stamp<BrickClock>,
     ) -> (f64, f64) {
         let (track, config) = (self.context.track, self.context.config);
         let from = shown - Span::from_secs_f64(0.5 * SPEED_SPAN.as_secs_f64());
@@ -325,68 +332,4 @@ fn write<const N: usize, const M: usize>(
 ) -> Option<SMatrix<f64, M, M>> {
     let s = measurement.innovation_covariance(covariance);
     write_innovation(record, &measurement.innovation, &s).then_some(s)
-}
-
-/// Counts a refused fix; true when enough of them agree with each other for long enough that the estimate must be wrong.
-fn refuse<const N: usize>(
-    state: &mut PoseState<N>,
-    record: &FusionRecord,
-    context: &Context<'_>,
-) -> bool {
-    // In the arena, where fixes that stay at one place agree although the robot turns.
-    let (sin, cos) = state.pose.heading_rad.sin_cos();
-    let [forward_m, left_m, _] = record.innovation;
-    let innovation_m = [
-        cos * forward_m - sin * left_m,
-        sin * forward_m + cos * left_m,
-    ];
-    let last = state.refused.innovation_m;
-    let sigma_m = (record.innovation_covariance[0][0] + record.innovation_covariance[1][1])
-        .max(0.0)
-        .sqrt();
-    let apart_m = (innovation_m[0] - last[0]).hypot(innovation_m[1] - last[1]);
-    let agrees = state.refused.count == 0 || apart_m < AGREEMENT_SIGMAS * sigma_m;
-    if !agrees {
-        state.refused = Refused::default();
-    }
-    state.refused.count += 1;
-    state.refused.since = state.refused.since.or(state.stamp);
-    state.refused.innovation_m = innovation_m;
-    let lasted = match (state.refused.since, state.stamp) {
-        (Some(since), Some(stamp)) => (stamp - since).as_secs_f64(),
-        _ => 0.0,
-    };
-    lasted >= context.config.params.reset_after_s
-        && f64::from(state.refused.count) >= context.config.params.reset_after_fixes
-}
-
-/// Moves the estimate to a fix: a reset, counted, with its jump.
-fn move_to<const N: usize>(state: &mut PoseState<N>, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
-    let before = state.arena_pose();
-    // Without a heading in the fix the heading may be as wrong as the position was: it is found anew.
-    locate(state, seen, noise);
-    state.count_jump_from(before);
-    Verdict::ResetTo
-}
-
-/// Takes position, and heading if there is one, from a fix.
-fn locate<const N: usize>(state: &mut PoseState<N>, seen: &Fix, noise: &fix::FixNoise) -> Verdict {
-    let heading_rad = seen.heading.map_or(state.pose.heading_rad, Heading::rad);
-    // Without a heading the tag may be anywhere on a circle about mid-axle.
-    let lever_var_m2 = if seen.heading.is_some() {
-        0.0
-    } else {
-        seen.tag_in_body.x.0.powi(2) + seen.tag_in_body.y.0.powi(2)
-    };
-    let position_var_m2 = 0.5 * noise.position.trace() + lever_var_m2;
-    state.place(&StartPose {
-        pose: fix::mid_axle(seen, heading_rad),
-        position_sigma_m: position_var_m2.max(0.0).sqrt(),
-        heading_sigma_rad: match seen.heading {
-            Some(_) => noise.heading_rad2.max(0.0).sqrt(),
-            // Uniform on the circle.
-            None => std::f64::consts::PI / 3.0_f64.sqrt(),
-        },
-    });
-    Verdict::Accepted
 }

@@ -14,15 +14,11 @@
 //! # Source
 //! Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
 
-use std::cmp::Ordering;
-
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
-use posebridge_telemetry::{
-    BrickClock, Calibration, FusionRecord, Observation, SensorId, Stamp, Verdict,
-};
+use posebridge_telemetry::{BrickClock, Calibration, Observation, Stamp, Verdict};
 
 use super::fuse::{self, Context};
-use super::history::Action;
+use super::history::{Action, Told};
 use super::state::{FORWARD, HEADING, LEFT, PoseState, WITH_RANGES};
 use super::{act, action_of, scratch_record};
 use crate::filters::{FilterConfig, intake};
@@ -56,30 +52,6 @@ pub struct Smoothing {
     pub left_out: usize,
     /// What was learned, in hindsight.
     pub calibration: Calibration,
-}
-
-/// One observation, in the order of time.
-struct Told {
-    stamp: Stamp<BrickClock>,
-    sensor: SensorId,
-    action: Action,
-}
-
-impl Told {
-    /// The order in which the filter applies them.
-    fn order(&self, other: &Self) -> Ordering {
-        let key = |told: &Self| (told.stamp, told.action.rank(), told.sensor);
-        key(self)
-            .cmp(&key(other))
-            .then_with(|| self.action.order(&other.action))
-    }
-
-    /// Whether it is a datagram that came twice.
-    fn repeats(&self, other: &Self) -> bool {
-        self.stamp == other.stamp
-            && self.sensor == other.sensor
-            && self.action.repeats(&other.action)
-    }
 }
 
 /// What the way back needs of one observation.
@@ -149,7 +121,8 @@ fn heard(
         }
     }
     told.sort_by(Told::order);
-    told.dedup_by(|later, earlier| later.repeats(earlier));
+    // What says the same stands side by side now.
+    told.dedup_by(|later, earlier| earlier.repeats(later));
     (told, track, gyro)
 }
 
@@ -182,8 +155,8 @@ fn forwards(
     for entry in told {
         let tells_of_pose = matches!(entry.action, Action::Motion | Action::Sight(..));
         let before = state;
-        let mut record: FusionRecord = scratch_record(entry.stamp, entry.sensor);
-        act(&mut state, entry.stamp, entry.action, context, &mut record);
+        let mut record = scratch_record(entry);
+        act(&mut state, entry, context, &mut record);
         if matches!(entry.action, Action::Sight(..)) {
             if !matches!(record.verdict, Verdict::Accepted | Verdict::ResetTo) {
                 smoothing.left_out += 1;

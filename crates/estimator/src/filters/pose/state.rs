@@ -311,6 +311,7 @@ impl<const N: usize> PoseState<N> {
         self.aged_to = None;
         self.last_fix = None;
         self.last_motion = None;
+        self.counts = Counts::default();
         self.last_acceleration = None;
         self.refused = Refused::default();
     }
