@@ -122,30 +122,23 @@ impl<const N: usize, const M: usize> Trial<N, M> {
     }
 
     /// The state moved here, its covariance in the space that it has here.
+    ///
+    /// The errors that P holds besides the turn, those of the wheels and of earlier fixes, lie in the body's space wherever it points,
+    /// and what the robot may turn about moves with it. So they are taken over as they are: turned by the correction, by its right
+    /// Jacobian, they would tell a robot that stands of its heading, from nothing but the noise of its fixes.
     fn settled(&self, state: &PoseState<N>) -> Option<Found<N>> {
         let p = &state.covariance;
-        let turn = turned(&with_heading_alone(p, &self.xi));
-        let jacobian = self.measurement.jacobian * turn;
-        let s = jacobian * p * jacobian.transpose() + self.measurement.noise;
+        let jacobian = self.measurement.jacobian;
+        let s = self.measurement.innovation_covariance(p);
         let gain = p * jacobian.transpose() * s.try_inverse()?;
         let mut settled = moved_by(state, &self.xi);
-        settled.covariance = turn * (p - gain * jacobian * p) * turn.transpose();
+        settled.covariance = p - gain * jacobian * p;
         symmetrise(&mut settled.covariance);
         Some(Found {
             state: settled,
             nis: self.cost,
         })
     }
-}
-
-/// The part of a correction that follows from its turn: what the position has in common with the heading. The rest, the noise of
-/// the observation for the most part, moves the robot and whatever it may turn about alike. If that turned the errors as well, a
-/// robot that stands would come to know its heading from nothing but the noise of its fixes.
-fn with_heading_alone<const N: usize>(
-    p: &SMatrix<f64, N, N>,
-    xi: &SVector<f64, N>,
-) -> SVector<f64, N> {
-    p.column(HEADING) * (xi[HEADING] / p[(HEADING, HEADING)])
 }
 
 fn moved_by<const N: usize>(state: &PoseState<N>, xi: &SVector<f64, N>) -> PoseState<N> {
