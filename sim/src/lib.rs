@@ -25,6 +25,7 @@
 mod camera;
 mod clock;
 mod firmware;
+pub mod impairment;
 pub mod montecarlo;
 mod motor;
 mod node;
@@ -39,5 +40,5 @@ mod world;
 pub use camera::{CAMERA, CameraFix};
 pub use firmware::BRICK;
 pub use scenario::{BUNDLED, Scenario, ScenarioError, Steering};
-pub use simulation::{Simulation, TruthSample};
+pub use simulation::{ReceivedEstimate, Simulation, TruthSample};
 pub use world::STEP;
