@@ -209,9 +209,11 @@ fn datagrams_are_repeated_and_overtaken_at_their_rates() {
     let waits_ms: Vec<f64> = direction
         .take_log()
         .iter()
-        .filter_map(|entry| match entry.fate {
-            Fate::HeldBack { by } => Some(by.as_millis_f64()),
-            _ => None,
+        .filter_map(|entry| {
+            let Fate::HeldBack { by } = entry.fate else {
+                return None;
+            };
+            Some(by.as_millis_f64())
         })
         .collect();
     happens(waits_ms.len(), 20_000, 0.1);
