@@ -1,9 +1,11 @@
-//! Brick and station in one loop, in virtual time: no link, no thread, no clock, the same every time.
+//! Brick and station in one loop, in virtual time: no socket, no thread, no clock, the same every time.
 //!
-//! It drives the same simulation and the same pipeline as a live run, with a link that delivers at once. Used where two ways of
-//! steering are compared on the same world, and by tests.
+//! It drives the same simulation and the same pipeline as a live run. Between them stands a link that delivers at once, or one of
+//! [`posebridge_sim::impairment`]. Used where two ways of steering or two links are compared on the same world, and by tests.
 
 use posebridge_pipeline::{BuildError, Pipeline, PipelineConfig};
+use posebridge_protocol::framing::Framing;
+use posebridge_sim::impairment::{Counters, End, ImpairedLink, LinkEvent, LinkKind, LinkProfile};
 use posebridge_sim::{Scenario, Simulation};
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
 
@@ -14,82 +16,197 @@ const AFTERGLOW: Span = Span::from_millis(600);
 /// A scenario that does not end by itself is ended here.
 const LONGEST: Span = Span::from_millis(3_600_000);
 
+/// What stands between brick and station.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct VirtualLink {
+    /// What the link is like.
+    pub profile: LinkProfile,
+    /// Seed of its randomness; that of the world is the scenario's.
+    pub seed: u64,
+    /// Probability that what is sent at once (one or more whole frames) is lost, on top of the profile's losses.
+    pub extra_loss: f64,
+    /// Delay of each direction on top of the profile's, in milliseconds.
+    pub extra_delay_ms: f64,
+    /// Rate error of the brick's clock instead of the scenario's, in parts per million; positive runs fast.
+    pub brick_skew_ppm: Option<f64>,
+}
+
+/// What a link did in a virtual run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkTally {
+    /// What became of the brick's bytes.
+    pub to_station: Counters,
+    /// What became of the station's bytes.
+    pub to_brick: Counters,
+    /// Times the link went down.
+    pub outages: u64,
+}
+
 /// What a virtual run leaves behind.
+///
+/// How far the robot's own belief was off is in [`Simulation::truth`], how old each estimate was when the brick had it in
+/// [`Simulation::received_estimates`], how far the station's estimate was off follows from [`Self::collector`] and the truth.
 pub struct VirtualRun {
     /// The simulation with its truth.
     pub simulation: Simulation,
     /// What the station told.
     pub collector: Collector,
+    /// What the link did; a link that delivers at once counts, too.
+    pub link: LinkTally,
 }
 
-/// Runs a scenario against a pipeline whose first link is the brick's.
+/// Runs a scenario against a pipeline whose first link is the brick's; the link delivers at once.
 ///
 /// # Errors
 /// The pipeline cannot be built.
 pub fn run(scenario: Scenario, config: PipelineConfig) -> Result<VirtualRun, BuildError> {
-    let link = config.links.first().map_or(LinkId(0), |link| link.id);
-    let mut pipeline = Pipeline::new(config, Stamp::ZERO)?;
-    let mut simulation = Simulation::new(scenario);
-    let mut collector = Collector::default();
-    let up = Input::Link {
+    let link = ImpairedLink::new(&LinkProfile::default(), 0, Stamp::ZERO);
+    run_on(scenario, config, link)
+}
+
+/// Runs a scenario against a pipeline whose first link is the brick's, over a link with faults.
+///
+/// What arrives at the station is given to the pipeline with the instant of its arrival; the brick, whose world advances in
+/// steps of a millisecond, takes what has arrived since its last step. An outage is told to the pipeline as a port would tell it.
+///
+/// # Errors
+/// The pipeline cannot be built.
+pub fn run_over(
+    mut scenario: Scenario,
+    mut config: PipelineConfig,
+    over: &VirtualLink,
+) -> Result<VirtualRun, BuildError> {
+    if let Some(skew_ppm) = over.brick_skew_ppm {
+        scenario.brick.clock_skew_ppm = skew_ppm;
+    }
+    if let Some(link) = config.links.first_mut() {
+        link.framing = match over.profile.kind {
+            LinkKind::Stream => Framing::Stream,
+            LinkKind::Datagram => Framing::Datagram,
+        };
+    }
+    let profile = over
+        .profile
+        .clone()
+        .with_extra(over.extra_loss, over.extra_delay_ms);
+    let link = ImpairedLink::new(&profile, over.seed, Stamp::ZERO);
+    run_on(scenario, config, link)
+}
+
+fn run_on(
+    scenario: Scenario,
+    config: PipelineConfig,
+    link: ImpairedLink,
+) -> Result<VirtualRun, BuildError> {
+    let mut session = Session {
+        id: config.links.first().map_or(LinkId(0), |link| link.id),
+        pipeline: Pipeline::new(config, Stamp::ZERO)?,
+        simulation: Simulation::new(scenario),
+        collector: Collector::default(),
         link,
-        state: LinkState::Up,
+        outages: 0,
     };
-    give(
-        &mut pipeline,
-        Stamp::ZERO,
-        &up,
-        &mut simulation,
-        &mut collector,
-    );
+    session.tell(Stamp::ZERO, LinkState::Up);
+    session.pass_to(Stamp::ZERO);
     let mut ends_at: Option<Span> = None;
-    while ends_at.is_none_or(|end| simulation.elapsed() < end) && simulation.elapsed() < LONGEST {
-        simulation.step();
-        let now = Stamp::<HostClock>::ZERO + simulation.elapsed();
-        while let Some(bytes) = simulation.poll() {
-            give(
-                &mut pipeline,
-                now,
-                &Input::Bytes {
-                    link,
-                    peer: PeerId::default(),
-                    bytes,
-                },
-                &mut simulation,
-                &mut collector,
-            );
+    loop {
+        let elapsed = session.simulation.elapsed();
+        if ends_at.is_some_and(|end| elapsed >= end) || elapsed >= LONGEST {
+            break;
         }
-        if pipeline.deadline().is_some_and(|deadline| deadline <= now) {
-            give(
-                &mut pipeline,
-                now,
-                &Input::Tick,
-                &mut simulation,
-                &mut collector,
-            );
-        }
-        if simulation.is_finished() && ends_at.is_none() {
-            ends_at = Some(simulation.elapsed() + AFTERGLOW);
+        session.step();
+        if session.simulation.is_finished() && ends_at.is_none() {
+            ends_at = Some(session.simulation.elapsed() + AFTERGLOW);
         }
     }
     Ok(VirtualRun {
-        simulation,
-        collector,
+        link: LinkTally {
+            to_station: session.link.counters(End::Station),
+            to_brick: session.link.counters(End::Brick),
+            outages: session.outages,
+        },
+        simulation: session.simulation,
+        collector: session.collector,
     })
 }
 
-fn give(
-    pipeline: &mut Pipeline,
-    now: Stamp<HostClock>,
-    input: &Input,
-    simulation: &mut Simulation,
-    collector: &mut Collector,
-) {
-    pipeline.handle(now, input);
-    while let Some(output) = pipeline.poll() {
-        match output {
-            Output::Transmit { bytes, .. } => simulation.receive(&bytes),
-            Output::Event(event) => collector.take(&event),
+/// Brick, link and station.
+struct Session {
+    id: LinkId,
+    pipeline: Pipeline,
+    simulation: Simulation,
+    collector: Collector,
+    link: ImpairedLink,
+    outages: u64,
+}
+
+impl Session {
+    /// A step of the world, and all that happens until its end.
+    fn step(&mut self) {
+        self.simulation.step();
+        let now = Stamp::<HostClock>::ZERO + self.simulation.elapsed();
+        self.pass_to(now);
+        while let Some(bytes) = self.simulation.poll() {
+            self.link.offer(End::Brick, now, &bytes);
+            self.pass_to(now);
+        }
+        if self
+            .pipeline
+            .deadline()
+            .is_some_and(|deadline| deadline <= now)
+        {
+            self.give(now, &Input::Tick);
+            self.pass_to(now);
+        }
+    }
+
+    /// Lets the link do what it does until `now`, each thing at its instant: an answer leaves when the question has arrived.
+    fn pass_to(&mut self, now: Stamp<HostClock>) {
+        while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
+            while let Some(event) = self.link.poll(at) {
+                self.take(event);
+            }
+        }
+        // The books are enough here; what became of each byte would fill the memory of a long run.
+        drop(self.link.take_log(End::Station));
+        drop(self.link.take_log(End::Brick));
+    }
+
+    fn take(&mut self, event: LinkEvent) {
+        match event {
+            LinkEvent::Arrived { end, delivery } => match end {
+                End::Brick => self.simulation.receive(&delivery.bytes),
+                End::Station => self.give(
+                    delivery.at,
+                    &Input::Bytes {
+                        link: self.id,
+                        peer: PeerId::default(),
+                        bytes: delivery.bytes,
+                    },
+                ),
+            },
+            LinkEvent::Down { at } => {
+                self.outages += 1;
+                self.tell(at, LinkState::Down);
+            }
+            LinkEvent::Up { at } => self.tell(at, LinkState::Up),
+        }
+    }
+
+    fn tell(&mut self, at: Stamp<HostClock>, state: LinkState) {
+        let link = self.id;
+        self.give(at, &Input::Link { link, state });
+    }
+
+    fn give(&mut self, at: Stamp<HostClock>, input: &Input) {
+        self.pipeline.handle(at, input);
+        while let Some(output) = self.pipeline.poll() {
+            match output {
+                Output::Transmit { bytes, .. } => {
+                    self.link.offer(End::Station, at, &bytes);
+                }
+                Output::Event(event) => self.collector.take(&event),
+            }
         }
     }
 }

@@ -37,10 +37,34 @@ pub struct TruthSample {
     pub turn_rate: RadiansPerSecond,
     /// Where the brick's own dead reckoning, begun at the start pose, believed the robot to be.
     pub odometry: Pose<Arena>,
+    /// Where the brick believed the robot to be: the last estimate that it used, carried forward by its own odometry. A brick that
+    /// steers by odometry alone uses none.
+    pub belief: Pose<Arena>,
     /// Distance of the true position from the nearest place of the ideal path, in metres.
     pub cross_track_m: f64,
     /// What the brick steered by.
     pub steering: Steering,
+}
+
+/// A usable estimate as it reached the brick, whether the brick then used it or not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReceivedEstimate {
+    /// World time of its arrival.
+    pub world: Span,
+    /// The brick's clock at that instant, as if its ticks were infinitely fine and its register never wrapped.
+    pub arrival: Stamp<BrickClock>,
+    /// The instant of the brick's clock of which it speaks.
+    pub instant: Stamp<BrickClock>,
+    /// Where it says the robot was, or will be, at that instant.
+    pub pose: Pose<Arena>,
+}
+
+impl ReceivedEstimate {
+    /// How old it was when it arrived, in brick time; negative if it speaks of an instant yet to come.
+    #[must_use]
+    pub fn age(&self) -> Span {
+        self.arrival - self.instant
+    }
 }
 
 /// A simulated robot with its brick and its camera.
@@ -60,6 +84,7 @@ pub struct Simulation {
     scanner: Scanner,
     outgoing: VecDeque<Vec<u8>>,
     truth: Vec<TruthSample>,
+    received: Vec<ReceivedEstimate>,
 }
 
 impl Simulation {
@@ -85,6 +110,7 @@ impl Simulation {
             scanner: Scanner::new(ScannerConfig::default()),
             outgoing: VecDeque::new(),
             truth: Vec::new(),
+            received: Vec::new(),
             path,
             scenario,
         };
@@ -120,7 +146,14 @@ impl Simulation {
         self.scanner.push(now, bytes, &mut sink);
         let brick_now = self.brick_clock.reading(self.world);
         for (from, message) in messages {
-            self.firmware.handle(brick_now, from, &message);
+            let estimate = self.firmware.handle(brick_now, from, &message);
+            self.received
+                .extend(estimate.map(|(instant, pose)| ReceivedEstimate {
+                    world: self.world,
+                    arrival: self.brick_clock.exact(self.world),
+                    instant,
+                    pose,
+                }));
             if let Some(camera) = &mut self.camera {
                 camera.handle(self.world, from, &message);
             }
@@ -155,6 +188,11 @@ impl Simulation {
     /// The truth at the beginning and after each telemetry period of world time.
     pub fn truth(&self) -> &[TruthSample] {
         &self.truth
+    }
+
+    /// The usable estimates that reached the brick, in the order of their arrival.
+    pub fn received_estimates(&self) -> &[ReceivedEstimate] {
+        &self.received
     }
 
     /// The ideal path of one lap as points.
@@ -202,6 +240,7 @@ impl Simulation {
             forward_speed: MetersPerSecond(self.body.forward_m_per_s()),
             turn_rate: RadiansPerSecond(self.body.turn_rad_per_s()),
             odometry: self.firmware.odometry(self.path.start()),
+            belief: self.firmware.belief(),
             cross_track_m: self.path.distance_m(pose.origin()),
             steering: self.firmware.steering(self.brick_clock.reading(self.world)),
         });

@@ -111,14 +111,20 @@ impl Firmware {
         self.duty
     }
 
-    /// Takes a message from the link.
-    pub(crate) fn handle(&mut self, now: Stamp<BrickClock>, from: Address, message: &Message) {
+    /// Takes a message from the link. If it is an estimate, returns the instant and the pose of which it speaks.
+    pub(crate) fn handle(
+        &mut self,
+        now: Stamp<BrickClock>,
+        from: Address,
+        message: &Message,
+    ) -> Option<(Stamp<BrickClock>, Pose<Arena>)> {
         for request in self.node.handle(self.shown(now), from, message) {
             self.schedule.follow(request, now);
         }
-        if let Some((stamp, pose)) = usable_estimate(message) {
-            self.belief.take(now, unwrap_near(stamp, now), pose);
-        }
+        let (stamp, pose) = usable_estimate(message)?;
+        let instant = unwrap_near(stamp, now);
+        self.belief.take(now, instant, pose);
+        Some((instant, pose))
     }
 
     /// A power cycle: clock, counters, session and message intervals begin anew. The program's place on the path and its
@@ -151,6 +157,11 @@ impl Firmware {
     pub(crate) fn odometry(&self, start: Pose<Arena>) -> Pose<Arena> {
         let moved = self.reckoning.pose();
         start * posebridge_telemetry::Transform2::new(moved.x, moved.y, moved.heading)
+    }
+
+    /// Where the program believes the robot to be.
+    pub(crate) fn belief(&self) -> Pose<Arena> {
+        self.belief.pose()
     }
 
     /// What the program steers by at this moment.

@@ -1,0 +1,76 @@
+//! Loss in bursts: a link that is good for a while and bad for a while.
+//!
+//! # Model
+//! ```text
+//! good -> bad after Exp(mean_good), bad -> good after Exp(mean_bad), lost with probability loss_good or loss_bad
+//! share of loss = (mean_good loss_good + mean_bad loss_bad) / (mean_good + mean_bad)
+//! ```
+//! The states pass in time, not with each packet, so that the length of a burst does not depend on how much is sent.
+//!
+//! # Sources
+//! Gilbert, Capacity of a Burst-Noise Channel, Bell System Technical Journal 39 (1960); Elliott, Estimates of Error Rates for Codes
+//! on Burst-Noise Channels, the same 42 (1963). In continuous time as a two-state Markov process.
+
+use posebridge_telemetry::{HostClock, Span, Stamp};
+
+use super::draws::exponential;
+use super::settings::BurstLoss;
+use crate::random::Stream;
+
+/// The two states.
+#[derive(Clone, Debug)]
+pub(super) struct GilbertElliott {
+    settings: BurstLoss,
+    is_bad: bool,
+    /// When the state changes; `None` before the first look.
+    changes_at: Option<Stamp<HostClock>>,
+    states: Stream,
+    losses: Stream,
+}
+
+impl GilbertElliott {
+    /// A link in a state drawn from the long-run shares of both.
+    pub(super) fn new(settings: BurstLoss, mut states: Stream, losses: Stream) -> Self {
+        let share_bad = settings.mean_bad_s / (settings.mean_good_s + settings.mean_bad_s);
+        Self {
+            is_bad: states.happens(share_bad),
+            settings,
+            changes_at: None,
+            states,
+            losses,
+        }
+    }
+
+    /// Whether what leaves at `at` is lost. The instants must not fall.
+    pub(super) fn takes(&mut self, at: Stamp<HostClock>) -> bool {
+        self.pass_to(at);
+        let loss = if self.is_bad {
+            self.settings.loss_bad
+        } else {
+            self.settings.loss_good
+        };
+        self.losses.happens(loss)
+    }
+
+    fn pass_to(&mut self, at: Stamp<HostClock>) {
+        // A memoryless state may be looked at first at any instant.
+        let mut changes_at = match self.changes_at {
+            Some(changes_at) => changes_at,
+            None => at + self.stay(),
+        };
+        while changes_at <= at {
+            self.is_bad = !self.is_bad;
+            changes_at = changes_at + self.stay();
+        }
+        self.changes_at = Some(changes_at);
+    }
+
+    fn stay(&mut self) -> Span {
+        let mean_s = if self.is_bad {
+            self.settings.mean_bad_s
+        } else {
+            self.settings.mean_good_s
+        };
+        exponential(&mut self.states, Span::from_secs_f64(mean_s)).max(Span::from_nanos(1))
+    }
+}

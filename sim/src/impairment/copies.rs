@@ -1,0 +1,47 @@
+//! What can happen to datagrams alone: one arrives twice, or waits while others pass.
+//!
+//! # Model
+//! ```text
+//! held back: with probability p the arrival is U(from, to) later, and those behind do not wait
+//! repeated:  with probability q a copy arrives right behind it
+//! ```
+
+use posebridge_telemetry::Span;
+
+use super::draws::{millis, uniform};
+use super::settings::{DirectionProfile, Reorder};
+use crate::random::Stream;
+
+/// Draws what happens to each datagram.
+#[derive(Clone, Debug)]
+pub(super) struct Copies {
+    reorder: Option<Reorder>,
+    duplicate: f64,
+    reordering: Stream,
+    duplicating: Stream,
+}
+
+impl Copies {
+    pub(super) fn new(profile: &DirectionProfile, reordering: Stream, duplicating: Stream) -> Self {
+        Self {
+            reorder: profile.reorder,
+            duplicate: profile.duplicate,
+            reordering,
+            duplicating,
+        }
+    }
+
+    /// How long the next datagram is held back, if it is.
+    pub(super) fn held_back(&mut self) -> Option<Span> {
+        let reorder = self.reorder?;
+        let happens = self.reordering.happens(reorder.probability);
+        let (from, to) = (millis(reorder.from_ms), millis(reorder.to_ms));
+        let wait = uniform(&mut self.reordering, from, to);
+        happens.then_some(wait)
+    }
+
+    /// Whether the next datagram arrives twice.
+    pub(super) fn is_repeated(&mut self) -> bool {
+        self.duplicating.happens(self.duplicate)
+    }
+}

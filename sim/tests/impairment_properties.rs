@@ -1,0 +1,295 @@
+//! What holds on every link: the books balance, a stream keeps its order, the log tells what arrived, equal seeds give equal links.
+
+use std::collections::BTreeMap;
+
+use posebridge_sim::impairment::{
+    BurstLoss, Delay, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink, Impairment,
+    LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+};
+use posebridge_telemetry::{HostClock, Span, Stamp};
+use proptest::prelude::*;
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_log_of_a_stream_tells_every_byte(profile in stream_profile(), traffic in traffic(), seed: u64) {
+        let run = Run::of(&profile, LinkKind::Stream, &traffic, seed);
+        run.check_books()?;
+        let mut told = Vec::new();
+        for entry in &run.log {
+            if let Fate::Delivered { .. } = entry.fate {
+                told.extend(entry.bytes.clone().map(|place| run.damaged(entry.unit, place)));
+            }
+        }
+        let arrived: Vec<u8> = run.arrived.iter().flat_map(|(_, bytes)| bytes.clone()).collect();
+        prop_assert_eq!(arrived, told);
+        let delivered: Vec<(u64, usize)> = run.places(|fate| matches!(fate, Fate::Delivered { .. }));
+        prop_assert!(delivered.is_sorted(), "a stream keeps its order");
+        prop_assert!(run.arrived.iter().all(|(at, _)| *at >= Stamp::ZERO));
+    }
+
+    #[test]
+    fn the_log_of_datagrams_tells_every_one(profile in datagram_profile(), traffic in traffic(), seed: u64) {
+        let run = Run::of(&profile, LinkKind::Datagram, &traffic, seed);
+        run.check_books()?;
+        let mut told = Vec::new();
+        for entry in &run.log {
+            let whole = 0..run.units[entry.unit as usize].len();
+            if let Fate::Delivered { at } | Fate::Repeated { at } = entry.fate {
+                prop_assert_eq!(&entry.bytes, &whole);
+                let bytes: Vec<u8> = whole.map(|place| run.damaged(entry.unit, place)).collect();
+                told.push((at, bytes));
+            } else if let Fate::Lost(_) = entry.fate {
+                prop_assert_eq!(&entry.bytes, &whole, "whole or not at all");
+            }
+        }
+        prop_assert_eq!(&run.arrived, &told);
+    }
+
+    #[test]
+    fn equal_seeds_give_equal_links_however_often_one_asks(profile in stream_profile(), traffic in traffic(), seed: u64) {
+        let whole = Run::of(&profile, LinkKind::Stream, &traffic, seed);
+        let again = Run::of(&profile, LinkKind::Stream, &traffic, seed);
+        prop_assert_eq!(&whole.arrived, &again.arrived);
+        prop_assert_eq!(&whole.log, &again.log);
+        // Asking at the end only: what arrives, and when, is the same.
+        let mut late = Impairment::new(&profile, LinkKind::Stream, seed, "test");
+        for (at, bytes) in &traffic {
+            late.offer(*at, bytes);
+        }
+        let mut arrived = Vec::new();
+        while let Some(delivery) = late.poll(Stamp::from_millis(10_000_000)) {
+            arrived.push((delivery.at, delivery.bytes));
+        }
+        prop_assert_eq!(arrived, whole.arrived);
+    }
+
+    #[test]
+    fn both_directions_balance_over_outages(profile in stream_profile(), traffic in traffic(), seed: u64) {
+        let disconnects = Disconnects { mean_up_s: 0.2, down_from_s: 0.05, down_to_s: 0.3 };
+        let profile = LinkProfile {
+            kind: LinkKind::Stream,
+            to_station: profile.clone(),
+            to_brick: profile,
+            disconnects: Some(disconnects),
+        };
+        let mut link = ImpairedLink::new(&profile, seed, Stamp::ZERO);
+        let mut arrived = [0_u64; 2];
+        let mut last = Stamp::<HostClock>::ZERO;
+        let mut is_up = true;
+        let mut take = |event: LinkEvent| {
+            let at = match event {
+                LinkEvent::Arrived { end, delivery } => {
+                    assert!(is_up, "nothing arrives over a link that is down");
+                    arrived[usize::from(end == End::Brick)] += delivery.bytes.len() as u64;
+                    delivery.at
+                }
+                LinkEvent::Down { at } => { is_up = false; at }
+                LinkEvent::Up { at } => { is_up = true; at }
+            };
+            assert!(at >= last, "in the order of time");
+            last = at;
+        };
+        for (index, (at, bytes)) in traffic.iter().enumerate() {
+            let from = if index % 2 == 0 { End::Brick } else { End::Station };
+            while let Some(event) = link.poll(*at) {
+                take(event);
+            }
+            link.offer(from, *at, bytes);
+        }
+        for _ in 0..1_000 {
+            let next = link.deadline().unwrap_or(Stamp::ZERO);
+            while let Some(event) = link.poll(next) {
+                take(event);
+            }
+        }
+        for (end, arrived) in [(End::Station, arrived[0]), (End::Brick, arrived[1])] {
+            let counters = link.counters(end);
+            prop_assert_eq!(counters.bytes_delivered, arrived);
+            prop_assert_eq!(counters.bytes_offered, arrived + counters.bytes_lost() + counters.bytes_on_the_way);
+        }
+    }
+}
+
+#[test]
+fn an_instant_before_the_last_is_taken_for_the_last() {
+    let mut direction = Impairment::new(&DirectionProfile::default(), LinkKind::Stream, 1, "test");
+    direction.offer(Stamp::from_millis(100), b"first");
+    direction.offer(Stamp::from_millis(-5), b"second");
+    let mut arrived = Vec::new();
+    while let Some(delivery) = direction.poll(Stamp::ZERO) {
+        arrived.push((delivery.at, delivery.bytes));
+    }
+    let at = Stamp::from_millis(100);
+    assert_eq!(arrived, [(at, b"first".to_vec()), (at, b"second".to_vec())]);
+}
+
+#[test]
+fn a_long_delay_does_not_fill_the_memory() {
+    let profile = LinkProfile::default().with_extra(0.0, 600_000.0).to_station;
+    let mut direction = Impairment::new(&profile, LinkKind::Stream, 1, "test");
+    for _ in 0..40 {
+        direction.offer(Stamp::ZERO, &vec![0; 1 << 20]);
+    }
+    let counters = direction.counters();
+    assert_eq!(counters.bytes_on_the_way, 16 << 20);
+    assert_eq!(counters.bytes_lost_to_full_buffer, 24 << 20);
+}
+
+/// What went in and what came out of one direction.
+struct Run {
+    units: Vec<Vec<u8>>,
+    arrived: Vec<(Stamp<HostClock>, Vec<u8>)>,
+    log: Vec<LogEntry>,
+    flips: BTreeMap<(u64, usize), u8>,
+    delivered: u64,
+    lost: u64,
+}
+
+impl Run {
+    fn of(
+        profile: &DirectionProfile,
+        kind: LinkKind,
+        traffic: &[(Stamp<HostClock>, Vec<u8>)],
+        seed: u64,
+    ) -> Self {
+        let mut direction = Impairment::new(profile, kind, seed, "test");
+        let mut arrived = Vec::new();
+        let mut poll_until = |direction: &mut Impairment, now| {
+            while let Some(delivery) = direction.poll(now) {
+                arrived.push((delivery.at, delivery.bytes));
+            }
+        };
+        for (at, bytes) in traffic {
+            poll_until(&mut direction, *at);
+            direction.offer(*at, bytes);
+        }
+        while let Some(next) = direction.deadline() {
+            poll_until(&mut direction, next);
+        }
+        let log = direction.take_log();
+        let mut flips = BTreeMap::new();
+        for entry in &log {
+            if let Fate::Flipped { bit } = entry.fate {
+                *flips.entry((entry.unit, entry.bytes.start)).or_default() ^= 1 << bit;
+            }
+        }
+        Self {
+            units: traffic.iter().map(|(_, bytes)| bytes.clone()).collect(),
+            arrived,
+            log,
+            flips,
+            delivered: direction.counters().bytes_delivered,
+            lost: direction.counters().bytes_lost(),
+        }
+    }
+
+    /// A byte as it arrives, if it does.
+    fn damaged(&self, unit: u64, place: usize) -> u8 {
+        let flips = self.flips.get(&(unit, place)).copied().unwrap_or(0);
+        self.units[unit as usize][place] ^ flips
+    }
+
+    fn places(&self, wanted: impl Fn(Fate) -> bool) -> Vec<(u64, usize)> {
+        let entries = self.log.iter().filter(|entry| wanted(entry.fate));
+        entries
+            .flat_map(|entry| entry.bytes.clone().map(|place| (entry.unit, place)))
+            .collect()
+    }
+
+    /// Every offered byte is delivered once or lost once, by the log and by the counters.
+    fn check_books(&self) -> Result<(), TestCaseError> {
+        let mut places = self.places(|fate| matches!(fate, Fate::Delivered { .. } | Fate::Lost(_)));
+        places.sort_unstable();
+        let offered: Vec<(u64, usize)> = self
+            .units
+            .iter()
+            .enumerate()
+            .flat_map(|(unit, bytes)| (0..bytes.len()).map(move |place| (unit as u64, place)))
+            .collect();
+        prop_assert_eq!(&places, &offered);
+        prop_assert_eq!(self.delivered + self.lost, offered.len() as u64);
+        Ok(())
+    }
+}
+
+/// Units of up to 300 bytes, up to 60 ms apart.
+fn traffic() -> impl Strategy<Value = Vec<(Stamp<HostClock>, Vec<u8>)>> {
+    let unit = (0_i64..60_000, prop::collection::vec(any::<u8>(), 0..300));
+    prop::collection::vec(unit, 1..40).prop_map(|units| {
+        let mut at = Stamp::ZERO;
+        let place = |(gap_micros, bytes): (i64, Vec<u8>)| {
+            at = at + Span::from_micros(gap_micros);
+            (at, bytes)
+        };
+        units.into_iter().map(place).collect()
+    })
+}
+
+/// What both kinds of link have in common.
+fn profile() -> impl Strategy<Value = DirectionProfile> {
+    let rate = prop::option::of((500.0..20_000.0, 64_u32..2_000, 0_u32..200));
+    let burst_loss = prop::option::of((0.05..0.5, 0.01..0.2, 0.0..0.2, 0.5..1.0));
+    let delay = (0.0..30.0, 0.0..20.0);
+    let stall = prop::option::of((0.0..0.2, 0.0..50.0, 0.0..300.0));
+    let slot_ms = prop::option::of(0.5..20.0);
+    (rate, burst_loss, 0.0..0.2, 0.0..0.01, delay, stall, slot_ms).prop_map(
+        |(rate, burst_loss, loss, bit_error_rate, (base_ms, jitter_mean_ms), stall, slot_ms)| {
+            DirectionProfile {
+                rate: rate.map(|(bytes_per_s, buffer_bytes, burst_bytes)| Rate {
+                    bytes_per_s,
+                    buffer_bytes,
+                    burst_bytes,
+                }),
+                loss,
+                burst_loss: burst_loss.map(|(mean_good_s, mean_bad_s, loss_good, loss_bad)| {
+                    BurstLoss {
+                        mean_good_s,
+                        mean_bad_s,
+                        loss_good,
+                        loss_bad,
+                    }
+                }),
+                bit_error_rate,
+                delay: Delay {
+                    base_ms,
+                    jitter_mean_ms,
+                },
+                stalls: stall
+                    .into_iter()
+                    .map(|(probability, from_ms, longer_ms)| Stall {
+                        probability,
+                        from_ms,
+                        to_ms: from_ms + longer_ms,
+                    })
+                    .collect(),
+                slot_ms,
+                ..DirectionProfile::default()
+            }
+        },
+    )
+}
+
+fn stream_profile() -> impl Strategy<Value = DirectionProfile> {
+    let sizes = prop_oneof![Just(PieceSizes::Fixed), Just(PieceSizes::Random)];
+    let fragment = prop::option::of((1_u32..100, sizes));
+    (profile(), 0.0..0.1, fragment).prop_map(|(profile, byte_loss, fragment)| DirectionProfile {
+        byte_loss,
+        fragment: fragment.map(|(most_bytes, sizes)| Fragment { most_bytes, sizes }),
+        ..profile
+    })
+}
+
+fn datagram_profile() -> impl Strategy<Value = DirectionProfile> {
+    let reorder = prop::option::of((0.0..0.5, 0.0..20.0, 0.0..50.0));
+    (profile(), 0.0..0.3, reorder).prop_map(|(profile, duplicate, reorder)| DirectionProfile {
+        duplicate,
+        reorder: reorder.map(|(probability, from_ms, longer_ms)| Reorder {
+            probability,
+            from_ms,
+            to_ms: from_ms + longer_ms,
+        }),
+        ..profile
+    })
+}

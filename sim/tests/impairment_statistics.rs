@@ -1,0 +1,417 @@
+//! Every stage of a link against the distribution that it claims, seeded: Kolmogorov-Smirnov, chi-square or the normal limit of a
+//! binomial, each at about one false alarm in a thousand seeds.
+#![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
+
+use posebridge_sim::impairment::{
+    BurstLoss, Delay, Delivery, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink,
+    Impairment, LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+};
+use posebridge_telemetry::{HostClock, Span, Stamp};
+
+const SEED: u64 = 20;
+
+#[test]
+fn jitter_is_exponential_above_the_base() {
+    let profile = DirectionProfile {
+        delay: Delay {
+            base_ms: 15.0,
+            jitter_mean_ms: 8.0,
+        },
+        ..DirectionProfile::default()
+    };
+    let delays_ms = delays_ms(&profile, LinkKind::Stream, 4_000);
+    assert!(delays_ms.iter().all(|delay| *delay >= 15.0));
+    follows(&delays_ms, |delay| 1.0 - (-(delay - 15.0) / 8.0).exp());
+}
+
+#[test]
+fn stalls_come_as_often_and_last_as_long_as_they_should() {
+    let profile = DirectionProfile {
+        stalls: vec![Stall {
+            probability: 0.05,
+            from_ms: 50.0,
+            to_ms: 500.0,
+        }],
+        ..DirectionProfile::default()
+    };
+    let delays_ms = delays_ms(&profile, LinkKind::Stream, 20_000);
+    let stalls: Vec<f64> = delays_ms.into_iter().filter(|delay| *delay > 0.0).collect();
+    happens(stalls.len(), 20_000, 0.05);
+    follows(&stalls, |stall| (stall - 50.0) / 450.0);
+}
+
+#[test]
+fn a_saturated_line_carries_its_rate_and_drops_the_rest() {
+    let profile = DirectionProfile {
+        rate: Some(Rate {
+            bytes_per_s: 5_760.0,
+            buffer_bytes: 2_048,
+            burst_bytes: 0,
+        }),
+        ..DirectionProfile::default()
+    };
+    for kind in [LinkKind::Stream, LinkKind::Datagram] {
+        let mut direction = Impairment::new(&profile, kind, SEED, "line");
+        for millis in 0..10_000 {
+            direction.offer(ms(millis), &[0x55; 40]);
+        }
+        while direction.poll(ms(10_000)).is_some() {}
+        let counters = direction.counters();
+        // One piece may be unfinished, and the buffer may hold a unit less than it could.
+        let carried = counters.bytes_delivered as f64;
+        assert!((carried - 57_600.0).abs() <= 40.0, "{kind:?}: {carried}");
+        let waiting = counters.bytes_on_the_way;
+        assert!((2_008..=2_048).contains(&waiting), "{kind:?}: {waiting}");
+        let dropped = counters.bytes_lost_to_full_buffer;
+        assert_eq!(dropped, 400_000 - waiting - counters.bytes_delivered);
+    }
+}
+
+#[test]
+fn bursts_last_and_lie_apart_as_the_two_states_say() {
+    let profile = DirectionProfile {
+        burst_loss: Some(BurstLoss {
+            mean_good_s: 0.5,
+            mean_bad_s: 0.05,
+            loss_good: 0.0,
+            loss_bad: 1.0,
+        }),
+        ..DirectionProfile::default()
+    };
+    let mut direction = Impairment::new(&profile, LinkKind::Datagram, SEED, "bursts");
+    // Ten looks per mean burst would hide the short ones: two hundred.
+    let look = Span::from_micros(250);
+    let mut now = Stamp::<HostClock>::ZERO;
+    let mut is_lost = Vec::new();
+    for _ in 0..800_000 {
+        now = now + look;
+        direction.offer(now, b"x");
+        is_lost.push(direction.poll(now).is_none());
+    }
+    let (mut bursts_ms, mut gaps_ms) = (Vec::new(), Vec::new());
+    for run in is_lost.chunk_by(|before, after| before == after) {
+        let length_ms = run.len() as f64 * 0.25;
+        if run[0] {
+            bursts_ms.push(length_ms);
+        } else {
+            gaps_ms.push(length_ms);
+        }
+    }
+    follows(&bursts_ms, |length| 1.0 - (-(length - 0.125) / 50.0).exp());
+    follows(&gaps_ms, |length| 1.0 - (-(length - 0.125) / 500.0).exp());
+    // About 360 pairs of gap and burst: the share of 1/11 has a sigma of 0.6 %.
+    let share = is_lost.iter().filter(|lost| **lost).count() as f64 / is_lost.len() as f64;
+    assert!((share - 1.0 / 11.0).abs() < 0.02, "{share}");
+}
+
+#[test]
+fn each_state_loses_with_its_own_probability() {
+    let lossy = |loss_good, loss_bad| DirectionProfile {
+        burst_loss: Some(BurstLoss {
+            mean_good_s: 1.0,
+            mean_bad_s: 1.0,
+            loss_good,
+            loss_bad,
+        }),
+        ..DirectionProfile::default()
+    };
+    for (good, bad) in [(0.1, 0.1), (0.0, 1.0), (0.2, 0.6)] {
+        let kinds = [LinkKind::Stream, LinkKind::Datagram];
+        for kind in kinds {
+            let mut direction = Impairment::new(&lossy(good, bad), kind, SEED, "states");
+            for second in 0..8_000 {
+                direction.offer(ms(second * 1_000), b"x");
+            }
+            // Looks a second apart hang together a little: e^-2 of one survives to the next, 1.3 sigma at most.
+            let lost = direction.counters().bytes_lost_in_bursts as f64;
+            let mean = 8_000.0 * 0.5 * (good + bad);
+            assert!(
+                (lost - mean).abs() < 200.0,
+                "{kind:?} {good} {bad}: {lost} for {mean}"
+            );
+        }
+    }
+}
+
+#[test]
+fn bits_fail_at_their_rate_and_none_more_than_another() {
+    let profile = DirectionProfile {
+        bit_error_rate: 1e-3,
+        ..DirectionProfile::default()
+    };
+    let (log, deliveries) = pass(&profile, LinkKind::Stream, 4_000, &[0; 250]);
+    let mut per_bit = [0_usize; 8];
+    for entry in &log {
+        if let Fate::Flipped { bit } = entry.fate {
+            per_bit[usize::from(bit)] += 1;
+        }
+    }
+    let flipped: usize = per_bit.iter().sum();
+    happens(flipped, 8_000_000, 1e-3);
+    are_equally_likely(&per_bit);
+    let ones: u32 = deliveries
+        .iter()
+        .flat_map(|delivery| &delivery.bytes)
+        .map(|byte| byte.count_ones())
+        .sum();
+    assert_eq!(ones as usize, flipped, "what the log says is what arrived");
+}
+
+#[test]
+fn single_bytes_go_missing_at_their_rate() {
+    let profile = DirectionProfile {
+        byte_loss: 0.002,
+        ..DirectionProfile::default()
+    };
+    let (log, deliveries) = pass(&profile, LinkKind::Stream, 4_000, &[0; 250]);
+    let missing = log
+        .iter()
+        .filter(|entry| matches!(entry.fate, Fate::Lost(_)));
+    let missing: usize = missing.map(|entry| entry.bytes.len()).sum();
+    happens(missing, 1_000_000, 0.002);
+    let arrived: usize = deliveries.iter().map(|delivery| delivery.bytes.len()).sum();
+    assert_eq!(arrived + missing, 1_000_000);
+}
+
+#[test]
+fn whole_units_are_lost_at_their_rate() {
+    let profile = LinkProfile::default().with_extra(0.1, 0.0).to_station;
+    let (log, _) = pass(&profile, LinkKind::Stream, 20_000, b"frame");
+    let lost = log
+        .iter()
+        .filter(|entry| matches!(entry.fate, Fate::Lost(_)));
+    happens(lost.count(), 20_000, 0.1);
+    assert!(
+        log.iter().all(|entry| entry.bytes == (0..5)),
+        "whole or not at all"
+    );
+}
+
+#[test]
+fn datagrams_are_repeated_and_overtaken_at_their_rates() {
+    let profile = DirectionProfile {
+        duplicate: 0.05,
+        reorder: Some(Reorder {
+            probability: 0.1,
+            from_ms: 2.0,
+            to_ms: 6.0,
+        }),
+        ..DirectionProfile::default()
+    };
+    let mut direction = Impairment::new(&profile, LinkKind::Datagram, SEED, "copies");
+    for millis in 0..20_000 {
+        direction.offer(ms(millis), &(millis as u32).to_le_bytes());
+    }
+    let mut arrived = Vec::new();
+    while let Some(delivery) = direction.poll(ms(30_000)) {
+        arrived.push(u32::from_le_bytes(delivery.bytes.try_into().unwrap()));
+    }
+    let waits_ms: Vec<f64> = direction
+        .take_log()
+        .iter()
+        .filter_map(|entry| {
+            let Fate::HeldBack { by } = entry.fate else {
+                return None;
+            };
+            Some(by.as_millis_f64())
+        })
+        .collect();
+    happens(waits_ms.len(), 20_000, 0.1);
+    follows(&waits_ms, |wait| (wait - 2.0) / 4.0);
+    let overtaken = arrived.windows(2).filter(|pair| pair[0] > pair[1]).count();
+    assert!(overtaken > 1_000, "{overtaken}");
+    let copies = arrived.len() - 20_000;
+    happens(copies, 20_000, 0.05);
+    assert_eq!(direction.counters().repeated as usize, copies);
+    arrived.sort_unstable();
+    arrived.dedup();
+    assert_eq!(arrived.len(), 20_000, "nobody is missing");
+}
+
+#[test]
+fn arrivals_lie_on_the_slots_and_wait_evenly_for_them() {
+    let profile = DirectionProfile {
+        slot_ms: Some(15.0),
+        ..DirectionProfile::default()
+    };
+    let mut direction = Impairment::new(&profile, LinkKind::Stream, SEED, "slots");
+    let mut waits_ms = Vec::new();
+    let mut phases = Vec::new();
+    for unit in 0..3_000_i64 {
+        // 97.003 ms are no multiple of the slot: the offers walk through it.
+        let now = Stamp::from_micros(unit * 97_003);
+        direction.offer(now, b"x");
+        let at = direction.deadline().unwrap();
+        waits_ms.push((at - now).as_millis_f64());
+        phases.push(at.as_nanos().rem_euclid(15_000_000));
+        direction.poll(at).unwrap();
+    }
+    assert!(phases.iter().all(|phase| *phase == phases[0]));
+    follows(&waits_ms, |wait| wait / 15.0);
+}
+
+#[test]
+fn what_waits_for_one_slot_comes_together() {
+    let profile = DirectionProfile {
+        slot_ms: Some(15.0),
+        ..DirectionProfile::default()
+    };
+    let mut direction = Impairment::new(&profile, LinkKind::Stream, SEED, "slots");
+    for millis in 0..300 {
+        direction.offer(ms(millis), b"ab");
+    }
+    let mut chunks = Vec::new();
+    while let Some(delivery) = direction.poll(ms(400)) {
+        chunks.push(delivery.bytes.len());
+    }
+    assert!(
+        chunks[1..20].iter().all(|length| *length == 30),
+        "{chunks:?}"
+    );
+}
+
+#[test]
+fn pieces_of_random_size_are_equally_likely_up_to_the_largest() {
+    let profile = DirectionProfile {
+        fragment: Some(Fragment {
+            most_bytes: 8,
+            sizes: PieceSizes::Random,
+        }),
+        ..DirectionProfile::default()
+    };
+    let (_, deliveries) = pass(&profile, LinkKind::Stream, 20, &[7; 10_000]);
+    let mut sizes = [0_usize; 8];
+    for delivery in &deliveries {
+        sizes[delivery.bytes.len() - 1] += 1;
+    }
+    are_equally_likely(&sizes);
+    let fixed = DirectionProfile {
+        fragment: Some(Fragment {
+            most_bytes: 20,
+            sizes: PieceSizes::Fixed,
+        }),
+        ..DirectionProfile::default()
+    };
+    let (_, deliveries) = pass(&fixed, LinkKind::Stream, 1, &[7; 45]);
+    let sizes: Vec<usize> = deliveries
+        .iter()
+        .map(|delivery| delivery.bytes.len())
+        .collect();
+    assert_eq!(sizes, [20, 20, 5]);
+}
+
+#[test]
+fn outages_come_exponentially_last_evenly_and_take_what_is_on_the_way() {
+    let profile = LinkProfile {
+        disconnects: Some(Disconnects {
+            mean_up_s: 12.0,
+            down_from_s: 1.0,
+            down_to_s: 10.0,
+        }),
+        ..LinkProfile::default().with_extra(0.0, 50.0)
+    };
+    let mut link = ImpairedLink::new(&profile, SEED, Stamp::ZERO);
+    let (mut ups_s, mut downs_s) = (Vec::new(), Vec::new());
+    let mut changed = Stamp::<HostClock>::ZERO;
+    for step in 0..200_000_i64 {
+        let now = ms(step * 100);
+        link.offer(End::Brick, now, b"to the station");
+        link.offer(End::Station, now, b"to the brick");
+        while let Some(event) = link.poll(now) {
+            match event {
+                LinkEvent::Down { at } => {
+                    ups_s.push((at - changed).as_secs_f64());
+                    changed = at;
+                }
+                LinkEvent::Up { at } => {
+                    downs_s.push((at - changed).as_secs_f64());
+                    changed = at;
+                }
+                LinkEvent::Arrived { .. } => {}
+            }
+        }
+    }
+    follows(&ups_s, |up| 1.0 - (-up / 12.0).exp());
+    follows(&downs_s, |down| (down - 1.0) / 9.0);
+    // A unit is lost if it is offered while the link is down or less than its 50 ms before: 5.5 s and 0.05 s of 17.5.
+    for end in [End::Station, End::Brick] {
+        let counters = link.counters(end);
+        let share = counters.bytes_lost_to_outages as f64 / counters.bytes_offered as f64;
+        assert!((share - 5.55 / 17.5).abs() < 0.03, "{end:?}: {share}");
+    }
+}
+
+/// Log and deliveries of so many equal units a second apart.
+fn pass(
+    profile: &DirectionProfile,
+    kind: LinkKind,
+    units: i64,
+    bytes: &[u8],
+) -> (Vec<LogEntry>, Vec<Delivery>) {
+    let mut direction = Impairment::new(profile, kind, SEED, "test");
+    let mut deliveries = Vec::new();
+    for unit in 0..units {
+        direction.offer(ms(unit * 1_000), bytes);
+        while let Some(delivery) = direction.poll(ms(unit * 1_000)) {
+            deliveries.push(delivery);
+        }
+    }
+    (direction.take_log(), deliveries)
+}
+
+/// Delays of single units that lie so far apart that none waits for another.
+fn delays_ms(profile: &DirectionProfile, kind: LinkKind, units: i64) -> Vec<f64> {
+    let mut direction = Impairment::new(profile, kind, SEED, "test");
+    (0..units)
+        .map(|unit| {
+            let now = ms(unit * 60_000);
+            direction.offer(now, b"unit");
+            let at = direction.deadline().unwrap();
+            direction.poll(at).unwrap();
+            (at - now).as_millis_f64()
+        })
+        .collect()
+}
+
+fn ms(millis: i64) -> Stamp<HostClock> {
+    Stamp::from_millis(millis)
+}
+
+/// Kolmogorov-Smirnov: the largest distance between sample and distribution stays below 1.95 / sqrt(n), its 0.1 % quantile.
+fn follows(sample: &[f64], distribution: impl Fn(f64) -> f64) {
+    let mut sorted = sample.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len() as f64;
+    assert!(n > 300.0, "only {n} values");
+    let distance = sorted
+        .iter()
+        .enumerate()
+        .map(|(index, value)| {
+            let expected = distribution(*value);
+            let (below, above) = (index as f64 / n, (index + 1) as f64 / n);
+            (expected - below).abs().max((expected - above).abs())
+        })
+        .fold(0.0, f64::max);
+    assert!(distance < 1.95 / n.sqrt(), "distance {distance}, n {n}");
+}
+
+/// A binomial count lies within 3.3 sigma of its mean.
+fn happens(count: usize, trials: usize, probability: f64) {
+    let mean = trials as f64 * probability;
+    let sigma = (mean * (1.0 - probability)).sqrt();
+    let off = (count as f64 - mean).abs();
+    assert!(
+        off < 3.3 * sigma,
+        "{count} of {trials}, expected {mean} +- {sigma}"
+    );
+}
+
+/// Chi-square with seven degrees of freedom: 24.3 is its 0.1 % quantile.
+fn are_equally_likely(counts: &[usize; 8]) {
+    let mean = counts.iter().sum::<usize>() as f64 / 8.0;
+    let chi_square: f64 = counts
+        .iter()
+        .map(|count| (*count as f64 - mean).powi(2) / mean)
+        .sum();
+    assert!(chi_square < 24.3, "{chi_square}: {counts:?}");
+}

@@ -1,0 +1,147 @@
+//! Brick and station over a bad link in virtual time: the same every time, and the station is worth having even so.
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test stops where its set-up is broken"
+)]
+
+use posebridge::config::Config;
+use posebridge::report::run::{Truth, errors};
+use posebridge::virtual_run::{self, VirtualLink, VirtualRun};
+use posebridge_sim::impairment::{LinkKind, LinkProfile, PROFILES};
+use posebridge_sim::{Scenario, Steering};
+use posebridge_telemetry::Span;
+
+fn scenario() -> Scenario {
+    Scenario::bundled("square")
+        .unwrap()
+        .with_seed(3)
+        .with_steering(Steering::Estimate)
+}
+
+fn drive(link: &VirtualLink) -> VirtualRun {
+    let scenario = scenario();
+    let config = Config::default().with_tag_of(&scenario);
+    virtual_run::run_over(scenario, config.pipeline().unwrap(), link).unwrap()
+}
+
+fn bundled(name: &str) -> VirtualLink {
+    VirtualLink {
+        profile: LinkProfile::bundled(name).unwrap(),
+        seed: 5,
+        ..VirtualLink::default()
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_run_bit_for_bit_and_another_does_not() {
+    let link = bundled("harsh");
+    let (first, again) = (drive(&link), drive(&link));
+    assert_eq!(first.simulation.truth(), again.simulation.truth());
+    assert_eq!(
+        first.collector.estimates.items(),
+        again.collector.estimates.items()
+    );
+    assert_eq!(
+        first.simulation.received_estimates(),
+        again.simulation.received_estimates()
+    );
+    assert_eq!(first.link, again.link);
+    let other = drive(&VirtualLink { seed: 6, ..link });
+    assert_ne!(first.link, other.link);
+    assert_ne!(first.simulation.truth(), other.simulation.truth());
+}
+
+#[test]
+fn the_clean_link_is_no_link() {
+    let scenario = scenario();
+    let config = Config::default().with_tag_of(&scenario);
+    let without = virtual_run::run(scenario, config.pipeline().unwrap()).unwrap();
+    let with = drive(&VirtualLink::default());
+    assert_eq!(with.simulation.truth(), without.simulation.truth());
+    assert_eq!(
+        with.collector.estimates.items(),
+        without.collector.estimates.items()
+    );
+    assert_eq!(with.link, without.link);
+    assert_eq!(with.link.to_station.bytes_lost(), 0);
+    assert!(with.link.to_station.bytes_delivered > 10_000);
+}
+
+#[test]
+fn over_every_bundled_link_the_lap_ends_and_the_books_balance() {
+    for (name, _) in PROFILES {
+        let run = drive(&bundled(name));
+        assert!(run.simulation.is_finished(), "{name}");
+        let (estimate, odometry) = errors(&run.collector, &Truth::of(&run.simulation));
+        println!(
+            "{name}: estimate {:.1} mm, odometry {:.1} mm, {} outages, {} of {} bytes lost",
+            estimate.position_rms_m.unwrap() * 1e3,
+            odometry.position_rms_m.unwrap() * 1e3,
+            run.link.outages,
+            run.link.to_station.bytes_lost(),
+            run.link.to_station.bytes_offered,
+        );
+        assert!(!run.simulation.received_estimates().is_empty(), "{name}");
+        for counters in [run.link.to_station, run.link.to_brick] {
+            assert_eq!(
+                counters.bytes_offered,
+                counters.bytes_delivered + counters.bytes_lost() + counters.bytes_on_the_way,
+                "{name}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_estimate_is_as_much_older_at_the_brick_as_the_link_is_slower() {
+    let median_age = |extra_delay_ms| {
+        let run = drive(&VirtualLink {
+            extra_delay_ms,
+            ..VirtualLink::default()
+        });
+        let estimates = run.simulation.received_estimates();
+        let mut ages: Vec<Span> = estimates.iter().map(|estimate| estimate.age()).collect();
+        ages.sort_unstable();
+        ages[ages.len() / 2].as_millis_f64()
+    };
+    let (at_once, late) = (median_age(0.0), median_age(40.0));
+    println!("median age {at_once:.2} ms, with 40 ms each way {late:.2} ms");
+    assert!((0.0..2.0).contains(&at_once), "{at_once}");
+    assert!((late - at_once - 80.0).abs() < 2.0, "{late}");
+}
+
+#[test]
+fn loss_delay_and_skew_of_the_sweep_are_what_was_asked_for() {
+    let run = drive(&VirtualLink {
+        profile: LinkProfile {
+            kind: LinkKind::Datagram,
+            ..LinkProfile::default()
+        },
+        seed: 1,
+        extra_loss: 0.2,
+        extra_delay_ms: 30.0,
+        brick_skew_ppm: Some(2_000.0),
+    });
+    let counters = run.link.to_station;
+    let share = counters.bytes_lost_alone as f64 / counters.bytes_offered as f64;
+    assert!((share - 0.2).abs() < 0.05, "{share}");
+    let last = run.simulation.truth().last().unwrap();
+    let first = run.simulation.truth().first().unwrap();
+    let gained_ppm = ((last.brick - first.brick).as_secs_f64()
+        / (last.world - first.world).as_secs_f64()
+        - 1.0)
+        * 1e6;
+    assert!((gained_ppm - 2_000.0).abs() < 1.0, "{gained_ppm}");
+    let health = run.collector.health;
+    assert!(health.frames_lost > 50, "{}", health.frames_lost);
+    assert!(health.round_trip.unwrap() >= Span::from_millis(60));
+    // The robot steers by what reached it: its belief stays with the truth all the same.
+    let worst_m = run
+        .simulation
+        .truth()
+        .iter()
+        .map(|sample| sample.belief.origin().distance(sample.pose.origin()).0)
+        .fold(0.0, f64::max);
+    println!("belief off by {:.1} mm at most", worst_m * 1e3);
+    assert!(worst_m < 0.06, "{worst_m}");
+}
