@@ -225,9 +225,8 @@ impl<C: Clock> ClockAligner<C> {
         if let Some(line) = &line {
             // Nothing that has happened may be converted anew: neither a stamp that has arrived nor an instant before now.
             let present_s = self.conversion.remote_at(now.host_s);
-            let from_s = present_s.map_or(self.youngest_s, |present_s| {
-                present_s.max(self.youngest_s)
-            });
+            let from_s =
+                present_s.map_or(self.youngest_s, |present_s| present_s.max(self.youngest_s));
             self.conversion.steer(line, from_s);
             self.line = Some(*line);
         }

@@ -57,12 +57,7 @@ impl Hull {
 
     /// Takes the bounds anew, in the order of time. Each is loosened by what the rate may have changed since:
     /// `drift_per_s` (t - t_i)^2 / 2.
-    pub(super) fn span(
-        &mut self,
-        bounds: impl Iterator<Item = Bound>,
-        t_s: f64,
-        drift_per_s: f64,
-    ) {
+    pub(super) fn span(&mut self, bounds: impl Iterator<Item = Bound>, t_s: f64, drift_per_s: f64) {
         self.corners.clear();
         for bound in bounds {
             let age_s = t_s - bound.t_s;
