@@ -13,10 +13,11 @@ mod station;
 mod world;
 
 use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
-use posebridge_protocol::message::{Inertial, Message, TimeSync, WireStamp};
+use posebridge_protocol::message::{Inertial, Message, TimeSync, VisionFix, WireStamp};
 use posebridge_sim::Scenario;
 use posebridge_telemetry::{
-    BrickClock, Event, HostClock, Observed, Radians, RadiansPerSecond, Span, Stamp, Verdict,
+    Address, BrickClock, Defect, Event, HostClock, Meters, Observed, Output, Radians,
+    RadiansPerSecond, SensorId, Span, Stamp, Verdict,
 };
 use station::{STATION, Station, at, config};
 use world::World;
@@ -151,13 +152,109 @@ fn a_brick_that_restarts_keeps_its_pose_and_is_asked_again() {
     assert_eq!(asked.count(), 2, "once for each message that is wanted");
 }
 
+/// Host instants of what the events or messages of a station say.
+fn when(station: &Station, is_it: impl Fn(&Event) -> bool) -> Vec<Stamp<HostClock>> {
+    let outputs = station.outputs.iter();
+    let instants = outputs.filter_map(|(now, output)| match output {
+        Output::Event(event) if is_it(event) => Some(*now),
+        _ => None,
+    });
+    instants.collect()
+}
+
+/// When the station asked for the time.
+fn asked_for_time(station: &Station) -> Vec<Stamp<HostClock>> {
+    let is_request =
+        |message: &Message| matches!(message, Message::TimeSync(sync) if sync.answer_nanos == 0);
+    let requests = station
+        .sent()
+        .filter(|(_, bytes)| messages(bytes).iter().any(is_request));
+    requests.map(|(now, _)| now).collect()
+}
+
+/// From an instant to the first estimate whose stamp can be told in host time, because an alignment went before.
+fn first_usable(station: &Station, since: Stamp<HostClock>) -> Span {
+    let first = |after: Stamp<HostClock>, is_it: fn(&Event) -> bool| {
+        let instants = when(station, is_it);
+        let later = instants.into_iter().find(|now| *now > after);
+        later.expect("it comes")
+    };
+    let aligned = first(since, |event| {
+        matches!(event, Event::BrickClockAligned { .. })
+    });
+    first(aligned, |event| matches!(event, Event::Estimated { .. })) - since
+}
+
+/// By how much the alignments after an instant left their bounds, when the brick's clock showed `zero` at host zero.
+fn worst_outside_ms(station: &Station, since: Stamp<HostClock>, zero_ms: f64, ppm: f64) -> f64 {
+    let mut outside_ms = f64::NEG_INFINITY;
+    for (now, output) in &station.outputs {
+        let Output::Event(Event::BrickClockAligned {
+            offset,
+            uncertainty,
+            host,
+            ..
+        }) = output
+        else {
+            continue;
+        };
+        if *now > since {
+            let true_ms = zero_ms + host.as_secs_f64() * ppm * 1e-3;
+            let error_ms = (offset.as_millis_f64() - true_ms).abs();
+            outside_ms = outside_ms.max(error_ms - uncertainty.as_millis_f64());
+        }
+    }
+    outside_ms
+}
+
+#[test]
+fn estimates_have_a_host_time_within_three_seconds_of_the_first_request_and_of_a_restart() {
+    for seed in 1..=5 {
+        let scenario = Scenario {
+            seed,
+            ..scenario(1_000.0)
+        };
+        let start_ms = scenario.brick.clock_start_micros as f64 * 1e-3;
+        let mut world = World::new(scenario, &config());
+        world.run_for(12);
+        let asked = asked_for_time(&world.station)[0];
+        let first = first_usable(&world.station, asked);
+        world.simulation.restart_brick();
+        let restarted = world.now();
+        world.run_for(6);
+        let again = first_usable(&world.station, restarted);
+        println!("seed {seed}: first {first:?}, after a restart {again:?}");
+        assert!(first <= Span::from_millis(3_000) && again <= Span::from_millis(3_000));
+
+        let zero_ms = -restarted.as_secs_f64() * 1e3 * 1.001;
+        let before: Vec<_> = world.station.outputs.clone();
+        let anew = worst_outside_ms(&world.station, restarted, zero_ms, 1_000.0);
+        world.station.outputs = before
+            .into_iter()
+            .filter(|(now, _)| *now <= restarted)
+            .collect();
+        let at_first = worst_outside_ms(&world.station, Stamp::ZERO, start_ms, 1_000.0);
+        assert!(at_first <= 0.0 && anew <= 0.0, "{at_first} {anew}");
+    }
+}
+
 /// Answers every time request that the station has sent since `first`, with a clock that is 100 s ahead of the host's.
 fn answer(station: &mut Station, first: usize, now: Stamp<HostClock>) {
+    answer_as(station, first, now, (BRICK, 100_000));
+}
+
+/// Answers as somebody, by a clock that is so many milliseconds ahead of the host's.
+fn answer_as(
+    station: &mut Station,
+    first: usize,
+    now: Stamp<HostClock>,
+    (who, ahead_ms): (Address, i64),
+) {
     let requests: Vec<i64> = station.outputs[first..]
         .iter()
         .filter_map(|(_, output)| match output {
-            posebridge_telemetry::Output::Transmit { bytes, .. } => Some(messages(bytes)),
-            posebridge_telemetry::Output::Event(_) => None,
+            Output::Transmit { bytes, .. } => Some(messages(bytes)),
+            Output::Event(_) => None,
         })
         .flatten()
         .filter_map(|message| match message {
@@ -167,12 +264,93 @@ fn answer(station: &mut Station, first: usize, now: Stamp<HostClock>) {
         .collect();
     for request_nanos in requests {
         let answer = Message::TimeSync(TimeSync {
-            answer_nanos: now.as_nanos() + 100_000_000_000 - 5_000_000,
+            answer_nanos: now.as_nanos() + ahead_ms * 1_000_000 - 5_000_000,
             request_nanos,
             target: Some(STATION),
         });
-        station.bytes(now, &frame(BRICK, &answer));
+        station.bytes(now, &frame(who, &answer));
     }
+}
+
+const CAMERA: Address = Address::new(200, 1);
+
+/// A fix of a camera whose clock is so many milliseconds ahead.
+fn fix(exposed: Stamp<HostClock>, ahead_ms: i64) -> Vec<u8> {
+    let seen = VisionFix {
+        stamp: WireStamp::Micros64((exposed.as_micros() + ahead_ms * 1_000) as u64),
+        x: Meters(0.0),
+        y: Meters(0.0),
+        heading: None,
+        covariance: None,
+        reset_counter: 0,
+    };
+    frame(CAMERA, &Message::VisionPosition(seen))
+}
+
+/// Half a second in which brick and camera answer, and nobody sends telemetry.
+fn station_that_only_talked() -> Station {
+    let mut station = Station::new(&config());
+    station.bytes(at(10), &frame(BRICK, &HEARTBEAT));
+    for k in 0..6_i64 {
+        let now = at(100 + k * 100);
+        let sent = station.outputs.len();
+        station.pass_until(now);
+        for (who, ahead_ms) in [(BRICK, 100_000), (CAMERA, 500_000)] {
+            answer_as(
+                &mut station,
+                sent,
+                now + Span::from_millis(10),
+                (who, ahead_ms),
+            );
+        }
+    }
+    station
+}
+
+#[test]
+fn what_a_brick_answered_before_its_first_telemetry_is_known_when_it_becomes_the_robot() {
+    let mut station = station_that_only_talked();
+    station.bytes(at(650), &frame(BRICK, &ticks(100_640, 0, 0)));
+    station.bytes(at(660), &fix(at(640), 500_000));
+    let fixes: Vec<_> = station
+        .events()
+        .filter_map(|event| match event {
+            Event::Observed { observation, .. } if observation.sensor == SensorId::CAMERA => {
+                Some(observation.stamp)
+            }
+            _ => None,
+        })
+        .collect();
+    let [stamp] = fixes[..] else {
+        panic!("the fix is placed at once: {fixes:?}");
+    };
+    let error_ms = (stamp - Stamp::from_millis(100_640)).as_millis_f64();
+    assert!(error_ms.abs() < 10.0, "{error_ms}");
+    assert!(
+        !station
+            .events()
+            .any(|event| matches!(event, Event::Defect { .. } | Event::BrickRestarted { .. }))
+    );
+}
+
+#[test]
+fn a_camera_that_was_restarted_is_asked_for_its_time_at_once() {
+    let mut station = station_that_only_talked();
+    station.bytes(at(650), &frame(BRICK, &ticks(100_640, 0, 0)));
+    station.pass_until(at(5_000));
+    // It shows its uptime from the start, 495 s less than before.
+    station.bytes(at(5_010), &fix(at(5_000), -4_000));
+    let before = asked_for_time(&station).len();
+    station.pass_until(at(6_000));
+    let quick = asked_for_time(&station).len() - before;
+    assert!(quick >= 9, "{quick} requests in a second");
+    let is_unaligned = |event: &Event| {
+        let unaligned = Defect::Unaligned { source: CAMERA };
+        matches!(event, Event::Defect { defect, .. } if *defect == unaligned)
+    };
+    assert_eq!(when(&station, is_unaligned), [at(5_010)]);
+    let no_restart = |event: &Event| matches!(event, Event::BrickRestarted { .. });
+    assert_eq!(when(&station, no_restart), []);
 }
 
 #[test]
@@ -207,7 +385,7 @@ fn answered_requests_align_the_clocks_and_an_answer_from_before_all_time_does_no
     let request = station.outputs[sent..]
         .iter()
         .find_map(|(now, output)| {
-            let posebridge_telemetry::Output::Transmit { bytes, .. } = output else {
+            let Output::Transmit { bytes, .. } = output else {
                 return None;
             };
             let is_request = |message: &Message| matches!(message, Message::TimeSync(_));

@@ -4,6 +4,7 @@ use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, Span, Stamp, clock::Clock};
 
 use super::bounds::{ClockBounds, Line};
+use super::conversion::Conversion;
 use super::unwrap::{Unwrapped, Unwrapper};
 
 /// Stands in for the smallest delay of a link whose far end never answers, s: half of a Bluetooth link's usual round trip.
@@ -12,6 +13,8 @@ const ONE_WAY_DELAY_S: f64 = 0.010;
 const ANSWERS_NEEDED: u32 = 3;
 /// Without an answer for this long after the first message the one-way line has to do.
 const ONE_WAY_AFTER: Span = Span::from_millis(1_500);
+/// Messages between two exchanges tighten the bounds as well; so often the line is sought anew for them, remote s.
+const REFIT_S: f64 = 0.5;
 
 /// No brick counts in longer steps: nxtOSEK and leJOS tick each millisecond, slow schedulers each 10 ms.
 const LARGEST_STEP_S: f64 = 0.020;
@@ -23,7 +26,11 @@ pub struct ClockAligner<C: Clock> {
     bounds: ClockBounds,
     /// First stamp and first arrival: instants are kept relative to them, so that `f64` seconds resolve nanoseconds.
     origin: Option<(Stamp<C>, Stamp<HostClock>)>,
+    /// What was found last; the conversion turns towards it.
     line: Option<Line>,
+    conversion: Conversion,
+    /// Youngest stamp so far, relative.
+    youngest_s: f64,
     answers: u32,
     round_trip: Option<Span>,
     /// Greatest common divisor of all stamps: the step in which the remote counter advances, in microseconds.
@@ -41,10 +48,19 @@ pub struct Alignment<C: Clock> {
     pub offset: Span,
     /// Rate of the remote clock against the host's, minus one, ppm.
     pub skew_ppm: f64,
+    /// How far the skew may be off, ppm.
+    pub skew_uncertainty_ppm: f64,
     /// How far the offset may be off.
     pub uncertainty: Span,
     /// Round trip of the exchange.
     pub round_trip: Span,
+}
+
+/// An instant on both clocks, relative to the origin.
+#[derive(Clone, Copy, Debug)]
+struct Meeting {
+    remote_s: f64,
+    host_s: f64,
 }
 
 impl<C: Clock> Default for ClockAligner<C> {
@@ -54,6 +70,8 @@ impl<C: Clock> Default for ClockAligner<C> {
             bounds: ClockBounds::default(),
             origin: None,
             line: None,
+            conversion: Conversion::default(),
+            youngest_s: 0.0,
             answers: 0,
             round_trip: None,
             step_micros: 0,
@@ -64,25 +82,13 @@ impl<C: Clock> Default for ClockAligner<C> {
 impl<C: Clock> ClockAligner<C> {
     /// A message with this stamp arrived.
     pub fn arrived(&mut self, stamp: WireStamp, arrival: Stamp<HostClock>) -> Unwrapped<C> {
-        let unwrapped = self.unwrapper.unwrap(stamp, arrival);
-        let remote = match unwrapped {
-            Unwrapped::Continued(remote) => remote,
-            Unwrapped::Restarted(remote) => {
-                self.forget();
-                remote
-            }
-        };
-        self.step_micros =
-            greatest_common_divisor(self.step_micros, remote.as_micros().unsigned_abs());
-        let (remote_s, host_s) = self.relative(remote, arrival);
-        self.bounds.arrived(remote_s, host_s);
-        if self.answers < ANSWERS_NEEDED {
-            let waited = self
-                .origin
-                .is_some_and(|(_, first)| arrival - first >= ONE_WAY_AFTER);
-            if waited {
-                self.line = self.bounds.one_way_line(remote_s, ONE_WAY_DELAY_S);
-            }
+        let (unwrapped, meeting) = self.met(stamp, arrival);
+        let is_due = self
+            .line
+            .is_none_or(|line| meeting.remote_s - line.at_s >= REFIT_S);
+        if is_due && !self.fit(meeting) {
+            let (Unwrapped::Continued(remote) | Unwrapped::Restarted(remote)) = unwrapped;
+            self.begin_anew(remote, arrival);
         }
         unwrapped
     }
@@ -95,7 +101,7 @@ impl<C: Clock> ClockAligner<C> {
     }
 
     /// A request that left at `sent` was answered with the remote clock's `remote_nanos`; the answer came at `received`.
-    /// Returns the new alignment, or `None` while there is none.
+    /// Returns the new alignment, or `None` while there is none. An answer from before its request is only a message that arrived.
     pub fn exchanged(
         &mut self,
         sent: Stamp<HostClock>,
@@ -103,50 +109,43 @@ impl<C: Clock> ClockAligner<C> {
         remote_nanos: i64,
     ) -> (Unwrapped<C>, Option<Alignment<C>>) {
         let stamp = WireStamp::Micros64(u64::try_from(remote_nanos.div_euclid(1_000)).unwrap_or(0));
-        let unwrapped = self.arrived(stamp, received);
-        let (Unwrapped::Continued(remote) | Unwrapped::Restarted(remote)) = unwrapped;
-        let (remote_s, sent_s) = self.relative(remote, sent);
-        let step_s = self.step_s();
-        self.bounds.left(sent_s - step_s, remote_s);
-        self.answers = self.answers.saturating_add(1);
-        self.round_trip = Some(received - sent);
-        if self.answers < ANSWERS_NEEDED {
-            return (unwrapped, None);
+        if received < sent {
+            return (self.arrived(stamp, received), None);
         }
-        self.line = self.bounds.two_way_line(remote_s);
-        if self.line.is_none() {
-            // No straight line fits: the clock stepped without falling. Begin anew with this exchange.
-            self.forget();
-            let (remote_s, received_s) = self.relative(remote, received);
-            self.bounds.arrived(remote_s, received_s);
-            let (_, sent_s) = self.relative(remote, sent);
-            self.bounds.left(sent_s - step_s, remote_s);
-            self.answers = 1;
+        let (unwrapped, meeting) = self.met(stamp, received);
+        let (Unwrapped::Continued(remote) | Unwrapped::Restarted(remote)) = unwrapped;
+        self.answered(remote, sent, received);
+        if self.answers >= ANSWERS_NEEDED && !self.fit(meeting) {
+            self.begin_anew(remote, received);
+            self.answered(remote, sent, received);
         }
         (unwrapped, self.alignment(remote, received - sent))
     }
 
-    /// The instant of a stamp that is already unwrapped, on the host's clock, and how far it may be off.
+    /// The instant of a stamp that is already unwrapped, on the host's clock, and how far it may be off. Of two stamps that have
+    /// arrived the younger one never comes out earlier, whatever was learnt in between; see [`Conversion`].
     #[must_use]
     pub fn host_at(&self, remote: Stamp<C>) -> Option<(Stamp<HostClock>, Span)> {
-        let (line, (remote_zero, host_zero)) = (self.line?, self.origin?);
+        let (remote_zero, host_zero) = self.origin?;
         let since = remote - remote_zero;
-        let correction = Span::from_secs_f64(line.offset_at(since.as_secs_f64()));
+        let offset_s = self.conversion.offset_at(since.as_secs_f64())?;
         Some((
-            host_zero + since + correction,
-            Span::from_secs_f64(line.uncertainty_s),
+            host_zero + since + Span::from_secs_f64(offset_s),
+            self.uncertainty_at(since.as_secs_f64(), offset_s)?,
         ))
     }
 
-    /// The instant of the host's clock on the remote clock, and how far it may be off.
+    /// The instant of the host's clock on the remote clock, and how far it may be off. The inverse of [`Self::host_at`]; an instant that
+    /// is still to come is a prediction, and may come out otherwise later.
     #[must_use]
     pub fn remote_at(&self, host: Stamp<HostClock>) -> Option<(Stamp<C>, Span)> {
-        let (line, (remote_zero, host_zero)) = (self.line?, self.origin?);
-        // host = remote + offset + slope (remote - at), solved for remote, all relative to the zeros.
-        let host_s = (host - host_zero).as_secs_f64();
-        let excess_s = (line.offset_s + line.slope * (host_s - line.at_s)) / (1.0 + line.slope);
-        let remote = remote_zero + (host - host_zero) - Span::from_secs_f64(excess_s);
-        Some((remote, Span::from_secs_f64(line.uncertainty_s)))
+        let (remote_zero, host_zero) = self.origin?;
+        let since_s = (host - host_zero).as_secs_f64();
+        let remote_s = self.conversion.remote_at(since_s)?;
+        // As a difference, because it is small and keeps the nanoseconds.
+        let offset_s = since_s - remote_s;
+        let remote = remote_zero + (host - host_zero) - Span::from_secs_f64(offset_s);
+        Some((remote, self.uncertainty_at(remote_s, offset_s)?))
     }
 
     /// Round trip of the last exchange.
@@ -155,11 +154,96 @@ impl<C: Clock> ClockAligner<C> {
         self.round_trip
     }
 
-    /// How far a converted stamp may be off.
+    /// How far the youngest stamp, converted, may be off.
     #[must_use]
     pub fn uncertainty(&self) -> Option<Span> {
-        self.line
-            .map(|line| Span::from_secs_f64(line.uncertainty_s))
+        let offset_s = self.conversion.offset_at(self.youngest_s)?;
+        self.uncertainty_at(self.youngest_s, offset_s)
+    }
+
+    /// The same counter under another name: that of a stranger who turns out to be the robot.
+    #[must_use]
+    pub fn renamed<D: Clock>(self) -> ClockAligner<D> {
+        ClockAligner {
+            unwrapper: self.unwrapper,
+            bounds: self.bounds,
+            origin: self
+                .origin
+                .map(|(remote, host)| (Stamp::from_nanos(remote.as_nanos()), host)),
+            line: self.line,
+            conversion: self.conversion,
+            youngest_s: self.youngest_s,
+            answers: self.answers,
+            round_trip: self.round_trip,
+            step_micros: self.step_micros,
+        }
+    }
+
+    /// Unwraps a stamp and takes its bound.
+    fn met(&mut self, stamp: WireStamp, arrival: Stamp<HostClock>) -> (Unwrapped<C>, Meeting) {
+        let unwrapped = self.unwrapper.unwrap(stamp, arrival);
+        let remote = match unwrapped {
+            Unwrapped::Continued(remote) => remote,
+            Unwrapped::Restarted(remote) => {
+                self.forget();
+                remote
+            }
+        };
+        self.step_micros =
+            greatest_common_divisor(self.step_micros, remote.as_micros().unsigned_abs());
+        (unwrapped, self.bound_above(remote, arrival))
+    }
+
+    fn bound_above(&mut self, remote: Stamp<C>, arrival: Stamp<HostClock>) -> Meeting {
+        let meeting = self.meeting(remote, arrival);
+        self.youngest_s = self.youngest_s.max(meeting.remote_s);
+        self.bounds.arrived(meeting.remote_s, meeting.host_s);
+        self.bounds.forget_before(self.youngest_s);
+        if !self.bounds.is_two_way() {
+            self.answers = 0;
+        }
+        meeting
+    }
+
+    fn answered(&mut self, remote: Stamp<C>, sent: Stamp<HostClock>, received: Stamp<HostClock>) {
+        let Meeting { remote_s, host_s } = self.meeting(remote, sent);
+        self.bounds.left(host_s - self.step_s(), remote_s);
+        self.answers = self.answers.saturating_add(1);
+        self.round_trip = Some(received - sent);
+    }
+
+    /// Seeks the line anew and turns the conversion towards it. False if no line fits what is known: the clock stepped.
+    fn fit(&mut self, now: Meeting) -> bool {
+        let is_two_way = self.answers >= ANSWERS_NEEDED;
+        let line = if is_two_way {
+            self.bounds.two_way_line(self.youngest_s)
+        } else if now.host_s >= ONE_WAY_AFTER.as_secs_f64() {
+            self.bounds.one_way_line(self.youngest_s, ONE_WAY_DELAY_S)
+        } else {
+            None
+        };
+        if let Some(line) = &line {
+            // Nothing that has happened may be converted anew: neither a stamp that has arrived nor an instant before now.
+            let present_s = self.conversion.remote_at(now.host_s);
+            let from_s =
+                present_s.map_or(self.youngest_s, |present_s| present_s.max(self.youngest_s));
+            self.conversion.steer(line, from_s);
+            self.line = Some(*line);
+        }
+        line.is_some() || !is_two_way
+    }
+
+    /// The clock stepped without falling: all is forgotten but what came last.
+    fn begin_anew(&mut self, remote: Stamp<C>, arrival: Stamp<HostClock>) {
+        self.forget();
+        self.bound_above(remote, arrival);
+    }
+
+    /// The bounds hold about the line; the conversion may still be on its way to it.
+    fn uncertainty_at(&self, remote_s: f64, offset_s: f64) -> Option<Span> {
+        let line = self.line?;
+        let to_go_s = (offset_s - line.offset_at(remote_s)).abs();
+        Some(Span::from_secs_f64(line.uncertainty_at(remote_s) + to_go_s))
     }
 
     fn alignment(&self, remote: Stamp<C>, round_trip: Span) -> Option<Alignment<C>> {
@@ -170,17 +254,18 @@ impl<C: Clock> ClockAligner<C> {
             host,
             offset: Span::from_nanos(remote.as_nanos().saturating_sub(host.as_nanos())),
             skew_ppm: (1.0 / (1.0 + line.slope) - 1.0) * 1e6,
+            skew_uncertainty_ppm: line.slope_uncertainty * 1e6,
             uncertainty,
             round_trip,
         })
     }
 
-    fn relative(&mut self, remote: Stamp<C>, host: Stamp<HostClock>) -> (f64, f64) {
+    fn meeting(&mut self, remote: Stamp<C>, host: Stamp<HostClock>) -> Meeting {
         let (remote_zero, host_zero) = *self.origin.get_or_insert((remote, host));
-        (
-            (remote - remote_zero).as_secs_f64(),
-            (host - host_zero).as_secs_f64(),
-        )
+        Meeting {
+            remote_s: (remote - remote_zero).as_secs_f64(),
+            host_s: (host - host_zero).as_secs_f64(),
+        }
     }
 
     /// What a counter shows may be as old as its step: by so much the lower bound must give way.
@@ -352,6 +437,7 @@ mod tests {
         }
         let (host, uncertainty) = aligner.host_at(Stamp::from_millis(9_000)).unwrap();
         assert!((host.as_secs_f64() - 4.0).abs() < 2e-3, "{host:?}");
-        assert_eq!(uncertainty, Span::from_millis(10));
+        let bound_ms = uncertainty.as_millis_f64();
+        assert!((10.0..15.0).contains(&bound_ms), "{bound_ms}");
     }
 }

@@ -2,41 +2,40 @@
 //!
 //! A message that was stamped at remote time b and arrived at host time r says: the host clock showed at most r at b. A
 //! request that left at host time s and was stamped b by the answering side says: it showed at least s. With offset(b) =
-//! host - remote taken as a straight line over a window, every message is a half-plane of lines:
+//! host - remote, which bends by at most a (t - b)^2 / 2 from its tangent at t, every message is a half-plane of tangents:
 //!
 //! ```text
-//! offset(b_i) <= r_i - b_i        from every message with a stamp
-//! offset(b_j) >= s_j - b_j        from every answered request
+//! offset(t) + s (b_i - t) <= r_i - b_i + a (t - b_i)^2 / 2      from every message with a stamp
+//! offset(t) + s (b_j - t) >= s_j - b_j - a (t - b_j)^2 / 2      from every answered request
 //! ```
 //! For a slope s the bounds at an instant t are U(s) = min_i(u_i + s (t - t_i)) and L(s) = max_j(l_j + s (t - t_j)); U - L is
-//! concave in s. The line taken is the one with the most room, half-way between its bounds; what is reported as uncertainty is
-//! the furthest that any line which satisfies all bounds lies from it. Half of an asymmetry of the path cannot be seen by any
-//! two-way method, but it lies within these bounds.
+//! concave in s. The line taken is the one with the most room for a clock that does not drift (a = 0), half-way between its bounds;
+//! what is reported as uncertainty is the furthest that any tangent which satisfies all bounds of a drifting clock lies from it.
+//! Half of an asymmetry of the path cannot be seen by any two-way method, but it lies within these bounds.
 //!
-//! Sources: convex hulls for one-way delays: Zhang, Liu, Xia (2002); both sides with error bounds: TICSync (2011); docs/maths/clock.md.
+//! Sources: convex hulls for one-way delays: Zhang, Liu, Xia (2002); both sides with error bounds: TICSync (2011);
+//! docs/maths/clock.md, sections 2 and 3.
 
 use std::collections::VecDeque;
 
-/// Bounds older than this are forgotten, so that the line can follow drift with temperature, s.
-const WINDOW_S: f64 = 100.0;
+use super::hull::{Bound, Hull, Side};
+
+/// Bounds older than this are forgotten, s. It balances what the delays' jitter leaves of the line's end, which falls with the window,
+/// against what the line loses of a clock that bends, which grows with its square; docs/maths/clock.md, equation (7).
+const WINDOW_S: f64 = 80.0;
 /// One bound of each kind is kept per bucket of this length, s; the tightest.
 const BUCKET_S: f64 = 0.5;
 /// No clock of a brick is further off: resonators reach 2000 ppm and 10 ppm per degree.
-const LARGEST_SKEW: f64 = 0.003;
+pub(super) const LARGEST_SKEW: f64 = 0.003;
+/// How fast the rate of a clock may change, per second: 10 ppm per degree and 1.2 degrees per minute, a brick that was just switched on.
+const LARGEST_DRIFT_PER_S: f64 = 2e-7;
 /// Bounds may contradict each other by so much before the clock is taken to have stepped, s: a brick that reads its clock once per
 /// pass of its main loop answers with a reading as old as a pass.
 const CONTRADICTION_S: f64 = 0.020;
 /// Bisection steps on the slope: 2^-40 of 6000 ppm is far below a nanosecond over the window.
 const BISECTIONS: u32 = 40;
 
-/// One bound: at `t_s` the offset is at most (or at least) `offset_s`.
-#[derive(Clone, Copy, Debug)]
-struct Bound {
-    t_s: f64,
-    offset_s: f64,
-}
-
-/// A straight line through the bounds, valid near the window.
+/// A tangent to the offset between the bounds, valid near the window's end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
     /// Remote instant at which `offset_s` holds, s.
@@ -47,6 +46,8 @@ pub struct Line {
     pub slope: f64,
     /// How far the true offset at `at_s` may lie from `offset_s`, s.
     pub uncertainty_s: f64,
+    /// How far the true slope at `at_s` may lie from `slope`.
+    pub slope_uncertainty: f64,
 }
 
 impl Line {
@@ -55,14 +56,46 @@ impl Line {
     pub fn offset_at(&self, remote_s: f64) -> f64 {
         self.offset_s + self.slope * (remote_s - self.at_s)
     }
+
+    /// How far the true offset at a remote instant may lie from [`Self::offset_at`], s: it grows with the distance from `at_s`, because
+    /// the slope is not known exactly and may change.
+    #[must_use]
+    pub fn uncertainty_at(&self, remote_s: f64) -> f64 {
+        let away_s = (remote_s - self.at_s).abs();
+        self.uncertainty_s
+            + self.slope_uncertainty * away_s
+            + 0.5 * LARGEST_DRIFT_PER_S * away_s * away_s
+    }
+}
+
+/// A line half-way between the bounds.
+#[derive(Clone, Copy, Debug)]
+struct Middle {
+    slope: f64,
+    offset_s: f64,
+    room_s: f64,
 }
 
 /// The bounds within the window.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct ClockBounds {
     upper: VecDeque<Bound>,
     lower: VecDeque<Bound>,
+    upper_hull: Hull,
+    lower_hull: Hull,
     slope: f64,
+}
+
+impl Default for ClockBounds {
+    fn default() -> Self {
+        Self {
+            upper: VecDeque::new(),
+            lower: VecDeque::new(),
+            upper_hull: Hull::new(Side::Upper),
+            lower_hull: Hull::new(Side::Lower),
+            slope: 0.0,
+        }
+    }
 }
 
 impl ClockBounds {
@@ -90,6 +123,18 @@ impl ClockBounds {
         });
     }
 
+    /// Forgets what lies a window before `t_s`.
+    pub fn forget_before(&mut self, t_s: f64) {
+        for bounds in [&mut self.upper, &mut self.lower] {
+            while bounds
+                .front()
+                .is_some_and(|first| t_s - first.t_s > WINDOW_S)
+            {
+                bounds.pop_front();
+            }
+        }
+    }
+
     /// Whether both sides are bounded.
     #[must_use]
     pub fn is_two_way(&self) -> bool {
@@ -102,105 +147,100 @@ impl ClockBounds {
         if !self.is_two_way() {
             return None;
         }
-        let room = |slope: f64| self.upper_at(slope, t_s).0 - self.lower_at(slope, t_s).0;
-        let slope = self.slope_with_most_room(t_s);
-        let most_room_s = room(slope);
-        if most_room_s < -CONTRADICTION_S {
+        self.span_hulls(t_s, 0.0);
+        let straight = self.middle(t_s);
+        self.span_hulls(t_s, LARGEST_DRIFT_PER_S);
+        // On a link as quick as a cable a drift of minutes is larger than the room: then only a bent clock fits.
+        let middle = if straight.room_s >= 0.0 {
+            straight
+        } else {
+            self.middle(t_s)
+        };
+        if middle.room_s < -CONTRADICTION_S {
             return None;
         }
-        if most_room_s < 0.0 {
-            let offset_s = 0.5 * (self.upper_at(slope, t_s).0 + self.lower_at(slope, t_s).0);
-            self.slope = slope;
-            return Some(Line {
-                at_s: t_s,
-                offset_s,
-                slope,
-                uncertainty_s: -most_room_s,
-            });
-        }
-        // All slopes that leave room: from the best one outwards to where it vanishes.
-        let lowest = bisect(-LARGEST_SKEW, slope, |slope| room(slope) >= 0.0);
-        let highest = bisect(LARGEST_SKEW, slope, |slope| room(slope) >= 0.0);
-        let offset_s = 0.5 * (self.upper_at(slope, t_s).0 + self.lower_at(slope, t_s).0);
-        // U is concave and L convex in the slope: their extremes over an interval lie at its ends or at the best slope.
-        let furthest_up = [lowest, slope, highest]
-            .map(|slope| self.upper_at(slope, t_s).0)
-            .into_iter()
-            .fold(self.highest_upper(lowest, highest, t_s), f64::max);
-        let furthest_down = [lowest, slope, highest]
-            .map(|slope| self.lower_at(slope, t_s).0)
-            .into_iter()
-            .fold(self.lowest_lower(lowest, highest, t_s), f64::min);
-        let uncertainty_s = (furthest_up - offset_s).max(offset_s - furthest_down);
-        self.slope = slope;
-        Some(Line {
-            at_s: t_s,
-            offset_s,
-            slope,
-            uncertainty_s,
-        })
+        self.slope = middle.slope;
+        Some(self.line_around(t_s, middle))
     }
 
     /// The line below all arrivals that is highest in the middle of the window, for a clock that never answers. Its offset is late by the
     /// link's smallest delay, which a one-way observer cannot know; `assumed_delay_s` stands in for it, and for its uncertainty.
     pub fn one_way_line(&mut self, t_s: f64, assumed_delay_s: f64) -> Option<Line> {
         let (first, last) = (self.upper.front()?, self.upper.back()?);
-        let middle_s = 0.5 * (first.t_s + last.t_s);
-        let slope = self.highest_slope(-LARGEST_SKEW, LARGEST_SKEW, middle_s);
+        let (middle_s, half_s) = (0.5 * (first.t_s + last.t_s), 0.5 * (last.t_s - first.t_s));
+        self.upper_hull.span(self.upper.iter().copied(), t_s, 0.0);
+        let slope = climb(-LARGEST_SKEW, LARGEST_SKEW, |slope| {
+            self.upper_hull.at(slope, middle_s).1 < middle_s
+        });
         self.slope = slope;
         let offset_s =
-            self.upper_at(slope, middle_s).0 + slope * (t_s - middle_s) - assumed_delay_s;
+            self.upper_hull.at(slope, middle_s).0 + slope * (t_s - middle_s) - assumed_delay_s;
         Some(Line {
             at_s: t_s,
             offset_s,
             slope,
             uncertainty_s: assumed_delay_s,
+            // By so much a line can turn about its middle before an end leaves the assumed band.
+            slope_uncertainty: LARGEST_SKEW.min(assumed_delay_s / half_s),
         })
     }
 
-    /// U(s) at `t_s`, and the instant of the bound that makes it.
-    fn upper_at(&self, slope: f64, t_s: f64) -> (f64, f64) {
-        self.upper.iter().fold((f64::INFINITY, t_s), |best, bound| {
-            let value = bound.offset_s + slope * (t_s - bound.t_s);
-            if value < best.0 {
-                (value, bound.t_s)
-            } else {
-                best
-            }
-        })
+    fn span_hulls(&mut self, t_s: f64, drift_per_s: f64) {
+        self.upper_hull
+            .span(self.upper.iter().copied(), t_s, drift_per_s);
+        self.lower_hull
+            .span(self.lower.iter().copied(), t_s, drift_per_s);
     }
 
-    /// L(s) at `t_s`, and the instant of the bound that makes it.
-    fn lower_at(&self, slope: f64, t_s: f64) -> (f64, f64) {
-        self.lower
-            .iter()
-            .fold((f64::NEG_INFINITY, t_s), |best, bound| {
-                let value = bound.offset_s + slope * (t_s - bound.t_s);
-                if value > best.0 {
-                    (value, bound.t_s)
-                } else {
-                    best
-                }
-            })
+    /// The line with the most room: the slope of the concave room is the distance in time between the two bounds that make it.
+    fn middle(&self, t_s: f64) -> Middle {
+        let slope = climb(-LARGEST_SKEW, LARGEST_SKEW, |slope| {
+            self.lower_hull.at(slope, t_s).1 > self.upper_hull.at(slope, t_s).1
+        });
+        let (upper_s, lower_s) = (
+            self.upper_hull.at(slope, t_s).0,
+            self.lower_hull.at(slope, t_s).0,
+        );
+        Middle {
+            slope,
+            offset_s: 0.5 * (upper_s + lower_s),
+            room_s: upper_s - lower_s,
+        }
     }
 
-    /// Where the concave room is largest: its derivative is the distance in time between the two bounds that make it.
-    fn slope_with_most_room(&self, t_s: f64) -> f64 {
-        let rises = |slope: f64| self.lower_at(slope, t_s).1 > self.upper_at(slope, t_s).1;
-        climb(-LARGEST_SKEW, LARGEST_SKEW, rises)
-    }
-
-    fn highest_slope(&self, low: f64, high: f64, t_s: f64) -> f64 {
-        climb(low, high, |slope| self.upper_at(slope, t_s).1 < t_s)
-    }
-
-    fn highest_upper(&self, low: f64, high: f64, t_s: f64) -> f64 {
-        self.upper_at(self.highest_slope(low, high, t_s), t_s).0
-    }
-
-    fn lowest_lower(&self, low: f64, high: f64, t_s: f64) -> f64 {
-        let slope = climb(low, high, |slope| self.lower_at(slope, t_s).1 > t_s);
-        self.lower_at(slope, t_s).0
+    /// The line with how far any other that satisfies the bounds in the hulls lies from it.
+    fn line_around(&self, t_s: f64, middle: Middle) -> Line {
+        let Middle {
+            slope,
+            offset_s,
+            room_s,
+        } = middle;
+        if room_s < 0.0 {
+            return Line {
+                at_s: t_s,
+                offset_s,
+                slope,
+                uncertainty_s: -room_s,
+                slope_uncertainty: 0.0,
+            };
+        }
+        let (upper, lower) = (&self.upper_hull, &self.lower_hull);
+        // All slopes that leave room: from the best one outwards to where it vanishes.
+        let leaves_room = |slope: f64| upper.at(slope, t_s).0 >= lower.at(slope, t_s).0;
+        let lowest = bisect(-LARGEST_SKEW, slope, leaves_room);
+        let highest = bisect(LARGEST_SKEW, slope, leaves_room);
+        // U is concave and L convex in the slope.
+        let at_highest = climb(lowest, highest, |slope| upper.at(slope, t_s).1 < t_s);
+        let at_lowest = climb(lowest, highest, |slope| lower.at(slope, t_s).1 > t_s);
+        let uncertainty_s =
+            (upper.at(at_highest, t_s).0 - offset_s).max(offset_s - lower.at(at_lowest, t_s).0);
+        Line {
+            at_s: t_s,
+            offset_s,
+            slope,
+            uncertainty_s,
+            slope_uncertainty: (highest - slope).max(slope - lowest),
+        }
     }
 }
 
@@ -211,18 +251,14 @@ fn keep_tightest(
 ) {
     let bucket = |bound: &Bound| (bound.t_s / BUCKET_S).floor();
     match bounds.back_mut() {
-        Some(last) if bucket(last) >= bucket(&new) => {
+        // Overtaken by half a second: the bounds stay in the order of time.
+        Some(last) if bucket(last) > bucket(&new) => {}
+        Some(last) if bucket(last) == bucket(&new) => {
             if is_tighter(&new, last) {
                 *last = new;
             }
         }
         _ => bounds.push_back(new),
-    }
-    while bounds
-        .front()
-        .is_some_and(|first| new.t_s - first.t_s > WINDOW_S)
-    {
-        bounds.pop_front();
     }
 }
 

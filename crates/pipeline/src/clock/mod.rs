@@ -1,9 +1,12 @@
 //! From one clock to another: the only place where stamps of different clocks meet.
 //!
 //! [`unwrap`] turns the counters of a brick or camera into instants that neither wrap nor fall; [`bounds`] finds how two clocks
-//! run against each other from the instants of messages; [`align`] puts the two together for one remote participant.
+//! run against each other from the instants of messages; [`conversion`] follows what was found without ever running backwards;
+//! [`align`] puts the three together for one remote participant.
 //! Nothing here reads a clock: all instants come in as arguments.
 
 pub mod align;
 pub mod bounds;
+pub mod conversion;
+mod hull;
 pub mod unwrap;

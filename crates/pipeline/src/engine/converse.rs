@@ -94,7 +94,7 @@ impl Pipeline {
         if self.robot == Some(from) {
             self.align_brick(now, from, exchange);
         } else {
-            self.align_observer(id, peer, exchange);
+            self.align_observer(now, (id, peer), exchange);
         }
     }
 
@@ -115,6 +115,7 @@ impl Pipeline {
             skew_ppm,
             uncertainty,
             round_trip,
+            ..
         }) = alignment
         {
             self.tell(Event::BrickClockAligned {
@@ -129,14 +130,23 @@ impl Pipeline {
         }
     }
 
-    fn align_observer(&mut self, id: LinkId, camera: Address, exchange: Exchange) {
+    fn align_observer(
+        &mut self,
+        now: Stamp<HostClock>,
+        (id, camera): (LinkId, Address),
+        exchange: Exchange,
+    ) {
         let Exchange {
             sent,
             received,
             peer_nanos,
         } = exchange;
         let clock = self.observers.entry((id, camera)).or_default();
-        if let (_, Some(alignment)) = clock.exchanged(sent, received, peer_nanos) {
+        let (unwrapped, alignment) = clock.exchanged(sent, received, peer_nanos);
+        if matches!(unwrapped, Unwrapped::Restarted(_)) {
+            self.ask_time_again(now, id, camera);
+        }
+        if let Some(alignment) = alignment {
             self.tell(Event::CameraClockAligned {
                 camera,
                 offset: alignment.offset,
@@ -144,6 +154,13 @@ impl Pipeline {
                 stamp: alignment.remote,
                 host: alignment.host,
             });
+        }
+    }
+
+    /// A participant's clock began anew: some quick exchanges say how it runs now.
+    pub(super) fn ask_time_again(&mut self, now: Stamp<HostClock>, id: LinkId, peer: Address) {
+        if let Some(link) = self.links.get_mut(&id) {
+            link.session.peer_restarted(now, peer);
         }
     }
 }

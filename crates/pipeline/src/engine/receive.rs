@@ -126,7 +126,14 @@ impl Pipeline {
             return None;
         }
         let candidate = RobotId { link, address };
-        (*self.robot.get_or_insert(candidate) == candidate).then_some(candidate)
+        if self.robot.is_none() {
+            self.robot = Some(candidate);
+            // Its answers to time requests may have come before its telemetry.
+            if let Some(clock) = self.observers.remove(&(link, address)) {
+                self.brick_clock = clock.renamed();
+            }
+        }
+        (self.robot == Some(candidate)).then_some(candidate)
     }
 
     pub(super) fn handle_brick_reading(
@@ -207,9 +214,13 @@ impl Pipeline {
         reading: &Reading,
     ) {
         let clock = self.observers.entry((link, source)).or_default();
-        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) =
-            clock.arrived(reading.stamp, now);
-        let on_brick = clock.host_at(stamp).and_then(|(host, camera_off)| {
+        let unwrapped = clock.arrived(reading.stamp, now);
+        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) = unwrapped;
+        let on_host = clock.host_at(stamp);
+        if matches!(unwrapped, Unwrapped::Restarted(_)) {
+            self.ask_time_again(now, link, source);
+        }
+        let on_brick = on_host.and_then(|(host, camera_off)| {
             let (brick, brick_off) = self.brick_clock.remote_at(host)?;
             Some((brick, sigma_of(camera_off + brick_off)))
         });
@@ -268,9 +279,7 @@ impl Pipeline {
     pub(super) fn brick_restarted(&mut self, now: Stamp<HostClock>, robot: RobotId) {
         self.filter.restart_clock();
         self.last_gyro_turn = None;
-        if let Some(link) = self.links.get_mut(&robot.link) {
-            link.session.peer_restarted(now, robot.address);
-        }
+        self.ask_time_again(now, robot.link, robot.address);
         self.tell(Event::BrickRestarted { robot });
     }
 
