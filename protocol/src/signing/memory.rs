@@ -80,7 +80,7 @@ impl Memory {
                 // As if this had been heard: a second cut must not count the same time again.
                 heard.date = utc.later(BURST);
             }
-            self.own = self.own.later(Self::LARGEST_LOSS);
+            self.own = self.own.max(self.clock).later(Self::LARGEST_LOSS);
         }
         self.written = utc;
         self.clock = self.clock.max(utc);
@@ -110,7 +110,7 @@ mod tests {
         Memory {
             written: at(999),
             clock: at(1_000),
-            own: at(1_001),
+            own: at(990),
             floor: Some(at(5)),
             streams: [(STREAM, HEARD)].into(),
         }
@@ -144,7 +144,7 @@ mod tests {
     fn after_a_cut_nothing_that_may_have_been_used_can_come_again() {
         for (utc, unseen_ms) in [(1_002, 5_500), (90_000, 12_500), (999, 12_500), (2, 12_500)] {
             let resumed = memory().resumed(at(utc), Ending::Cut);
-            assert_eq!(resumed.own, at(1_011), "utc {utc}");
+            assert_eq!(resumed.own, at(1_010), "utc {utc}");
             assert_eq!(
                 resumed.streams[&STREAM].timestamp,
                 HEARD.timestamp.later(Span::from_millis(unseen_ms)),
