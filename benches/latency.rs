@@ -289,6 +289,7 @@ async fn shard(recording: &std::path::Path) -> (Shard, SocketAddr) {
         recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),
         observer: Observer::start(observed).expect("an observer"),
         recording_failure: None,
+        signing: None,
     };
     (shard, address)
 }

@@ -36,6 +36,8 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Run an experiment that needs no robot.
     Lab(LabArgs),
+    /// Make a key for signed links.
+    Key(KeyArgs),
     /// Print, check or describe the configuration.
     Config(ConfigArgs),
     /// Print a completion script for a shell.
@@ -195,6 +197,9 @@ pub struct ReplayArgs {
     /// Truth written by `posebridge sim --truth`, to score a recording against.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
+    /// A key of a link that was signed, instead of the file that held it when it was recorded; may be repeated.
+    #[arg(long = "key", value_name = "FILE")]
+    pub keys: Vec<PathBuf>,
     /// Write every event as a line of text.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
@@ -251,6 +256,24 @@ pub struct LabAccuracyArgs {
     /// Print one JSON object (docs/lab-accuracy.md) instead of tables.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Flags of `key`.
+#[derive(Args, Clone, Debug)]
+pub struct KeyArgs {
+    /// What to do.
+    #[command(subcommand)]
+    pub action: KeyAction,
+}
+
+/// What to do with keys.
+#[derive(Clone, Debug, Subcommand)]
+pub enum KeyAction {
+    /// Make a new key, from random bytes of the operating system, and print its name (docs/signing.md).
+    New {
+        /// Where to write it; a file that is there already is not touched.
+        file: PathBuf,
+    },
 }
 
 /// Flags of `config`.

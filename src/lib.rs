@@ -12,6 +12,7 @@ pub mod learned;
 pub mod link_target;
 pub mod report;
 pub mod score;
+pub mod signing;
 pub mod stderr;
 pub mod stdout;
 pub mod tasks;

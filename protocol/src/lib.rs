@@ -1,7 +1,7 @@
 //! Bytes to frames to messages, and back.
 //!
 //! [`framing`] finds frames in what a link delivers, [`dialect`] turns them into [`message::Message`]s in SI units and our
-//! spaces, [`session`] holds the conversation beside the telemetry, and [`bricks`] is the table of the protocols that
+//! spaces, [`session`] holds the conversation beside the telemetry, [`signing`] says whose frames are believed, and [`bricks`] is the table of the protocols that
 //! robots speak. Everything here is a value: bytes and time come in as arguments, frames and messages go out. Nothing
 //! opens a link, reads a clock, aligns clocks or estimates.
 
@@ -11,3 +11,4 @@ pub mod dialect;
 pub mod framing;
 pub mod message;
 pub mod session;
+pub mod signing;

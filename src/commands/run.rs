@@ -23,6 +23,7 @@ use crate::learned::{Learned, learned_table, save};
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::live::LiveView;
 use crate::report::run::{self as report, Truth};
+use crate::signing::{SigningSession, warn_of_open_listeners};
 use crate::stderr::say;
 use crate::stdout;
 use crate::tasks::observer::{Observer, ObserverConfig};
@@ -90,7 +91,8 @@ struct Embedded {
 
 async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
     let timer = HostTimer::start();
-    let pipeline = pipeline(args, config).at_start()?;
+    let signing = SigningSession::open(config, timer.utc_start()).at_start()?;
+    let pipeline = pipeline(args, config, &signing).at_start()?;
     let folder = output_folder(args, config, &timer).at_start()?;
     let stop = CancellationToken::new();
     let mut signals = Signals::listen().at_start()?;
@@ -107,21 +109,18 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         events: args.events.as_deref(),
         view: LiveView::new(progress),
     };
+    warn_of_open_listeners(&ports, config);
+    let recorded = signing.recorded(config);
     let mut shard = Shard {
         pipeline,
         ports,
         timer,
-        recorder: start_recorder(args, config, &timer, &folder).at_start()?,
+        recorder: start_recorder(args, &recorded, &timer, &folder).at_start()?,
         observer: Observer::start(observed).at_start()?,
         recording_failure: None,
+        signing: signing.keep().at_start()?,
     };
-    let ending = Ending {
-        stop: embedded
-            .as_ref()
-            .map_or_else(|| stop.clone(), |embedded| embedded.brick.finished.clone()),
-        at: args.duration.map(Stamp::from_secs_f64),
-        silence: args.until_silent.map(Span::from_secs_f64),
-    };
+    let ending = ending(args, embedded.as_ref(), &stop);
     tokio::select! {
         () = shard.run(&ending) => {}
         () = signals.received() => {}
@@ -131,6 +130,7 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         .as_ref()
         .is_some_and(|embedded| embedded.brick.finished.is_cancelled());
     stop.cancel();
+    let kept = shard.keep_last_stamps();
     let failure = shard.recording_failure.take();
     let learned = learned_of(&shard.pipeline, config).at_start()?;
     let (collector, recorded) = close(shard).while_running()?;
@@ -143,15 +143,27 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
     )
     .while_running()?;
     report_learned(args, config, &folder, learned.as_ref(), &timer).while_running()?;
+    kept.while_running()?;
     failure
         .map_or(Ok(()), Err)
         .context("the recording is not whole")
         .while_running()
 }
 
+/// When the run ends by itself: at the latest with its simulated brick.
+fn ending(args: &RunArgs, embedded: Option<&Embedded>, stop: &CancellationToken) -> Ending {
+    Ending {
+        stop: embedded.map_or_else(|| stop.clone(), |embedded| embedded.brick.finished.clone()),
+        at: args.duration.map(Stamp::from_secs_f64),
+        silence: args.until_silent.map(Span::from_secs_f64),
+    }
+}
+
 /// The engine; a filter that learns nothing is refused where what it learns shall be saved, before the robot drives for nothing.
-fn pipeline(args: &RunArgs, config: &Config) -> Result<Pipeline> {
-    let pipeline = Pipeline::new(config.pipeline()?, Stamp::ZERO)?;
+fn pipeline(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result<Pipeline> {
+    let mut pipeline_config = config.pipeline()?;
+    signing.lay_into(&mut pipeline_config);
+    let pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
     if args.save_calibration.is_some() && pipeline.calibration().is_none() {
         bail!(
             "--save-calibration: the filter `{}` learns no calibration",

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
+use super::signing::SigningSection;
 use super::world::WorldConfig;
 use crate::link_target::LinkTarget;
 
@@ -71,6 +72,9 @@ pub struct LinkSection {
     /// What is sent there.
     #[serde(default = "default_outputs")]
     pub outputs: Vec<OutputSection>,
+    /// How its frames are signed; without it anybody who reaches the link is believed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub signing: Option<SigningSection>,
 }
 
 /// One kind of message that leaves on a link.
@@ -164,6 +168,7 @@ impl LinkSection {
             accept_mavlink1: false,
             send_mavlink1: false,
             outputs: default_outputs(),
+            signing: None,
         }
     }
 }
@@ -205,11 +210,12 @@ impl Config {
         filter_config(&self.robot, &self.filter, self.world.checked()?)
     }
 
-    /// The pipeline's configuration.
+    /// The pipeline's configuration, without the keys of signed links; see [`crate::signing`].
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
     pub fn pipeline(&self) -> Result<PipelineConfig> {
+        self.check_signing()?;
         let links = self
             .links
             .iter()
@@ -309,6 +315,7 @@ impl LinkSection {
             outputs: outputs
                 .collect::<Result<_>>()
                 .with_context(|| format!("link {} `{}`", index + 1, self.url))?,
+            signing: None,
         })
     }
 }

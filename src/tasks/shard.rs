@@ -9,6 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::observer::Observer;
 use super::recorder::Recorder;
+use crate::signing::Keeper;
 
 /// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
 const COUNTS_PERIOD: Span = Span::from_millis(1_000);
@@ -41,6 +42,8 @@ pub struct Shard {
     pub observer: Observer,
     /// Why the recording ended before the run.
     pub recording_failure: Option<anyhow::Error>,
+    /// What keeps the stamps of signed links, if there are any.
+    pub signing: Option<Keeper>,
 }
 
 impl Shard {
@@ -88,6 +91,17 @@ impl Shard {
         }
     }
 
+    /// Writes down with which stamps the signed links have ended; nothing may be handled after it.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn keep_last_stamps(&mut self) -> anyhow::Result<()> {
+        let keeper = self.signing.take();
+        keeper.map_or(Ok(()), |keeper| {
+            keeper.finish(self.timer.now(), &self.pipeline)
+        })
+    }
+
     /// Tells the pipeline what its ports have counted.
     fn tell_counts(&mut self, now: Stamp<HostClock>) {
         let counts: Vec<_> = self
@@ -126,6 +140,9 @@ impl Shard {
         }
         for event in events {
             self.observer.show(now, event);
+        }
+        if let Some(keeper) = &mut self.signing {
+            keeper.offer(now, &self.pipeline);
         }
         let is_lost = self
             .recorder

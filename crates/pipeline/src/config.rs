@@ -2,6 +2,7 @@
 
 use posebridge_estimator::FilterConfig;
 use posebridge_protocol::framing::{Framing, WireVersion};
+use posebridge_protocol::signing::SigningConfig;
 use posebridge_telemetry::{Address, Body, LinkId, Point2, Span, SystemId};
 
 /// Everything that decides what a pipeline does with its inputs. Same configuration and same inputs: same outputs.
@@ -49,6 +50,8 @@ pub struct LinkConfig {
     pub speaks: WireVersion,
     /// What is sent there.
     pub outputs: Vec<OutputStream>,
+    /// How its frames are signed; `None` believes everybody and signs nothing.
+    pub signing: Option<SigningConfig>,
 }
 
 /// Which MAVLink versions a link accepts.

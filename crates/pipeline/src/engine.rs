@@ -10,6 +10,7 @@ mod receive;
 use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_estimator::{Filter, StartPose, filter_named};
+use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, CameraClock, Command, DriveGeometry, Estimate, Event,
     HostClock, Input, LinkId, LinkState, Output, Radians, RobotId, Span, Stamp, Verdict,
@@ -64,6 +65,8 @@ pub struct Pipeline {
     /// Something was observed since the last estimate left.
     is_news: bool,
     next_health: Option<Stamp<HostClock>>,
+    /// The instant of the input that is being handled: what leaves is signed with it.
+    now: Stamp<HostClock>,
     outputs: VecDeque<Output>,
 }
 
@@ -105,6 +108,7 @@ impl Pipeline {
             described: false,
             is_news: false,
             next_health: (!config.links.is_empty()).then(|| now + HEALTH_PERIOD),
+            now,
             outputs: VecDeque::new(),
             config,
         })
@@ -112,6 +116,7 @@ impl Pipeline {
 
     /// Takes one input that came at `now`.
     pub fn handle(&mut self, now: Stamp<HostClock>, input: &Input) {
+        self.now = now;
         match input {
             Input::Bytes { link, peer, bytes } => {
                 self.handle_bytes(now, (*link, *peer), Some(bytes));
@@ -171,6 +176,24 @@ impl Pipeline {
     #[must_use]
     pub fn latest(&self) -> Option<Stamp<BrickClock>> {
         self.filter.latest()
+    }
+
+    /// What the signing of a link must still know after a restart, as of `now`; `None` if the link is not signed.
+    #[must_use]
+    pub fn signing_memory(&self, link: LinkId, now: Stamp<HostClock>) -> Option<Memory> {
+        let signing = self.links.get(&link)?.peers.signing.as_ref()?;
+        Some(signing.memory(now))
+    }
+
+    /// How many signed streams were heard for the first time, over all links. When it has grown, the memories should be
+    /// written down at once; see [`LinkSigning::streams_met`](posebridge_protocol::signing::LinkSigning::streams_met).
+    #[must_use]
+    pub fn signing_streams_met(&self) -> u64 {
+        let signings = self
+            .links
+            .values()
+            .filter_map(|link| link.peers.signing.as_ref());
+        signings.map(LinkSigning::streams_met).sum()
     }
 
     fn handle_link(&mut self, id: LinkId, state: LinkState) {

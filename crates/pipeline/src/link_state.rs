@@ -2,9 +2,10 @@
 
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::ScannerConfig;
-use posebridge_protocol::message::Heartbeat;
+use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::session::{Session, SessionConfig};
-use posebridge_telemetry::{HostClock, LinkHealth, LinkState, Span, Stamp};
+use posebridge_protocol::signing::LinkSigning;
+use posebridge_telemetry::{Address, HostClock, LinkHealth, LinkState, Span, Stamp};
 
 use crate::config::{AcceptedVersions, LinkConfig, PipelineConfig};
 use crate::peers::Peers;
@@ -39,7 +40,10 @@ impl Link {
         now: Stamp<HostClock>,
     ) -> Self {
         Self {
-            peers: Peers::new(scanner_config(config)),
+            peers: Peers::new(
+                scanner_config(config),
+                config.signing.clone().map(LinkSigning::new),
+            ),
             encoder: Encoder::new(config.speaks),
             session: Session::new(session_config(pipeline), now),
             publisher: Publisher::new(&config.outputs),
@@ -51,6 +55,23 @@ impl Link {
     /// The link was lost: what was half received will never be completed.
     pub(crate) fn restart(&mut self) {
         self.peers.restart();
+    }
+
+    /// Appends a message of our own, signed if the link has a key, and returns its length; 0 if it cannot be sent there.
+    pub(crate) fn encode(
+        &mut self,
+        now: Stamp<HostClock>,
+        own: Address,
+        message: &Message,
+        out: &mut Vec<u8>,
+    ) -> usize {
+        let Some(signing) = &mut self.peers.signing else {
+            return self.encoder.encode(own, message, out);
+        };
+        // Without a stamp nothing leaves: an unsigned frame would tell the peers that signatures do not matter.
+        signing.next_seal(now).map_or(0, |seal| {
+            self.encoder.encode_signed(own, message, &seal, out)
+        })
     }
 
     /// Brings the scanners' counters into the health record.

@@ -1,5 +1,8 @@
 //! The peers of one link: each has a scanner and sequence numbers of its own.
 //!
+//! Where the link has a key, a frame that is refused for its signature is none of its sender's: it moves no sequence number
+//! and counts as missing when the next one comes, because nobody knows who has sent it.
+//!
 //! Bytes of several peers must not mix in one scanner, and two robots behind one port may bear the same address. A peer that
 //! has been silent for long is forgotten; what it had counted stays counted.
 
@@ -8,7 +11,8 @@ use std::collections::BTreeMap;
 use posebridge_protocol::framing::{
     ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker,
 };
-use posebridge_telemetry::{Address, HostClock, PeerId, SourceHealth, Span, Stamp};
+use posebridge_protocol::signing::LinkSigning;
+use posebridge_telemetry::{Address, HostClock, PeerId, Refusal, SourceHealth, Span, Stamp};
 
 /// Silence after which a peer is forgotten: three times as long as ports remember one, so that they decide.
 const IDLE: Span = Span::from_millis(30_000);
@@ -19,6 +23,8 @@ const MOST_PEERS: usize = 4_096;
 #[derive(Debug)]
 pub(crate) struct Peers {
     config: ScannerConfig,
+    /// Signs and judges; all peers of a link share its key and its streams.
+    pub(crate) signing: Option<LinkSigning>,
     present: BTreeMap<PeerId, Peer>,
     /// What those that are gone had counted.
     gone: ScanCounters,
@@ -33,22 +39,24 @@ struct Peer {
 }
 
 impl Peers {
-    pub(crate) const fn new(config: ScannerConfig) -> Self {
+    pub(crate) const fn new(config: ScannerConfig, signing: Option<LinkSigning>) -> Self {
         Self {
             config,
+            signing,
             present: BTreeMap::new(),
             gone: NOTHING,
             gone_sources: BTreeMap::new(),
         }
     }
 
-    /// Bytes of a peer; what is found in them goes to `sink`, with how many frames of the sender are missing before it.
+    /// Bytes of a peer; what is found in them goes to `sink`, with how many frames of the sender are missing before it, or why
+    /// it must not be believed.
     pub(crate) fn push(
         &mut self,
         now: Stamp<HostClock>,
         id: PeerId,
         bytes: &[u8],
-        sink: &mut impl FnMut(Scanned<'_>, u8),
+        sink: &mut impl FnMut(Scanned<'_>, Result<u8, Refusal>),
     ) {
         if !self.present.contains_key(&id) {
             self.make_room(now);
@@ -59,10 +67,11 @@ impl Peers {
             last_heard: now,
         });
         peer.last_heard = now;
-        let sequences = &mut peer.sequences;
+        let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
         peer.scanner.push(now, bytes, &mut |scanned| {
-            let missing = missing_before(sequences, &scanned);
-            sink(scanned, missing);
+            let verdict = judge(signing.as_mut(), now, &scanned)
+                .map(|()| missing_before(sequences, &scanned));
+            sink(scanned, verdict);
         });
     }
 
@@ -80,13 +89,14 @@ impl Peers {
         &mut self,
         now: Stamp<HostClock>,
         id: PeerId,
-        sink: &mut impl FnMut(Scanned<'_>, u8),
+        sink: &mut impl FnMut(Scanned<'_>, Result<u8, Refusal>),
     ) {
         if let Some(peer) = self.present.get_mut(&id) {
-            let sequences = &mut peer.sequences;
+            let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
             peer.scanner.tick(now, &mut |scanned| {
-                let missing = missing_before(sequences, &scanned);
-                sink(scanned, missing);
+                let verdict = judge(signing.as_mut(), now, &scanned)
+                    .map(|()| missing_before(sequences, &scanned));
+                sink(scanned, verdict);
             });
         }
     }
@@ -162,6 +172,20 @@ fn sum(a: ScanCounters, b: ScanCounters) -> ScanCounters {
         unknown_ids: a.unknown_ids + b.unknown_ids,
         stalls: a.stalls + b.stalls,
         impossible_headers: a.impossible_headers + b.impossible_headers,
+    }
+}
+
+/// Whether a frame is to be believed; what is no frame needs no signature. Frames with unknown ids are signed like others.
+fn judge(
+    signing: Option<&mut LinkSigning>,
+    now: Stamp<HostClock>,
+    scanned: &Scanned<'_>,
+) -> Result<(), Refusal> {
+    match (signing, scanned) {
+        (Some(signing), Scanned::Frame(frame) | Scanned::Unknown(frame)) => {
+            signing.judge(now, frame)
+        }
+        (None, _) | (_, Scanned::Defect(_)) => Ok(()),
     }
 }
 

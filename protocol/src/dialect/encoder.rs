@@ -9,6 +9,7 @@ use super::payload::Payload;
 use super::{conversation, ids, own, poses, sensors};
 use crate::framing::{START_V1, START_V2, WireVersion, checksum};
 use crate::message::Message;
+use crate::signing::{FLAG_SIGNED, Seal};
 
 /// Writes frames for one link.
 ///
@@ -35,6 +36,32 @@ impl Encoder {
     /// Returns 0 and appends nothing when the message has no MAVLink 1 form: ids above 255 (ODOMETRY, WHEEL_DISTANCE and
     /// our own dialect).
     pub fn encode(&mut self, from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+        self.write(from, message, None, out)
+    }
+
+    /// Appends one whole frame with its signature to `out` and returns its length, signature included.
+    ///
+    /// Returns 0 and appends nothing for a MAVLink 1 encoder: those frames cannot be signed.
+    pub fn encode_signed(
+        &mut self,
+        from: Address,
+        message: &Message,
+        seal: &Seal<'_>,
+        out: &mut Vec<u8>,
+    ) -> usize {
+        match self.version {
+            WireVersion::V1 => 0,
+            WireVersion::V2 => self.write(from, message, Some(seal), out),
+        }
+    }
+
+    fn write(
+        &mut self,
+        from: Address,
+        message: &Message,
+        seal: Option<&Seal<'_>>,
+        out: &mut Vec<u8>,
+    ) -> usize {
         let Some((message_id, payload)) = payload_of(self.version, message) else {
             return 0;
         };
@@ -47,7 +74,10 @@ impl Encoder {
         match self.version {
             WireVersion::V1 if message_id > 0xFF => return 0,
             WireVersion::V1 => out.extend_from_slice(&[START_V1, payload.len() as u8]),
-            WireVersion::V2 => out.extend_from_slice(&[START_V2, payload.len() as u8, 0, 0]),
+            WireVersion::V2 => {
+                let flags = seal.map_or(0, |_| FLAG_SIGNED);
+                out.extend_from_slice(&[START_V2, payload.len() as u8, flags, 0]);
+            }
         }
         let sequence = self.next_sequence(from);
         out.extend_from_slice(&[sequence, from.system.0, from.component.0, id0]);
@@ -57,6 +87,9 @@ impl Encoder {
         out.extend_from_slice(payload);
         let sum = checksum(&out[start + 1..], shape.crc_extra);
         out.extend_from_slice(&sum.to_le_bytes());
+        if let Some(seal) = seal {
+            seal.append(out, start);
+        }
         out.len() - start
     }
 

@@ -18,6 +18,7 @@ use crate::collect::Collector;
 use crate::commands::{Failure, Stage};
 use crate::config;
 use crate::learned::Learned;
+use crate::signing;
 use crate::stderr::say;
 use crate::tasks::observer::create;
 use crate::truth_file;
@@ -51,7 +52,9 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         .transpose()
         .at_start()?;
     let events = args.events.as_deref().map(create).transpose().at_start()?;
-    let mut pipeline = Pipeline::new(config.pipeline().at_start()?, Stamp::ZERO).at_start()?;
+    let mut pipeline_config = config.pipeline().at_start()?;
+    signing::recall(&config, &args.keys, &mut pipeline_config).at_start()?;
+    let mut pipeline = Pipeline::new(pipeline_config, Stamp::ZERO).at_start()?;
     let mut collector = if args.smooth {
         Collector::keeping_observations()
     } else {

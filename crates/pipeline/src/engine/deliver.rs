@@ -81,8 +81,8 @@ impl Pipeline {
             return;
         }
         let mut bytes = Vec::new();
-        if link.encoder.encode(own, message, &mut bytes) == 0 {
-            // A message that this link's MAVLink version does not have.
+        if link.encode(self.now, own, message, &mut bytes) == 0 {
+            // A message that this link's MAVLink version does not have, or that cannot be signed.
             link.health.drops_out += 1;
             return;
         }

@@ -7,7 +7,7 @@ use posebridge_protocol::framing::{FrameRef, Scanned};
 use posebridge_protocol::message::{Message, RobotDescription};
 use posebridge_telemetry::{
     Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
-    Output, PeerId, Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId,
+    Output, PeerId, Radians, RadiansPerSecond, Refusal, RobotId, Span, Stamp, SystemId,
 };
 
 use super::Pipeline;
@@ -37,9 +37,19 @@ impl Pipeline {
         }
         let mut arrived: Vec<(Address, Message)> = Vec::new();
         let mut events: Vec<Event> = Vec::new();
-        let frames_lost = &mut link.health.frames_lost;
-        let mut sink = |scanned: Scanned<'_>, missing: u8| match scanned {
-            Scanned::Frame(frame) => {
+        let (frames_lost, refused_frames) = (
+            &mut link.health.frames_lost,
+            &mut link.health.refused_frames,
+        );
+        let mut sink = |scanned: Scanned<'_>, verdict: Result<u8, Refusal>| match (scanned, verdict)
+        {
+            (Scanned::Frame(frame) | Scanned::Unknown(frame), Err(reason)) => {
+                *refused_frames += 1;
+                let source = frame.source;
+                let defect = Defect::Refused { source, reason };
+                events.push(Event::Defect { link: id, defect });
+            }
+            (Scanned::Frame(frame), Ok(missing)) => {
                 if missing > 0 {
                     *frames_lost += u64::from(missing);
                     events.push(Event::Defect {
@@ -52,8 +62,8 @@ impl Pipeline {
                 }
                 take_frame(id, &frame, &mut arrived, &mut events);
             }
-            Scanned::Unknown(_) => {}
-            Scanned::Defect(defect) => events.push(Event::Defect { link: id, defect }),
+            (Scanned::Unknown(_), Ok(_)) => {}
+            (Scanned::Defect(defect), _) => events.push(Event::Defect { link: id, defect }),
         };
         match bytes {
             Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),

@@ -73,6 +73,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
         version: AcceptedVersions::V2,
         speaks: WireVersion::V2,
         outputs,
+        signing: None,
     }
 }
 

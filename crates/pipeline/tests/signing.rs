@@ -1,0 +1,277 @@
+//! A link with a key: who has it is heard, who has not is counted, and what the station says can be checked.
+#![expect(
+    clippy::expect_used,
+    clippy::unwrap_used,
+    clippy::wildcard_enum_match_arm,
+    reason = "tests stop at the first surprise, and pick the events that they are about"
+)]
+
+#[path = "support/brick.rs"]
+mod brick;
+#[path = "support/station.rs"]
+mod station;
+
+use std::collections::BTreeSet;
+
+use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
+use posebridge_pipeline::PipelineConfig;
+use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::message::Message;
+use posebridge_protocol::signing::{
+    Ending, Key, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Timestamp, Unsigned,
+};
+use posebridge_telemetry::{
+    Address, Defect, Event, HostClock, LinkHealth, Output, Refusal, SourceHealth, Stamp,
+};
+use station::{LINK, Station, at};
+
+/// Some instant in 2025.
+const DATE: Timestamp = Timestamp::from_units(34_000_000_000_000);
+
+fn signing(key: u8, link_id: u8) -> SigningConfig {
+    SigningConfig {
+        key: Key::from_bytes([key; 32]),
+        link_id,
+        unsigned: Unsigned::RefuseExcept(BTreeSet::from([RADIO_STATUS])),
+        memory: Memory {
+            written: DATE,
+            clock: DATE,
+            ..Memory::default()
+        },
+    }
+}
+
+fn config() -> PipelineConfig {
+    let mut config = station::config();
+    config.links[0].signing = Some(signing(7, 3));
+    config
+}
+
+/// A brick that signs.
+struct Brick {
+    signing: LinkSigning,
+    encoder: Encoder,
+}
+
+impl Brick {
+    fn with_key(key: u8) -> Self {
+        Self {
+            signing: LinkSigning::new(signing(key, 0)),
+            encoder: Encoder::new(WireVersion::V2),
+        }
+    }
+
+    fn say(&mut self, now: Stamp<HostClock>, message: &Message) -> Vec<u8> {
+        let seal = self.signing.next_seal(now).expect("it has a time");
+        let mut bytes = Vec::new();
+        self.encoder
+            .encode_signed(BRICK, message, &seal, &mut bytes);
+        bytes
+    }
+}
+
+fn refusals(station: &Station) -> Vec<(Address, Refusal)> {
+    let refused = station.events().filter_map(|event| match event {
+        Event::Defect {
+            link: LINK,
+            defect: Defect::Refused { source, reason },
+        } => Some((*source, *reason)),
+        _ => None,
+    });
+    refused.collect()
+}
+
+fn health(station: &Station) -> (LinkHealth, Vec<SourceHealth>) {
+    let health = station.events().filter_map(|event| match event {
+        Event::Health {
+            health, sources, ..
+        } => Some((*health, sources.clone())),
+        _ => None,
+    });
+    health.last().expect("a second has passed")
+}
+
+fn observed(station: &Station) -> usize {
+    let is_observation = |event: &&Event| matches!(event, Event::Observed { .. });
+    station.events().filter(is_observation).count()
+}
+
+#[test]
+fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
+    let mut station = Station::new(&config());
+    let mut brick = Brick::with_key(7);
+    let mut stranger = Brick::with_key(8);
+    let first = brick.say(at(100), &ticks(5_000, 0, 0));
+    station.bytes(at(100), &first);
+    station.bytes(at(150), &brick.say(at(150), &ticks(5_050, 4, 4)));
+    assert_eq!(observed(&station), 2);
+    assert_eq!(refusals(&station), []);
+
+    station.bytes(at(160), &frame(BRICK, &ticks(5_060, 900, 0)));
+    station.bytes(at(170), &stranger.say(at(170), &ticks(5_070, 900, 0)));
+    station.bytes(at(180), &first);
+    let past = Stamp::from_millis(-61_000);
+    let mut late = Brick::with_key(7);
+    late.signing = LinkSigning::new(SigningConfig {
+        link_id: 9,
+        memory: Memory::default(),
+        ..signing(7, 9)
+    });
+    station.bytes(at(190), &late.say(past, &ticks(5_080, 900, 0)));
+    assert_eq!(
+        refusals(&station)
+            .iter()
+            .map(|(_, why)| *why)
+            .collect::<Vec<_>>(),
+        [
+            Refusal::Unsigned,
+            Refusal::WrongSignature,
+            Refusal::Replayed,
+            Refusal::Stale
+        ]
+    );
+    assert!(
+        refusals(&station)
+            .iter()
+            .all(|(source, _)| *source == BRICK)
+    );
+    assert_eq!(observed(&station), 2);
+
+    station.bytes(at(200), &brick.say(at(200), &ticks(5_100, 8, 8)));
+    assert_eq!(observed(&station), 3);
+    station.pass_until(at(1_000));
+    let (health, sources) = health(&station);
+    assert_eq!(health.refused_frames, 4);
+    assert_eq!(health.frames_in, 7);
+    assert_eq!(health.frames_lost, 0);
+    let expected = SourceHealth {
+        source: BRICK,
+        frames: 3,
+        lost: 0,
+    };
+    assert_eq!(sources, [expected]);
+}
+
+#[test]
+fn a_stranger_is_no_robot() {
+    let mut station = Station::new(&config());
+    station.bytes(at(100), &frame(BRICK, &HEARTBEAT));
+    station.bytes(at(100), &Brick::with_key(8).say(at(100), &HEARTBEAT));
+    let is_seen = |event: &Event| matches!(event, Event::RobotSeen { .. });
+    assert!(!station.events().any(is_seen));
+    station.bytes(at(110), &Brick::with_key(7).say(at(110), &HEARTBEAT));
+    assert!(station.events().any(is_seen));
+}
+
+#[test]
+fn what_the_station_says_is_signed_with_rising_stamps() {
+    let mut station = Station::new(&config());
+    let mut brick = Brick::with_key(7);
+    for k in 0..20_u32 {
+        let now = at(100 + i64::from(k) * 50);
+        station.bytes(now, &brick.say(now, &ticks(5_000 + k * 50, 0, 0)));
+    }
+    let sent: Vec<(Stamp<HostClock>, Vec<u8>)> = station
+        .sent()
+        .map(|(now, bytes)| (now, bytes.to_vec()))
+        .collect();
+    assert!(sent.len() > 20);
+    let mut receiver = LinkSigning::new(SigningConfig {
+        unsigned: Unsigned::RefuseExcept(BTreeSet::new()),
+        ..signing(7, 0)
+    });
+    let mut estimates = 0;
+    for (now, bytes) in &sent {
+        let mut verdict = None;
+        Scanner::new(ScannerConfig::default()).push(*now, bytes, &mut |found| {
+            if let Scanned::Frame(frame) = found {
+                // Rising stamps: none is refused as replayed.
+                verdict = Some(receiver.judge(*now, &frame));
+            }
+        });
+        assert_eq!(verdict, Some(Ok(())));
+        let is_estimate = |message: &Message| matches!(message, Message::PlanarPose(_));
+        estimates += usize::from(messages(bytes).iter().any(is_estimate));
+    }
+    assert_eq!(estimates, 20);
+    let last = sent.last().expect("it spoke").0;
+    assert_eq!(receiver.memory(last).streams.len(), 1);
+}
+
+#[test]
+fn the_same_inputs_give_the_same_bytes_and_events() {
+    let run = || {
+        let mut station = Station::new(&config());
+        let mut brick = Brick::with_key(7);
+        for k in 0..10_u32 {
+            let now = at(100 + i64::from(k) * 50);
+            let bytes = brick.say(now, &ticks(5_000 + k * 50, 0, 0));
+            station.bytes(now, &bytes);
+            station.bytes(now, &bytes[..9]);
+            station.bytes(now, &bytes[9..]);
+        }
+        station.outputs
+    };
+    let (once, again): (Vec<_>, Vec<_>) = (run(), run());
+    assert_eq!(once, again);
+    let is_refusal = |output: &Output| {
+        matches!(
+            output,
+            Output::Event(Event::Defect {
+                defect: Defect::Refused { .. },
+                ..
+            })
+        )
+    };
+    assert_eq!(
+        once.iter().filter(|(_, output)| is_refusal(output)).count(),
+        10
+    );
+}
+
+#[test]
+fn what_was_heard_before_a_restart_is_refused_after_it() {
+    let mut station = Station::new(&config());
+    let mut brick = Brick::with_key(7);
+    let before = brick.say(at(100), &HEARTBEAT);
+    station.bytes(at(100), &before);
+    assert_eq!(station.pipeline.signing_streams_met(), 1);
+    let memory = station.pipeline.signing_memory(LINK, at(900)).unwrap();
+    assert_eq!(memory.written, DATE.later(at(900) - Stamp::ZERO));
+
+    let date = DATE.later(at(2_000) - Stamp::ZERO);
+    let mut config = config();
+    let resumed = memory.clone().resumed(date, Ending::Cut);
+    config.links[0].signing.as_mut().unwrap().memory = resumed;
+    let mut station = Station::new(&config);
+    station.bytes(at(10), &before);
+    assert_eq!(refusals(&station), [(BRICK, Refusal::Replayed)]);
+    station.bytes(at(1_000), &brick.say(at(3_000), &HEARTBEAT));
+    assert_eq!(refusals(&station).len(), 1);
+    let own = station.pipeline.signing_memory(LINK, at(10)).unwrap().own;
+    assert!(own > memory.own.later(Memory::LARGEST_LOSS));
+}
+
+#[test]
+fn a_link_without_a_key_signs_nothing_and_believes_everybody() {
+    let mut station = Station::new(&station::config());
+    station.bytes(at(100), &Brick::with_key(8).say(at(100), &HEARTBEAT));
+    station.bytes(at(110), &frame(BRICK, &ticks(5_000, 0, 0)));
+    assert_eq!(refusals(&station), []);
+    assert_eq!(observed(&station), 1);
+    assert!(station.sent().count() > 0);
+    assert!(station.sent().all(|(_, bytes)| bytes[2] == 0));
+    assert_eq!(station.pipeline.signing_memory(LINK, at(120)), None);
+}
+
+#[test]
+fn neither_configuration_nor_outputs_print_the_key() {
+    let mut station = Station::new(&config());
+    station.bytes(at(100), &frame(BRICK, &HEARTBEAT));
+    station.pass_until(at(2_000));
+    let printed = format!("{:?} {:?}", config(), station.outputs);
+    for shown in ["7, 7, 7, 7", "07070707", "0x7, 0x7"] {
+        assert!(!printed.contains(shown), "{shown}");
+    }
+}

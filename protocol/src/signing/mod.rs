@@ -1,0 +1,43 @@
+//! Message signing of MAVLink 2: who holds the key may speak, and what was said once cannot be said again.
+//!
+//! Gets verified frames from [`crate::framing`] and says whether their signatures hold; gives the frames of
+//! [`crate::dialect::Encoder`] their signatures. One [`LinkSigning`] per link. It reads no clock and no file: the time is
+//! an argument, and what must survive a restart is a value ([`Memory`]). It hides nothing: signed frames are readable.
+//!
+//! # Model
+//! ```text
+//! frame     = header (10, with flag 0x01) payload CRC (2) signature (13)
+//! signature = link id (1)  timestamp (6, little-endian)  mac (6)
+//! mac       = first 6 bytes of SHA-256(key (32), header, payload, CRC, link id, timestamp)
+//! timestamp = units of 10 µs since 2015-01-01 00:00 UTC
+//! ```
+//! A stream is a (system, component, link id). A frame is refused when
+//! ```text
+//! it has no signature, and its id is not excepted        Unsigned
+//! its mac is another one                                 WrongSignature
+//! its timestamp is not later than its stream's last      Replayed
+//! its stream is new and it is over a minute behind us    Stale
+//! ```
+//! in this order, so that only whoever holds the key can change what is remembered.
+//!
+//! # Sources
+//! MAVLink guide, "Message Signing": signature, timestamp handling, accepting signed and unsigned packets.
+
+mod clock;
+mod key;
+mod link;
+mod memory;
+mod signature;
+mod verifier;
+
+pub use clock::Timestamp;
+pub use key::{Key, KeyError};
+pub use link::{LinkSigning, SigningConfig};
+pub use memory::{Ending, Heard, Memory, StreamId};
+pub use signature::Seal;
+pub use verifier::Unsigned;
+
+/// Incompatibility flag of a frame that a signature follows.
+pub const FLAG_SIGNED: u8 = 0x01;
+/// RADIO_STATUS: telemetry radios inject it and hold no key.
+pub const RADIO_STATUS: u32 = 109;

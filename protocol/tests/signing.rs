@@ -1,0 +1,498 @@
+//! Signatures of a foreign implementation hold, ours are the same bytes, and nothing else is believed.
+//!
+//! The frames come from pymavlink (tests/data/README.md).
+
+#![expect(clippy::expect_used, reason = "helpers of tests")]
+
+use std::collections::BTreeSet;
+
+use posebridge_protocol::dialect::{Encoder, decode};
+use posebridge_protocol::framing::{
+    FrameRef, Scanned, Scanner, ScannerConfig, WireVersion, checksum,
+};
+use posebridge_protocol::message::{Heartbeat, Message};
+use posebridge_protocol::signing::{
+    Ending, Key, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Timestamp, Unsigned,
+};
+use posebridge_telemetry::{Address, HostClock, Refusal, Span, Stamp};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
+const ROBOT: Address = Address::new(1, 1);
+/// Some instant in 2025.
+const NOW: u64 = 34_000_000_000_000;
+
+/// One frame of signed.json.
+struct Case {
+    name: String,
+    key: Option<usize>,
+    link_id: u8,
+    timestamp: u64,
+    frame: Vec<u8>,
+}
+
+fn golden() -> (Vec<Key>, Vec<Case>) {
+    let text = include_str!("data/signed.json");
+    let json: serde_json::Value = serde_json::from_str(text).expect("JSON");
+    let hex = |value: &serde_json::Value| {
+        let digits = value.as_str().expect("hexadecimal");
+        (0..digits.len())
+            .step_by(2)
+            .map(|at| u8::from_str_radix(&digits[at..at + 2], 16).expect("hexadecimal"))
+            .collect::<Vec<u8>>()
+    };
+    let keys = json["keys"].as_array().expect("keys").iter();
+    let keys = keys.map(|key| key.as_str().expect("a key").parse().expect("a key"));
+    let cases = json["cases"].as_array().expect("cases").iter();
+    let cases = cases.map(|case| Case {
+        name: case["name"].as_str().expect("a name").to_owned(),
+        key: case["key"].as_u64().map(|key| key as usize),
+        link_id: case["link_id"].as_u64().expect("a number") as u8,
+        timestamp: case["timestamp"].as_u64().expect("a number"),
+        frame: hex(&case["frame"]),
+    });
+    (keys.collect(), cases.collect())
+}
+
+fn config(key: &Key, clock: u64) -> SigningConfig {
+    let clock = Timestamp::from_units(clock);
+    SigningConfig {
+        key: key.clone(),
+        link_id: 3,
+        unsigned: Unsigned::RefuseExcept(BTreeSet::from([RADIO_STATUS])),
+        memory: Memory {
+            written: clock,
+            clock,
+            ..Memory::default()
+        },
+    }
+}
+
+fn key() -> Key {
+    Key::from_bytes([0x42; 32])
+}
+
+fn link(clock: u64) -> LinkSigning {
+    LinkSigning::new(config(&key(), clock))
+}
+
+/// What the first frame that is found in the bytes is to a function.
+fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
+    let mut scanner = Scanner::new(ScannerConfig {
+        accept_v1: true,
+        ..ScannerConfig::default()
+    });
+    let mut look = Some(look);
+    let mut result = None;
+    scanner.push(Stamp::ZERO, bytes, &mut |found| {
+        if let Scanned::Frame(frame) = found {
+            result = look.take().map(|look| look(&frame));
+        }
+    });
+    result.expect("a whole frame")
+}
+
+fn judge(link: &mut LinkSigning, now: Stamp<HostClock>, bytes: &[u8]) -> Result<(), Refusal> {
+    with_frame(bytes, |frame| link.judge(now, frame))
+}
+
+/// A heartbeat of a sender, signed at a time by our own signer, which the golden frames vouch for.
+fn signed(from: Address, link_id: u8, timestamp: u64) -> Vec<u8> {
+    let mut sender = LinkSigning::new(SigningConfig {
+        link_id,
+        ..config(&key(), timestamp)
+    });
+    let seal = sender.next_seal(Stamp::ZERO).expect("it has a time");
+    let mut bytes = Vec::new();
+    Encoder::new(WireVersion::V2).encode_signed(from, &HEARTBEAT, &seal, &mut bytes);
+    bytes
+}
+
+const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
+    vehicle_type: 10,
+    autopilot: 0,
+    base_mode: 0,
+    system_status: 4,
+});
+
+#[test]
+fn foreign_signatures_hold_and_ours_are_the_same_bytes() {
+    let (keys, cases) = golden();
+    let mut seen = 0;
+    for case in &cases {
+        let Some(key) = case.key.map(|index| &keys[index]) else {
+            continue;
+        };
+        let mut receiver = LinkSigning::new(config(key, case.timestamp));
+        assert_eq!(
+            judge(&mut receiver, Stamp::ZERO, &case.frame),
+            Ok(()),
+            "{}",
+            case.name
+        );
+        // A sender's first stamp is 1, because it has used 0 before.
+        let Some(before) = case.timestamp.checked_sub(1) else {
+            continue;
+        };
+        let mut sender = LinkSigning::new(SigningConfig {
+            link_id: case.link_id,
+            memory: Memory {
+                own: Timestamp::from_units(before),
+                ..Memory::default()
+            },
+            ..config(key, 0)
+        });
+        let seal = sender.next_seal(Stamp::ZERO).expect("one is left");
+        let (from, sequence, message) = with_frame(&case.frame, |frame| {
+            let message = decode(frame).expect("it makes sense");
+            (frame.source, frame.sequence, message.expect("we know it"))
+        });
+        let mut encoder = Encoder::new(WireVersion::V2);
+        let mut bytes = Vec::new();
+        for _ in 0..=sequence {
+            bytes.clear();
+            encoder.encode_signed(from, &message, &seal, &mut bytes);
+        }
+        assert_eq!(bytes, case.frame, "{}", case.name);
+        seen += 1;
+    }
+    assert_eq!(seen, 5);
+}
+
+#[test]
+fn a_frame_is_refused_for_its_own_reason() {
+    let (keys, cases) = golden();
+    let frame = |name: &str| {
+        let found = cases.iter().find(|case| case.name == name);
+        &found.expect("it is there").frame
+    };
+    let mut link = LinkSigning::new(config(&keys[0], 123_456_789));
+    let mut check = |name, expected| {
+        assert_eq!(
+            judge(&mut link, Stamp::ZERO, frame(name)),
+            expected,
+            "{name}"
+        );
+    };
+    check("heartbeat_other_key", Err(Refusal::WrongSignature));
+    check("heartbeat_unsigned", Err(Refusal::Unsigned));
+    check("v1_heartbeat", Err(Refusal::Unsigned));
+    check("radio_status_unsigned", Ok(()));
+    check("heartbeat_first_instant", Err(Refusal::Stale));
+    check("heartbeat", Ok(()));
+    check("heartbeat", Err(Refusal::Replayed));
+    check("heartbeat_unsigned", Err(Refusal::Unsigned));
+}
+
+#[test]
+fn where_unsigned_frames_are_accepted_a_wrong_signature_is_still_refused() {
+    let (keys, cases) = golden();
+    let mut link = LinkSigning::new(SigningConfig {
+        unsigned: Unsigned::Accept,
+        ..config(&keys[0], 0)
+    });
+    for case in &cases {
+        let expected = if case.key == Some(1) {
+            Err(Refusal::WrongSignature)
+        } else {
+            Ok(())
+        };
+        // Streams of their own: another test is about the order.
+        let mut link = link.clone();
+        assert_eq!(
+            judge(&mut link, Stamp::ZERO, &case.frame),
+            expected,
+            "{}",
+            case.name
+        );
+    }
+    assert!(link.next_seal(Stamp::ZERO).is_some());
+}
+
+#[test]
+fn a_new_stream_may_be_a_minute_behind_and_not_a_unit_more() {
+    let later = Stamp::from_millis(5_000);
+    let minute = 6_000_000;
+    let seconds = 500_000;
+    let edge = NOW + seconds - minute;
+    for (timestamp, expected) in [(edge, Ok(())), (edge - 1, Err(Refusal::Stale))] {
+        assert_eq!(
+            judge(&mut link(NOW), later, &signed(ROBOT, 0, timestamp)),
+            expected
+        );
+    }
+    // An old acquaintance may be as far behind as it likes.
+    let mut link = link(NOW);
+    judge(&mut link, Stamp::ZERO, &signed(ROBOT, 0, NOW)).unwrap();
+    let much_later = Stamp::from_millis(3_600_000);
+    assert_eq!(
+        judge(&mut link, much_later, &signed(ROBOT, 0, NOW + 1)),
+        Ok(())
+    );
+    assert_eq!(
+        judge(&mut link, much_later, &signed(ROBOT, 1, NOW + 1)),
+        Err(Refusal::Stale)
+    );
+}
+
+#[test]
+fn own_stamps_rise_whatever_the_clock_does() {
+    let mut link = link(NOW);
+    let mut stamps = Vec::new();
+    for millis in [5, 5, 5, 4, -7, 6] {
+        let mut bytes = Vec::new();
+        let seal = link.next_seal(Stamp::from_millis(millis)).unwrap();
+        Encoder::new(WireVersion::V2).encode_signed(ROBOT, &HEARTBEAT, &seal, &mut bytes);
+        let mut wire = [0; 8];
+        wire[..6].copy_from_slice(&bytes[bytes.len() - 12..bytes.len() - 6]);
+        stamps.push(u64::from_le_bytes(wire));
+    }
+    assert_eq!(
+        stamps,
+        [500, 501, 502, 503, 504, 600].map(|units| NOW + units)
+    );
+}
+
+#[test]
+fn nothing_is_signed_when_time_has_run_out() {
+    let mut link = link(Timestamp::MAX.units() - 1);
+    assert!(link.next_seal(Stamp::ZERO).is_some());
+    assert!(link.next_seal(Stamp::ZERO).is_some());
+    assert!(link.next_seal(Stamp::from_millis(1_000)).is_none());
+}
+
+#[test]
+fn mavlink_1_is_never_sent_where_frames_are_signed() {
+    let mut link = link(NOW);
+    let seal = link.next_seal(Stamp::ZERO).unwrap();
+    let mut bytes = Vec::new();
+    let mut encoder = Encoder::new(WireVersion::V1);
+    assert_eq!(
+        encoder.encode_signed(ROBOT, &HEARTBEAT, &seal, &mut bytes),
+        0
+    );
+    assert!(bytes.is_empty());
+}
+
+#[test]
+fn a_peer_that_is_ahead_sets_our_time_forward() {
+    let mut station = link(0);
+    let now = Stamp::from_millis(1_000);
+    judge(&mut station, now, &signed(ROBOT, 0, NOW)).unwrap();
+    let memory = station.memory(now);
+    assert_eq!(memory.clock.units(), NOW);
+    assert_eq!(memory.written.units(), 100_000);
+    let second_later = Stamp::from_millis(2_000);
+    assert_eq!(station.memory(second_later).clock.units(), NOW + 100_000);
+    let seal = station.next_seal(second_later);
+    assert!(seal.is_some());
+    assert_eq!(station.memory(second_later).own.units(), NOW + 100_000);
+    // A refused one does not.
+    let mut station = link(0);
+    let mut forged = signed(ROBOT, 0, NOW);
+    *forged.last_mut().unwrap() ^= 1;
+    assert_eq!(
+        judge(&mut station, now, &forged),
+        Err(Refusal::WrongSignature)
+    );
+    assert_eq!(station.memory(now).clock.units(), 100_000);
+}
+
+#[test]
+fn the_number_of_streams_is_bounded_and_what_made_room_cannot_come_again() {
+    let mut link = link(NOW);
+    let sender = |k: u64| Address::new((k / 200) as u8, (k % 200) as u8);
+    for k in 0..1_025 {
+        let frame = signed(sender(k), 0, NOW + k);
+        assert_eq!(judge(&mut link, Stamp::ZERO, &frame), Ok(()), "{k}");
+    }
+    let memory = link.memory(Stamp::ZERO);
+    assert_eq!(memory.streams.len(), 1_024);
+    assert_eq!(memory.floor.map(Timestamp::units), Some(NOW));
+    assert_eq!(link.streams_met(), 1_025);
+    let again = signed(sender(0), 0, NOW);
+    assert_eq!(judge(&mut link, Stamp::ZERO, &again), Err(Refusal::Stale));
+    let goes_on = signed(sender(0), 0, NOW + 2_000);
+    assert_eq!(judge(&mut link, Stamp::ZERO, &goes_on), Ok(()));
+}
+
+#[test]
+fn every_chunk_size_gives_the_same_verdicts() {
+    let (keys, cases) = golden();
+    let bytes: Vec<u8> = cases.iter().flat_map(|case| case.frame.clone()).collect();
+    let verdicts = |chunk: usize| {
+        let mut link = LinkSigning::new(config(&keys[0], 123_456_789));
+        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut verdicts = Vec::new();
+        for part in bytes.chunks(chunk) {
+            scanner.push(Stamp::ZERO, part, &mut |found| {
+                if let Scanned::Frame(frame) = found {
+                    verdicts.push((frame.source, link.judge(Stamp::ZERO, &frame)));
+                }
+            });
+        }
+        (verdicts, link.memory(Stamp::ZERO))
+    };
+    let whole = verdicts(bytes.len());
+    assert_eq!(whole.0.len(), 8, "all but the MAVLink 1 frame");
+    for chunk in 1..bytes.len() {
+        assert_eq!(verdicts(chunk), whole, "chunks of {chunk}");
+    }
+}
+
+/// What happens to a station in the next test.
+#[derive(Clone, Debug)]
+enum Happening {
+    /// This much time passes.
+    Wait(i64),
+    /// A sender sends a new frame, and it arrives.
+    Send(u8),
+    /// A frame of old arrives once more.
+    Replay(prop::sample::Index),
+    /// The memory is written down.
+    Write,
+    /// The station is cut off and starts again.
+    Restart,
+}
+
+fn happening() -> impl Strategy<Value = Happening> {
+    prop_oneof![
+        3 => (0..2_000_i64).prop_map(Happening::Wait),
+        6 => (0..3_u8).prop_map(Happening::Send),
+        6 => any::<prop::sample::Index>().prop_map(Happening::Replay),
+        1 => Just(Happening::Write),
+        1 => Just(Happening::Restart),
+    ]
+}
+
+/// A station that writes its memory down when the house rules say so: each second, and when a stream is new.
+struct Station {
+    link: LinkSigning,
+    started_ms: i64,
+    written: Memory,
+    written_ms: i64,
+    met: u64,
+}
+
+impl Station {
+    fn start(memory: Memory, now_ms: i64) -> Self {
+        let written = memory.clone();
+        let memory = SigningConfig {
+            memory,
+            ..config(&key(), NOW)
+        };
+        Self {
+            link: LinkSigning::new(memory),
+            started_ms: now_ms,
+            written,
+            written_ms: now_ms,
+            met: 0,
+        }
+    }
+
+    fn hear(&mut self, now_ms: i64, frame: &[u8]) -> Result<(), Refusal> {
+        let now = Stamp::from_millis(now_ms - self.started_ms);
+        let verdict = judge(&mut self.link, now, frame);
+        if self.link.streams_met() > self.met || now_ms - self.written_ms >= 1_000 {
+            self.write(now_ms);
+        }
+        verdict
+    }
+
+    fn write(&mut self, now_ms: i64) {
+        self.written = self
+            .link
+            .memory(Stamp::from_millis(now_ms - self.started_ms));
+        self.written_ms = now_ms;
+        self.met = self.link.streams_met();
+    }
+
+    fn restart(self, now_ms: i64) -> Self {
+        let utc = utc(now_ms);
+        Self::start(self.written.resumed(utc, Ending::Cut), now_ms)
+    }
+}
+
+fn utc(now_ms: i64) -> Timestamp {
+    Timestamp::from_units(NOW).later(Span::from_millis(now_ms))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(11), failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_frame_is_believed_twice_however_often_the_station_is_killed(
+        happenings in prop::collection::vec(happening(), 1..120)
+    ) {
+        let mut now_ms = 0;
+        let mut station = Station::start(config(&key(), NOW).memory, now_ms);
+        let mut sent: Vec<Vec<u8>> = Vec::new();
+        let mut senders = [0_u64; 3];
+        for happening in happenings {
+            match happening {
+                Happening::Wait(millis) => {
+                    now_ms += millis;
+                    // The shell writes each second whether anything is heard or not.
+                    if now_ms - station.written_ms >= 1_000 {
+                        station.write(now_ms);
+                    }
+                }
+                Happening::Send(k) => {
+                    let last = &mut senders[usize::from(k)];
+                    *last = utc(now_ms).units().max(*last + 1);
+                    let frame = signed(Address::new(k, 1), 0, *last);
+                    // Whatever the verdict: from now on it is old.
+                    let _verdict = station.hear(now_ms, &frame);
+                    sent.push(frame);
+                }
+                Happening::Replay(_) if sent.is_empty() => {}
+                Happening::Replay(index) => {
+                    let frame = index.get(&sent).clone();
+                    prop_assert!(station.hear(now_ms, &frame).is_err());
+                }
+                Happening::Write => station.write(now_ms),
+                Happening::Restart => station = station.restart(now_ms),
+            }
+        }
+    }
+
+    #[test]
+    fn a_changed_frame_is_refused_and_leaves_no_trace(
+        at in any::<prop::sample::Index>(), change in 1_u8..=255, timestamp in 1_u64..(1 << 48)
+    ) {
+        let whole = signed(ROBOT, 9, timestamp);
+        let signature_at = whole.len() - 13;
+        // Start, length and flags decide where the signature is looked for; the scanner's tests are about those.
+        let places: Vec<usize> = (3..signature_at - 2).chain(signature_at..whole.len()).collect();
+        let mut changed = whole.clone();
+        changed[*at.get(&places)] ^= change;
+        let known = [0, 1, 2, 3].contains(&changed[7]) && changed[8] == 0 && changed[9] == 0;
+        if known && changed[7] == 0 {
+            // CRC_EXTRA of HEARTBEAT: the changer repairs the checksum.
+            let sum = checksum(&changed[1..signature_at - 2], 50);
+            changed[signature_at - 2..signature_at].copy_from_slice(&sum.to_le_bytes());
+            let mut link = link(timestamp);
+            let before = link.memory(Stamp::ZERO);
+            prop_assert_eq!(judge(&mut link, Stamp::ZERO, &changed), Err(Refusal::WrongSignature));
+            prop_assert_eq!(link.memory(Stamp::ZERO), before);
+            prop_assert_eq!(judge(&mut link, Stamp::ZERO, &whole), Ok(()));
+        }
+    }
+
+    #[test]
+    fn no_bytes_make_it_stumble(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        let mut link = link(NOW);
+        let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
+        let mut believed = 0;
+        let mut start = vec![0xFD_u8, 9, 1, 0];
+        start.extend(bytes);
+        scanner.push(Stamp::ZERO, &start, &mut |found| {
+            if let Scanned::Frame(frame) | Scanned::Unknown(frame) = found
+                && frame.message_id != RADIO_STATUS
+            {
+                believed += usize::from(link.judge(Stamp::ZERO, &frame).is_ok());
+            }
+        });
+        prop_assert_eq!(believed, 0);
+    }
+}

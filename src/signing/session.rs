@@ -1,0 +1,160 @@
+//! From a configuration to links that sign: live with the key files and what is kept beside them, in a replay with what was recorded.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use posebridge_pipeline::PipelineConfig;
+use posebridge_protocol::signing::{Key, Memory, SigningConfig, Timestamp};
+use posebridge_telemetry::{LinkId, Span};
+
+use super::keeper::{Keeper, Kept};
+use super::key_file::read_key;
+use super::state_file::StateFile;
+use crate::config::{Config, MemoryRecord, SigningSection};
+use crate::stderr::say;
+
+/// A date that stands further back than this is told: peers may be a little ahead of us without anything being wrong.
+const TOLERATED_LAG: Span = Span::from_millis(1_000);
+
+/// The signed links of a live session.
+#[derive(Debug, Default)]
+pub struct SigningSession {
+    links: Vec<(LinkId, SigningConfig)>,
+    kept: Vec<Kept>,
+}
+
+impl SigningSession {
+    /// Reads the keys of all links that are to be signed and goes on from the stamps that are kept beside them.
+    /// `utc_start_micros` is the date at the host clock's zero.
+    ///
+    /// # Errors
+    /// A key or its stamps cannot be had, or another station uses them; the message names the link.
+    pub fn open(config: &Config, utc_start_micros: u64) -> Result<Self> {
+        let date = Timestamp::from_unix_micros(utc_start_micros);
+        let mut session = Self::default();
+        for (index, link) in config.links.iter().enumerate() {
+            let Some(section) = &link.signing else {
+                continue;
+            };
+            let name = format!("link {} `{}`", index + 1, link.url);
+            let (key, memory, file) = resume(section, date).with_context(|| name.clone())?;
+            warn_of_date(&name, date, &memory);
+            let id = LinkId(index as u16);
+            session.kept.push(Kept {
+                link: id,
+                key: key.clone(),
+                file,
+                begun: memory.clone(),
+            });
+            session.links.push((id, section.pipeline(key, memory)));
+        }
+        Ok(session)
+    }
+
+    /// Gives the links of a pipeline their keys.
+    pub fn lay_into(&self, pipeline: &mut PipelineConfig) {
+        for (id, signing) in &self.links {
+            for link in pipeline.links.iter_mut().filter(|link| link.id == *id) {
+                link.signing = Some(signing.clone());
+            }
+        }
+    }
+
+    /// The configuration as a recording needs it: with what each signed link began with, and without the keys.
+    #[must_use]
+    pub fn recorded(&self, config: &Config) -> Config {
+        let mut config = config.clone();
+        for (id, signing) in &self.links {
+            let link = config.links.get_mut(usize::from(id.0));
+            if let Some(section) = link.and_then(|link| link.signing.as_mut()) {
+                section.begun = Some(MemoryRecord::of(&signing.key, &signing.memory));
+            }
+        }
+        config
+    }
+
+    /// Begins to keep the stamps; `None` where no link is signed.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn keep(self) -> Result<Option<Keeper>> {
+        if self.kept.is_empty() {
+            return Ok(None);
+        }
+        Keeper::start(self.kept).map(Some)
+    }
+}
+
+fn resume(section: &SigningSection, date: Timestamp) -> Result<(Key, Memory, StateFile)> {
+    if section.begun.is_some() {
+        bail!("`signing.begun` belongs to recordings: take it away");
+    }
+    let path = Path::new(&section.key_file);
+    let key = read_key(path)?;
+    let file = StateFile::lock(path, section.link_id)?;
+    let memory = match file.read(&key)? {
+        Some((memory, ending)) => memory.resumed(date, ending),
+        None => Memory {
+            written: date,
+            clock: date,
+            ..Memory::default()
+        },
+    };
+    Ok((key, memory, file))
+}
+
+fn warn_of_date(link: &str, date: Timestamp, memory: &Memory) {
+    let lag = memory.clock.since(date);
+    if lag > TOLERATED_LAG {
+        say(&format!(
+            "WARNING: {link}: this computer's date stands {:.0} s before the time that signatures have reached; they go on from there",
+            lag.as_secs_f64()
+        ));
+    } else if date == Timestamp::ZERO {
+        say(&format!(
+            "WARNING: {link}: this computer's date lies before 2015; peers refuse our signatures until one of them has told us the time"
+        ));
+    }
+}
+
+/// Gives the links of a recorded session their keys, from these files or else from where they were when it was recorded.
+///
+/// # Errors
+/// A key cannot be had; the message names it and says how to give it.
+pub fn recall(config: &Config, files: &[PathBuf], pipeline: &mut PipelineConfig) -> Result<()> {
+    let given = files.iter().map(|path| read_key(path));
+    let given: Vec<Key> = given.collect::<Result<_>>()?;
+    for (index, link) in config.links.iter().enumerate() {
+        let Some(section) = &link.signing else {
+            continue;
+        };
+        let name = format!("link {} `{}`", index + 1, link.url);
+        let Some(begun) = &section.begun else {
+            bail!("{name}: the recording does not say with which stamps its signing began");
+        };
+        let key = key_named(&begun.key_name, &given, section).with_context(|| name.clone())?;
+        let signing = section.pipeline(key, begun.memory());
+        if let Some(link) = pipeline.links.get_mut(index) {
+            link.signing = Some(signing);
+        }
+    }
+    Ok(())
+}
+
+fn key_named(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Key> {
+    if let Some(key) = given.iter().find(|key| key.name() == wanted) {
+        return Ok(key.clone());
+    }
+    let cure = format!(
+        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`"
+    );
+    if given.is_empty() {
+        let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
+        if key.name() == wanted {
+            return Ok(key);
+        }
+        bail!("{cure} (`{}` holds {})", section.key_file, key.name());
+    }
+    let names: Vec<String> = given.iter().map(Key::name).collect();
+    bail!("{cure} (you gave {})", names.join(", "))
+}

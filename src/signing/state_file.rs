@@ -1,0 +1,192 @@
+//! Where a link's stamps are kept: a file beside the key, one per link id, and a lock that keeps other stations out.
+//!
+//! Two stations that sign with one key and one link id would refuse each other's frames and use stamps twice, so the second
+//! is refused. The lock is a file of its own, because the state is replaced and never written in place.
+
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Write as _};
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail};
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use posebridge_protocol::signing::{Ending, Key, Memory};
+use serde::{Deserialize, Serialize};
+
+use super::key_file::OWNER_ONLY;
+use crate::config::MemoryRecord;
+
+/// Layout of the file.
+const VERSION: u32 = 1;
+
+/// The state of one key and link id.
+#[derive(Debug)]
+pub(super) struct StateFile {
+    path: PathBuf,
+    /// Held for as long as this value lives.
+    _lock: Flock<File>,
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct State {
+    version: u32,
+    /// The session that wrote it has ended and used no stamp after it.
+    closed: bool,
+    memory: MemoryRecord,
+}
+
+impl StateFile {
+    /// Takes the state of a key and link id, for this station alone.
+    ///
+    /// # Errors
+    /// Another station has it, or the lock cannot be made.
+    pub(super) fn lock(key_file: &Path, link_id: u8) -> Result<Self> {
+        let lock_path = beside(key_file, link_id, "lock");
+        let name = lock_path.display();
+        let lock = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(OWNER_ONLY)
+            .open(&lock_path)
+            .with_context(|| format!("creating `{name}` beside the key"))?;
+        let lock = Flock::lock(lock, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| {
+            if error == Errno::EWOULDBLOCK {
+                anyhow!(
+                    "another station signs with link id {link_id} of the key `{}`: give this one another `signing.link_id`",
+                    key_file.display()
+                )
+            } else {
+                anyhow!("locking `{name}`: {error}")
+            }
+        })?;
+        Ok(Self {
+            path: beside(key_file, link_id, "state"),
+            _lock: lock,
+        })
+    }
+
+    /// What the last session with this key has left behind.
+    ///
+    /// # Errors
+    /// There is something, but it cannot be understood: to go on without it would let old frames in.
+    pub(super) fn read(&self, key: &Key) -> Result<Option<(Memory, Ending)>> {
+        let name = self.path.display();
+        let text = match std::fs::read_to_string(&self.path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error).with_context(|| format!("reading `{name}`")),
+        };
+        let cure = || {
+            format!(
+                "`{name}` does not hold the stamps that signing goes on from; make a new key for everybody, or delete the file and \
+                 accept that frames of the last session can be sent again"
+            )
+        };
+        let state: State = toml::from_str(&text).with_context(cure)?;
+        if state.version != VERSION {
+            bail!("{} (version {})", cure(), state.version);
+        }
+        if state.memory.key_name != key.name() {
+            // Another key stood in that file: no stamp of it means anything.
+            return Ok(None);
+        }
+        let ending = if state.closed {
+            Ending::Closed
+        } else {
+            Ending::Cut
+        };
+        Ok(Some((state.memory.memory(), ending)))
+    }
+
+    /// Replaces what is kept; a reader, and a restart after a crash, finds the old state or the new one.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub(super) fn write(&self, memory: &MemoryRecord, ending: Ending) -> Result<()> {
+        let name = self.path.display();
+        let state = State {
+            version: VERSION,
+            closed: ending == Ending::Closed,
+            memory: memory.clone(),
+        };
+        let text = toml::to_string(&state).with_context(|| format!("writing `{name}`"))?;
+        replace(&self.path, &text).with_context(|| format!("writing `{name}`"))
+    }
+}
+
+fn replace(path: &Path, text: &str) -> std::io::Result<()> {
+    let mut new = path.as_os_str().to_owned();
+    new.push(".new");
+    let new = PathBuf::from(new);
+    let mut file = OpenOptions::new()
+        .write(true)
+        .create(true)
+        .truncate(true)
+        .mode(OWNER_ONLY)
+        .open(&new)?;
+    file.write_all(text.as_bytes())?;
+    // Else a power failure could leave the new name with nothing behind it.
+    file.sync_data()?;
+    std::fs::rename(new, path)
+}
+
+fn beside(key_file: &Path, link_id: u8, ending: &str) -> PathBuf {
+    let mut path = key_file.as_os_str().to_owned();
+    path.push(format!(".link{link_id}.{ending}"));
+    PathBuf::from(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_protocol::signing::Timestamp;
+
+    fn memory() -> Memory {
+        Memory {
+            own: Timestamp::from_units(77),
+            ..Memory::default()
+        }
+    }
+
+    #[test]
+    fn what_was_written_is_read_and_only_under_its_key_and_link_id() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.key");
+        let (key, other) = (Key::from_bytes([1; 32]), Key::from_bytes([2; 32]));
+        let state = StateFile::lock(&path, 3).unwrap();
+        assert_eq!(state.read(&key).unwrap(), None);
+        for ending in [Ending::Cut, Ending::Closed] {
+            let record = MemoryRecord::of(&key, &memory());
+            state.write(&record, ending).unwrap();
+            assert_eq!(state.read(&key).unwrap(), Some((memory(), ending)));
+        }
+        assert_eq!(state.read(&other).unwrap(), None);
+        let next = StateFile::lock(&path, 4).unwrap();
+        assert_eq!(next.read(&key).unwrap(), None);
+    }
+
+    #[test]
+    fn a_second_station_with_the_same_link_id_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.key");
+        let first = StateFile::lock(&path, 3).unwrap();
+        let error = StateFile::lock(&path, 3).unwrap_err().to_string();
+        assert!(error.contains("another station"), "{error}");
+        drop(first);
+        assert!(StateFile::lock(&path, 3).is_ok());
+    }
+
+    #[test]
+    fn a_damaged_state_is_not_taken_for_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.key");
+        let state = StateFile::lock(&path, 0).unwrap();
+        let key = Key::from_bytes([1; 32]);
+        std::fs::write(&state.path, "version = 1\n").unwrap();
+        let error = format!("{:#}", state.read(&key).unwrap_err());
+        assert!(error.contains("delete the file"), "{error}");
+    }
+}
