@@ -7,40 +7,58 @@ use posebridge_telemetry::{LinkId, Span};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
-/// First wait after a loss: short enough to hide a cable that was bumped.
-const FIRST: Span = Span::from_millis(250);
-/// Longest wait: what a person who re-plugs a brick is ready to look at.
-const LONGEST: Span = Span::from_millis(5_000);
 /// Largest relative deviation from the nominal wait.
 const JITTER: f64 = 0.1;
+
+/// The nominal waits of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Waits {
+    /// After a loss.
+    pub first: Span,
+    /// Doubling ends here.
+    pub longest: Span,
+}
+
+impl Default for Waits {
+    /// A quarter of a second is short enough to hide a cable that was bumped, five seconds are what a person who
+    /// re-plugs a brick is ready to look at.
+    fn default() -> Self {
+        Self {
+            first: Span::from_millis(250),
+            longest: Span::from_millis(5_000),
+        }
+    }
+}
 
 /// The waits of one link, in the order in which they are needed.
 #[derive(Clone, Debug)]
 pub(crate) struct Backoff {
+    waits: Waits,
     nominal: Span,
     jitter: Pcg32,
 }
 
 impl Backoff {
     /// The waits of the link `id`; the same link has the same jitter in every session.
-    pub(crate) fn new(id: LinkId) -> Self {
+    pub(crate) fn new(id: LinkId, waits: Waits) -> Self {
         Self {
-            nominal: FIRST,
+            waits,
+            nominal: waits.first,
             jitter: Pcg32::seed_from_u64(u64::from(id.0)),
         }
     }
 
-    /// The next wait; each is nominally twice as long as the one before, up to five seconds.
+    /// The next wait; each is nominally twice as long as the one before, up to the longest.
     pub(crate) fn next_wait(&mut self) -> Span {
         let factor = 1.0 + self.jitter.random_range(-JITTER..=JITTER);
         let wait = Span::from_secs_f64(self.nominal.as_secs_f64() * factor);
-        self.nominal = (self.nominal + self.nominal).min(LONGEST);
+        self.nominal = (self.nominal + self.nominal).min(self.waits.longest);
         wait
     }
 
     /// Starts again from the shortest wait, after the link was up for a while.
     pub(crate) fn reset(&mut self) {
-        self.nominal = FIRST;
+        self.nominal = self.waits.first;
     }
 }
 
@@ -49,7 +67,7 @@ mod tests {
     use super::*;
 
     fn waits(id: u16, count: usize) -> Vec<f64> {
-        let mut backoff = Backoff::new(LinkId(id));
+        let mut backoff = Backoff::new(LinkId(id), Waits::default());
         (0..count)
             .map(|_| backoff.next_wait().as_secs_f64())
             .collect()
@@ -76,7 +94,7 @@ mod tests {
 
     #[test]
     fn a_reset_starts_from_the_shortest_wait() {
-        let mut backoff = Backoff::new(LinkId(1));
+        let mut backoff = Backoff::new(LinkId(1), Waits::default());
         for _ in 0..6 {
             assert!(backoff.next_wait() > Span::ZERO);
         }

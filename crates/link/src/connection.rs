@@ -4,6 +4,7 @@
 //! attempts: when it is lost it says so once, and the port drops it.
 
 use std::net::SocketAddr;
+use std::path::Path;
 use std::task::{Context, Poll};
 
 use posebridge_telemetry::{Audience, HostClock, PeerId, Priority, Stamp};
@@ -50,6 +51,20 @@ pub enum Incoming {
     Finished,
 }
 
+/// What has been given to an open link and not been written.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outstanding {
+    /// Peers at the moment.
+    pub peers: u32,
+    /// Frames that wait to be written and are lost if the connection is dropped, once per peer.
+    pub frames: u64,
+    /// Their unwritten bytes.
+    pub bytes: u64,
+    /// What the link takes, bytes per second, measured while frames wait; `None` while it keeps up. Of several peers
+    /// the fastest counts, so that one that hangs does not make the link look slow.
+    pub capacity_bytes_per_s: Option<f64>,
+}
+
 /// An open link.
 pub trait Connection: Send {
     /// What was opened, for people, such as "/dev/ttyUSB0 at 115200 baud".
@@ -59,6 +74,17 @@ pub trait Connection: Send {
     /// system chose for port 0.
     fn local_address(&self) -> Option<SocketAddr> {
         None
+    }
+
+    /// A path that leads to the same device after it was unplugged and came back under another number; `None` where the
+    /// link's own target is as good as any.
+    fn stable_path(&self) -> Option<&Path> {
+        None
+    }
+
+    /// How many peers hear a frame for `to`.
+    fn reach(&self, to: Audience) -> u32 {
+        u32::from(to.includes(PeerId(0)))
     }
 
     /// Offers one whole frame. What the system does not take at once waits in a bounded queue and is written by the
@@ -75,6 +101,6 @@ pub trait Connection: Send {
         counters: &mut PortCounters,
     ) -> Poll<Result<Incoming, LinkLoss>>;
 
-    /// Frames that wait to be written and are lost if the connection is dropped.
-    fn unsent_frames(&self) -> u64;
+    /// What waits to be written, and how fast the link takes it.
+    fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding;
 }

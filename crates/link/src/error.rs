@@ -37,7 +37,7 @@ pub enum OpenError {
     },
     /// The address to listen on belongs to no interface of this computer.
     #[error(
-        "address {address} belongs to no interface of this computer: leave the host out to listen on all of them"
+        "address {address} belongs to no interface of this computer: 0.0.0.0 (or [::]) listens on all of them"
     )]
     AddressNotAvailable {
         /// The address.
@@ -107,6 +107,14 @@ pub enum OpenError {
         /// The limit, in seconds.
         limit_secs: u64,
     },
+    /// This program was built without the transport.
+    #[error("{what} is not built into this program: {advice}")]
+    NotBuilt {
+        /// What is missing.
+        what: &'static str,
+        /// How to get it, and what to use without it.
+        advice: &'static str,
+    },
     /// Anything else that the system said.
     #[error("cannot open {what}: {source}")]
     Io {
@@ -129,6 +137,7 @@ impl OpenError {
             | Self::NoHost { .. }
             | Self::LinkTaken { .. }
             | Self::WrongKind { .. }
+            | Self::NotBuilt { .. }
             | Self::NoSuchFile { .. } => false,
             Self::PortInUse { .. }
             | Self::Missing { .. }

@@ -24,21 +24,26 @@
 //! # }
 //! ```
 
-mod backoff;
+pub mod backoff;
+pub mod capacity;
 pub mod connection;
 pub mod error;
 pub mod host_timer;
+mod pacer;
 pub mod port;
 pub mod port_set;
 mod send_queue;
 mod stream;
+mod token_bucket;
 pub mod transports;
 pub mod url;
 
-pub use connection::{Connection, Incoming, Outgoing, PortCounters};
+pub use backoff::Waits;
+pub use capacity::{Backlog, CapacityMeter};
+pub use connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 pub use error::{LinkLoss, OpenError};
 pub use host_timer::HostTimer;
-pub use port::{Port, PortConfig, PortEvent};
+pub use port::{Port, PortConfig, PortEvent, PortTuning};
 pub use port_set::PortSet;
-pub use transports::{OpenRequest, Role, TRANSPORTS, Transport};
-pub use url::{LinkUrl, OptionHelp, OptionKind, Target, UrlError};
+pub use transports::{DeviceDirectories, OpenRequest, Role, TRANSPORTS, Transport};
+pub use url::{BluetoothAddress, LinkUrl, OptionHelp, OptionKind, Target, UrlError};

@@ -7,6 +7,7 @@
 use std::fmt;
 use std::future::poll_fn;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 
@@ -15,11 +16,14 @@ use posebridge_telemetry::{
 };
 use tokio::time::Sleep;
 
-use crate::backoff::Backoff;
-use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
+use crate::backoff::{Backoff, Waits};
+use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
-use crate::transports::{OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, Role, timed_out};
+use crate::pacer::Pacer;
+use crate::transports::{
+    DeviceDirectories, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, RATE, Role, timed_out,
+};
 use crate::url::LinkUrl;
 
 /// A link that was up for this long is trusted again: its next loss is followed by the shortest wait.
@@ -34,6 +38,15 @@ pub struct PortConfig {
     pub url: LinkUrl,
     /// Who calls whom.
     pub role: Role,
+}
+
+/// What is the same for every port of an ordinary computer; tests and unusual systems set it otherwise.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PortTuning {
+    /// How long to wait between attempts to open.
+    pub waits: Waits,
+    /// Where the system tells of its devices.
+    pub directories: DeviceDirectories,
 }
 
 /// What happened on a port.
@@ -74,8 +87,11 @@ pub enum PortEvent {
 /// A link that is kept alive.
 pub struct Port {
     config: PortConfig,
+    directories: DeviceDirectories,
     timer: HostTimer,
     state: State,
+    /// Where the device is found again under whatever number it comes back.
+    stable_path: Option<PathBuf>,
     backoff: Backoff,
     counters: PortCounters,
     was_up: bool,
@@ -99,6 +115,8 @@ enum State {
     /// Open.
     Up {
         connection: Box<dyn Connection>,
+        /// Where the link has a rate limit.
+        pacer: Option<Box<Pacer>>,
         since: Stamp<HostClock>,
     },
     /// A file was played.
@@ -121,11 +139,19 @@ impl Port {
     /// A port that opens its link when it is first polled.
     #[must_use]
     pub fn new(config: PortConfig, timer: HostTimer) -> Self {
+        Self::tuned(config, PortTuning::default(), timer)
+    }
+
+    /// As [`Port::new`], on a computer that is not ordinary.
+    #[must_use]
+    pub fn tuned(config: PortConfig, tuning: PortTuning, timer: HostTimer) -> Self {
         Self {
-            backoff: Backoff::new(config.id),
+            backoff: Backoff::new(config.id, tuning.waits),
             config,
+            directories: tuning.directories,
             timer,
             state: State::Closed,
+            stable_path: None,
             counters: PortCounters::default(),
             was_up: false,
             pending: None,
@@ -225,7 +251,12 @@ impl Port {
                     ready!(wake.as_mut().poll(cx));
                     self.state = State::Closed;
                 }
-                State::Up { connection, .. } => {
+                State::Up {
+                    connection, pacer, ..
+                } => {
+                    if let Some(pacer) = pacer {
+                        pacer.poll(cx, connection.as_mut(), &mut self.counters);
+                    }
                     match ready!(connection.poll(cx, &mut self.counters)) {
                         Ok(incoming) => self.pending = Some(self.receive(incoming)),
                         Err(loss) => {
@@ -239,9 +270,10 @@ impl Port {
         }
     }
 
-    /// Sends one whole frame to every peer: written at once as far as the system takes it, the rest waits in a bounded
-    /// queue whose oldest frames are dropped and counted when it is full. While the link is down the frame is dropped
-    /// and counted. Poll the port afterwards; that writes what waits and tells of failures.
+    /// Sends one whole frame to every peer, worth as much as one that is passed on: written at once as far as the system
+    /// takes it, the rest waits in a bounded queue whose least worthy frames are dropped and counted when it is full.
+    /// While the link is down the frame is dropped and counted. Poll the port afterwards; that writes what waits and
+    /// tells of failures.
     pub fn send(&mut self, frame: &[u8]) {
         self.give(&Outgoing {
             to: Audience::All,
@@ -262,25 +294,44 @@ impl Port {
     /// Sends one whole frame to whom it is for; what a slow link cannot take is dropped as its priority says.
     pub fn give(&mut self, out: &Outgoing<'_>) {
         match &mut self.state {
-            State::Up { connection, .. } => connection.send(out, &mut self.counters),
+            State::Up {
+                connection, pacer, ..
+            } => match pacer {
+                Some(pacer) => pacer.give(out, connection.as_mut(), &mut self.counters),
+                None => connection.send(out, &mut self.counters),
+            },
             State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => {
                 self.counters.drops_out += 1;
             }
         }
     }
 
-    /// What the port has counted and what waits in it.
+    /// What the port has counted and what waits in it; nobody and nothing while the link is down.
     #[must_use]
     pub fn counts(&self) -> PortCounts {
-        let queued_frames = match &self.state {
-            State::Up { connection, .. } => connection.unsent_frames(),
-            State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => 0,
-        };
+        let outstanding = self.outstanding();
         PortCounts {
             bytes_out: self.counters.bytes_out,
             drops_out: self.counters.drops_out,
-            queued_frames: u32::try_from(queued_frames).unwrap_or(u32::MAX),
-            ..PortCounts::default()
+            peers: outstanding.peers,
+            queued_frames: u32::try_from(outstanding.frames).unwrap_or(u32::MAX),
+            queued_bytes: u32::try_from(outstanding.bytes).unwrap_or(u32::MAX),
+            capacity_bytes_per_s: outstanding.capacity_bytes_per_s,
+        }
+    }
+
+    fn outstanding(&self) -> Outstanding {
+        let State::Up {
+            connection, pacer, ..
+        } = &self.state
+        else {
+            return Outstanding::default();
+        };
+        let now = self.timer.now();
+        let below = connection.outstanding(now);
+        match pacer {
+            Some(pacer) => pacer.outstanding(below, now),
+            None => below,
         }
     }
 
@@ -321,6 +372,8 @@ impl Port {
             url: self.config.url.clone(),
             role: self.config.role,
             timer: self.timer,
+            directories: self.directories.clone(),
+            stable_path: self.stable_path.clone(),
         };
         let deadline = self.timer.now() + Span::from_millis(1_000 * OPEN_DEADLINE_SECS as i64);
         State::Opening {
@@ -338,8 +391,11 @@ impl Port {
             at,
             detail: connection.detail(),
         });
+        self.stable_path = connection.stable_path().map(PathBuf::from);
+        let rate = self.config.url.integer(&RATE);
         self.state = State::Up {
             connection,
+            pacer: (rate > 0).then(|| Box::new(Pacer::new(rate, self.timer))),
             since: at,
         };
     }
@@ -369,11 +425,11 @@ impl Port {
 
     /// Closes the link before it is opened again: a device that is held open keeps its old number busy.
     fn close(&mut self) {
-        if let State::Up { connection, since } = &self.state {
-            self.counters.drops_out += connection.unsent_frames();
-            if self.timer.now() - *since >= TRUSTED_AFTER {
-                self.backoff.reset();
-            }
+        self.counters.drops_out += self.outstanding().frames;
+        if let State::Up { since, .. } = &self.state
+            && self.timer.now() - *since >= TRUSTED_AFTER
+        {
+            self.backoff.reset();
         }
         self.state = State::Closed;
     }

@@ -31,11 +31,25 @@ pub enum Target {
     Path(PathBuf),
     /// A network address.
     Host {
-        /// A name, an IPv4 address or an IPv6 address without brackets; empty for "any interface of this computer".
+        /// A name, an IPv4 address or an IPv6 address without brackets; empty where none was given: whoever listens then
+        /// listens for this computer alone.
         host: String,
         /// The port number; 0 lets the system choose when listening.
         port: u16,
     },
+    /// A Bluetooth device.
+    Bluetooth(BluetoothAddress),
+}
+
+/// The address of a Bluetooth device (BD_ADDR), as it is written: the manufacturer's part first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BluetoothAddress(pub [u8; 6]);
+
+impl fmt::Display for BluetoothAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b, c, d, e, g] = self.0;
+        write!(f, "{a:02X}:{b:02X}:{c:02X}:{d:02X}:{e:02X}:{g:02X}")
+    }
 }
 
 /// Which form the target of a transport has.
@@ -45,6 +59,8 @@ pub enum TargetKind {
     Path,
     /// [`Target::Host`].
     Host,
+    /// [`Target::Bluetooth`].
+    Bluetooth,
 }
 
 /// One option of a transport: help text and parser in one.
@@ -161,6 +177,16 @@ pub enum UrlError {
         /// The host.
         host: String,
     },
+    /// A target that is no Bluetooth address.
+    #[error("`{address}` in `{text}` is not a Bluetooth address: write it like {example}")]
+    BadBluetoothAddress {
+        /// The text.
+        text: String,
+        /// What stands in the address's place.
+        address: String,
+        /// An example from the table.
+        example: &'static str,
+    },
     /// An option that the transport does not have.
     #[error("{scheme} links have no option `{name}`: {valid}")]
     UnknownOption {
@@ -196,6 +222,9 @@ pub enum UrlError {
 impl LinkUrl {
     /// Reads a link such as `serial:///dev/rfcomm0?baud=57600`, `pty:brick.tty` or `udp://:14550`.
     ///
+    /// The last question mark begins the options, so that one before it may stand for a character of a serial port's
+    /// name: `serial:///dev/ttyUSB??baud=57600`.
+    ///
     /// # Errors
     /// [`UrlError`] names the part that is wrong and what is accepted there.
     pub fn parse(text: &str) -> Result<Self, UrlError> {
@@ -212,11 +241,12 @@ impl LinkUrl {
                 scheme: scheme.to_owned(),
                 known: known_schemes(),
             })?;
-        let (target, query) = rest.split_once('?').unwrap_or((rest, ""));
+        let (target, query) = rest.rsplit_once('?').unwrap_or((rest, ""));
         let target = target.strip_prefix("//").unwrap_or(target);
         let target = match transport.target_kind() {
             TargetKind::Path => check_path(text, Path::new(target), transport)?,
             TargetKind::Host => parse_host(text, target, transport)?,
+            TargetKind::Bluetooth => parse_bluetooth(text, target, transport)?,
         };
         Ok(Self {
             text: text.to_owned(),
@@ -264,12 +294,12 @@ impl LinkUrl {
         &self.target
     }
 
-    /// The path of the target; empty for a network address.
+    /// The path of the target; empty for an address.
     #[must_use]
     pub fn path(&self) -> &Path {
         match &self.target {
             Target::Path(path) => path,
-            Target::Host { .. } => Path::new(""),
+            Target::Host { .. } | Target::Bluetooth(_) => Path::new(""),
         }
     }
 
@@ -277,7 +307,7 @@ impl LinkUrl {
     #[must_use]
     pub fn host_and_port(&self) -> (&str, u16) {
         match &self.target {
-            Target::Path(_) => ("", 0),
+            Target::Path(_) | Target::Bluetooth(_) => ("", 0),
             Target::Host { host, port } => (host, *port),
         }
     }
@@ -369,6 +399,37 @@ fn parse_host(text: &str, authority: &str, transport: &dyn Transport) -> Result<
         host: host.to_owned(),
     })?;
     Ok(Target::Host { host, port })
+}
+
+fn parse_bluetooth(
+    text: &str,
+    address: &str,
+    transport: &dyn Transport,
+) -> Result<Target, UrlError> {
+    let address = address.strip_suffix('/').unwrap_or(address);
+    match bluetooth_address(address) {
+        Some(address) => Ok(Target::Bluetooth(address)),
+        None => Err(UrlError::BadBluetoothAddress {
+            text: text.to_owned(),
+            address: address.to_owned(),
+            example: transport.example(),
+        }),
+    }
+}
+
+/// Six bytes of two hexadecimal digits, with colons between them.
+fn bluetooth_address(text: &str) -> Option<BluetoothAddress> {
+    let mut bytes = [0; 6];
+    let mut parts = text.split(':');
+    for byte in &mut bytes {
+        let part = parts.next()?;
+        // `from_str_radix` also takes a plus sign.
+        if part.len() != 2 || !part.bytes().all(|digit| digit.is_ascii_hexdigit()) {
+            return None;
+        }
+        *byte = u8::from_str_radix(part, 16).ok()?;
+    }
+    parts.next().is_none().then_some(BluetoothAddress(bytes))
 }
 
 fn parse_host_name(host: &str) -> Option<String> {

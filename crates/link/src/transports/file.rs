@@ -10,12 +10,12 @@ use std::path::Path;
 use std::pin::pin;
 use std::task::{Context, Poll, ready};
 
-use posebridge_telemetry::PeerId;
+use posebridge_telemetry::{HostClock, PeerId, Stamp};
 
-use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
+use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::{FileKind, LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
-use crate::transports::{OpenFuture, OpenRequest, Transport};
+use crate::transports::{OpenFuture, OpenRequest, RATE, Transport};
 use crate::url::{OptionHelp, OptionKind, TargetKind};
 
 /// What to do with the file.
@@ -55,7 +55,7 @@ impl Transport for File {
         TargetKind::Path
     }
     fn options(&self) -> &'static [OptionHelp] {
-        &[MODE, CHUNK]
+        &[MODE, CHUNK, RATE]
     }
     fn open(&self, request: OpenRequest) -> OpenFuture {
         // Regular files on a local disk answer without delay, so this needs no thread of its own.
@@ -171,8 +171,8 @@ impl Connection for Played {
         })
     }
 
-    fn unsent_frames(&self) -> u64 {
-        0
+    fn outstanding(&self, _now: Stamp<HostClock>) -> Outstanding {
+        Outstanding::default()
     }
 }
 
@@ -211,7 +211,7 @@ impl Connection for Appended {
         }
     }
 
-    fn unsent_frames(&self) -> u64 {
-        0
+    fn outstanding(&self, _now: Stamp<HostClock>) -> Outstanding {
+        Outstanding::default()
     }
 }

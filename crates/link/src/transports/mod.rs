@@ -3,26 +3,39 @@
 //! Help texts, the URL parser and the conformance tests read the table, so a transport is added by one file and one
 //! line here. A transport only opens; keeping the link alive is the business of [`crate::Port`].
 
+mod bluetooth;
 mod device_link;
 mod file;
 mod pty;
 mod serial;
+mod serial_device;
+mod serial_line;
 mod tcp;
 mod tcp_server;
 mod udp;
+mod udp_peers;
+mod udp_socket;
 
 use std::fmt;
 use std::io;
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 use std::pin::Pin;
 
 use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
-use crate::url::{LinkUrl, OptionHelp, TargetKind};
+use crate::url::{LinkUrl, OptionHelp, OptionKind, TargetKind};
 
 /// Every transport. Adding one: a file in `transports/` and a line here.
-pub const TRANSPORTS: &[&dyn Transport] = &[SERIAL, PTY, &tcp::Tcp, &udp::Udp, &file::File];
+pub const TRANSPORTS: &[&dyn Transport] = &[
+    SERIAL,
+    &bluetooth::Bluetooth,
+    PTY,
+    &tcp::Tcp,
+    &udp::Udp,
+    &file::File,
+];
 
 /// Serial ports, for links that are made from a path.
 pub(crate) const SERIAL: &dyn Transport = &serial::Serial;
@@ -33,9 +46,38 @@ pub(crate) const PTY: &dyn Transport = &pty::Pty;
 /// Bluetooth Core Specification's default page time-out is 5.12 s).
 pub const OPEN_DEADLINE_SECS: u64 = 5;
 
-/// Frames that wait for a slow stream, in bytes: more than five seconds of a 115200 baud line, after which an estimate
-/// is of no use to anybody.
+/// Frames that wait for a slow link, in bytes, commands aside: more than five seconds of a 115200 baud line. What is
+/// passed on may wait for that long; estimates do not, since a new one replaces the one that waits.
 pub(crate) const QUEUE_BYTES: usize = 64 * 1024;
+
+/// The option that every transport has: the port keeps it, not the transport.
+pub(crate) const RATE: OptionHelp = OptionHelp {
+    name: "rate",
+    kind: OptionKind::Integer {
+        min: 0,
+        max: 1_000_000_000,
+        default: 0,
+    },
+    help: "most bytes per second that are sent, counted once per peer; 0 is no limit",
+};
+
+/// Where Linux tells of its devices.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceDirectories {
+    /// udev's links to serial ports, which keep their names whatever number the device gets.
+    pub serial_by_id: PathBuf,
+    /// The settings of USB serial adapters, a directory for each.
+    pub usb_serial: PathBuf,
+}
+
+impl Default for DeviceDirectories {
+    fn default() -> Self {
+        Self {
+            serial_by_id: "/dev/serial/by-id".into(),
+            usb_serial: "/sys/bus/usb-serial/devices".into(),
+        }
+    }
+}
 
 /// Who calls whom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,6 +106,10 @@ pub struct OpenRequest {
     pub role: Role,
     /// Stamps the arrivals.
     pub timer: HostTimer,
+    /// Where the system tells of its devices.
+    pub directories: DeviceDirectories,
+    /// What the last connection said of itself: [`Connection::stable_path`].
+    pub stable_path: Option<PathBuf>,
 }
 
 /// An attempt to open a link. Dropping it gives the attempt up.
@@ -80,9 +126,10 @@ pub trait Transport: Sync {
     fn example(&self) -> &'static str;
     /// Whether its target is a path or a network address.
     fn target_kind(&self) -> TargetKind;
-    /// The options that may follow the question mark.
+    /// The options that may follow the question mark; `rate` is among them, because the port keeps it for every
+    /// transport.
     fn options(&self) -> &'static [OptionHelp] {
-        &[]
+        &[RATE]
     }
     /// True if each delivered chunk is one datagram, so that no frame crosses two of them.
     fn is_datagram(&self) -> bool {
@@ -118,10 +165,11 @@ fn bind_error(address: SocketAddr, source: io::Error) -> OpenError {
     }
 }
 
-/// The addresses of `host`; an empty host is any interface of this computer.
+/// The addresses of `host`; without one this computer alone, so that nobody lets the network in by leaving something
+/// out.
 async fn resolve(host: &str, port: u16) -> Result<Vec<SocketAddr>, OpenError> {
     if host.is_empty() {
-        return Ok(vec![SocketAddr::from(([0, 0, 0, 0], port))]);
+        return Ok(vec![SocketAddr::from((Ipv4Addr::LOCALHOST, port))]);
     }
     let unknown = |source| OpenError::UnknownHost {
         host: host.to_owned(),
@@ -135,6 +183,20 @@ async fn resolve(host: &str, port: u16) -> Result<Vec<SocketAddr>, OpenError> {
         return Err(unknown(io::ErrorKind::NotFound.into()));
     }
     Ok(addresses)
+}
+
+/// What is said about an address on which a link listens.
+fn listening_detail(url: &LinkUrl, address: SocketAddr) -> String {
+    let (host, _) = url.host_and_port();
+    if host.is_empty() {
+        format!(
+            "listening on {address}, for this computer only: {}://0.0.0.0:{} lets others in",
+            url.transport().scheme(),
+            address.port()
+        )
+    } else {
+        format!("listening on {address}")
+    }
 }
 
 /// Gives an attempt up after [`OPEN_DEADLINE_SECS`].

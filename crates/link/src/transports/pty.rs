@@ -2,8 +2,9 @@
 //!
 //! The terminal's device has a number that changes with every run, so a symbolic link gives it a name. We keep the
 //! slave side open ourselves: otherwise every moment without a reader would look like a hang-up. Since the buffer then
-//! fills when nobody reads, frames that do not fit are dropped and counted instead of queued. Readers that come late
-//! find up to 16 KiB of old bytes; our own serial transport discards them.
+//! fills when nobody reads, frames that do not fit are dropped and counted instead of queued, commands aside. Readers
+//! that come late find up to 16 KiB of old bytes; our own serial transport discards them. How much lies there cannot be
+//! asked (Linux answers 0), so a pseudo-terminal that shall behave like a slow line needs the `rate` option.
 
 use std::io::{self, Read, Write};
 use std::os::fd::OwnedFd;
@@ -20,12 +21,12 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use crate::connection::Connection;
 use crate::error::OpenError;
-use crate::stream::{StreamConnection, StreamLabel};
+use crate::stream::{ByteStream, StreamConnection, StreamLabel};
 use crate::transports::device_link::{DeviceLink, mark_held};
 use crate::transports::{OpenFuture, OpenRequest, Transport};
 use crate::url::TargetKind;
 
-/// Whole frames that wait for a reader: none, because what waits here is out of date when the reader comes.
+/// Whole frames other than commands that wait for a reader: none, because what waits here is out of date when the reader comes.
 const QUEUE_BYTES: usize = 0;
 
 /// See the module.
@@ -106,6 +107,8 @@ fn open_terminal() -> io::Result<(PtyMaster, OwnedFd, String)> {
 fn register(master: PtyMaster) -> io::Result<AsyncFd<PtyMaster>> {
     AsyncFd::new(master)
 }
+
+impl ByteStream for PtyStream {}
 
 impl AsyncRead for PtyStream {
     fn poll_read(

@@ -1,8 +1,8 @@
 //! Serial ports, and Bluetooth serial ports (`/dev/rfcomm0`), which look the same.
 //!
-//! Opened raw, exclusively and without touching DTR, which would reset an Arduino-class board. Opening may block for as
-//! long as a Bluetooth radio pleases, so it runs on a thread of its own. What lay in the input before we came is thrown
-//! away: it is of unknown age. Neither the baud rate nor the protocol is guessed.
+//! Opened raw and exclusively. Opening may block for as long as a Bluetooth radio pleases, so it runs on a thread of its
+//! own. What lay in the input before we came is thrown away: it is of unknown age. Neither the baud rate nor the protocol
+//! is guessed. Which device is meant says `serial_device`, what else the line is told `serial_line`.
 //!
 //! A thread that hangs in the system cannot be stopped, and a runtime that is dropped waits for it: a program that wants
 //! to end in time ends its runtime with `shutdown_background`.
@@ -13,14 +13,17 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use nix::errno::Errno;
 use nix::unistd::{Gid, Group};
 use serialport::{ClearBuffer, ErrorKind, SerialPort, TTYPort};
 use tokio_serial::SerialStream;
 
 use crate::connection::Connection;
 use crate::error::{FileKind, OpenError};
-use crate::stream::{StreamConnection, StreamLabel};
-use crate::transports::{OpenFuture, OpenRequest, QUEUE_BYTES, Transport};
+use crate::stream::{ByteStream, StreamConnection, StreamLabel};
+use crate::transports::serial_device::{is_pattern, matches, stable_name};
+use crate::transports::serial_line::{Latency, keep_dtr_on_close, open_settings, shorten_latency};
+use crate::transports::{DeviceDirectories, OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Transport};
 use crate::url::{OptionHelp, OptionKind, TargetKind};
 
 /// The speed of the line. 115200 is what MAVLink boards and their radios are set to in the factory; the range is that
@@ -34,6 +37,18 @@ const BAUD: OptionHelp = OptionHelp {
     },
     help: "speed of the line in bits per second; Bluetooth and pseudo-terminals ignore it",
 };
+
+/// What happens to DTR. Linux raises it when the port is opened, whatever is asked for here.
+const DTR: OptionHelp = OptionHelp {
+    name: "dtr",
+    kind: OptionKind::Choice {
+        words: &["keep", "on", "off"],
+    },
+    help: "keep leaves DTR alone once the port is open, on and off set it then; closing never drops it",
+};
+
+/// Bits on the line per byte: a start bit, eight data bits and a stop bit.
+const BITS_PER_BYTE: f64 = 10.0;
 
 /// Most that can lie in the buffers of a tty before it is opened, generously: Linux allows 64 KiB per direction.
 const STALE_BYTES: usize = 64 * 1024;
@@ -58,44 +73,133 @@ impl Transport for Serial {
         TargetKind::Path
     }
     fn options(&self) -> &'static [OptionHelp] {
-        &[BAUD]
+        &[BAUD, DTR, RATE]
     }
     fn open(&self, request: OpenRequest) -> OpenFuture {
         Box::pin(open(request))
     }
 }
 
+impl ByteStream for SerialStream {
+    fn system_bytes(&self) -> Option<usize> {
+        // Pseudo-terminals answer 0 whatever they hold (Linux has no chars_in_buffer for them).
+        let waiting = self.bytes_to_write().ok()?;
+        usize::try_from(waiting).ok()
+    }
+}
+
+/// What one attempt needs to know, on its own thread.
+struct Attempt {
+    /// The path of the link; a pattern perhaps.
+    path: PathBuf,
+    baud: u32,
+    /// `None` leaves it alone.
+    dtr: Option<bool>,
+    directories: DeviceDirectories,
+    stable_path: Option<PathBuf>,
+}
+
+/// A line that was opened.
+struct Opened {
+    port: TTYPort,
+    /// The path by which it was opened.
+    path: PathBuf,
+    stable_path: Option<PathBuf>,
+    latency: Latency,
+}
+
 async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let path = request.url.path().to_owned();
     let baud = request.url.integer(&BAUD);
-    let detail = format!("{} at {baud} baud", path.display());
-    let blocking_path = path.clone();
-    let port = tokio::task::spawn_blocking(move || open_blocking(&blocking_path, baud))
+    let attempt = Attempt {
+        path: path.clone(),
+        baud,
+        dtr: match request.url.option_text(&DTR).as_str() {
+            "on" => Some(true),
+            "off" => Some(false),
+            _ => None,
+        },
+        directories: request.directories,
+        stable_path: request.stable_path,
+    };
+    let opened = tokio::task::spawn_blocking(move || attempt.run())
         .await
         .map_err(|error| io_error(&path, error.into()))??;
-    let stream = SerialStream::try_from(port).map_err(|error| name_error(&path, error))?;
-    Ok(Box::new(StreamConnection::new(
-        stream,
-        StreamLabel::new(detail),
-        request.timer,
-        QUEUE_BYTES,
-    )))
+    let mut label = StreamLabel::new(opened.detail(baud));
+    let stream =
+        SerialStream::try_from(opened.port).map_err(|error| name_error(&opened.path, error))?;
+    label.stable_path = opened.stable_path;
+    let connection = StreamConnection::new(stream, label, request.timer, QUEUE_BYTES);
+    Ok(Box::new(
+        connection.with_line_rate(f64::from(baud) / BITS_PER_BYTE),
+    ))
 }
 
-fn open_blocking(path: &Path, baud: u32) -> Result<TTYPort, OpenError> {
-    let device = check_device(path)?;
-    let mut port = serialport::new(device.to_string_lossy(), baud)
-        .timeout(Duration::ZERO)
-        .open_native()
-        .map_err(|error| name_error(path, error))?;
-    if device.starts_with(PTS_DIRECTORY) {
-        // TIOCEXCL stays on a pseudo-terminal for as long as its maker holds it open. If we were killed it would lock
-        // out our successor for ever, so only the file lock is kept, which dies with us.
-        port.set_exclusive(false)
-            .map_err(|error| name_error(path, error))?;
+impl Opened {
+    fn detail(&self, baud: u32) -> String {
+        let stable = match &self.stable_path {
+            Some(stable) if *stable != self.path => format!(" ({})", stable.display()),
+            Some(_) | None => String::new(),
+        };
+        let remark = self.latency.remark();
+        format!("{}{stable} at {baud} baud{remark}", self.path.display())
     }
-    discard_stale_input(&mut port).map_err(|error| name_error(path, error))?;
-    Ok(port)
+}
+
+impl Attempt {
+    fn run(&self) -> Result<Opened, OpenError> {
+        if let Some(stable) = &self.stable_path {
+            // Its number may belong to another device by now.
+            return self.open_device(stable);
+        }
+        if !is_pattern(&self.path) {
+            return self.open_device(&self.path);
+        }
+        let mut failure = None;
+        for path in matches(&self.path) {
+            match self.open_device(&path) {
+                Ok(opened) => return Ok(opened),
+                Err(error) => {
+                    tracing::debug!(path = %path.display(), %error, "not this one");
+                    failure.get_or_insert(error);
+                }
+            }
+        }
+        Err(failure.unwrap_or_else(|| OpenError::Missing {
+            path: self.path.clone(),
+        }))
+    }
+
+    fn open_device(&self, path: &Path) -> Result<Opened, OpenError> {
+        let device = check_device(path)?;
+        let settings = open_settings(&device).map_err(|error| errno_error(path, error))?;
+        let mut builder =
+            serialport::new(device.to_string_lossy(), self.baud).timeout(Duration::ZERO);
+        if let Some(level) = self.dtr {
+            // Fails on lines that have no DTR, which serialport passes over.
+            builder = builder.dtr_on_open(level);
+        }
+        let mut port = builder
+            .open_native()
+            .map_err(|error| name_error(path, error))?;
+        if device.starts_with(PTS_DIRECTORY) {
+            // TIOCEXCL stays on a pseudo-terminal for as long as its maker holds it open. If we were killed it would
+            // lock out our successor for ever, so only the file lock is kept, which dies with us.
+            port.set_exclusive(false)
+                .map_err(|error| name_error(path, error))?;
+        }
+        keep_dtr_on_close(&settings).map_err(|error| errno_error(path, error))?;
+        discard_stale_input(&mut port).map_err(|error| name_error(path, error))?;
+        Ok(Opened {
+            port,
+            path: path.to_owned(),
+            stable_path: self
+                .stable_path
+                .clone()
+                .or_else(|| stable_name(&self.path, &self.directories.serial_by_id)),
+            latency: shorten_latency(&device, &self.directories.usb_serial),
+        })
+    }
 }
 
 /// The device behind the path, links followed.
@@ -139,6 +243,15 @@ fn name_error(path: &Path, error: serialport::Error) -> OpenError {
             source: io::Error::other(error.description),
         },
     }
+}
+
+fn errno_error(path: &Path, error: Errno) -> OpenError {
+    if error == Errno::EBUSY {
+        return OpenError::PortInUse {
+            path: path.to_owned(),
+        };
+    }
+    io_error(path, error.into())
 }
 
 fn io_error(path: &Path, source: io::Error) -> OpenError {

@@ -9,14 +9,14 @@ use std::task::{Context, Poll};
 
 use tokio::net::{TcpListener, TcpStream};
 
-use posebridge_telemetry::PeerId;
+use posebridge_telemetry::{Audience, HostClock, PeerId, Stamp};
 
-use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
+use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::{LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
 use crate::stream::{StreamConnection, StreamLabel};
 use crate::transports::tcp::configure;
-use crate::transports::{OpenRequest, QUEUE_BYTES, bind_error, resolve};
+use crate::transports::{OpenRequest, QUEUE_BYTES, bind_error, listening_detail, resolve};
 
 /// Most clients at a time: a class of robots with a few onlookers each. Those beyond it are turned away.
 const MAX_CLIENTS: usize = 256;
@@ -25,6 +25,7 @@ const MAX_CLIENTS: usize = 256;
 pub(super) struct TcpServer {
     listener: TcpListener,
     address: SocketAddr,
+    detail: String,
     timer: HostTimer,
     clients: Vec<StreamConnection<TcpStream>>,
     next_peer: u32,
@@ -44,6 +45,7 @@ impl TcpServer {
                     return Ok(Box::new(Self {
                         listener,
                         address,
+                        detail: listening_detail(&request.url, address),
                         timer: request.timer,
                         clients: Vec::new(),
                         next_peer: 0,
@@ -83,6 +85,7 @@ impl TcpServer {
         let label = StreamLabel {
             detail: format!("client {from}"),
             local_address: Some(self.address),
+            stable_path: None,
             peer: PeerId(self.next_peer),
         };
         self.next_peer = self.next_peer.wrapping_add(1);
@@ -110,7 +113,7 @@ impl TcpServer {
                 }
                 Poll::Ready(Err(loss)) => {
                     tracing::debug!(client = %client.detail(), %loss, "client went");
-                    counters.drops_out += client.unsent_frames();
+                    counters.drops_out += client.outstanding(self.timer.now()).frames;
                     // Keeps the order of the others, whose turns are positions in it.
                     drop(self.clients.remove(index));
                     self.turn = index;
@@ -127,7 +130,7 @@ impl TcpServer {
 
 impl Connection for TcpServer {
     fn detail(&self) -> String {
-        format!("listening on {}", self.address)
+        self.detail.clone()
     }
 
     fn local_address(&self) -> Option<SocketAddr> {
@@ -151,7 +154,24 @@ impl Connection for TcpServer {
         self.poll_clients(cx, counters)
     }
 
-    fn unsent_frames(&self) -> u64 {
-        self.clients.iter().map(Connection::unsent_frames).sum()
+    fn reach(&self, to: Audience) -> u32 {
+        self.clients.iter().map(|client| client.reach(to)).sum()
+    }
+
+    fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding {
+        let mut all = Outstanding {
+            capacity_bytes_per_s: (!self.clients.is_empty()).then_some(0.0),
+            ..Outstanding::default()
+        };
+        for client in &self.clients {
+            let one = client.outstanding(now);
+            all.peers += one.peers;
+            all.frames += one.frames;
+            all.bytes += one.bytes;
+            // The fastest client counts, and one that keeps up is faster than any figure.
+            let fastest = all.capacity_bytes_per_s.zip(one.capacity_bytes_per_s);
+            all.capacity_bytes_per_s = fastest.map(|(a, b)| a.max(b));
+        }
+        all
     }
 }

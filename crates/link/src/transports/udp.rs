@@ -1,38 +1,53 @@
 //! UDP: listens on a port and answers whom it hears, or sends to a host first.
 //!
-//! One socket, many peers. A peer that has been silent for ten seconds is forgotten, except the host that the link
-//! names. The system's default receive buffer holds 256 small datagrams, five milliseconds of a large class, so it is
-//! enlarged and what was really granted is told. Errors that one unreachable peer causes are not a loss of the link.
+//! One socket, many peers. A peer that has been silent for a while is forgotten, except the host that the link names. The
+//! system's default receive buffer holds 256 small datagrams, five milliseconds of a large class, so it is enlarged and
+//! what was really granted is told. Errors that one unreachable peer causes are not a loss of the link.
+//!
+//! What was drained is delivered peer by peer in turn, and a peer that floods gets a socket of its own (`udp_socket`), of
+//! which less is taken per turn: it delays nobody and costs nobody a datagram.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
-use std::net::{Ipv6Addr, SocketAddr};
-use std::task::{Context, Poll, Waker, ready};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::ops::Bound;
+use std::task::{Context, Poll, Waker};
 
 use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
-use socket2::SockRef;
 use tokio::net::UdpSocket;
 
-use crate::connection::{Connection, Incoming, Outgoing, PortCounters};
+use crate::capacity::{Backlog, CapacityMeter};
+use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::{LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
+use crate::transports::udp_peers::Peers;
+use crate::transports::udp_socket::{buffer_warning, enlarge_receive_buffer, split_off};
 use crate::transports::{
-    OpenFuture, OpenRequest, QUEUE_BYTES, Role, Transport, bind_error, resolve, with_deadline,
+    OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, bind_error, listening_detail,
+    resolve, with_deadline,
 };
-use crate::url::TargetKind;
+use crate::url::{OptionHelp, OptionKind, TargetKind};
 
-/// Receive buffer that is asked for. Linux doubles it and charges 832 bytes for a small datagram (its default of 212 992
-/// bytes was measured to hold 256), so this holds 10 000 of them: a fifth of a second of 1000 robots at 50 Hz.
-const RECEIVE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
 /// Datagrams taken from the socket per wake-up, so that one flooded port cannot starve the others.
 const DRAIN_LIMIT: usize = 64;
-/// Silence after which a peer is forgotten.
-const PEER_IDLE: Span = Span::from_millis(10_000);
-/// Most peers at a time; the most silent go first. Guards against forged source addresses.
-const MAX_PEERS: usize = 4096;
+/// Datagrams taken from the socket of one loud peer in the same time.
+const LOUD_DRAIN_LIMIT: usize = 16;
+/// Most loud peers with a socket of their own; further ones stay with the others.
+const MAX_LOUD: usize = 64;
 /// Largest UDP datagram.
 const DATAGRAM_BYTES: usize = 65_535;
+
+/// When a peer is forgotten. Ten heartbeats of MAVLink may be lost before the default.
+const IDLE: OptionHelp = OptionHelp {
+    name: "idle_s",
+    kind: OptionKind::Integer {
+        min: 1,
+        max: 86_400,
+        default: 10,
+    },
+    help: "seconds of silence after which a peer is not written to any more",
+};
 
 /// See the module.
 pub(crate) struct Udp;
@@ -50,6 +65,9 @@ impl Transport for Udp {
     fn target_kind(&self) -> TargetKind {
         TargetKind::Host
     }
+    fn options(&self) -> &'static [OptionHelp] {
+        &[IDLE, RATE]
+    }
     fn is_datagram(&self) -> bool {
         true
     }
@@ -61,8 +79,10 @@ impl Transport for Udp {
 async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let (host, port) = request.url.host_and_port();
     let target = resolve(host, port).await?.into_iter().next();
-    let target = target.unwrap_or_else(|| SocketAddr::from(([0, 0, 0, 0], port)));
-    let is_listening = host.is_empty() || request.role == Role::Listen;
+    let target = target.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
+    // "Every interface" is no place to send to.
+    let is_unspecific = host.is_empty() || target.ip().is_unspecified();
+    let is_listening = is_unspecific || request.role == Role::Listen;
     let local = if is_listening {
         target
     } else if target.is_ipv6() {
@@ -80,8 +100,9 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     })?;
     let granted_bytes = enlarge_receive_buffer(&socket);
     let local_address = socket.local_addr().unwrap_or(local);
+    let idle = Span::from_millis(1_000 * i64::from(request.url.integer(&IDLE)));
     let mut detail = if is_listening {
-        format!("listening on {local_address}")
+        listening_detail(&request.url, local_address)
     } else {
         format!("sending to {target} from {local_address}")
     };
@@ -93,166 +114,115 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
         local_address,
         detail,
         timer: request.timer,
-        peers: Peers::new((!is_listening).then_some(target)),
+        loud: Vec::new(),
+        peers: Peers::new((!is_listening).then_some(target), idle),
         queue: SendQueue::new(QUEUE_BYTES),
-        arrived: VecDeque::with_capacity(DRAIN_LIMIT),
+        meter: CapacityMeter::default(),
+        inbox: Inbox::default(),
         loss: None,
         buffer: vec![0; DATAGRAM_BYTES].into_boxed_slice(),
     }))
 }
 
-/// Asks for a large receive buffer and returns how many bytes were granted.
-fn enlarge_receive_buffer(socket: &UdpSocket) -> usize {
-    let socket = SockRef::from(socket);
-    // A refusal shows in what is granted, which is what counts.
-    let asked = socket.set_recv_buffer_size(RECEIVE_BUFFER_BYTES);
-    let doubled = socket.recv_buffer_size().unwrap_or(0);
-    tracing::debug!(?asked, doubled, "receive buffer");
-    // Linux doubles the size for its own bookkeeping and reports the double: socket(7), SO_RCVBUF.
-    doubled / 2
+/// What was drained from the sockets and not delivered yet, peer by peer.
+#[derive(Default)]
+struct Inbox {
+    by_peer: BTreeMap<PeerId, VecDeque<Incoming>>,
+    /// The peer that was served last.
+    turn: PeerId,
 }
 
-fn buffer_warning(granted_bytes: usize) -> Option<String> {
-    (granted_bytes < RECEIVE_BUFFER_BYTES).then(|| {
-        format!(
-            ", receive buffer only {granted_bytes} of {RECEIVE_BUFFER_BYTES} bytes: \
-             run `sudo sysctl net.core.rmem_max={RECEIVE_BUFFER_BYTES}` for many robots"
-        )
-    })
+impl Inbox {
+    fn push(&mut self, peer: PeerId, incoming: Incoming) {
+        self.by_peer.entry(peer).or_default().push_back(incoming);
+    }
+
+    /// The oldest datagram of the next peer in turn.
+    fn pop(&mut self) -> Option<Incoming> {
+        let after = (Bound::Excluded(self.turn), Bound::Unbounded);
+        let next = self.by_peer.range(after).next();
+        let (peer, _) = next.or_else(|| self.by_peer.iter().next())?;
+        self.turn = *peer;
+        let queue = self.by_peer.get_mut(&self.turn)?;
+        let incoming = queue.pop_front();
+        if queue.is_empty() {
+            self.by_peer.remove(&self.turn);
+        }
+        incoming
+    }
 }
 
-/// Who is at the other ends.
-struct Peers {
-    by_address: BTreeMap<SocketAddr, Peer>,
-    by_id: BTreeMap<PeerId, SocketAddr>,
-    next_id: u32,
-}
-
-struct Peer {
-    id: PeerId,
-    /// `None` for the host that the link names, which is never forgotten.
-    last_heard: Option<Stamp<HostClock>>,
-}
-
-impl Peers {
-    fn new(named: Option<SocketAddr>) -> Self {
-        let mut peers = Self {
-            by_address: BTreeMap::new(),
-            by_id: BTreeMap::new(),
-            next_id: 0,
-        };
-        if let Some(address) = named {
-            peers.insert(address, None);
-        }
-        peers
-    }
-
-    fn insert(&mut self, address: SocketAddr, last_heard: Option<Stamp<HostClock>>) -> PeerId {
-        let id = PeerId(self.next_id);
-        self.next_id = self.next_id.wrapping_add(1);
-        self.by_address.insert(address, Peer { id, last_heard });
-        self.by_id.insert(id, address);
-        id
-    }
-
-    /// Notes that `address` was heard.
-    fn heard(&mut self, address: SocketAddr, now: Stamp<HostClock>) -> PeerId {
-        if let Some(peer) = self.by_address.get_mut(&address) {
-            match &mut peer.last_heard {
-                Some(last_heard) if now - *last_heard <= PEER_IDLE => *last_heard = now,
-                None => {}
-                Some(_) => {
-                    // Away for so long that what it sent before has no bearing on what it sends now.
-                    self.remove(address);
-                    return self.insert(address, Some(now));
-                }
-            }
-            return self
-                .by_address
-                .get(&address)
-                .map_or(PeerId(0), |peer| peer.id);
-        }
-        if self.by_address.len() >= MAX_PEERS {
-            self.forget_most_silent();
-        }
-        self.insert(address, Some(now))
-    }
-
-    fn remove(&mut self, address: SocketAddr) {
-        if let Some(peer) = self.by_address.remove(&address) {
-            self.by_id.remove(&peer.id);
-        }
-    }
-
-    /// Makes room by a quarter at a time, so that a flood of forged addresses does not cost a search per datagram.
-    fn forget_most_silent(&mut self) {
-        let mut by_silence: Vec<_> = self
-            .by_address
-            .iter()
-            .filter_map(|(address, peer)| peer.last_heard.map(|heard| (heard, *address)))
-            .collect();
-        by_silence.sort_unstable();
-        for (_, address) in by_silence.into_iter().take(MAX_PEERS / 4) {
-            self.remove(address);
-        }
-    }
-
-    fn forget_idle(&mut self, now: Stamp<HostClock>) {
-        let by_id = &mut self.by_id;
-        self.by_address.retain(|_, peer| {
-            let is_live = peer.last_heard.is_none_or(|heard| now - heard <= PEER_IDLE);
-            if !is_live {
-                by_id.remove(&peer.id);
-            }
-            is_live
-        });
-    }
-
-    /// The addresses of those who are to hear a frame.
-    fn audience(&mut self, audience: Audience, now: Stamp<HostClock>) -> Vec<SocketAddr> {
-        if let Audience::Peer(id) = audience {
-            return self.by_id.get(&id).copied().into_iter().collect();
-        }
-        self.forget_idle(now);
-        self.by_address
-            .iter()
-            .filter(|(_, peer)| audience.includes(peer.id))
-            .map(|(address, _)| *address)
-            .collect()
-    }
+/// A peer with a socket of its own.
+struct Loud {
+    address: SocketAddr,
+    socket: UdpSocket,
+    /// What it sent before lies in the common socket and has to be delivered first.
+    is_next: bool,
 }
 
 struct UdpConnection {
     socket: UdpSocket,
+    loud: Vec<Loud>,
     local_address: SocketAddr,
     detail: String,
     timer: HostTimer,
     peers: Peers,
     queue: SendQueue<SocketAddr>,
-    /// Drained from the socket, not yet delivered.
-    arrived: VecDeque<Incoming>,
+    meter: CapacityMeter,
+    inbox: Inbox,
     /// Told when everything that arrived before has been delivered.
     loss: Option<io::Error>,
     buffer: Box<[u8]>,
 }
 
+/// Whether a socket is of further use.
+#[derive(PartialEq, Eq)]
+enum Usable {
+    Yes,
+    No,
+}
+
 impl UdpConnection {
     fn flush(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) {
+        let mut taken = 0;
         while let Some((to, frame)) = self.queue.head() {
-            match self.socket.poll_send_to(cx, frame, *to) {
-                Poll::Pending => return,
-                Poll::Ready(result) => count_sent(&result, counters),
-            }
+            let Poll::Ready(result) = self.socket.poll_send_to(cx, frame, *to) else {
+                break;
+            };
+            taken += frame.len();
+            count_sent(&result, counters);
             self.queue.drop_head();
+        }
+        self.measure(taken);
+    }
+
+    fn measure(&mut self, taken: usize) {
+        let backlog = if self.queue.is_empty() {
+            Backlog::Empty
+        } else {
+            Backlog::Waiting
+        };
+        if backlog == Backlog::Waiting || self.meter.is_waiting() {
+            self.meter.note(self.timer.now(), taken, backlog);
         }
     }
 
-    /// Takes what the socket holds, up to the limit.
+    /// Takes what the common socket holds, up to the limit.
     fn drain(&mut self) {
         for _ in 0..DRAIN_LIMIT {
             match self.socket.try_recv_from(&mut self.buffer) {
-                Ok((length, from)) => self.deliver(length, from),
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                Ok((length, from)) => {
+                    self.deliver(length, from);
+                    if self.peers.is_loud(from) {
+                        self.set_apart(from);
+                    }
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    for loud in &mut self.loud {
+                        loud.is_next = true;
+                    }
+                    return;
+                }
                 Err(error) if is_about_one_peer(&error) => {}
                 Err(error) => {
                     self.loss = Some(error);
@@ -262,17 +232,76 @@ impl UdpConnection {
         }
     }
 
+    /// Gives a loud peer a socket of its own, if it has none and there is one to have.
+    fn set_apart(&mut self, address: SocketAddr) {
+        let has_one = self.loud.iter().any(|loud| loud.address == address);
+        if has_one || self.loud.len() >= MAX_LOUD {
+            return;
+        }
+        match split_off(&self.socket, self.local_address, address) {
+            Ok(socket) => {
+                tracing::info!(peer = %address, at = %self.local_address, "a loud peer is read apart");
+                self.loud.push(Loud {
+                    address,
+                    socket,
+                    is_next: false,
+                });
+            }
+            Err(error) => tracing::debug!(peer = %address, %error, "a loud peer stays"),
+        }
+    }
+
+    /// Takes a share of what the loud peers have sent; false, with a waker left at each, if there is nothing.
+    fn drain_loud(&mut self, cx: &mut Context<'_>) -> bool {
+        let mut loud = std::mem::take(&mut self.loud);
+        let mut found = false;
+        loud.retain(|one| {
+            if one.is_next {
+                match one.socket.poll_recv_ready(cx) {
+                    Poll::Pending => {}
+                    Poll::Ready(Err(_)) => return false,
+                    Poll::Ready(Ok(())) => {
+                        found = true;
+                        if self.drain_one(&one.socket) == Usable::No {
+                            return false;
+                        }
+                    }
+                }
+            }
+            self.peers.knows(one.address)
+        });
+        // Nobody was set apart in the meantime: that happens in `drain` only.
+        self.loud = loud;
+        found
+    }
+
+    fn drain_one(&mut self, socket: &UdpSocket) -> Usable {
+        for _ in 0..LOUD_DRAIN_LIMIT {
+            match socket.try_recv_from(&mut self.buffer) {
+                Ok((length, from)) => self.deliver(length, from),
+                Err(error) if is_about_one_peer(&error) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Usable::Yes,
+                // The common socket hears the peer again when this one is closed.
+                Err(_) => return Usable::No,
+            }
+        }
+        Usable::Yes
+    }
+
     fn deliver(&mut self, length: usize, from: SocketAddr) {
         let arrival = self.timer.now();
         let peer = self.peers.heard(from, arrival);
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
         // An empty datagram makes a peer known and says nothing else.
         if !bytes.is_empty() {
-            self.arrived.push_back(Incoming::Bytes {
+            self.inbox.push(
                 peer,
-                arrival,
-                bytes,
-            });
+                Incoming::Bytes {
+                    peer,
+                    arrival,
+                    bytes,
+                },
+            );
         }
     }
 }
@@ -291,14 +320,15 @@ impl Connection for UdpConnection {
         let mut cx = Context::from_waker(Waker::noop());
         for to in self.peers.audience(out.to, self.timer.now()) {
             if !self.queue.is_empty() {
-                counters.drops_out += self.queue.push(to, frame);
+                counters.drops_out += self.queue.push(to, out.priority, frame);
                 continue;
             }
             match self.socket.poll_send_to(&mut cx, frame, to) {
                 Poll::Ready(result) => count_sent(&result, counters),
-                Poll::Pending => counters.drops_out += self.queue.push(to, frame),
+                Poll::Pending => counters.drops_out += self.queue.push(to, out.priority, frame),
             }
         }
+        self.measure(0);
     }
 
     fn poll(
@@ -308,21 +338,35 @@ impl Connection for UdpConnection {
     ) -> Poll<Result<Incoming, LinkLoss>> {
         self.flush(cx, counters);
         loop {
-            if let Some(incoming) = self.arrived.pop_front() {
+            if let Some(incoming) = self.inbox.pop() {
                 return Poll::Ready(Ok(incoming));
             }
             if let Some(error) = self.loss.take() {
                 return Poll::Ready(Err(error.into()));
             }
-            match ready!(self.socket.poll_recv_ready(cx)) {
-                Ok(()) => self.drain(),
-                Err(error) => return Poll::Ready(Err(error.into())),
+            let common = self.socket.poll_recv_ready(cx);
+            match common {
+                Poll::Ready(Ok(())) => self.drain(),
+                Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
+                Poll::Pending => {}
+            }
+            if !self.drain_loud(cx) && common.is_pending() {
+                return Poll::Pending;
             }
         }
     }
 
-    fn unsent_frames(&self) -> u64 {
-        self.queue.len() as u64
+    fn reach(&self, to: Audience) -> u32 {
+        self.peers.reach(to, self.timer.now())
+    }
+
+    fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding {
+        Outstanding {
+            peers: self.peers.reach(Audience::All, now),
+            frames: self.queue.len() as u64,
+            bytes: self.queue.bytes() as u64,
+            capacity_bytes_per_s: self.meter.bytes_per_s(now),
+        }
     }
 }
 
@@ -344,54 +388,4 @@ fn is_about_one_peer(error: &io::Error) -> bool {
             | io::ErrorKind::NetworkUnreachable
             | io::ErrorKind::Interrupted
     )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn address(port: u16) -> SocketAddr {
-        SocketAddr::from(([10, 0, 0, 1], port))
-    }
-
-    #[test]
-    fn a_silent_peer_is_forgotten_and_comes_back_as_a_new_one() {
-        let mut peers = Peers::new(None);
-        let first = peers.heard(address(1), Stamp::from_millis(0));
-        let second = peers.heard(address(2), Stamp::from_millis(6_000));
-        assert_ne!(first, second);
-        let now = Stamp::from_millis(10_001);
-        assert_eq!(peers.audience(Audience::All, now), [address(2)]);
-        assert!(peers.audience(Audience::Peer(first), now).is_empty());
-        assert_ne!(peers.heard(address(1), now), first);
-        assert_eq!(peers.heard(address(2), now), second);
-    }
-
-    #[test]
-    fn the_named_host_is_never_forgotten() {
-        let mut peers = Peers::new(Some(address(1)));
-        let now = Stamp::from_millis(3_600_000);
-        assert_eq!(peers.audience(Audience::All, now), [address(1)]);
-        assert_eq!(peers.heard(address(1), now), PeerId(0));
-    }
-
-    #[test]
-    fn forged_addresses_do_not_grow_the_list_without_end() {
-        let mut peers = Peers::new(Some(address(0)));
-        for port in 1..=u16::MAX {
-            peers.heard(address(port), Stamp::from_millis(i64::from(port) / 10));
-        }
-        assert!((MAX_PEERS / 2..=MAX_PEERS).contains(&peers.by_address.len()));
-        assert_eq!(peers.by_id.len(), peers.by_address.len());
-        assert!(peers.by_address.contains_key(&address(0)));
-        assert!(peers.by_address.contains_key(&address(u16::MAX)));
-    }
-
-    #[test]
-    fn a_small_receive_buffer_is_told_with_its_cure() {
-        assert_eq!(buffer_warning(RECEIVE_BUFFER_BYTES), None);
-        let warning = buffer_warning(212_992).expect("it is too small");
-        assert!(warning.contains("212992 of 4194304 bytes"), "{warning}");
-        assert!(warning.contains("net.core.rmem_max=4194304"), "{warning}");
-    }
 }

@@ -31,8 +31,8 @@ fn plan(scheme: &str, device: &Path) -> Option<Plan> {
         ),
         "tcp" => (None, "tcp://127.0.0.1:0".to_owned(), true),
         "udp" => (None, "udp://127.0.0.1:0".to_owned(), false),
-        // One-way, has no far end; its own tests are in `file.rs`.
-        "file" => return None,
+        // A radio and a paired device would be needed; a file is one-way. Their own tests bear their names.
+        "bluetooth" | "file" => return None,
         other => panic!("say here what the far end of a {other} link is"),
     };
     Some(Plan {
@@ -277,6 +277,17 @@ async fn datagram_links_keep_the_bounds_of_datagrams() {
         for frame in [&b"one"[..], b"twotwo", b"3"] {
             assert_eq!(beside(&mut ends.far, &mut ends.near, 1).await, frame);
         }
+    }
+}
+
+#[test]
+fn every_transport_takes_a_rate() {
+    for transport in TRANSPORTS {
+        let has_rate = transport
+            .options()
+            .iter()
+            .any(|option| option.name == "rate");
+        assert!(has_rate, "{}", transport.scheme());
     }
 }
 

@@ -310,7 +310,7 @@ async fn a_foreign_address_and_a_missing_host_are_refused_at_the_start() {
     let error = foreign.open_first().await.expect_err("not ours");
     assert_eq!(
         error.to_string(),
-        "address 192.0.2.1:5760 belongs to no interface of this computer: leave the host out to listen on all of them"
+        "address 192.0.2.1:5760 belongs to no interface of this computer: 0.0.0.0 (or [::]) listens on all of them"
     );
     let mut nowhere = port("tcp://:5760", Role::Dial, timer);
     let error = nowhere.open_first().await.expect_err("no host");
@@ -318,6 +318,55 @@ async fn a_foreign_address_and_a_missing_host_are_refused_at_the_start() {
         error.to_string(),
         "tcp://:5760 names no host to dial: put one before the port"
     );
+}
+
+#[tokio::test(start_paused = true)]
+async fn without_a_host_only_this_computer_is_let_in() {
+    let timer = HostTimer::start();
+    for scheme in ["tcp", "udp"] {
+        for (host, expected) in [("", "127.0.0.1"), ("0.0.0.0", "0.0.0.0"), ("[::1]", "::1")] {
+            let mut server = port(&format!("{scheme}://{host}:0"), Role::Listen, timer);
+            server.open_first().await.expect("a free port");
+            let detail = up(&mut server).await;
+            let address = server.local_address().expect("it listens");
+            assert_eq!(address.ip().to_string(), expected);
+            let hint = format!(
+                "listening on {address}, for this computer only: {scheme}://0.0.0.0:{} lets others in",
+                address.port()
+            );
+            assert_eq!(detail.starts_with(&hint), host.is_empty(), "{detail}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_udp_link_to_every_interface_listens_even_if_it_is_to_dial() {
+    let timer = HostTimer::start();
+    let mut station = port("udp://0.0.0.0:0", Role::Dial, timer);
+    assert!(up(&mut station).await.starts_with("listening on 0.0.0.0:"));
+    let near = station.local_address().expect("it listens").port();
+    let brick = foreign_peer();
+    brick
+        .send_to(b"hello", ("127.0.0.1", near))
+        .expect("loopback");
+    assert_eq!(next_bytes(&mut station).await.1, b"hello");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_idle_time_of_a_udp_link_is_an_option() {
+    let timer = HostTimer::start();
+    let (mut station, address) = listening("udp://127.0.0.1:0?idle_s=2", timer).await;
+    let brick = foreign_peer();
+    brick.send_to(b"here", address).expect("loopback");
+    let (first, _) = next_bytes(&mut station).await;
+    assert_eq!(station.counts().peers, 1);
+    tokio::time::advance(Duration::from_millis(2_100)).await;
+    assert_eq!(station.counts().peers, 0);
+    station.send(b"anybody?");
+    assert_eq!(station.counters().bytes_out, 0);
+    brick.send_to(b"again", address).expect("loopback");
+    let (second, _) = next_bytes(&mut station).await;
+    assert_ne!(first, second, "who comes back has a new number");
 }
 
 #[tokio::test(start_paused = true)]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use posebridge_link::{LinkUrl, TRANSPORTS, Target, UrlError};
+use posebridge_link::{BluetoothAddress, LinkUrl, TRANSPORTS, Target, UrlError};
 
 fn check_target(text: &str, scheme: &str, target: &Target) {
     let url = LinkUrl::parse(text).unwrap_or_else(|error| panic!("{text}: {error}"));
@@ -75,11 +75,11 @@ fn options_have_the_default_of_the_table_until_they_are_given() {
 fn a_wrong_link_says_what_is_wrong_and_what_is_right() {
     check_error(
         "/dev/ttyUSB0",
-        "`/dev/ttyUSB0` has no scheme: put one of serial, pty, tcp, udp, file in front, such as serial:///dev/ttyUSB0?baud=115200",
+        "`/dev/ttyUSB0` has no scheme: put one of serial, bluetooth, pty, tcp, udp, file in front, such as serial:///dev/ttyUSB0?baud=115200",
     );
     check_error(
         "usb:brick",
-        "unknown link scheme `usb`: use one of serial, pty, tcp, udp, file",
+        "unknown link scheme `usb`: use one of serial, bluetooth, pty, tcp, udp, file",
     );
     check_error(
         "serial:",
@@ -115,12 +115,9 @@ fn a_wrong_link_says_what_is_wrong_and_what_is_right() {
 fn a_wrong_option_is_named_with_the_right_ones() {
     check_error(
         "serial:a?baudrate=9600",
-        "serial links have no option `baudrate`: use baud",
+        "serial links have no option `baudrate`: use baud, dtr, rate",
     );
-    check_error(
-        "pty:a?raw=1",
-        "pty links have no option `raw`: they take none",
-    );
+    check_error("pty:a?raw=1", "pty links have no option `raw`: use rate");
     check_error(
         "serial:a?baud=fast",
         "option baud=`fast` of serial links must be a whole number from 50 to 4000000",
@@ -136,6 +133,58 @@ fn a_wrong_option_is_named_with_the_right_ones() {
     check_error(
         "serial:a?baud=1200&baud=2400",
         "option `baud` stands twice in `serial:a?baud=1200&baud=2400`",
+    );
+}
+
+#[test]
+fn a_bluetooth_address_is_six_bytes_with_colons() {
+    let brick = Target::Bluetooth(BluetoothAddress([0x00, 0x16, 0x53, 0xaa, 0xbb, 0xcc]));
+    check_target(
+        "bluetooth://00:16:53:AA:BB:CC?channel=1",
+        "bluetooth",
+        &brick,
+    );
+    check_target("bluetooth:00:16:53:aa:bb:cc/", "bluetooth", &brick);
+    assert_eq!(
+        BluetoothAddress([0, 0x16, 0x53, 0xaa, 0xbb, 0xcc]).to_string(),
+        "00:16:53:AA:BB:CC"
+    );
+    for wrong in [
+        "",
+        "00:16:53:AA:BB",
+        "00:16:53:AA:BB:CC:DD",
+        "00:16:53:AA:BB:+C",
+        "0:16:53:AA:BB:CCC",
+    ] {
+        check_error(
+            &format!("bluetooth://{wrong}"),
+            &format!(
+                "`{wrong}` in `bluetooth://{wrong}` is not a Bluetooth address: write it like bluetooth://00:16:53:AA:BB:CC?channel=1"
+            ),
+        );
+    }
+    check_error(
+        "bluetooth://00:16:53:AA:BB:CC?channel=31",
+        "option channel=`31` of bluetooth links must be a whole number from 1 to 30",
+    );
+}
+
+#[test]
+fn the_last_question_mark_begins_the_options() {
+    let parse = |text| LinkUrl::parse(text).expect("a link");
+    let pattern = parse("serial:///dev/ttyUSB??baud=57600");
+    assert_eq!(pattern.path(), Path::new("/dev/ttyUSB?"));
+    assert_eq!(
+        parse("serial:///dev/ttyUSB??").path(),
+        Path::new("/dev/ttyUSB?")
+    );
+    assert_eq!(
+        parse("serial:///dev/ttyUSB*").path(),
+        Path::new("/dev/ttyUSB*")
+    );
+    assert_eq!(
+        parse("serial:///dev/ttyUSB?baud=57600").path(),
+        Path::new("/dev/ttyUSB")
     );
 }
 

@@ -1,0 +1,126 @@
+//! What an open serial line is told beyond its speed: who may drop DTR, and how long an adapter may hold bytes back.
+//!
+//! Arduino-class boards wire DTR to their reset: the edge at which it is raised restarts the sketch and two seconds are
+//! gone. Linux raises DTR whenever a port is opened, which is no edge if it is still up; and lowers it when the port is
+//! closed, unless HUPCL is cleared (termios(3)). So HUPCL is cleared always: the first open after plugging in resets the
+//! board once, every later one leaves it alone, those of other programs included.
+//!
+//! FTDI adapters collect received bytes for up to 16 ms; their driver offers that time as a file. The other way to ask for
+//! it, ASYNC_LOW_LATENCY by TIOCSSERIAL, has no safe interface, and for these adapters does the same.
+
+use std::fs;
+use std::os::fd::OwnedFd;
+use std::path::Path;
+
+use nix::fcntl::OFlag;
+use nix::sys::stat::Mode;
+use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
+
+/// What the adapter's latency timer is set to, in milliseconds: its smallest value (FTDI application note AN232B-04,
+/// section 3.3).
+const LATENCY_MS: &str = "1";
+
+/// A second descriptor of the line, through which its settings are reached. It has to be opened before the line is
+/// locked, and is of no use for reading.
+///
+/// # Errors
+/// As open(2); EBUSY if another program holds the line.
+pub(super) fn open_settings(device: &Path) -> nix::Result<OwnedFd> {
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+    nix::fcntl::open(device, flags, Mode::empty())
+}
+
+/// Keeps DTR as it is when the line is closed, by whomever.
+///
+/// # Errors
+/// The settings cannot be read or written.
+pub(super) fn keep_dtr_on_close(line: &OwnedFd) -> nix::Result<()> {
+    let mut settings = tcgetattr(line)?;
+    settings.control_flags.remove(ControlFlags::HUPCL);
+    tcsetattr(line, SetArg::TCSANOW, &settings)
+}
+
+/// What became of an adapter's latency timer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Latency {
+    /// The driver has no such setting.
+    NoTimer,
+    /// It is as short as it can be.
+    Shortest,
+    /// It may not be written; the file's path and what it says.
+    Kept { file: String, ms: String },
+}
+
+/// Sets the latency timer of `device`, if it has one below `directory`, to its shortest.
+pub(super) fn shorten_latency(device: &Path, directory: &Path) -> Latency {
+    let Some(name) = device.file_name() else {
+        return Latency::NoTimer;
+    };
+    let file = directory.join(name).join("latency_timer");
+    let Ok(before) = fs::read_to_string(&file) else {
+        return Latency::NoTimer;
+    };
+    if before.trim() == LATENCY_MS || fs::write(&file, LATENCY_MS).is_ok() {
+        return Latency::Shortest;
+    }
+    Latency::Kept {
+        file: file.display().to_string(),
+        ms: before.trim().to_owned(),
+    }
+}
+
+impl Latency {
+    /// What is added to the detail of the link.
+    pub(super) fn remark(&self) -> String {
+        match self {
+            Self::NoTimer => String::new(),
+            Self::Shortest => ", latency timer 1 ms".to_owned(),
+            Self::Kept { file, ms } => format!(
+                ", latency timer {ms} ms: run `echo {LATENCY_MS} | sudo tee {file}` to shorten it"
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_timer(says: &str) -> (tempfile::TempDir, std::path::PathBuf) {
+        let root = tempfile::tempdir().expect("a temporary directory");
+        let folder = root.path().join("ttyUSB0");
+        fs::create_dir(&folder).expect("own directory");
+        let file = folder.join("latency_timer");
+        fs::write(&file, says).expect("own directory");
+        (root, file)
+    }
+
+    #[test]
+    fn the_latency_timer_of_an_adapter_is_shortened() {
+        let (root, file) = with_timer("16\n");
+        let latency = shorten_latency(Path::new("/dev/ttyUSB0"), root.path());
+        assert_eq!(latency, Latency::Shortest);
+        assert_eq!(latency.remark(), ", latency timer 1 ms");
+        assert_eq!(fs::read_to_string(file).expect("it is there").trim(), "1");
+    }
+
+    #[test]
+    fn a_line_without_a_latency_timer_is_left_alone() {
+        let root = tempfile::tempdir().expect("a temporary directory");
+        let latency = shorten_latency(Path::new("/dev/ttyACM0"), root.path());
+        assert_eq!(latency, Latency::NoTimer);
+        assert_eq!(latency.remark(), "");
+    }
+
+    #[test]
+    fn a_timer_that_may_not_be_written_is_told_with_its_cure() {
+        let latency = Latency::Kept {
+            file: "/sys/x/latency_timer".to_owned(),
+            ms: "16".to_owned(),
+        };
+        assert_eq!(
+            latency.remark(),
+            ", latency timer 16 ms: run `echo 1 | sudo tee /sys/x/latency_timer` to shorten it"
+        );
+    }
+}

@@ -1,0 +1,230 @@
+//! Who is at the other ends of a UDP socket: numbered as they are met, forgotten when they are silent.
+//!
+//! It also tells who is loud. Time comes in with each datagram; no socket is touched here.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+
+use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
+
+/// Most peers at a time; the most silent go first. Guards against forged source addresses.
+const MAX_PEERS: usize = 4096;
+/// Over this time the datagrams of a peer are counted.
+const LOUD_WINDOW: Span = Span::from_millis(100);
+/// More datagrams than this within the window make a peer loud: 5000 per second, ten times a brick that sends every
+/// sensor at 100 Hz in datagrams of their own.
+const LOUD_DATAGRAMS: u32 = 500;
+
+/// Who is at the other ends.
+pub(super) struct Peers {
+    idle: Span,
+    by_address: BTreeMap<SocketAddr, Peer>,
+    by_id: BTreeMap<PeerId, SocketAddr>,
+    next_id: u32,
+}
+
+struct Peer {
+    id: PeerId,
+    window_start: Stamp<HostClock>,
+    /// Datagrams since then.
+    in_window: u32,
+    /// `None` for the host that the link names, which is never forgotten.
+    last_heard: Option<Stamp<HostClock>>,
+}
+
+impl Peers {
+    /// Nobody but the host that the link names; others are forgotten after `idle` of silence.
+    pub(super) fn new(named: Option<SocketAddr>, idle: Span) -> Self {
+        let mut peers = Self {
+            idle,
+            by_address: BTreeMap::new(),
+            by_id: BTreeMap::new(),
+            next_id: 0,
+        };
+        if let Some(address) = named {
+            peers.insert(address, None);
+        }
+        peers
+    }
+
+    fn insert(&mut self, address: SocketAddr, last_heard: Option<Stamp<HostClock>>) -> PeerId {
+        let id = PeerId(self.next_id);
+        self.next_id = self.next_id.wrapping_add(1);
+        let peer = Peer {
+            id,
+            window_start: last_heard.unwrap_or(Stamp::ZERO),
+            in_window: u32::from(last_heard.is_some()),
+            last_heard,
+        };
+        self.by_address.insert(address, peer);
+        self.by_id.insert(id, address);
+        id
+    }
+
+    /// Notes that `address` was heard.
+    pub(super) fn heard(&mut self, address: SocketAddr, now: Stamp<HostClock>) -> PeerId {
+        if let Some(peer) = self.by_address.get_mut(&address) {
+            peer.count(now);
+            let is_away = |heard: &Stamp<HostClock>| now - *heard > self.idle;
+            if !peer.last_heard.as_ref().is_some_and(is_away) {
+                peer.last_heard = peer.last_heard.map(|_| now);
+                return peer.id;
+            }
+            // Away for so long that what it sent before has no bearing on what it sends now.
+            self.remove(address);
+        } else if self.by_address.len() >= MAX_PEERS {
+            self.forget_most_silent();
+        }
+        self.insert(address, Some(now))
+    }
+
+    /// True if `address` sends so much that it should not share a buffer with the others.
+    pub(super) fn is_loud(&self, address: SocketAddr) -> bool {
+        self.by_address
+            .get(&address)
+            .is_some_and(|peer| peer.in_window > LOUD_DATAGRAMS)
+    }
+
+    /// True if `address` has not been forgotten.
+    pub(super) fn knows(&self, address: SocketAddr) -> bool {
+        self.by_address.contains_key(&address)
+    }
+
+    fn remove(&mut self, address: SocketAddr) {
+        if let Some(peer) = self.by_address.remove(&address) {
+            self.by_id.remove(&peer.id);
+        }
+    }
+
+    /// Makes room by a quarter at a time, so that a flood of forged addresses does not cost a search per datagram.
+    fn forget_most_silent(&mut self) {
+        let mut by_silence: Vec<_> = self
+            .by_address
+            .iter()
+            .filter_map(|(address, peer)| peer.last_heard.map(|heard| (heard, *address)))
+            .collect();
+        by_silence.sort_unstable();
+        for (_, address) in by_silence.into_iter().take(MAX_PEERS / 4) {
+            self.remove(address);
+        }
+    }
+
+    pub(super) fn forget_idle(&mut self, now: Stamp<HostClock>) {
+        let (by_id, idle) = (&mut self.by_id, self.idle);
+        self.by_address.retain(|_, peer| {
+            let is_live = peer.last_heard.is_none_or(|heard| now - heard <= idle);
+            if !is_live {
+                by_id.remove(&peer.id);
+            }
+            is_live
+        });
+    }
+
+    /// How many of those who are heard at the moment belong to an audience.
+    pub(super) fn reach(&self, audience: Audience, now: Stamp<HostClock>) -> u32 {
+        if let Audience::Peer(id) = audience {
+            return u32::from(self.by_id.contains_key(&id));
+        }
+        let is_live = |peer: &&Peer| peer.last_heard.is_none_or(|heard| now - heard <= self.idle);
+        let live = self.by_address.values().filter(is_live);
+        live.filter(|peer| audience.includes(peer.id)).count() as u32
+    }
+
+    /// The addresses of those who are to hear a frame.
+    pub(super) fn audience(
+        &mut self,
+        audience: Audience,
+        now: Stamp<HostClock>,
+    ) -> Vec<SocketAddr> {
+        if let Audience::Peer(id) = audience {
+            return self.by_id.get(&id).copied().into_iter().collect();
+        }
+        self.forget_idle(now);
+        self.by_address
+            .iter()
+            .filter(|(_, peer)| audience.includes(peer.id))
+            .map(|(address, _)| *address)
+            .collect()
+    }
+}
+
+impl Peer {
+    fn count(&mut self, now: Stamp<HostClock>) {
+        if now - self.window_start >= LOUD_WINDOW {
+            self.window_start = now;
+            self.in_window = 0;
+        }
+        self.in_window = self.in_window.saturating_add(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const IDLE: Span = Span::from_millis(10_000);
+
+    fn address(port: u16) -> SocketAddr {
+        SocketAddr::from(([10, 0, 0, 1], port))
+    }
+
+    #[test]
+    fn a_silent_peer_is_forgotten_and_comes_back_as_a_new_one() {
+        let mut peers = Peers::new(None, IDLE);
+        let first = peers.heard(address(1), Stamp::from_millis(0));
+        let second = peers.heard(address(2), Stamp::from_millis(6_000));
+        assert_ne!(first, second);
+        let now = Stamp::from_millis(10_001);
+        assert_eq!(peers.audience(Audience::All, now), [address(2)]);
+        assert!(peers.audience(Audience::Peer(first), now).is_empty());
+        assert_ne!(peers.heard(address(1), now), first);
+        assert_eq!(peers.heard(address(2), now), second);
+    }
+
+    #[test]
+    fn the_named_host_is_never_forgotten() {
+        let mut peers = Peers::new(Some(address(1)), IDLE);
+        let now = Stamp::from_millis(3_600_000);
+        assert_eq!(peers.audience(Audience::All, now), [address(1)]);
+        assert_eq!(peers.heard(address(1), now), PeerId(0));
+    }
+
+    #[test]
+    fn forged_addresses_do_not_grow_the_list_without_end() {
+        let mut peers = Peers::new(Some(address(0)), IDLE);
+        for port in 1..=u16::MAX {
+            peers.heard(address(port), Stamp::from_millis(i64::from(port) / 10));
+        }
+        assert!((MAX_PEERS / 2..=MAX_PEERS).contains(&peers.by_address.len()));
+        assert_eq!(peers.by_id.len(), peers.by_address.len());
+        assert!(peers.by_address.contains_key(&address(0)));
+        assert!(peers.by_address.contains_key(&address(u16::MAX)));
+    }
+
+    #[test]
+    fn a_peer_is_loud_when_it_sends_more_than_a_brick_ever_does() {
+        let mut peers = Peers::new(None, IDLE);
+        // 100 Hz and 5000 Hz are calm, 10 kHz is loud.
+        for (port, period_micros, expected) in [(1, 10_000, false), (2, 200, false), (3, 100, true)]
+        {
+            let mut was_loud = false;
+            for number in 0..5_000 {
+                peers.heard(address(port), Stamp::from_micros(number * period_micros));
+                was_loud |= peers.is_loud(address(port));
+            }
+            assert_eq!(was_loud, expected, "every {period_micros} us");
+        }
+        assert!(!peers.is_loud(address(4)));
+    }
+
+    #[test]
+    fn the_idle_time_is_the_links_own() {
+        let mut peers = Peers::new(None, Span::from_millis(2_000));
+        peers.heard(address(1), Stamp::ZERO);
+        assert_eq!(peers.reach(Audience::All, Stamp::from_millis(2_000)), 1);
+        assert_eq!(peers.reach(Audience::All, Stamp::from_millis(2_001)), 0);
+        assert!(peers.knows(address(1)));
+        peers.forget_idle(Stamp::from_millis(2_001));
+        assert!(!peers.knows(address(1)));
+    }
+}

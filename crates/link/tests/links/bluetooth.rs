@@ -1,0 +1,35 @@
+//! Bluetooth links without a radio: what is said, and that nothing hangs.
+
+use crate::support::port;
+use posebridge_link::{HostTimer, Role};
+
+const BRICK: &str = "bluetooth://00:16:53:AA:BB:CC?channel=1";
+
+#[cfg(not(feature = "bluetooth"))]
+#[tokio::test(start_paused = true)]
+async fn a_program_without_bluetooth_says_how_to_get_it() {
+    let mut brick = port(BRICK, Role::Dial, HostTimer::start());
+    let error = brick.open_first().await.expect_err("not built");
+    assert!(!error.can_heal() && error.stops_start());
+    assert_eq!(
+        error.to_string(),
+        "Bluetooth is not built into this program: build it with `cargo build --release --features bluetooth`, or \
+         bind the device with `sudo rfcomm bind 0 ADDRESS` and use serial:///dev/rfcomm0"
+    );
+}
+
+#[cfg(feature = "bluetooth")]
+#[tokio::test(start_paused = true)]
+async fn a_brick_that_cannot_be_reached_is_waited_for() {
+    use crate::support::down;
+    use posebridge_telemetry::Span;
+
+    let mut brick = port(BRICK, Role::Dial, HostTimer::start());
+    brick
+        .open_first()
+        .await
+        .expect("it may be switched on later");
+    let (reason, retry_in) = down(&mut brick).await;
+    assert!(reason.contains("00:16:53:AA:BB:CC"), "{reason}");
+    assert!(retry_in > Span::ZERO);
+}
