@@ -12,6 +12,7 @@ mod merge;
 mod noise;
 mod profile;
 mod robot;
+mod routing;
 mod station;
 mod world;
 
@@ -23,6 +24,7 @@ pub use merge::{Origin, Setting, print};
 pub use noise::RobotNoise;
 pub use profile::{ProfileFilter, RobotProfile};
 pub use robot::{RobotFile, RobotStart};
+pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use station::{
     AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
     StationConfig,

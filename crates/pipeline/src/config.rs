@@ -2,6 +2,7 @@
 
 use posebridge_estimator::FilterConfig;
 use posebridge_protocol::framing::{Framing, WireVersion};
+use posebridge_protocol::routing::LinkRules;
 use posebridge_telemetry::{Address, Body, LinkId, Point2, Span, SystemId};
 
 /// Everything that decides what a pipeline does with its inputs. Same configuration and same inputs: same outputs.
@@ -23,6 +24,8 @@ pub struct PipelineConfig {
     pub timesync_period: Span,
     /// Messages that the brick is asked to send, with their interval.
     pub wanted: Vec<(u32, Span)>,
+    /// How long a frame is remembered, to know it again when it comes by another way; zero turns this off.
+    pub duplicate_window: Span,
     /// The links, by id.
     pub links: Vec<LinkConfig>,
 }
@@ -49,6 +52,8 @@ pub struct LinkConfig {
     pub speaks: WireVersion,
     /// What is sent there.
     pub outputs: Vec<OutputStream>,
+    /// What passes between it and the other links.
+    pub rules: LinkRules,
 }
 
 /// Which MAVLink versions a link accepts.

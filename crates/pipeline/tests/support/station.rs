@@ -48,6 +48,7 @@ pub(crate) fn config() -> PipelineConfig {
             (42_100, Span::from_millis(50)),
             (42_101, Span::from_millis(50)),
         ],
+        duplicate_window: Span::from_millis(1_000),
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }
 }
@@ -73,6 +74,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
         version: AcceptedVersions::V2,
         speaks: WireVersion::V2,
         outputs,
+        rules: posebridge_protocol::routing::LinkRules::default(),
     }
 }
 
