@@ -13,6 +13,7 @@ mod noise;
 mod profile;
 mod robot;
 mod signing;
+mod routing;
 mod station;
 mod world;
 
@@ -25,6 +26,7 @@ pub use noise::RobotNoise;
 pub use profile::{ProfileFilter, RobotProfile};
 pub use robot::{RobotFile, RobotStart};
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
+pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use station::{
     AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
     StationConfig,

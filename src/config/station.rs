@@ -8,6 +8,7 @@ use posebridge_pipeline::{
     PipelineConfig,
 };
 use posebridge_protocol::framing::{Framing, WireVersion};
+use posebridge_protocol::routing::LinkRules;
 use posebridge_sim::Scenario;
 use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
 use schemars::JsonSchema;
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
 use super::signing::SigningSection;
+use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection, RoutingSection, rules_of};
 use super::world::WorldConfig;
 use crate::link_target::LinkTarget;
 
@@ -38,6 +40,8 @@ pub struct Config {
     pub camera: CameraConfig,
     /// The alignment of clocks.
     pub clock: ClockConfig,
+    /// What passes between the links.
+    pub routing: RoutingSection,
     /// The recording.
     pub record: RecordSection,
 }
@@ -75,6 +79,21 @@ pub struct LinkSection {
     /// How its frames are signed; without it anybody who reaches the link is believed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub signing: Option<SigningSection>,
+    /// Links with the same name lead to one robot, and one may stand in for another.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
+    /// What of the others' frames is passed on to it.
+    #[serde(default)]
+    pub forward: ForwardChoice,
+    /// What is believed and passed on of what comes from it.
+    #[serde(default)]
+    pub filter_in: FrameFilterSection,
+    /// What of the others' frames may leave on it.
+    #[serde(default)]
+    pub filter_out: FrameFilterSection,
+    /// How much of the others' frames and of our estimates may leave on it.
+    #[serde(default)]
+    pub limits: LimitsSection,
 }
 
 /// One kind of message that leaves on a link.
@@ -142,6 +161,7 @@ impl Default for Config {
             world: WorldConfig::default(),
             camera: CameraConfig::default(),
             clock: ClockConfig::default(),
+            routing: RoutingSection::default(),
             record: RecordSection::default(),
         }
     }
@@ -169,6 +189,11 @@ impl LinkSection {
             send_mavlink1: false,
             outputs: default_outputs(),
             signing: None,
+            group: None,
+            forward: ForwardChoice::default(),
+            filter_in: FrameFilterSection::default(),
+            filter_out: FrameFilterSection::default(),
+            limits: LimitsSection::default(),
         }
     }
 }
@@ -216,11 +241,13 @@ impl Config {
     /// A value makes no sense; the message names its key.
     pub fn pipeline(&self) -> Result<PipelineConfig> {
         self.check_signing()?;
+        let rules = rules_of(&self.links)?.into_iter();
         let links = self
             .links
             .iter()
+            .zip(rules)
             .enumerate()
-            .map(|(index, link)| link.pipeline(index));
+            .map(|(index, (link, rules))| link.pipeline(index, rules));
         let interval = Span::from_millis(i64::from(self.clock.telemetry_interval_ms));
         let wanted = match self.clock.telemetry_interval_ms {
             0 => vec![],
@@ -247,6 +274,7 @@ impl Config {
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             timesync_period: Span::from_millis(i64::from(self.clock.timesync_period_ms)),
             wanted,
+            duplicate_window: self.routing.window()?,
             links: links.collect::<Result<_>>()?,
         })
     }
@@ -289,7 +317,7 @@ impl Config {
 }
 
 impl LinkSection {
-    fn pipeline(&self, index: usize) -> Result<LinkConfig> {
+    fn pipeline(&self, index: usize, rules: LinkRules) -> Result<LinkConfig> {
         let is_datagram = match LinkTarget::parse(&self.url) {
             Ok(LinkTarget::Url(url)) => is_datagram(&url),
             _ => false,
@@ -316,6 +344,7 @@ impl LinkSection {
                 .collect::<Result<_>>()
                 .with_context(|| format!("link {} `{}`", index + 1, self.url))?,
             signing: None,
+            rules,
         })
     }
 }

@@ -3,6 +3,7 @@
 use posebridge_estimator::FilterConfig;
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_protocol::signing::SigningConfig;
+use posebridge_protocol::routing::LinkRules;
 use posebridge_telemetry::{Address, Body, LinkId, Point2, Span, SystemId};
 
 /// Everything that decides what a pipeline does with its inputs. Same configuration and same inputs: same outputs.
@@ -24,6 +25,8 @@ pub struct PipelineConfig {
     pub timesync_period: Span,
     /// Messages that the brick is asked to send, with their interval.
     pub wanted: Vec<(u32, Span)>,
+    /// How long a frame is remembered, to know it again when it comes by another way; zero turns this off.
+    pub duplicate_window: Span,
     /// The links, by id.
     pub links: Vec<LinkConfig>,
 }
@@ -52,6 +55,8 @@ pub struct LinkConfig {
     pub outputs: Vec<OutputStream>,
     /// How its frames are signed; `None` believes everybody and signs nothing.
     pub signing: Option<SigningConfig>,
+    /// What passes between it and the other links.
+    pub rules: LinkRules,
 }
 
 /// Which MAVLink versions a link accepts.

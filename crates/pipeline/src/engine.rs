@@ -5,11 +5,13 @@
 
 mod converse;
 mod deliver;
+mod forward;
 mod receive;
 
 use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_estimator::{Filter, StartPose, filter_named};
+use posebridge_protocol::routing::{Router, RouterConfig};
 use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, CameraClock, Command, DriveGeometry, Estimate, Event,
@@ -53,6 +55,7 @@ pub enum BuildError {
 pub struct Pipeline {
     config: PipelineConfig,
     links: BTreeMap<LinkId, Link>,
+    router: Router,
     robot: Option<RobotId>,
     filter: Box<dyn Filter>,
     interpreter: Interpreter,
@@ -65,7 +68,7 @@ pub struct Pipeline {
     /// Something was observed since the last estimate left.
     is_news: bool,
     next_health: Option<Stamp<HostClock>>,
-    /// The instant of the input that is being handled: what leaves is signed with it.
+    /// The instant of the input that is being handled: what leaves is signed with it and limited by it.
     now: Stamp<HostClock>,
     outputs: VecDeque<Output>,
 }
@@ -95,6 +98,7 @@ impl Pipeline {
         }
         Ok(Self {
             links,
+            router: Router::new(router_config(&config)),
             robot: None,
             filter: (entry.build)(&config.filter_config),
             interpreter: Interpreter {
@@ -206,6 +210,7 @@ impl Pipeline {
         link.state = state;
         if state == LinkState::Down {
             link.restart();
+            self.router.forget_link(id);
         }
         self.tell(Event::Link { link: id, state });
     }
@@ -263,11 +268,12 @@ impl Pipeline {
     }
 
     fn tell_health(&mut self, id: LinkId) {
+        let home = self.router.first_of_group(id);
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
         link.refresh_health();
-        if self.robot.is_some_and(|robot| robot.link == id) {
+        if self.robot.is_some_and(|robot| robot.link == home) {
             link.health.round_trip = self.brick_clock.round_trip();
             link.health.clock_uncertainty = self.brick_clock.uncertainty();
         }
@@ -281,5 +287,17 @@ impl Pipeline {
 
     fn tell(&mut self, event: Event) {
         self.outputs.push_back(Output::Event(event));
+    }
+}
+
+fn router_config(config: &PipelineConfig) -> RouterConfig {
+    let rules = config
+        .links
+        .iter()
+        .map(|link| (link.id, link.rules.clone()));
+    RouterConfig {
+        own: config.own,
+        duplicate_window: config.duplicate_window,
+        links: rules.collect(),
     }
 }

@@ -1,8 +1,9 @@
 //! What the pipeline keeps for one link: its peers, encoder, session, counters.
 
 use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::framing::ScannerConfig;
+use posebridge_protocol::framing::{ScannerConfig, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message};
+use posebridge_protocol::routing::Limiter;
 use posebridge_protocol::session::{Session, SessionConfig};
 use posebridge_protocol::signing::LinkSigning;
 use posebridge_telemetry::{Address, HostClock, LinkHealth, LinkState, Span, Stamp};
@@ -27,6 +28,10 @@ pub(crate) struct Link {
     /// Who is heard there; the bytes of each are a stream of their own.
     pub(crate) peers: Peers,
     pub(crate) encoder: Encoder,
+    /// The MAVLink version that is spoken there.
+    pub(crate) speaks: WireVersion,
+    /// Holds back what would be too much.
+    pub(crate) limiter: Limiter,
     pub(crate) session: Session<HostClock>,
     pub(crate) publisher: Publisher,
     pub(crate) state: LinkState,
@@ -45,6 +50,8 @@ impl Link {
                 config.signing.clone().map(LinkSigning::new),
             ),
             encoder: Encoder::new(config.speaks),
+            speaks: config.speaks,
+            limiter: Limiter::new(config.rules.limits.clone(), now),
             session: Session::new(session_config(pipeline), now),
             publisher: Publisher::new(&config.outputs),
             state: LinkState::Down,

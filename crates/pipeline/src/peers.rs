@@ -75,6 +75,11 @@ impl Peers {
         });
     }
 
+    /// Whether anybody but this peer was heard of late.
+    pub(crate) fn has_other_than(&self, id: PeerId) -> bool {
+        self.present.keys().any(|present| *present != id)
+    }
+
     /// Peers whose waiting bytes are to be given up now.
     pub(crate) fn stalled(&self, now: Stamp<HostClock>) -> Vec<PeerId> {
         self.present

@@ -63,6 +63,10 @@ pub struct LinkHealth {
     pub duplicates: u64,
     /// Frames of others that were passed on to this link.
     pub forwarded: u64,
+    /// Frames that this link's inward filter kept out.
+    pub filtered: u64,
+    /// Frames of others and estimates of ours that this link's rate limits held back.
+    pub thinned: u64,
     /// What the port has counted, as of its last word.
     pub port: PortCounts,
     /// Round-trip time of the last answered time request.

@@ -14,7 +14,7 @@ mod encoder;
     warnings,
     reason = "generated code, out of our hands; it is checked by golden bytes"
 )]
-mod generated;
+pub(crate) mod generated;
 pub mod ids;
 mod own;
 mod payload;

@@ -148,6 +148,7 @@ fn replay_run(
         tag_in_body: Point2::ORIGIN,
         timesync_period: Span::from_millis(1_000),
         wanted: vec![],
+        duplicate_window: Span::ZERO,
         links: vec![],
     };
     let Some(first) = robot_run.run.observations.first() else {

@@ -87,6 +87,8 @@ impl Pipeline {
         if exchange.peer_nanos < 0 {
             return;
         }
+        // Bounds of one clock, whichever of several redundant links they came by.
+        let id = self.router.first_of_group(id);
         let from = RobotId {
             link: id,
             address: peer,

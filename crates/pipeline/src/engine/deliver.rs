@@ -80,11 +80,23 @@ impl Pipeline {
             link.health.drops_out += 1;
             return;
         }
+        // Before it takes a sequence number: what is held back must not look like a loss.
+        let stream = match priority {
+            Priority::Estimate { stream } => Some(stream),
+            Priority::Command | Priority::Conversation | Priority::Forwarded => None,
+        };
+        if stream.is_some_and(|id| !link.limiter.admits(self.now, own, id, 0)) {
+            link.health.thinned += 1;
+            return;
+        }
         let mut bytes = Vec::new();
         if link.encode(self.now, own, message, &mut bytes) == 0 {
             // A message that this link's MAVLink version does not have, or that cannot be signed.
             link.health.drops_out += 1;
             return;
+        }
+        if stream.is_some() {
+            link.limiter.charge(self.now, bytes.len());
         }
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;

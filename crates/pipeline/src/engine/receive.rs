@@ -5,12 +5,14 @@ use posebridge_estimator::{StartPose, filter_named};
 use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{FrameRef, Scanned};
 use posebridge_protocol::message::{Message, RobotDescription};
+use posebridge_protocol::routing::{Check, Occurrence, Way};
 use posebridge_telemetry::{
     Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
     Output, PeerId, Radians, RadiansPerSecond, Refusal, RobotId, Span, Stamp, SystemId,
 };
 
 use super::Pipeline;
+use super::forward::{Passage, Seen, Sharing};
 use crate::clock::unwrap::Unwrapped;
 use crate::config::{DescriptionPolicy, OutputKind};
 use crate::interpret::{Reading, StampedBy};
@@ -35,7 +37,19 @@ impl Pipeline {
         if let Some(bytes) = bytes {
             link.health.bytes_in += bytes.len() as u64;
         }
-        let mut arrived: Vec<(Address, Message)> = Vec::new();
+        let has_company = link.peers.has_other_than(peer) || link.health.port.peers > 1;
+        let mut passage = Passage {
+            router: &mut self.router,
+            now,
+            from: Way { link: id, peer },
+            sharing: if has_company {
+                Sharing::Shared
+            } else {
+                Sharing::Alone
+            },
+            seen: Seen::default(),
+        };
+        let mut arrived: Vec<Arrived> = Vec::new();
         let mut events: Vec<Event> = Vec::new();
         let (frames_lost, refused_frames) = (
             &mut link.health.frames_lost,
@@ -60,28 +74,33 @@ impl Pipeline {
                         },
                     });
                 }
-                take_frame(id, &frame, &mut arrived, &mut events);
+                if let Some(occurrence) = passage.take(&frame, Check::Verified) {
+                    take_frame((id, occurrence), &frame, &mut arrived, &mut events);
+                }
             }
-            (Scanned::Unknown(_), Ok(_)) => {}
+            (Scanned::Unknown(frame), Ok(_)) => {
+                passage.take(&frame, Check::Unverifiable);
+            }
             (Scanned::Defect(defect), _) => events.push(Event::Defect { link: id, defect }),
         };
         match bytes {
             Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
             None => link.peers.give_up(now, peer, &mut sink),
         }
+        let seen = passage.seen;
+        self.finish_passage(now, id, seen);
         self.outputs.extend(events.into_iter().map(Output::Event));
-        for (source, message) in arrived {
-            self.handle_message(now, id, source, &message);
+        for message in arrived {
+            self.handle_message(now, id, &message);
         }
     }
 
-    pub(super) fn handle_message(
-        &mut self,
-        now: Stamp<HostClock>,
-        id: LinkId,
-        source: Address,
-        message: &Message,
-    ) {
+    pub(super) fn handle_message(&mut self, now: Stamp<HostClock>, id: LinkId, arrived: &Arrived) {
+        let Arrived {
+            source,
+            occurrence,
+            ref message,
+        } = *arrived;
         if source == self.config.own {
             // A link that echoes: what the station said itself is no news, least of all its own estimate.
             return;
@@ -90,7 +109,12 @@ impl Pipeline {
             link.session.handle(now, source, message);
         }
         self.drain_session(now, id);
-        if let Message::StatusText { severity, text } = message {
+        if occurrence == Occurrence::Redundant {
+            return;
+        }
+        // Redundant links are one: the robot, its clock and its observations know only the first of them.
+        let id = self.router.first_of_group(id);
+        if let (Message::StatusText { severity, text }, Occurrence::First) = (message, occurrence) {
             self.tell(Event::Text {
                 source,
                 severity: *severity,
@@ -101,7 +125,10 @@ impl Pipeline {
             self.handle_description(id, source, description);
         }
         for reading in self.interpreter.readings(message).into_iter().flatten() {
-            self.handle_reading(now, id, source, &reading);
+            // What went round a loop is news only from the robot, whose telemetry counts on its own link alone.
+            if occurrence == Occurrence::First || self.is_of_robot(id, source, &reading) {
+                self.handle_reading(now, id, source, &reading);
+            }
         }
     }
 
@@ -112,9 +139,7 @@ impl Pipeline {
         source: Address,
         reading: &Reading,
     ) {
-        let from_robot = self
-            .robot
-            .is_some_and(|robot| robot.link == id && robot.address == source);
+        let from_robot = self.robot == Some(robot_at(id, source));
         match reading.stamped_by {
             StampedBy::Brick => {
                 if let Some(robot) = self.adopt_robot(id, source) {
@@ -124,6 +149,11 @@ impl Pipeline {
             StampedBy::Observer if from_robot => self.handle_relayed_reading(now, source, reading),
             StampedBy::Observer => self.handle_observer_reading(now, id, source, reading),
         }
+    }
+
+    /// Whether a reading can be the robot's own word and nobody else's.
+    fn is_of_robot(&self, id: LinkId, source: Address, reading: &Reading) -> bool {
+        reading.stamped_by == StampedBy::Brick || self.robot == Some(robot_at(id, source))
     }
 
     /// The robot that a sender of odometry is: the first of the configured system, and nobody else after it.
@@ -289,7 +319,11 @@ impl Pipeline {
     pub(super) fn brick_restarted(&mut self, now: Stamp<HostClock>, robot: RobotId) {
         self.filter.restart_clock();
         self.last_gyro_turn = None;
-        self.ask_time_again(now, robot.link, robot.address);
+        for (id, link) in &mut self.links {
+            if self.router.lead_to_one(*id, robot.link) {
+                link.session.peer_restarted(now, robot.address);
+            }
+        }
         self.tell(Event::BrickRestarted { robot });
     }
 
@@ -352,14 +386,29 @@ fn geometry_of(said: &RobotDescription) -> Option<DriveGeometry> {
         .then_some(geometry)
 }
 
+/// A message that came, with its sender.
+pub(super) struct Arrived {
+    source: Address,
+    occurrence: Occurrence,
+    message: Message,
+}
+
+const fn robot_at(link: LinkId, address: Address) -> RobotId {
+    RobotId { link, address }
+}
+
 fn take_frame(
-    link: LinkId,
+    (link, occurrence): (LinkId, Occurrence),
     frame: &FrameRef<'_>,
-    arrived: &mut Vec<(Address, Message)>,
+    arrived: &mut Vec<Arrived>,
     events: &mut Vec<Event>,
 ) {
     match dialect::decode(frame) {
-        Ok(Some(message)) => arrived.push((frame.source, message)),
+        Ok(Some(message)) => arrived.push(Arrived {
+            source: frame.source,
+            occurrence,
+            message,
+        }),
         Ok(None) => {}
         Err(error) => {
             let defect = Defect::Payload {

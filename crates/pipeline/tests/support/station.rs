@@ -48,6 +48,7 @@ pub(crate) fn config() -> PipelineConfig {
             (42_100, Span::from_millis(50)),
             (42_101, Span::from_millis(50)),
         ],
+        duplicate_window: Span::from_millis(1_000),
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }
 }
@@ -74,6 +75,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
         speaks: WireVersion::V2,
         outputs,
         signing: None,
+        rules: posebridge_protocol::routing::LinkRules::default(),
     }
 }
 

@@ -1,0 +1,125 @@
+//! Frames of others on their way through: who is believed, what has come before, and what leaves on which link.
+//!
+//! Decisions about destinations are the router's ([`posebridge_protocol::routing`]); here they meet the links: whether a link
+//! is up, has a second peer, speaks the frame's version, and has room. The bytes are passed on as they came.
+
+use posebridge_protocol::framing::{FrameRef, WireVersion};
+use posebridge_protocol::routing::{Check, Occurrence, Router, Way, priority_of};
+use posebridge_telemetry::{
+    Address, Audience, HostClock, LinkId, LinkState, Output, Priority, Stamp,
+};
+
+use super::Pipeline;
+
+/// Looks at the frames of one input as they are found, and keeps those that go on.
+pub(super) struct Passage<'a> {
+    pub(super) router: &'a mut Router,
+    pub(super) now: Stamp<HostClock>,
+    pub(super) from: Way,
+    /// Whether the link has other peers than this one.
+    pub(super) sharing: Sharing,
+    pub(super) seen: Seen,
+}
+
+/// Whether somebody else is at the other end of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sharing {
+    /// Only the peer itself.
+    Alone,
+    /// Others, too.
+    Shared,
+}
+
+/// What a passage leaves behind.
+#[derive(Debug, Default)]
+pub(super) struct Seen {
+    /// Frames that the inward filter kept out.
+    pub(super) filtered: u64,
+    /// Frames that had come before by another way.
+    pub(super) duplicates: u64,
+    passed: Vec<Passed>,
+}
+
+/// A frame that goes on.
+#[derive(Debug)]
+struct Passed {
+    message_id: u32,
+    source: Address,
+    version: WireVersion,
+    priority: Priority,
+    to: Vec<(LinkId, Audience)>,
+    bytes: Vec<u8>,
+}
+
+impl Passage<'_> {
+    /// Takes a frame: whether it has come before, or `None` if it must not be believed.
+    pub(super) fn take(&mut self, frame: &FrameRef<'_>, check: Check) -> Option<Occurrence> {
+        if !self.router.admits(self.from.link, frame) {
+            self.seen.filtered += 1;
+            return None;
+        }
+        let mut routed = self.router.route(self.now, self.from, frame, check);
+        if routed.occurrence != Occurrence::First {
+            self.seen.duplicates += 1;
+        }
+        if self.sharing == Sharing::Alone {
+            routed.to.retain(|(link, _)| *link != self.from.link);
+        }
+        if !routed.to.is_empty() {
+            self.seen.passed.push(Passed {
+                message_id: frame.message_id,
+                source: frame.source,
+                version: frame.version,
+                priority: priority_of(frame),
+                to: routed.to,
+                bytes: frame.raw.to_vec(),
+            });
+        }
+        Some(routed.occurrence)
+    }
+}
+
+impl Pipeline {
+    /// Counts what was seen on a link and sends on what goes on.
+    pub(super) fn finish_passage(&mut self, now: Stamp<HostClock>, id: LinkId, seen: Seen) {
+        if let Some(link) = self.links.get_mut(&id) {
+            link.health.filtered += seen.filtered;
+            link.health.duplicates += seen.duplicates;
+        }
+        for frame in &seen.passed {
+            for (link, to) in &frame.to {
+                self.pass_on(now, (*link, *to), frame);
+            }
+        }
+    }
+
+    fn pass_on(&mut self, now: Stamp<HostClock>, (id, to): (LinkId, Audience), frame: &Passed) {
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        let is_foreign = link.speaks == WireVersion::V1 && frame.version == WireVersion::V2;
+        if link.state == LinkState::Down || is_foreign {
+            link.health.drops_out += 1;
+            return;
+        }
+        let length = frame.bytes.len();
+        if frame.priority == Priority::Command {
+            link.limiter.charge(now, length);
+        } else if !link
+            .limiter
+            .admits(now, frame.source, frame.message_id, length)
+        {
+            link.health.thinned += 1;
+            return;
+        }
+        link.health.bytes_out += length as u64;
+        link.health.frames_out += 1;
+        link.health.forwarded += 1;
+        self.outputs.push_back(Output::Transmit {
+            link: id,
+            to,
+            priority: frame.priority,
+            bytes: frame.bytes.clone(),
+        });
+    }
+}

@@ -1,0 +1,171 @@
+//! Knows a frame again that came before by another way.
+//!
+//! # Model
+//! ```text
+//! frame key     hash of all bytes of the frame
+//! content key   hash of group, source, message id and payload without trailing zeros; for stamped messages of a group
+//! repeat        a key that was noted within the window, from another way than now
+//! ```
+//! The same bytes by the very same way are no repeat: weak robots that send every frame with sequence number 0 repeat their
+//! heartbeats bit by bit, and a loop always leads through another way.
+//!
+//! # Assumptions
+//! Two different frames within the window do not share a 64-bit hash by chance (10^4 frames: 3 in 10^12).
+//!
+//! # Sources
+//! FNV-1a, 64 bits: Fowler, Noll, Vo, Eastlake, "The FNV Non-Cryptographic Hash Algorithm" (IETF, draft-eastlake-fnv).
+
+use std::collections::{BTreeMap, VecDeque};
+
+use posebridge_telemetry::{HostClock, Span, Stamp};
+
+use super::Way;
+use crate::framing::FrameRef;
+
+/// Most keys that are remembered; the oldest go first. Two seconds of what a megabit carries.
+const MOST_KEYS: usize = 8_192;
+/// FNV-1a: offset basis for 64 bits.
+const BASIS: u64 = 0xCBF2_9CE4_8422_2325;
+/// FNV-1a: prime for 64 bits.
+const PRIME: u64 = 0x0000_0100_0000_01B3;
+
+/// Under what a frame is remembered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Key {
+    Frame(u64),
+    Content(u64),
+}
+
+/// The key of a frame's bytes.
+pub(super) fn frame_key(frame: &FrameRef<'_>) -> Key {
+    Key::Frame(hash(BASIS, frame.raw))
+}
+
+/// The key of what a frame says, within a group of redundant links.
+pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> Key {
+    let [id0, id1, id2, _] = frame.message_id.to_le_bytes();
+    let [group0, group1] = group.to_le_bytes();
+    let source = frame.source;
+    let head = [
+        group0,
+        group1,
+        source.system.0,
+        source.component.0,
+        id0,
+        id1,
+        id2,
+    ];
+    // MAVLink 1 does not cut off trailing zeros.
+    let zeros = frame
+        .payload
+        .iter()
+        .rev()
+        .take_while(|byte| **byte == 0)
+        .count();
+    let payload = &frame.payload[..frame.payload.len() - zeros];
+    Key::Content(hash(hash(BASIS, &head), payload))
+}
+
+fn hash(start: u64, bytes: &[u8]) -> u64 {
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(PRIME);
+    bytes.iter().fold(start, step)
+}
+
+/// Frames of the last while.
+#[derive(Clone, Debug)]
+pub(super) struct DuplicateGuard {
+    window: Span,
+    noted: BTreeMap<Key, (Stamp<HostClock>, Way)>,
+    /// Every note, oldest first; a key that was noted again stands here twice.
+    order: VecDeque<(Stamp<HostClock>, Key)>,
+}
+
+impl DuplicateGuard {
+    pub(super) fn new(window: Span) -> Self {
+        Self {
+            window,
+            noted: BTreeMap::new(),
+            order: VecDeque::new(),
+        }
+    }
+
+    /// Notes a key that came by `way`, and returns by which other way it came first within the window.
+    pub(super) fn note(&mut self, now: Stamp<HostClock>, way: Way, key: Key) -> Option<Way> {
+        self.forget_before(now);
+        if let Some((_, first)) = self.noted.get(&key)
+            && *first != way
+        {
+            return Some(*first);
+        }
+        self.noted.insert(key, (now, way));
+        self.order.push_back((now, key));
+        None
+    }
+
+    fn forget_before(&mut self, now: Stamp<HostClock>) {
+        while let Some((noted, key)) = self.order.front().copied() {
+            if now - noted < self.window && self.order.len() < MOST_KEYS {
+                break;
+            }
+            self.order.pop_front();
+            if self.noted.get(&key).is_some_and(|(last, _)| *last == noted) {
+                self.noted.remove(&key);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{LinkId, PeerId};
+
+    const WINDOW: Span = Span::from_millis(1_000);
+
+    fn at(millis: i64) -> Stamp<HostClock> {
+        Stamp::from_millis(millis)
+    }
+
+    fn way(link: u16) -> Way {
+        Way {
+            link: LinkId(link),
+            peer: PeerId(0),
+        }
+    }
+
+    /// Vectors of the draft for 64 bits.
+    #[test]
+    fn the_hash_is_the_published_one() {
+        assert_eq!(hash(BASIS, b""), 0xCBF2_9CE4_8422_2325);
+        assert_eq!(hash(BASIS, b"a"), 0xAF63_DC4C_8601_EC8C);
+        assert_eq!(hash(BASIS, b"foobar"), 0x8594_4171_F739_67E8);
+    }
+
+    #[test]
+    fn another_way_within_the_window_is_a_repeat_and_the_same_way_is_not() {
+        let mut guard = DuplicateGuard::new(WINDOW);
+        let key = Key::Frame(7);
+        assert_eq!(guard.note(at(0), way(0), key), None);
+        assert_eq!(guard.note(at(10), way(1), key), Some(way(0)));
+        assert_eq!(guard.note(at(20), way(1), key), Some(way(0)));
+        assert_eq!(guard.note(at(500), way(0), key), None, "said again");
+        assert_eq!(guard.note(at(1_499), way(1), key), Some(way(0)));
+        assert_eq!(guard.note(at(1_500), way(1), key), None, "forgotten");
+        assert_eq!(guard.note(at(1_501), way(0), key), Some(way(1)));
+        assert_eq!(guard.note(at(1_502), way(0), Key::Content(7)), None);
+    }
+
+    #[test]
+    fn no_window_knows_nothing_again_and_the_memory_is_bounded() {
+        let mut off = DuplicateGuard::new(Span::ZERO);
+        assert_eq!(off.note(at(0), way(0), Key::Frame(1)), None);
+        assert_eq!(off.note(at(0), way(1), Key::Frame(1)), None);
+        let mut guard = DuplicateGuard::new(WINDOW);
+        for key in 0..100_000 {
+            guard.note(at(0), way(0), Key::Frame(key));
+        }
+        assert!(guard.noted.len() <= MOST_KEYS && guard.order.len() <= MOST_KEYS);
+        assert_eq!(guard.note(at(0), way(1), Key::Frame(0)), None);
+        assert_eq!(guard.note(at(0), way(1), Key::Frame(99_999)), Some(way(0)));
+    }
+}

@@ -1,0 +1,180 @@
+//! How much leaves on a thin link: a least interval per message and a budget of bytes.
+//!
+//! # Model
+//! ```text
+//! interval   a message of one sender passes if the last one that passed is at least its interval ago
+//! budget     bucket of rate · 0.25 s (at least one whole frame), filled at rate; passes while it is above zero, then pays
+//! ```
+//! The budget may go below zero by one frame, so that a small rate does not shut out large frames; over time the rate holds.
+//! Commands always pass, but pay.
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{Address, HostClock, Span, Stamp};
+
+/// So much of the rate may leave at once: a quarter of a second is what people who steer notice.
+const BURST: Span = Span::from_millis(250);
+/// A MAVLink 2 frame with signature.
+const LARGEST_FRAME: i64 = 280;
+/// Most senders whose intervals are kept.
+const MOST_SENDERS: usize = 4_096;
+const NANOS_PER_SEC: i64 = 1_000_000_000;
+
+/// Limits of one link. The default limits nothing.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RateLimits {
+    /// Least time between two of a message of one sender, by message id.
+    pub least_intervals: BTreeMap<u32, Span>,
+    /// Bytes per second to each peer; `None` for no budget.
+    pub bytes_per_s: Option<u32>,
+}
+
+/// Applies the limits of one link.
+#[derive(Clone, Debug)]
+pub struct Limiter {
+    limits: RateLimits,
+    last: BTreeMap<(u32, Address), Stamp<HostClock>>,
+    /// What may leave, in bytes times nanoseconds per second: integers, so that no rounding adds up.
+    budget: i64,
+    filled: Stamp<HostClock>,
+}
+
+impl Limiter {
+    /// A limiter with a full budget at `now`.
+    #[must_use]
+    pub fn new(limits: RateLimits, now: Stamp<HostClock>) -> Self {
+        let mut limiter = Self {
+            limits,
+            last: BTreeMap::new(),
+            budget: 0,
+            filled: now,
+        };
+        limiter.budget = limiter.most();
+        limiter
+    }
+
+    /// Whether a frame of `bytes` bytes may leave at `now`; if so it has been paid for.
+    pub fn admits(
+        &mut self,
+        now: Stamp<HostClock>,
+        source: Address,
+        message_id: u32,
+        bytes: usize,
+    ) -> bool {
+        let interval = self.limits.least_intervals.get(&message_id).copied();
+        let key = (message_id, source);
+        let is_early = interval
+            .zip(self.last.get(&key))
+            .is_some_and(|(interval, last)| now - *last < interval);
+        self.fill(now);
+        if is_early || (self.limits.bytes_per_s.is_some() && self.budget <= 0) {
+            return false;
+        }
+        if interval.is_some() {
+            if self.last.len() >= MOST_SENDERS {
+                // Nobody has so many: somebody invents addresses. Beginning anew costs one message of each.
+                self.last.clear();
+            }
+            self.last.insert(key, now);
+        }
+        self.pay(bytes);
+        true
+    }
+
+    /// A frame that is not held back leaves at `now`: it only pays.
+    pub fn charge(&mut self, now: Stamp<HostClock>, bytes: usize) {
+        self.fill(now);
+        self.pay(bytes);
+    }
+
+    fn pay(&mut self, bytes: usize) {
+        let bytes = i64::try_from(bytes).unwrap_or(LARGEST_FRAME);
+        // Never deeper than a burst, or a flood of commands would silence the rest for long.
+        self.budget = (self.budget - bytes.saturating_mul(NANOS_PER_SEC)).max(-self.most());
+    }
+
+    fn fill(&mut self, now: Stamp<HostClock>) {
+        let rate = i64::from(self.limits.bytes_per_s.unwrap_or(0));
+        let most = self.most();
+        // Longer than this no bucket takes to fill, and the product stays within 64 bits.
+        let elapsed = (now - self.filled)
+            .max(Span::ZERO)
+            .min(Span::from_millis(2_000_000));
+        let gained = i128::from(elapsed.as_nanos()) * i128::from(rate);
+        let filled = i128::from(self.budget) + gained;
+        self.budget = i64::try_from(filled).unwrap_or(most).min(most);
+        self.filled = self.filled.max(now);
+    }
+
+    fn most(&self) -> i64 {
+        let rate = i64::from(self.limits.bytes_per_s.unwrap_or(0));
+        (rate * BURST.as_nanos()).max(LARGEST_FRAME * NANOS_PER_SEC)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ROBOT: Address = Address::new(1, 1);
+
+    fn at(millis: i64) -> Stamp<HostClock> {
+        Stamp::from_millis(millis)
+    }
+
+    #[test]
+    fn a_message_is_thinned_to_its_interval_for_each_sender() {
+        let limits = RateLimits {
+            least_intervals: BTreeMap::from([(30, Span::from_millis(100))]),
+            bytes_per_s: None,
+        };
+        let mut limiter = Limiter::new(limits, at(0));
+        let mut passed = |source| {
+            let times = (0..50).map(|k| at(k * 20));
+            times
+                .filter(|now| limiter.admits(*now, source, 30, 40))
+                .count()
+        };
+        assert_eq!(passed(ROBOT), 10);
+        assert_eq!(passed(Address::new(2, 1)), 10);
+        assert!(limiter.admits(at(981), ROBOT, 31, 40) && limiter.admits(at(981), ROBOT, 31, 40));
+    }
+
+    #[test]
+    fn the_budget_holds_over_time_for_small_and_for_large_frames() {
+        for (rate, size) in [(1_000, 30), (1_000, 280), (100, 280), (1_000_000, 280)] {
+            let limits = RateLimits {
+                least_intervals: BTreeMap::new(),
+                bytes_per_s: Some(rate),
+            };
+            let mut limiter = Limiter::new(limits, at(0));
+            let mut sent = 0;
+            for k in 0..600_000 {
+                if limiter.admits(at(k / 10), ROBOT, 30, size) {
+                    sent += size;
+                }
+            }
+            let allowed = 60 * rate as usize;
+            let slack = (rate as usize / 4).max(280) + 280;
+            assert!(
+                sent <= allowed + slack && sent + slack >= allowed.min(600_000 * size),
+                "{rate} B/s in frames of {size}: {sent}"
+            );
+        }
+    }
+
+    #[test]
+    fn commands_pay_but_a_flood_of_them_silences_the_rest_only_briefly() {
+        let limits = RateLimits {
+            least_intervals: BTreeMap::new(),
+            bytes_per_s: Some(1_000),
+        };
+        let mut limiter = Limiter::new(limits, at(0));
+        for _ in 0..1_000 {
+            limiter.charge(at(0), 45);
+        }
+        assert!(!limiter.admits(at(0), ROBOT, 30, 40));
+        assert!(!limiter.admits(at(280), ROBOT, 30, 40));
+        assert!(limiter.admits(at(281), ROBOT, 30, 40));
+    }
+}

@@ -1,0 +1,278 @@
+//! Whom a frame is passed on to: a station between several links is also a router.
+//!
+//! Gets the frames that [`crate::framing`] finds, with the way by which each came, and says to which links and peers it goes
+//! on. It is a value: it sends nothing, reads no clock and changes no byte. What is believed and fused is not decided here,
+//! except that a frame that came before by another way is told from one that is new ([`Occurrence`]).
+//!
+//! # Model
+//! ```text
+//! target          0, none, or message id unknown    every other link, and the other peers of the same link
+//! system s        s ≠ own, or component 0           the ways by which s was heard
+//! component s/c   heard                             the ways by which s/c was heard
+//! component s/c   not heard, s ≠ own                the ways by which s was heard
+//! component s/c   not heard, s = own                nobody; nor anybody for the station's own address
+//! ```
+//! Never back to the way that it came from, and never to another link of the same group: those lead to the same robot. Every
+//! rule of the links (whether to forward at all, filters) is applied on top.
+//!
+//! # Sources
+//! MAVLink guide, "Routing": broadcasts go everywhere, targeted messages only to known destinations, unknown messages are
+//! forwarded like broadcasts.
+
+mod duplicates;
+mod limits;
+mod routes;
+mod rules;
+mod stamped;
+mod targets;
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp};
+
+pub use limits::{Limiter, RateLimits};
+pub use rules::{Choice, Forward, FrameFilter, LinkRules, message_id_named};
+pub use stamped::is_stamped;
+pub use targets::{Target, target_of};
+
+use self::duplicates::{DuplicateGuard, content_key, frame_key};
+use self::routes::Routes;
+use crate::dialect::ids;
+use crate::framing::FrameRef;
+
+/// COMMAND_INT of common.xml.
+const COMMAND_INT: u32 = 75;
+/// COMMAND_CANCEL of common.xml.
+const COMMAND_CANCEL: u32 = 80;
+
+/// By which way a frame came: a peer of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Way {
+    /// The link.
+    pub link: LinkId,
+    /// Which of its peers.
+    pub peer: PeerId,
+}
+
+/// Whether a frame's checksum could be verified.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Check {
+    /// It was: the sender is who the header says.
+    Verified,
+    /// It could not be, because the message is in no dialect: passed on, but nothing is learnt from it.
+    Unverifiable,
+}
+
+/// Whether a frame has come before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Occurrence {
+    /// It has not, or only by the very same way.
+    First,
+    /// It has, over a redundant link to the same sender: it says nothing new.
+    Redundant,
+    /// It has, by a link that has nothing to do with this one: somewhere the links form a loop. It goes nowhere, but only who
+    /// knows for whom he waits on which link can say whether it is news.
+    Detour,
+}
+
+/// What is to become of a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Routed {
+    /// Whether it has come before. If it has, it goes nowhere.
+    pub occurrence: Occurrence,
+    /// Where it goes on to, by rising link id.
+    pub to: Vec<(LinkId, Audience)>,
+}
+
+/// What a [`Router`] is built from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RouterConfig {
+    /// The station's own address; what is meant for it alone goes nowhere else.
+    pub own: Address,
+    /// How long a frame is remembered to know it again; zero turns this off.
+    pub duplicate_window: Span,
+    /// The rules of each link.
+    pub links: BTreeMap<LinkId, LinkRules>,
+}
+
+/// Knows who was heard where and which frames have come, and decides where each goes on to.
+#[derive(Clone, Debug)]
+pub struct Router {
+    config: RouterConfig,
+    routes: Routes,
+    duplicates: DuplicateGuard,
+}
+
+impl Router {
+    /// A router that has heard nobody.
+    #[must_use]
+    pub fn new(config: RouterConfig) -> Self {
+        Self {
+            routes: Routes::default(),
+            duplicates: DuplicateGuard::new(config.duplicate_window),
+            config,
+        }
+    }
+
+    /// Whether a link's inward filter lets a frame in: one that it does not is neither believed nor passed on.
+    #[must_use]
+    pub fn admits(&self, link: LinkId, frame: &FrameRef<'_>) -> bool {
+        self.config
+            .links
+            .get(&link)
+            .is_none_or(|rules| rules.inward.admits(frame.source, frame.message_id))
+    }
+
+    /// Takes note of a frame that was let in at `now` and decides where it goes.
+    ///
+    /// What the station said itself goes nowhere and teaches nothing, however it comes back.
+    pub fn route(
+        &mut self,
+        now: Stamp<HostClock>,
+        from: Way,
+        frame: &FrameRef<'_>,
+        check: Check,
+    ) -> Routed {
+        if frame.source == self.config.own {
+            return Routed {
+                occurrence: Occurrence::First,
+                to: Vec::new(),
+            };
+        }
+        let occurrence = match self.first_way(now, from, frame) {
+            None => Occurrence::First,
+            Some(first) if self.lead_to_one(first.link, from.link) => Occurrence::Redundant,
+            Some(_) => Occurrence::Detour,
+        };
+        // By a detour nobody is to be reached: that would send commands around the loop. By a redundant link he is.
+        if check == Check::Verified && occurrence != Occurrence::Detour {
+            self.routes.learn(now, frame.source, from);
+        }
+        let to = match occurrence {
+            Occurrence::First => self.destinations(now, from, frame),
+            Occurrence::Redundant | Occurrence::Detour => Vec::new(),
+        };
+        Routed { occurrence, to }
+    }
+
+    /// Forgets who was heard on a link, because it was lost.
+    pub fn forget_link(&mut self, link: LinkId) {
+        self.routes.forget_link(link);
+    }
+
+    /// Whether two links are one, or redundant links of one group: what is heard on either comes from the same robot.
+    #[must_use]
+    pub fn lead_to_one(&self, a: LinkId, b: LinkId) -> bool {
+        a == b || (self.group(a).is_some() && self.group(a) == self.group(b))
+    }
+
+    /// The link that stands for a group of redundant links: that with the lowest id; the link itself if it is in none.
+    #[must_use]
+    pub fn first_of_group(&self, link: LinkId) -> LinkId {
+        let mut ids = self.config.links.keys().copied();
+        ids.find(|id| self.lead_to_one(*id, link)).unwrap_or(link)
+    }
+
+    fn group(&self, link: LinkId) -> Option<u16> {
+        self.config.links.get(&link)?.group
+    }
+
+    /// The way by which the frame came first, if it came by another one before.
+    fn first_way(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>) -> Option<Way> {
+        let by_bytes = self.duplicates.note(now, from, frame_key(frame));
+        let by_content = self
+            .group(from.link)
+            .filter(|_| is_stamped(frame.message_id))
+            .and_then(|group| self.duplicates.note(now, from, content_key(group, frame)));
+        by_bytes.or(by_content)
+    }
+
+    fn destinations(
+        &self,
+        now: Stamp<HostClock>,
+        from: Way,
+        frame: &FrameRef<'_>,
+    ) -> Vec<(LinkId, Audience)> {
+        let leaves = self
+            .config
+            .links
+            .get(&from.link)
+            .is_none_or(|rules| rules.forward != Forward::Nothing);
+        if !leaves {
+            return Vec::new();
+        }
+        let target = target_of(frame.message_id, frame.payload);
+        let mut to = match target {
+            Target::Everybody => self.everybody_but(from),
+            Target::Component(address) if address == self.config.own => Vec::new(),
+            Target::System(_) | Target::Component(_) => self.heard_ways(now, from, target),
+        };
+        to.retain(|(link, _)| self.may_leave(*link, target, frame));
+        to
+    }
+
+    fn everybody_but(&self, from: Way) -> Vec<(LinkId, Audience)> {
+        self.config
+            .links
+            .keys()
+            .filter_map(|link| match *link {
+                link if link == from.link => Some((link, Audience::AllBut(from.peer))),
+                link if self.lead_to_one(link, from.link) => None,
+                link => Some((link, Audience::All)),
+            })
+            .collect()
+    }
+
+    fn heard_ways(
+        &self,
+        now: Stamp<HostClock>,
+        from: Way,
+        target: Target,
+    ) -> Vec<(LinkId, Audience)> {
+        let ways = match target {
+            Target::Everybody => return Vec::new(),
+            Target::System(system) => self.routes.to_system(now, system),
+            Target::Component(address) => {
+                let exact = self.routes.to_component(now, address);
+                if exact.is_empty() && address.system != self.config.own.system {
+                    self.routes.to_system(now, address.system)
+                } else {
+                    exact
+                }
+            }
+        };
+        let is_other = |way: &Way| {
+            *way != from && (way.link == from.link || !self.lead_to_one(way.link, from.link))
+        };
+        ways.into_iter()
+            .filter(is_other)
+            .map(|way| (way.link, Audience::Peer(way.peer)))
+            .collect()
+    }
+
+    fn may_leave(&self, link: LinkId, target: Target, frame: &FrameRef<'_>) -> bool {
+        let Some(rules) = self.config.links.get(&link) else {
+            return false;
+        };
+        let is_wanted = match rules.forward {
+            Forward::All => true,
+            Forward::Targeted => target != Target::Everybody,
+            Forward::Nothing => false,
+        };
+        is_wanted && rules.outward.admits(frame.source, frame.message_id)
+    }
+}
+
+/// What a frame of somebody else is worth on a slow link: commands to one and their answers are never dropped.
+#[must_use]
+pub fn priority_of(frame: &FrameRef<'_>) -> Priority {
+    let is_command = matches!(
+        frame.message_id,
+        COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL
+    );
+    if is_command && target_of(frame.message_id, frame.payload) != Target::Everybody {
+        Priority::Command
+    } else {
+        Priority::Forwarded
+    }
+}

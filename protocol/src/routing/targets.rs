@@ -1,0 +1,122 @@
+//! Whom a message is for, read from its payload without decoding it.
+//!
+//! About seventy messages name a target. Where its bytes stand follows from the definition in ways that are easy to get wrong:
+//! fields travel by falling size and not in the order of the definition, extension fields last. The table is therefore made by
+//! the generated encoders themselves, when it is first needed: each message is written twice with different targets, and the
+//! byte that differs is the field. Decoding would not do: one enumeration value that is newer than our dialect makes the
+//! generated decoder refuse a command that another system understands.
+//!
+//! # Sources
+//! minimal.xml, standard.xml and common.xml of the MAVLink project, as the `mavlink` crate ships them; our own dialect.
+
+use std::sync::LazyLock;
+
+use mavlink::dialects::common;
+use mavlink_core::{MavlinkVersion, Message};
+use posebridge_telemetry::{Address, ComponentId, SystemId};
+
+use crate::dialect::generated::posebridge;
+
+/// A payload is at most this long.
+const MAX_PAYLOAD: usize = 255;
+
+/// Whom a message is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// Everybody: it names no target, target 0, or its definition is not known.
+    Everybody,
+    /// All components of a system.
+    System(SystemId),
+    /// One component.
+    Component(Address),
+}
+
+/// Where the target fields of one message stand in its payload.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Offsets {
+    message_id: u32,
+    system: u8,
+    component: Option<u8>,
+}
+
+/// By rising message id.
+static OFFSETS: LazyLock<Vec<Offsets>> = LazyLock::new(|| {
+    let standard = common::MavMessage::all_ids().iter();
+    let own = posebridge::MavMessage::all_ids().iter();
+    let mut offsets: Vec<Offsets> = standard
+        .filter_map(|id| offsets_of::<common::MavMessage>(*id))
+        .chain(own.filter_map(|id| offsets_of::<posebridge::MavMessage>(*id)))
+        .collect();
+    offsets.sort_unstable_by_key(|entry| entry.message_id);
+    offsets
+});
+
+/// Whom the message `message_id` with this payload is for. Trailing zeros of the payload may be cut off.
+#[must_use]
+pub fn target_of(message_id: u32, payload: &[u8]) -> Target {
+    let Ok(index) = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id) else {
+        return Target::Everybody;
+    };
+    let Offsets {
+        system, component, ..
+    } = OFFSETS[index];
+    let byte = |offset: u8| payload.get(usize::from(offset)).copied().unwrap_or(0);
+    match (byte(system), component.map_or(0, byte)) {
+        (0, _) => Target::Everybody,
+        (system, 0) => Target::System(SystemId(system)),
+        (system, component) => Target::Component(Address {
+            system: SystemId(system),
+            component: ComponentId(component),
+        }),
+    }
+}
+
+fn offsets_of<M: Message>(message_id: u32) -> Option<Offsets> {
+    let mut message = M::default_message_from_id(message_id)?;
+    Some(Offsets {
+        message_id,
+        system: offset_of(&mut message, M::target_system_id_mut)?,
+        component: offset_of(&mut message, M::target_component_id_mut),
+    })
+}
+
+/// Where the field that `field` reaches stands on the wire; `None` if the message does not have it.
+fn offset_of<M: Message>(message: &mut M, field: fn(&mut M) -> Option<&mut u8>) -> Option<u8> {
+    let mut written_with = |value: u8| {
+        *field(message)? = value;
+        let mut bytes = [0; MAX_PAYLOAD];
+        message.ser(MavlinkVersion::V2, &mut bytes);
+        Some(bytes)
+    };
+    let (zero, full) = (written_with(0x00)?, written_with(0xFF)?);
+    let offset = zero.iter().zip(&full).position(|(a, b)| a != b)?;
+    u8::try_from(offset).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_cut_off_is_zero() {
+        // COMMAND_LONG: seven floats, the command, then target system and component.
+        let payload = [0; 31];
+        assert_eq!(target_of(76, &payload[..30]), Target::Everybody);
+        let mut payload = [0; 32];
+        payload[30] = 7;
+        assert_eq!(target_of(76, &payload[..31]), Target::System(SystemId(7)));
+        payload[31] = 9;
+        assert_eq!(
+            target_of(76, &payload),
+            Target::Component(Address::new(7, 9))
+        );
+        assert_eq!(target_of(76, &[]), Target::Everybody);
+    }
+
+    #[test]
+    fn a_message_without_target_and_one_of_no_dialect_are_for_everybody() {
+        assert_eq!(target_of(0, &[1; 9]), Target::Everybody);
+        assert_eq!(target_of(42_100, &[1; 13]), Target::Everybody);
+        assert_eq!(target_of(60_000, &[1; 255]), Target::Everybody);
+    }
+}
