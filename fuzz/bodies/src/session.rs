@@ -1,0 +1,78 @@
+//! Random operations on a session: it stops giving outputs, always has a deadline, and loses only peers it has seen.
+
+use std::collections::BTreeSet;
+
+use posebridge_protocol::dialect::{MESSAGES, decode};
+use posebridge_protocol::framing::{FrameRef, WireVersion};
+use posebridge_protocol::message::Heartbeat;
+use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_telemetry::{Address, BrickClock, Span, Stamp};
+
+/// Outputs of one operation beyond which something feeds itself.
+const MOST_OUTPUTS: usize = 1_000;
+/// Bytes of one operation: kind, three operands.
+const OPERATION: usize = 4;
+
+/// Input: operations of four bytes each.
+pub(crate) fn check(data: &[u8]) {
+    let mut now = Stamp::<BrickClock>::ZERO;
+    let mut session = Session::new(config(), now);
+    let mut present = BTreeSet::new();
+    for operation in data.chunks_exact(OPERATION) {
+        let [kind, a, b, c] = [operation[0], operation[1], operation[2], operation[3]];
+        let step = Span::from_micros(i64::from(u16::from_le_bytes([a, b])) * 100);
+        match kind % 5 {
+            0 => now = now + step,
+            1 => now = now - step,
+            2 => session.peer_restarted(now, Address::new(a % 4, b % 4)),
+            3 => session.tick(now),
+            _ => hear(&mut session, now, [a, b, c]),
+        }
+        let mut outputs = 0;
+        while let Some(output) = session.poll() {
+            outputs += 1;
+            assert!(outputs < MOST_OUTPUTS);
+            match output {
+                SessionOutput::PeerSeen { peer, .. } => assert!(present.insert(peer)),
+                SessionOutput::PeerLost { peer, .. } => assert!(present.remove(&peer)),
+                SessionOutput::Send(_)
+                | SessionOutput::TimeExchanged { .. }
+                | SessionOutput::IntervalRequested { .. } => {}
+            }
+        }
+        assert!(session.deadline().is_some());
+    }
+}
+
+fn config() -> SessionConfig {
+    SessionConfig {
+        own: Address::new(1, 2),
+        heartbeat: Heartbeat {
+            vehicle_type: 18,
+            autopilot: 8,
+            base_mode: 0,
+            system_status: 4,
+        },
+        heartbeat_period: Span::from_millis(1_000),
+        timesync_period: Some(Span::from_millis(500)),
+        peer_timeout: Span::from_millis(3_000),
+        wanted: vec![(42_100, Span::from_millis(50)), (42_101, Span::ZERO)],
+        offered: vec![30, 331, 42_102],
+    }
+}
+
+/// A message with a payload of repeated bytes from one of sixteen addresses.
+fn hear(session: &mut Session<BrickClock>, now: Stamp<BrickClock>, [who, what, fill]: [u8; 3]) {
+    let info = MESSAGES[usize::from(what) % MESSAGES.len()];
+    let frame = FrameRef {
+        version: WireVersion::V2,
+        message_id: info.id,
+        source: Address::new(who % 4, (who >> 4) % 4),
+        sequence: 0,
+        payload: &[fill; 40],
+        raw: &[],
+    };
+    if let Ok(Some(message)) = decode(&frame) {
+        session.handle(now, frame.source, &message);
+    }
+}
