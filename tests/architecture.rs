@@ -48,6 +48,11 @@ const LAYERS: &[Layer] = &[
     pure("sim", &["telemetry", "protocol"]),
     io("link", &["telemetry"]),
     io("dashboard", &["telemetry", "recording"]),
+    // Tests of the others; nobody may name it.
+    io(
+        "fuzz-bodies",
+        &["telemetry", "protocol", "recording", "link", ROOT],
+    ),
     io(
         ROOT,
         &[

@@ -88,6 +88,9 @@ pub enum DecodeError {
     /// A heading outside (-pi, pi].
     #[error("heading {0} rad is outside (-pi, pi]")]
     Heading(f64),
+    /// A time that no stamp of the host clock can hold; taken as it stands it would lie before the session.
+    #[error("time {0} ns is beyond the range of the host clock")]
+    Time(u64),
 }
 
 /// Where a message stands in the recording: part of its checksum.
@@ -266,6 +269,9 @@ pub(super) fn decode(bytes: &[u8], place: Place) -> Result<Input, DecodeError> {
     let (found, expected) = (u32::from_le_bytes(*checksum), place.checksum(body));
     if found != expected {
         return Err(DecodeError::Checksum { found, expected });
+    }
+    if i64::try_from(place.log_time).is_err() {
+        return Err(DecodeError::Time(place.log_time));
     }
     let mut cursor = Cursor { bytes: body };
     let version = cursor.u8()?;
@@ -508,6 +514,21 @@ mod tests {
             }
         }
         [body, &(!crc).to_le_bytes()].concat()
+    }
+
+    #[test]
+    fn a_time_beyond_the_host_clock_is_refused_and_not_turned_negative() {
+        let at = |log_time| {
+            let place = Place {
+                sequence: 0,
+                log_time,
+            };
+            decode(&sealed(&[VERSION, tag::TICK], place), place)
+        };
+        let last = i64::MAX as u64;
+        assert_eq!(at(last), Ok(Input::Tick));
+        assert_eq!(at(last + 1), Err(DecodeError::Time(last + 1)));
+        assert_eq!(at(u64::MAX), Err(DecodeError::Time(u64::MAX)));
     }
 
     fn check(body: &[u8], input: &Input) {

@@ -180,7 +180,7 @@ impl<'a> Reader<'a> {
             Ok(input) => input,
             Err(why) => return Some(Err(ReadError::Message { offset, why })),
         };
-        // The checksum covers the time, and the writer takes no time beyond the range of a stamp.
+        // What decodes has a time within the range of a stamp.
         let now = Stamp::from_nanos(place.log_time as i64);
         if place.sequence == expected {
             return Some(Ok((now, input)));

@@ -1,11 +1,10 @@
 //! Any bytes in any chunks: every byte is accounted for, and chunking changes no verified frame.
-#![no_main]
 
-use libfuzzer_sys::fuzz_target;
 use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig};
 use posebridge_telemetry::Stamp;
 
-fuzz_target!(|data: &[u8]| {
+/// Input: one byte of options, the size of chunks, then the bytes of a link.
+pub(crate) fn check(data: &[u8]) {
     let [options, chunk, bytes @ ..] = data else {
         return;
     };
@@ -26,7 +25,7 @@ fuzz_target!(|data: &[u8]| {
     };
     let (_, accounted) = scan(datagrams, bytes, chunk);
     assert_eq!(accounted, bytes.len() as u64);
-});
+}
 
 /// The verified frames, and how many bytes were handed out or counted.
 fn scan(config: ScannerConfig, bytes: &[u8], chunk: usize) -> (Vec<Vec<u8>>, u64) {

@@ -1,0 +1,53 @@
+//! What must hold for any input, one module per untrusted input.
+//!
+//! A body takes bytes, gives them to one part of the program and panics when a promise of that part is broken. The bodies
+//! stand in a crate of their own so that two drivers share them: libFuzzer (`fuzz/`, which needs a nightly compiler) and
+//! the short run of the test suite (`tests/fuzz_short.rs`, any compiler). Bodies are deterministic: the same bytes take
+//! the same way. They read no clock, file or network.
+
+mod config;
+mod decode;
+mod recording;
+mod scanner;
+mod session;
+mod url;
+
+/// Every fuzz target. Adding one: a module with its `check`, a line here, and seeds in `fuzz/corpus/<name>/`.
+pub const TARGETS: &[Target] = &[
+    Target::new("scanner", scanner::check, 1_000_000),
+    Target::new("decode", decode::check, 1_500_000),
+    Target::new("session", session::check, 1_200_000),
+    Target::new("url", url::check, 1_500_000),
+    Target::new("config", config::check, 90_000),
+    Target::new("recording", recording::check, 100_000),
+];
+
+/// One untrusted input and what must hold for it.
+#[derive(Clone, Copy, Debug)]
+pub struct Target {
+    /// Its name on the command line, and its folder in `fuzz/corpus/`.
+    pub name: &'static str,
+    /// Returns if all promises were kept.
+    ///
+    /// # Panics
+    /// When one was broken.
+    pub check: fn(&[u8]),
+    /// How many mutations the test suite tries: about two seconds' worth in a debug build.
+    pub short_runs: u32,
+}
+
+impl Target {
+    const fn new(name: &'static str, check: fn(&[u8]), short_runs: u32) -> Self {
+        Self {
+            name,
+            check,
+            short_runs,
+        }
+    }
+}
+
+/// The target with this name.
+#[must_use]
+pub fn target(name: &str) -> Option<&'static Target> {
+    TARGETS.iter().find(|target| target.name == name)
+}
