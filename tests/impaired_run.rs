@@ -127,10 +127,9 @@ fn loss_delay_and_skew_of_the_sweep_are_what_was_asked_for() {
     assert!((share - 0.2).abs() < 0.05, "{share}");
     let last = run.simulation.truth().last().unwrap();
     let first = run.simulation.truth().first().unwrap();
-    let gained_ppm = ((last.brick - first.brick).as_secs_f64()
-        / (last.world - first.world).as_secs_f64()
-        - 1.0)
-        * 1e6;
+    let gained_ppm =
+        ((last.brick - first.brick).as_secs_f64() / (last.world - first.world).as_secs_f64() - 1.0)
+            * 1e6;
     assert!((gained_ppm - 2_000.0).abs() < 1.0, "{gained_ppm}");
     let health = run.collector.health;
     assert!(health.frames_lost > 50, "{}", health.frames_lost);

@@ -12,8 +12,8 @@ mod merge;
 mod noise;
 mod profile;
 mod robot;
-mod signing;
 mod routing;
+mod signing;
 mod station;
 mod world;
 
@@ -25,8 +25,8 @@ pub use merge::{Origin, Setting, print};
 pub use noise::RobotNoise;
 pub use profile::{ProfileFilter, RobotProfile};
 pub use robot::{RobotFile, RobotStart};
-pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
+pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{
     AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
     StationConfig,

@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 
 use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
-use super::signing::SigningSection;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection, RoutingSection, rules_of};
+use super::signing::SigningSection;
 use super::world::WorldConfig;
 use crate::link_target::LinkTarget;
 

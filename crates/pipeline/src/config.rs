@@ -2,8 +2,8 @@
 
 use posebridge_estimator::FilterConfig;
 use posebridge_protocol::framing::{Framing, WireVersion};
-use posebridge_protocol::signing::SigningConfig;
 use posebridge_protocol::routing::LinkRules;
+use posebridge_protocol::signing::SigningConfig;
 use posebridge_telemetry::{Address, Body, LinkId, Point2, Span, SystemId};
 
 /// Everything that decides what a pipeline does with its inputs. Same configuration and same inputs: same outputs.
