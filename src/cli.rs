@@ -233,6 +233,63 @@ pub enum LabExperiment {
     /// Prints one table per scenario and writes the picture lab-accuracy.svg.
     #[command(after_long_help = accuracy_help())]
     Accuracy(LabAccuracyArgs),
+    /// Align clocks and drive laps over links that delay, lose and damage, in virtual time.
+    ///
+    /// Prints a table of the clocks and one of the poses, and writes the picture lab-links.svg.
+    Links(LabLinksArgs),
+}
+
+/// Flags of `lab links`.
+#[derive(Args, Clone, Debug)]
+pub struct LabLinksArgs {
+    /// A bundled link profile's name or a TOML file; may be repeated. Without it all bundled ones.
+    #[arg(long = "profile", value_name = "NAME|FILE.toml")]
+    pub profiles: Vec<String>,
+    /// Probability that what is sent at once is lost, each way, on top of the profile; several with commas.
+    #[arg(long = "loss", value_name = "P,..", value_delimiter = ',', default_values_t = [0.0, 0.05], value_parser = a_probability)]
+    pub losses: Vec<f64>,
+    /// Delay of each way on top of the profile, ms; several with commas.
+    #[arg(long = "delay-ms", value_name = "MS,..", value_delimiter = ',', default_values_t = [0.0, 50.0], value_parser = a_delay_ms)]
+    pub delays_ms: Vec<f64>,
+    /// Rate error of the brick's clock, ppm; several with commas.
+    #[arg(long = "skew-ppm", value_name = "PPM,..", value_delimiter = ',', default_values_t = [50.0, 2021.0], value_parser = a_skew_ppm, allow_hyphen_values = true)]
+    pub skews_ppm: Vec<f64>,
+    /// Laps of each case; world and link differ from lap to lap.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub runs: u32,
+    /// Seed of the first lap.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Folder for the picture, instead of the current one.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print one JSON object (docs/lab-links.md) instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn a_probability(text: &str) -> Result<f64, String> {
+    number_within(text, 0.0..=0.99)
+}
+
+fn a_delay_ms(text: &str) -> Result<f64, String> {
+    number_within(text, 0.0..=10_000.0)
+}
+
+/// No crystal and no RC oscillator of a brick is further off than one per cent.
+fn a_skew_ppm(text: &str) -> Result<f64, String> {
+    number_within(text, -10_000.0..=10_000.0)
+}
+
+fn number_within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, String> {
+    let number: f64 = text
+        .parse()
+        .map_err(|_no_number| format!("`{text}` is not a number"))?;
+    if range.contains(&number) {
+        Ok(number)
+    } else {
+        Err(format!("{number} is not from {} to {}", range.start(), range.end()))
+    }
 }
 
 /// Flags of `lab accuracy`.

@@ -3,9 +3,13 @@
 //! It drives the same simulation and the same pipeline as a live run. Between them stands a link that delivers at once, or one of
 //! [`posebridge_sim::impairment`]. Used where two ways of steering or two links are compared on the same world, and by tests.
 
+use std::collections::VecDeque;
+
 use posebridge_pipeline::{BuildError, Pipeline, PipelineConfig};
 use posebridge_protocol::framing::Framing;
-use posebridge_sim::impairment::{Counters, End, ImpairedLink, LinkEvent, LinkKind, LinkProfile};
+use posebridge_sim::impairment::{
+    Counters, End, Fate, ImpairedLink, LinkEvent, LinkKind, LinkProfile, LogEntry,
+};
 use posebridge_sim::{Scenario, Simulation};
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
 
@@ -15,6 +19,9 @@ use crate::collect::Collector;
 const AFTERGLOW: Span = Span::from_millis(600);
 /// A scenario that does not end by itself is ended here.
 const LONGEST: Span = Span::from_millis(3_600_000);
+
+/// Most units whose journeys are followed at a time; a link holds fewer.
+const MOST_ON_THE_WAY: usize = 65_536;
 
 /// What stands between brick and station.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -53,6 +60,10 @@ pub struct VirtualRun {
     pub collector: Collector,
     /// What the link did; a link that delivers at once counts, too.
     pub link: LinkTally,
+    /// How long each piece was on its way that arrived at the station.
+    pub delays_to_station: Vec<Span>,
+    /// How long each piece was on its way that arrived at the brick.
+    pub delays_to_brick: Vec<Span>,
 }
 
 /// Runs a scenario against a pipeline whose first link is the brick's; the link delivers at once.
@@ -105,6 +116,8 @@ fn run_on(
         collector: Collector::default(),
         link,
         outages: 0,
+        to_station: Journeys::default(),
+        to_brick: Journeys::default(),
     };
     session.tell(Stamp::ZERO, LinkState::Up);
     session.pass_to(Stamp::ZERO);
@@ -127,6 +140,8 @@ fn run_on(
         },
         simulation: session.simulation,
         collector: session.collector,
+        delays_to_station: session.to_station.delays,
+        delays_to_brick: session.to_brick.delays,
     })
 }
 
@@ -138,6 +153,37 @@ struct Session {
     collector: Collector,
     link: ImpairedLink,
     outages: u64,
+    to_station: Journeys,
+    to_brick: Journeys,
+}
+
+/// How long what was offered in one direction was on its way.
+#[derive(Debug, Default)]
+struct Journeys {
+    /// What may still arrive: number of the unit, and when it was offered.
+    begun: VecDeque<(u64, Stamp<HostClock>)>,
+    delays: Vec<Span>,
+}
+
+impl Journeys {
+    fn begin(&mut self, unit: u64, at: Stamp<HostClock>) {
+        if self.begun.len() >= MOST_ON_THE_WAY {
+            self.begun.pop_front();
+        }
+        self.begun.push_back((unit, at));
+    }
+
+    /// Takes what the link's log says.
+    fn follow(&mut self, log: &[LogEntry]) {
+        for entry in log {
+            let Fate::Delivered { at } = entry.fate else {
+                continue;
+            };
+            if let Ok(index) = self.begun.binary_search_by_key(&entry.unit, |begun| begun.0) {
+                self.delays.extend(self.begun.get(index).map(|begun| at - begun.1));
+            }
+        }
+    }
 }
 
 impl Session {
@@ -147,7 +193,8 @@ impl Session {
         let now = Stamp::<HostClock>::ZERO + self.simulation.elapsed();
         self.pass_to(now);
         while let Some(bytes) = self.simulation.poll() {
-            self.link.offer(End::Brick, now, &bytes);
+            let unit = self.link.offer(End::Brick, now, &bytes);
+            self.to_station.begin(unit, now);
             self.pass_to(now);
         }
         if self
@@ -167,9 +214,8 @@ impl Session {
                 self.take(event);
             }
         }
-        // The books are enough here; what became of each byte would fill the memory of a long run.
-        drop(self.link.take_log(End::Station));
-        drop(self.link.take_log(End::Brick));
+        self.to_station.follow(&self.link.take_log(End::Station));
+        self.to_brick.follow(&self.link.take_log(End::Brick));
     }
 
     fn take(&mut self, event: LinkEvent) {
@@ -203,7 +249,8 @@ impl Session {
         while let Some(output) = self.pipeline.poll() {
             match output {
                 Output::Transmit { bytes, .. } => {
-                    self.link.offer(End::Station, at, &bytes);
+                    let unit = self.link.offer(End::Station, at, &bytes);
+                    self.to_brick.begin(unit, at);
                 }
                 Output::Event(event) => self.collector.take(&event),
             }

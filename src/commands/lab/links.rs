@@ -1,0 +1,176 @@
+//! `posebridge lab links`: what a link does to clocks and poses, in virtual time.
+//!
+//! One part holds every way to align two clocks over links of known delays, the other drives the same lap over link profiles with
+//! more loss, delay and clock skew. docs/lab-links.md says what is measured.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::thread;
+
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
+use posebridge_sim::impairment::{LinkProfile, PROFILES};
+
+use super::links_clock::{self, CLOCK_SEEDS, LinkClockRow};
+use super::links_pose::{Case, Circumstance, PoseRow, drive, summarise};
+use super::links_report as report;
+use crate::cli::LabLinksArgs;
+use crate::commands::{Failure, Stage};
+use crate::stderr::say;
+use crate::stdout;
+
+/// The picture's file.
+const PICTURE: &str = "lab-links.svg";
+
+/// Runs the experiment.
+///
+/// # Errors
+/// A profile does not exist or makes no sense, or an output cannot be written.
+pub fn execute(args: &LabLinksArgs) -> Result<(), Failure> {
+    let cases = cases(args).at_start()?;
+    let folder = args.out.clone().unwrap_or_else(|| PathBuf::from("."));
+    std::fs::create_dir_all(&folder)
+        .with_context(|| format!("making the folder `{}`", folder.display()))
+        .at_start()?;
+    let clock = links_clock::rows(&CLOCK_SEEDS);
+    let pose = pose_rows(&cases, args.runs).while_running()?;
+    let picture = folder.join(PICTURE);
+    std::fs::write(&picture, accuracy_chart(&chart(&pose)))
+        .with_context(|| format!("writing `{}`", picture.display()))
+        .while_running()?;
+    print(args, &clock, &pose).while_running()?;
+    say(&format!("picture: {}", picture.display()));
+    Ok(())
+}
+
+/// Every profile under every circumstance.
+fn cases(args: &LabLinksArgs) -> Result<Vec<Case>> {
+    let names: Vec<String> = if args.profiles.is_empty() {
+        PROFILES
+            .iter()
+            .map(|(name, _)| (*name).to_owned())
+            .collect()
+    } else {
+        args.profiles.clone()
+    };
+    let mut cases = Vec::new();
+    for asked in names {
+        let (name, profile) = profile(asked)?;
+        for &loss in &args.losses {
+            for &delay_ms in &args.delays_ms {
+                for &skew_ppm in &args.skews_ppm {
+                    cases.push(Case {
+                        name: name.clone(),
+                        profile: profile.clone(),
+                        circumstance: Circumstance {
+                            loss,
+                            delay_ms,
+                            skew_ppm,
+                        },
+                        seed: args.seed,
+                    });
+                }
+            }
+        }
+    }
+    Ok(cases)
+}
+
+/// A bundled profile by its name, else one from a file, which is called like it.
+fn profile(asked: String) -> Result<(String, LinkProfile)> {
+    let path = Path::new(&asked);
+    if path.extension().is_none_or(|extension| extension != "toml") {
+        let profile = LinkProfile::bundled(&asked)?;
+        return Ok((asked, profile));
+    }
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("reading the link profile `{asked}`"))?;
+    let profile =
+        LinkProfile::from_toml(&text).with_context(|| format!("link profile `{asked}`"))?;
+    let name = path
+        .file_stem()
+        .map_or(asked.clone(), |stem| stem.to_string_lossy().into_owned());
+    Ok((name, profile))
+}
+
+/// Drives all cases on all cores; the result does not depend on how many there are.
+fn pose_rows(cases: &[Case], runs: u32) -> Result<Vec<PoseRow>> {
+    let jobs: Vec<(usize, u32)> = (0..cases.len())
+        .flat_map(|case| (0..runs).map(move |run| (case, run)))
+        .collect();
+    let bar = ProgressBar::new(jobs.len() as u64).with_style(ProgressStyle::with_template(
+        "{bar:40} {pos}/{len} laps, {eta} left",
+    )?);
+    let next = AtomicUsize::new(0);
+    let workers = thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    let (sender, receiver) = sync_channel(workers);
+    let mut driven: Vec<Vec<_>> = cases.iter().map(|_| Vec::new()).collect();
+    thread::scope(|scope| {
+        for _ in 0..workers {
+            let (sender, next, jobs) = (sender.clone(), &next, &jobs);
+            scope.spawn(move || {
+                while let Some(&(case, run)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let result = cases.get(case).map(|case| drive(case, run));
+                    if sender.send((case, run, result)).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        drop(sender);
+        for (case, run, result) in receiver {
+            bar.inc(1);
+            if let (Some(list), Some(result)) = (driven.get_mut(case), result) {
+                list.push((run, result));
+            }
+        }
+    });
+    bar.finish_and_clear();
+    cases
+        .iter()
+        .zip(driven)
+        .map(|(case, mut laps)| {
+            laps.sort_by_key(|(run, _)| *run);
+            let laps: Result<Vec<_>> = laps.into_iter().map(|(_, lap)| lap).collect();
+            Ok(summarise(case, &laps?))
+        })
+        .collect()
+}
+
+fn print(args: &LabLinksArgs, clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<()> {
+    let text = if args.json {
+        report::json(clock, pose)? + "\n"
+    } else {
+        report::tables(clock, pose)
+    };
+    stdout::print(&text)?;
+    Ok(())
+}
+
+/// One panel per circumstance, one mark per profile.
+fn chart(rows: &[PoseRow]) -> AccuracyChart {
+    let mut panels: Vec<AccuracyPanel> = Vec::new();
+    for row in rows {
+        let title = report::circumstance(&row.circumstance);
+        let mark = AccuracyMark {
+            name: row.profile.clone(),
+            rms_m: row.position_rms_m,
+            claimed_m: None,
+            anees: None,
+        };
+        match panels.iter_mut().find(|panel| panel.title == title) {
+            Some(panel) => panel.marks.push(mark),
+            None => panels.push(AccuracyPanel {
+                title,
+                marks: vec![mark],
+            }),
+        }
+    }
+    AccuracyChart {
+        title: "Position error of a lap over links".to_owned(),
+        panels,
+    }
+}
