@@ -2,7 +2,8 @@
 //!
 //! The shell and the experiments give it what a run or a recording left behind; it gives back numbers
 //! ([`metrics`]), SVG text ([`figures`]) and aligned plain text ([`report`]). It reads no file, writes none, draws no
-//! random number and holds no estimator of its own: two calls with the same data give the same bytes.
+//! random number but by a given seed (the links of [`clocks`]), and holds no estimator of its own: two calls with the same data give the
+//! same bytes.
 //!
 //! Everything is in the arena, in SI units and in brick time; millimetres and degrees appear only in text for people.
 //! A value that is not finite is left out and counted, never averaged and never drawn.
@@ -19,6 +20,7 @@
 //! ```
 
 pub mod accuracy;
+pub mod clocks;
 pub mod figures;
 pub mod metrics;
 pub mod report;

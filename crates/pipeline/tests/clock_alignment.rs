@@ -1,6 +1,7 @@
 //! The alignment of one clock over links of known delays: how exact it is, how soon, and whether its bounds hold.
 //!
 //! The figures are those of docs/maths/clock.md: `cargo test -p posebridge-pipeline --test clock_alignment -- --nocapture`.
+#![expect(clippy::print_stdout, reason = "the figures are to be read")]
 
 #[path = "support/exchanges.rs"]
 mod exchanges;
@@ -14,6 +15,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=8;
+/// For the figure that is nearest to its limit.
+const MANY_SEEDS: std::ops::RangeInclusive<u64> = 1..=20;
 /// Answers are stamped in whole microseconds.
 const RESOLUTION_S: f64 = 1e-6;
 
@@ -175,7 +178,7 @@ fn promised(name: &str, outcome: Outcome) {
 fn a_steady_clock_behind_a_bluetooth_link_is_known_to_a_tenth_of_a_millisecond() {
     for skew_ppm in [50.0, 2_021.0, -2_000.0] {
         let truth = RemoteTime::new(1_234.5, 180.0, |_| skew_ppm * 1e-6);
-        let outcomes = SEEDS.map(|seed| followed(&bluetooth(seed), &truth, (100.0, 180.0)));
+        let outcomes = MANY_SEEDS.map(|seed| followed(&bluetooth(seed), &truth, (100.0, 180.0)));
         let outcome = worst_of(outcomes);
         promised(&format!("{skew_ppm} ppm"), outcome);
         assert!(outcome.worst_s <= 0.1e-3, "{skew_ppm} ppm");

@@ -5,6 +5,7 @@ mod accuracy_json;
 mod accuracy_runs;
 mod bounds;
 mod estimators;
+pub mod links_clock;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
 

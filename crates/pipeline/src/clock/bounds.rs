@@ -22,7 +22,7 @@ use super::hull::{Bound, Hull, Side};
 
 /// Bounds older than this are forgotten, s. It balances what the delays' jitter leaves of the line's end, which falls with the window,
 /// against what the line loses of a clock that bends, which grows with its square; docs/maths/clock.md, equation (7).
-const WINDOW_S: f64 = 80.0;
+const WINDOW_S: f64 = 120.0;
 /// One bound of each kind is kept per bucket of this length, s; the tightest.
 const BUCKET_S: f64 = 0.5;
 /// No clock of a brick is further off: resonators reach 2000 ppm and 10 ppm per degree.
