@@ -4,6 +4,7 @@ pub mod completions;
 pub mod config;
 pub mod lab;
 pub mod play;
+pub mod relay;
 pub mod replay;
 pub mod run;
 pub mod sim;
@@ -71,6 +72,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Run(args) => run::execute(&args),
         Command::Sim(args) => sim::execute(&args),
         Command::Play(args) => play::execute(&args),
+        Command::Relay(args) => relay::execute(&args),
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
         Command::Config(args) => config::execute(&args),
