@@ -4,9 +4,11 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use posebridge_link::TRANSPORTS;
+use posebridge_sim::impairment::PROFILES;
 use posebridge_sim::montecarlo::SCENARIOS;
 
 use crate::commands::lab::Estimator;
+use crate::commands::relay::RelayEnds;
 use crate::config::Setting;
 
 /// Ground station for robots that are too weak to filter for themselves.
@@ -32,6 +34,11 @@ pub enum Command {
     /// Play a recording of a real robot out of a link, as a brick would.
     #[command(after_long_help = links_help())]
     Play(PlayArgs),
+    /// Pass bytes between two links as a bad link would: late, in pieces, damaged, or not at all.
+    ///
+    /// The first link is the brick's end, the second the station's.
+    #[command(after_long_help = relay_help())]
+    Relay(RelayArgs),
     /// Run the estimators over a recording, offline.
     Replay(ReplayArgs),
     /// Run an experiment that needs no robot.
@@ -181,6 +188,29 @@ pub struct PlayArgs {
     /// Begin at once instead of when the station has been heard.
     #[arg(long)]
     pub at_once: bool,
+}
+
+/// Flags of `relay`.
+#[derive(Args, Clone, Debug)]
+pub struct RelayArgs {
+    /// Both links.
+    #[command(flatten)]
+    pub ends: RelayEnds,
+    /// What the link between them is like: a bundled profile's name or a TOML file (docs/impairment.md).
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
+    pub impair: String,
+    /// Seed of its randomness.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Record what reached the station (link 0) and the brick (link 1); `posebridge replay` estimates from the former.
+    #[arg(long, value_name = "FILE.mcap")]
+    pub record: Option<PathBuf>,
+    /// End after this many seconds.
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    pub duration: Option<f64>,
+    /// Print one JSON object at the end instead of a table.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Flags of `replay`.
@@ -379,6 +409,16 @@ fn accuracy_help() -> String {
         .chain(estimators)
         .collect();
     lines.concat()
+}
+
+/// The profiles, and the kinds of link, from their tables.
+fn relay_help() -> String {
+    let names: Vec<&str> = PROFILES.iter().map(|(name, _)| *name).collect();
+    format!(
+        "Profiles:\n  none, {}\n\n{}",
+        names.join(", "),
+        links_help()
+    )
 }
 
 /// The kinds of link, from the table.

@@ -9,6 +9,7 @@ pub mod commands;
 pub mod config;
 pub mod data;
 pub mod learned;
+pub mod link_profile;
 pub mod link_target;
 pub mod report;
 pub mod score;

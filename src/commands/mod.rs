@@ -5,6 +5,7 @@ pub mod config;
 pub mod key;
 pub mod lab;
 pub mod play;
+pub mod relay;
 pub mod replay;
 pub mod run;
 pub mod sim;
@@ -72,6 +73,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Run(args) => run::execute(&args),
         Command::Sim(args) => sim::execute(&args),
         Command::Play(args) => play::execute(&args),
+        Command::Relay(args) => relay::execute(&args),
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
         Command::Key(args) => key::execute(&args),

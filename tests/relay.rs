@@ -1,0 +1,400 @@
+//! A relay between real links: the clean one changes nothing, a seeded one does exactly what its counters and its model say.
+#![expect(
+    clippy::expect_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+mod support;
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::path::Path;
+use std::time::Duration;
+
+use posebridge_sim::impairment::{End, ImpairedLink, LinkEvent, LinkProfile};
+use posebridge_telemetry::Stamp;
+use serde_json::Value;
+use support::{Running, posebridge};
+
+/// Long enough for a loaded machine; a test that waits so long has failed.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Datagrams at a time: what the default receive buffer of a socket holds for sure.
+const BATCH: u32 = 50;
+
+#[test]
+fn over_the_clean_link_every_byte_passes_unchanged_both_ways() {
+    let folder = tempfile::tempdir().unwrap();
+    let (relay, [brick, station]) = over_tcp(folder.path(), &[]);
+    let up: Vec<u8> = (0..1_000_000_u32).map(|i| (i * 7 % 251) as u8).collect();
+    let down: Vec<u8> = (0..700_000_u32).map(|i| (i * 13 % 241) as u8).collect();
+    let ([mut brick_reads, mut station_reads], [mut brick, mut station]) = (
+        [&brick, &station].map(|end| end.try_clone().unwrap()),
+        [brick, station],
+    );
+    std::thread::scope(|scope| {
+        scope.spawn(|| brick.write_all(&up).unwrap());
+        scope.spawn(|| station.write_all(&down).unwrap());
+        let at_station = scope.spawn(|| read_exactly(&mut station_reads, up.len()));
+        assert!(read_exactly(&mut brick_reads, down.len()) == down);
+        assert!(at_station.join().unwrap() == up);
+    });
+    let report = ended(relay);
+    for (direction, bytes) in [("to_station", up.len()), ("to_brick", down.len())] {
+        assert_eq!(count(&report, direction, "bytes_offered"), bytes as u64);
+        assert_eq!(count(&report, direction, "bytes_delivered"), bytes as u64);
+        assert_eq!(count(&report, direction, "bytes_untaken"), 0);
+        assert_eq!(count(&report, direction, "chunks_dropped"), 0);
+    }
+}
+
+#[test]
+fn over_the_clean_link_every_datagram_passes_whole_both_ways() {
+    let folder = tempfile::tempdir().unwrap();
+    let ends = over_udp(folder.path(), &[]);
+    for number in 0..200_u32 {
+        let datagram = vec![number as u8; 1 + number as usize];
+        ends.brick.send_to(&datagram, &ends.at_brick).unwrap();
+        assert_eq!(receive(&ends.station), datagram);
+        ends.station.send_to(&datagram, &ends.at_station).unwrap();
+        assert_eq!(receive(&ends.brick), datagram);
+    }
+    let report = ended(ends.relay);
+    assert_eq!(count(&report, "to_station", "chunks_delivered"), 200);
+    assert_eq!(count(&report, "to_brick", "units_offered"), 200);
+}
+
+#[test]
+fn over_the_clean_link_two_terminals_talk_as_over_a_wire() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut relay = Running::start(posebridge(folder.path()).args([
+        "relay",
+        "pty:brick.tty",
+        "--listen",
+        "pty:station.tty",
+        "--json",
+    ]));
+    relay.wait_for("relaying");
+    let open = |name: &str| {
+        let path = folder.path().join(name);
+        File::options().read(true).write(true).open(path).unwrap()
+    };
+    let (mut brick, mut station) = (open("brick.tty"), open("station.tty"));
+    // Every byte value, so that a terminal that is not raw is found out.
+    let bytes: Vec<u8> = (0..=255).collect();
+    for _ in 0..20 {
+        brick.write_all(&bytes).unwrap();
+        assert_eq!(read_exactly(&mut station, bytes.len()), bytes);
+        station.write_all(&bytes).unwrap();
+        assert_eq!(read_exactly(&mut brick, bytes.len()), bytes);
+    }
+    let report = ended(relay);
+    assert_eq!(count(&report, "to_station", "bytes_delivered"), 20 * 256);
+    assert_eq!(count(&report, "to_brick", "bytes_delivered"), 20 * 256);
+}
+
+#[test]
+fn a_damaged_stream_arrives_as_its_model_says_byte_for_byte() {
+    let profile = "kind = \"stream\"\n\
+        [to_station]\nbit_error_rate = 1e-3\nfragment = { most_bytes = 100, sizes = \"random\" }\n\
+        [to_brick]\nbyte_loss = 0.01\ndelay = { base_ms = 3.0, jitter_mean_ms = 1.0 }\n";
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("bad.toml"), profile).unwrap();
+    let args = ["--impair", "bad.toml", "--seed", "11"];
+    let (relay, [mut brick, mut station]) = over_tcp(folder.path(), &args);
+    let bytes: Vec<u8> = (0..100_000_u32).map(|i| (i * 7 % 251) as u8).collect();
+    // Where bits and bytes are hit does not depend on how the stream was cut on its way into the relay.
+    let mut model = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 11, Stamp::ZERO);
+    model.offer(End::Brick, Stamp::ZERO, &bytes);
+    model.offer(End::Station, Stamp::ZERO, &bytes);
+    let [to_station, to_brick] = arrived(&mut model);
+    brick.write_all(&bytes).unwrap();
+    assert!(read_exactly(&mut station, to_station.len()) == to_station);
+    station.write_all(&bytes).unwrap();
+    assert!(read_exactly(&mut brick, to_brick.len()) == to_brick);
+    let report = ended(relay);
+    let flipped: u32 = to_station
+        .iter()
+        .zip(&bytes)
+        .map(|(got, sent)| (got ^ sent).count_ones())
+        .sum();
+    assert!(flipped > 500);
+    assert_eq!(
+        count(&report, "to_station", "bits_flipped"),
+        u64::from(flipped)
+    );
+    let missing = (bytes.len() - to_brick.len()) as u64;
+    assert!(missing > 500);
+    assert_eq!(count(&report, "to_brick", "bytes_missing"), missing);
+    assert_eq!(
+        count(&report, "to_brick", "bytes_delivered"),
+        to_brick.len() as u64
+    );
+    // What one seed damages another does not.
+    let mut other = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 12, Stamp::ZERO);
+    other.offer(End::Brick, Stamp::ZERO, &bytes);
+    assert!(arrived(&mut other)[0] != to_station);
+}
+
+#[test]
+fn the_datagrams_that_get_lost_are_those_of_the_model() {
+    let profile = "kind = \"datagram\"\n[both]\nloss = 0.2\nduplicate = 0.1\n";
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("lossy.toml"), profile).unwrap();
+    let ends = over_udp(folder.path(), &["--impair", "lossy.toml", "--seed", "7"]);
+    let mut model = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 7, Stamp::ZERO);
+    let mut lost = 0;
+    let mut repeated = 0;
+    for batch in 0..20 {
+        let numbers = batch * BATCH..(batch + 1) * BATCH;
+        let mut expected = Vec::new();
+        for number in numbers {
+            let datagram = number.to_le_bytes();
+            ends.brick.send_to(&datagram, &ends.at_brick).unwrap();
+            model.offer(End::Brick, Stamp::ZERO, &datagram);
+            let before = expected.len();
+            while let Some(LinkEvent::Arrived { delivery, .. }) = model.poll(Stamp::ZERO) {
+                expected.push(delivery.bytes);
+            }
+            lost += u64::from(expected.len() == before);
+            repeated += u64::from(expected.len() == before + 2);
+        }
+        for datagram in expected {
+            assert_eq!(receive(&ends.station), datagram);
+        }
+    }
+    let report = ended(ends.relay);
+    assert!(lost > 100 && repeated > 50, "{lost} {repeated}");
+    assert_eq!(
+        count(&report, "to_station", "units_offered"),
+        u64::from(20 * BATCH)
+    );
+    assert_eq!(count(&report, "to_station", "bytes_lost_alone"), 4 * lost);
+    assert_eq!(count(&report, "to_station", "repeated"), repeated);
+}
+
+#[test]
+fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut brick = Running::start(posebridge(folder.path()).args([
+        "sim",
+        "circle",
+        "--listen",
+        "tcp://127.0.0.1:0",
+    ]));
+    let brick_link = format!("tcp://{}", address(&brick.wait_for("listening on")));
+    let mut relay = Running::start(posebridge(folder.path()).args([
+        "relay",
+        &brick_link,
+        "--listen",
+        "tcp://127.0.0.1:0",
+        "--impair",
+        "bluetooth-spp",
+        "--record",
+        "link.mcap",
+    ]));
+    let station_link = format!(
+        "tcp://{}",
+        address(&relay.wait_for("station end listening on"))
+    );
+    let mut station = Running::start(posebridge(folder.path()).args([
+        "run",
+        "--link",
+        &station_link,
+        "--out",
+        "run",
+    ]));
+    station.wait_for("fix accepted");
+    station.interrupt();
+    let table = relay.interrupt();
+    assert!(table.contains("link bluetooth-spp, seed 1"), "{table}");
+    let replay = posebridge(folder.path())
+        .args(["replay", "link.mcap", "--events", "replayed.txt"])
+        .output()
+        .unwrap();
+    assert!(
+        replay.status.success(),
+        "{}",
+        String::from_utf8_lossy(&replay.stderr)
+    );
+    let events = std::fs::read_to_string(folder.path().join("replayed.txt")).unwrap();
+    assert!(events.lines().any(|line| line.starts_with("Estimated")));
+}
+
+#[test]
+fn it_ends_by_itself_when_its_time_is_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = posebridge(folder.path())
+        .args([
+            "relay",
+            "pty:a.tty",
+            "pty:b.tty",
+            "--duration",
+            "0.2",
+            "--impair",
+            "harsh",
+        ])
+        .output()
+        .unwrap();
+    assert!(output.status.success());
+    let table = String::from_utf8_lossy(&output.stdout);
+    assert!(table.contains("link harsh, seed 1"), "{table}");
+    assert!(
+        !folder.path().join("a.tty").exists(),
+        "the terminal's name is gone"
+    );
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_a_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(
+        folder.path().join("wrong.toml"),
+        "kind = \"stream\"\n[both]\nlos = 0.1\n",
+    )
+    .unwrap();
+    let cases: [(&[&str], &[&str]); 5] = [
+        (&["pty:a.tty"], &["two ends"]),
+        (
+            &["pty:a.tty", "pty:b.tty", "--impair", "string"],
+            &["string", "none, usb", "harsh"],
+        ),
+        (
+            &["pty:a.tty", "pty:b.tty", "--impair", "wrong.toml"],
+            &["wrong.toml", "line 3", "los"],
+        ),
+        (
+            &["pty:a.tty", "pty:b.tty", "--impair", "none.toml"],
+            &["none.toml"],
+        ),
+        (
+            &["pty:a.tty", "carrier:pigeon"],
+            &["station end", "carrier"],
+        ),
+    ];
+    for (args, words) in cases {
+        let output = posebridge(folder.path())
+            .arg("relay")
+            .args(args)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        let said = String::from_utf8_lossy(&output.stderr);
+        for word in words {
+            assert!(said.contains(word), "{said} lacks {word}");
+        }
+    }
+}
+
+/// A relay between two TCP links of ours, and our ends: the brick's and the station's.
+fn over_tcp(folder: &Path, args: &[&str]) -> (Running, [TcpStream; 2]) {
+    let listeners = [(), ()].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port is free"));
+    let [brick, station] = [&listeners[0], &listeners[1]].map(|listener| {
+        format!(
+            "tcp://{}",
+            listener.local_addr().expect("it has an address")
+        )
+    });
+    let mut relay = Running::start(
+        posebridge(folder)
+            .args(["relay", &brick, &station, "--json"])
+            .args(args),
+    );
+    let ends = listeners.map(|listener| listener.accept().expect("the relay calls").0);
+    for end in &ends {
+        end.set_read_timeout(Some(PATIENCE)).expect("it can be set");
+    }
+    relay.wait_for("relaying");
+    (relay, ends)
+}
+
+/// A relay between two UDP sockets of ours.
+struct UdpEnds {
+    relay: Running,
+    brick: UdpSocket,
+    station: UdpSocket,
+    /// Where the relay hears the brick.
+    at_brick: String,
+    /// Where the relay hears the station.
+    at_station: String,
+}
+
+fn over_udp(folder: &Path, args: &[&str]) -> UdpEnds {
+    let [brick, station] =
+        [(), ()].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a port is free"));
+    let [brick_url, station_url] = [&brick, &station].map(|socket| {
+        socket
+            .set_read_timeout(Some(PATIENCE))
+            .expect("it can be set");
+        format!("udp://{}", socket.local_addr().expect("it has an address"))
+    });
+    let mut relay = Running::start(
+        posebridge(folder)
+            .args(["relay", &brick_url, &station_url, "--json"])
+            .args(args),
+    );
+    let mut heard = || {
+        let line = relay.wait_for(" end up: ");
+        let port = line
+            .split("from 0.0.0.0:")
+            .nth(1)
+            .expect("it says from where");
+        let digits: String = port.chars().take_while(char::is_ascii_digit).collect();
+        (line.starts_with("brick"), format!("127.0.0.1:{digits}"))
+    };
+    let (first, second) = (heard(), heard());
+    let (at_brick, at_station) = if first.0 {
+        (first.1, second.1)
+    } else {
+        (second.1, first.1)
+    };
+    relay.wait_for("relaying");
+    UdpEnds {
+        relay,
+        brick,
+        station,
+        at_brick,
+        at_station,
+    }
+}
+
+/// All that a model delivers at both ends, when nothing else is offered.
+fn arrived(model: &mut ImpairedLink) -> [Vec<u8>; 2] {
+    let mut bytes = [Vec::new(), Vec::new()];
+    while let Some(next) = model.deadline() {
+        while let Some(event) = model.poll(next) {
+            if let LinkEvent::Arrived { end, delivery } = event {
+                bytes[usize::from(end == End::Brick)].extend(delivery.bytes);
+            }
+        }
+    }
+    bytes
+}
+
+fn read_exactly(from: &mut impl Read, count: usize) -> Vec<u8> {
+    let mut bytes = vec![0; count];
+    from.read_exact(&mut bytes).expect("they arrive");
+    bytes
+}
+
+fn receive(socket: &UdpSocket) -> Vec<u8> {
+    let mut buffer = [0; 2_048];
+    let (length, _) = socket.recv_from(&mut buffer).expect("it arrives");
+    buffer[..length].to_vec()
+}
+
+/// Ends a relay as Ctrl-C does and returns its JSON object.
+fn ended(relay: Running) -> Value {
+    serde_json::from_str(&relay.interrupt()).expect("it prints one object")
+}
+
+fn count(report: &Value, direction: &str, counter: &str) -> u64 {
+    report[direction][counter]
+        .as_u64()
+        .expect("there is such a counter")
+}
+
+fn address(line: &str) -> String {
+    let address = line.split("listening on ").nth(1).expect("it says where");
+    address.trim().to_owned()
+}
