@@ -192,6 +192,9 @@ impl LiveView {
                 link.health.frames_lost,
                 link.health.checksum_errors,
             );
+            if link.health.refused_frames > 0 {
+                let _ = write!(block, "  refused {}", link.health.refused_frames);
+            }
         }
         match self.clock {
             Some((offset, skew_ppm, uncertainty)) => {

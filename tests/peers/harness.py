@@ -1,0 +1,198 @@
+"""The station as a process, and a peer that speaks with pymavlink's codec over a socket.
+
+Nothing here sleeps: every wait is for bytes or for a line, with a deadline after which the test fails.
+"""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import threading
+import time
+
+import posebridge_dialect as pb
+from pymavlink.dialects.v20 import common
+
+DEADLINE_S = 20.0
+FIRST_OF_OURS = 42100
+SIGNATURE_BYTES = 13
+
+
+def stamp_of_now():
+    """The time in units of 10 us since 2015-01-01 UTC."""
+    return int((time.time() - 1420070400) * 1e5)
+
+
+class Station:
+    """`posebridge run` with one listening link, in a folder of its own."""
+
+    def __init__(self, folder, name, scheme="udp", signing=None):
+        self.folder, self.name = folder, name
+        link = f'[[link]]\nurl = "{scheme}://127.0.0.1:0"\nlisten = true\n'
+        if signing:
+            link += f"signing = {signing}\n"
+        with open(os.path.join(folder, f"{name}.toml"), "w") as file:
+            file.write(link)
+        self.process = subprocess.Popen(
+            [os.environ["POSEBRIDGE"], "run", "--config", f"{name}.toml", "--out", name, "--events", f"{name}.txt"],
+            cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        self.said, self.news = [], threading.Condition()
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+        line = self.wait_for("listening on ")
+        host, port = line.strip().rsplit(" ", 1)[1].rsplit(":", 1)
+        self.address = (host, int(port))
+
+    def _read(self):
+        for line in self.process.stderr:
+            with self.news:
+                self.said.append(line)
+                self.news.notify_all()
+        with self.news:
+            self.said.append(None)
+            self.news.notify_all()
+
+    def wait_for(self, text):
+        """The first line on stderr that holds the text."""
+        deadline = time.monotonic() + DEADLINE_S
+        seen = 0
+        with self.news:
+            while True:
+                for line in self.said[seen:]:
+                    if line is None:
+                        raise AssertionError(f"the station ended before it said {text!r}: {self.talk()}")
+                    if text in line:
+                        return line
+                seen = len(self.said)
+                if not self.news.wait(deadline - time.monotonic()):
+                    raise AssertionError(f"the station did not say {text!r}: {self.talk()}")
+
+    def talk(self):
+        return "".join(line for line in self.said if line)
+
+    def stop(self):
+        """Ends it as Ctrl-C does and returns its events, one per line."""
+        self.process.send_signal(signal.SIGINT)
+        code = self.process.wait(DEADLINE_S)
+        self.reader.join(DEADLINE_S)
+        if code != 0:
+            raise AssertionError(f"the station ended with {code}: {self.talk()}")
+        with open(os.path.join(self.folder, f"{self.name}.txt")) as file:
+            return file.read().splitlines()
+
+    def kill(self):
+        """Ends it as kill -9 does."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait(DEADLINE_S)
+        self.reader.join(DEADLINE_S)
+        self.process.stderr.close()
+
+
+class Peer:
+    """A robot that speaks with pymavlink; counts what it hears."""
+
+    def __init__(self, station, scheme="udp", key=None, link_id=0, timestamp=None):
+        kind = socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
+        self.socket = socket.socket(socket.AF_INET, kind)
+        self.socket.settimeout(DEADLINE_S)
+        self.socket.connect(station.address)
+        self.std = common.MAVLink(self, srcSystem=1, srcComponent=1)
+        self.own = pb.MAVLink(self, srcSystem=1, srcComponent=1)
+        # One sender: both dialects count and sign together.
+        self.own.signing = self.std.signing
+        self.waiting = b""
+        self.sent = []
+        self.heard = []
+        self.failures = []
+        self.pings = 0
+        if key is not None:
+            self.sign(key, link_id, stamp_of_now() if timestamp is None else timestamp)
+
+    def sign(self, key, link_id, timestamp):
+        signing = self.std.signing
+        signing.secret_key, signing.sign_outgoing = key, True
+        signing.link_id, signing.timestamp = link_id, timestamp
+
+    def write(self, data):
+        """What pymavlink calls to send."""
+        self.sent.append(bytes(data))
+        self.socket.sendall(data)
+
+    def heartbeat(self):
+        self.std.heartbeat_send(10, 0, 0, 0, 4)
+        self.own.seq = self.std.seq
+        return self.sent[-1]
+
+    def wheel_ticks(self, time_us, left, right):
+        self.own.seq = self.std.seq
+        self.own.pb_wheel_ticks_send(time_us, left, right, 3)
+        self.std.seq = self.own.seq
+        return self.sent[-1]
+
+    def ping(self):
+        """Asks for the time and waits for the answer: all that was sent before has then been handled."""
+        self.pings += 1
+        asked = 1_000_000_000 + self.pings
+        self.std.timesync_send(0, asked)
+        self.own.seq = self.std.seq
+        self.hear(lambda message: message.get_type() == "TIMESYNC" and message.tc1 != 0 and message.ts1 == asked)
+
+    def hear(self, is_wanted):
+        """Reads until a message that is wanted has come, and returns it."""
+        deadline = time.monotonic() + DEADLINE_S
+        while time.monotonic() < deadline:
+            for message in self._messages(self.socket.recv(65536)):
+                if is_wanted(message):
+                    return message
+        raise AssertionError(f"not heard among {[message.get_type() for _, message in self.heard]}")
+
+    def hear_seconds(self, count):
+        """Waits for that many heartbeats of the station, which come once per second."""
+        for _ in range(count):
+            self.hear(lambda message: message.get_type() == "HEARTBEAT")
+
+    def _messages(self, data):
+        if not data:
+            raise AssertionError("the station has closed the link")
+        self.waiting += data
+        messages = []
+        while len(self.waiting) >= 12:
+            if self.waiting[0] != 0xFD:
+                raise AssertionError(f"no frame: {self.waiting[:12].hex()}")
+            total = 12 + self.waiting[1] + (SIGNATURE_BYTES if self.waiting[2] & 1 else 0)
+            if len(self.waiting) < total:
+                break
+            frame, self.waiting = self.waiting[:total], self.waiting[total:]
+            codec = self.own if int.from_bytes(frame[7:10], "little") >= FIRST_OF_OURS else self.std
+            try:
+                message = codec.decode(bytearray(frame))
+            except (common.MAVError, pb.MAVError) as error:
+                self.failures.append((str(error), frame.hex()))
+                continue
+            self.heard.append((frame, message))
+            messages.append(message)
+        return messages
+
+    def close(self):
+        self.socket.close()
+
+
+def stamp_of(frame):
+    """The timestamp in a signed frame."""
+    return int.from_bytes(frame[-12:-6], "little")
+
+
+def refusals(events):
+    """The reasons of the events about refused frames, in their order."""
+    found = (re.search(r"Refused \{.*reason: (\w+)", event) for event in events)
+    return [match.group(1) for match in found if match]
+
+
+def last_health(events, count):
+    """One count of the last event about the link's health."""
+    health = [event for event in events if event.startswith("Health ")]
+    if not health:
+        raise AssertionError("no event about health")
+    return int(re.search(rf"\b{count}: (\d+)", health[-1]).group(1))
