@@ -5,7 +5,10 @@ mod accuracy_json;
 mod accuracy_runs;
 mod bounds;
 mod estimators;
-pub mod links_clock;
+pub mod links;
+mod links_clock;
+mod links_pose;
+mod links_report;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
 
@@ -19,5 +22,6 @@ use crate::cli::{LabArgs, LabExperiment};
 pub fn execute(args: &LabArgs) -> Result<(), Failure> {
     match &args.experiment {
         LabExperiment::Accuracy(args) => accuracy::execute(args),
+        LabExperiment::Links(args) => links::execute(args),
     }
 }
