@@ -318,7 +318,11 @@ fn number_within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64
     if range.contains(&number) {
         Ok(number)
     } else {
-        Err(format!("{number} is not from {} to {}", range.start(), range.end()))
+        Err(format!(
+            "{number} is not from {} to {}",
+            range.start(),
+            range.end()
+        ))
     }
 }
 

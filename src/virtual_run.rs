@@ -179,8 +179,12 @@ impl Journeys {
             let Fate::Delivered { at } = entry.fate else {
                 continue;
             };
-            if let Ok(index) = self.begun.binary_search_by_key(&entry.unit, |begun| begun.0) {
-                self.delays.extend(self.begun.get(index).map(|begun| at - begun.1));
+            if let Ok(index) = self
+                .begun
+                .binary_search_by_key(&entry.unit, |begun| begun.0)
+            {
+                self.delays
+                    .extend(self.begun.get(index).map(|begun| at - begun.1));
             }
         }
     }

@@ -19,6 +19,7 @@ use super::links_pose::{Case, Circumstance, PoseRow, drive, summarise};
 use super::links_report as report;
 use crate::cli::LabLinksArgs;
 use crate::commands::{Failure, Stage};
+use crate::link_profile;
 use crate::stderr::say;
 use crate::stdout;
 
@@ -81,18 +82,12 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<Case>> {
 
 /// A bundled profile by its name, else one from a file, which is called like it.
 fn profile(asked: String) -> Result<(String, LinkProfile)> {
-    let path = Path::new(&asked);
-    if path.extension().is_none_or(|extension| extension != "toml") {
-        let profile = LinkProfile::bundled(&asked)?;
-        return Ok((asked, profile));
-    }
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("reading the link profile `{asked}`"))?;
-    let profile =
-        LinkProfile::from_toml(&text).with_context(|| format!("link profile `{asked}`"))?;
-    let name = path
-        .file_stem()
-        .map_or(asked.clone(), |stem| stem.to_string_lossy().into_owned());
+    let profile = link_profile::load(&asked)?;
+    let name = asked.strip_suffix(".toml").map_or(asked.clone(), |path| {
+        Path::new(path)
+            .file_name()
+            .map_or(asked.clone(), |name| name.to_string_lossy().into_owned())
+    });
     Ok((name, profile))
 }
 

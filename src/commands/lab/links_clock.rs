@@ -6,24 +6,24 @@ use posebridge_analysis::clocks::{ClockRow, compare};
 use serde::Serialize;
 
 /// Seeds of the table: as many as docs/maths/clock.md shows.
-pub const CLOCK_SEEDS: [u64; 5] = [1, 2, 3, 4, 5];
+pub(super) const CLOCK_SEEDS: [u64; 5] = [1, 2, 3, 4, 5];
 
 /// One row of the `clock` part of `lab links --json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LinkClockRow {
+pub(super) struct LinkClockRow {
     /// Name of the case: which clock, which link.
-    pub case: &'static str,
+    pub(super) case: &'static str,
     /// Name of the method.
-    pub method: &'static str,
+    pub(super) method: &'static str,
     /// Largest error, ms; null if the method never answers.
-    pub worst_ms: Option<f64>,
+    pub(super) worst_ms: Option<f64>,
     /// Mean error, ms, positive for stamps that are taken for later than they were; null if the method never answers.
-    pub mean_ms: Option<f64>,
+    pub(super) mean_ms: Option<f64>,
 }
 
 /// The rows of all cases and methods, case by case.
 #[must_use]
-pub fn rows(seeds: &[u64]) -> Vec<LinkClockRow> {
+pub(super) fn rows(seeds: &[u64]) -> Vec<LinkClockRow> {
     let row = |row: ClockRow| LinkClockRow {
         case: row.case,
         method: row.method,
@@ -46,6 +46,9 @@ mod tests {
             r#"{"case":"50ppm","method":"timesync-10ms","worst_ms":null,"mean_ms":null}"#;
         assert_eq!(text, expected);
         let ours = rows.iter().find(|row| row.method == "two-way-hulls");
-        assert!(ours.and_then(|row| row.worst_ms).is_some_and(|worst_ms| worst_ms < 0.1));
+        assert!(
+            ours.and_then(|row| row.worst_ms)
+                .is_some_and(|worst_ms| worst_ms < 0.1)
+        );
     }
 }

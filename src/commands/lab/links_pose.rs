@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use posebridge_sim::impairment::LinkProfile;
-use posebridge_sim::{Scenario, Steering};
+use posebridge_sim::{ReceivedEstimate, Scenario, Steering};
 use posebridge_telemetry::Span;
 
 use crate::config::Config;
@@ -82,11 +82,25 @@ pub(super) fn drive(case: &Case, run: u32) -> Result<Lap> {
     Ok(Lap {
         position_rms_m: estimate.position_rms_m,
         odometry_rms_m: odometry.position_rms_m,
-        ages: received.iter().map(|estimate| estimate.age()).collect(),
+        ages: ages(received),
         to_station: driven.delays_to_station,
         to_brick: driven.delays_to_brick,
         outages: driven.link.outages,
     })
+}
+
+/// How old each instant's first estimate was when the brick had it. A fix that comes late mends the estimate of an instant of which the
+/// brick has already been told: that is no new instant, and its age says nothing about the link.
+fn ages(received: &[ReceivedEstimate]) -> Vec<Span> {
+    let mut told = None;
+    let mut ages = Vec::with_capacity(received.len());
+    for estimate in received {
+        if told.is_none_or(|told| estimate.instant > told) {
+            told = Some(estimate.instant);
+            ages.push(estimate.age());
+        }
+    }
+    ages
 }
 
 /// One row of the table.
@@ -113,7 +127,10 @@ pub(super) fn summarise(case: &Case, laps: &[Lap]) -> PoseRow {
 }
 
 fn sorted(laps: &[Lap], of: impl Fn(&Lap) -> &Vec<Span>) -> Vec<Span> {
-    let mut all: Vec<Span> = laps.iter().flat_map(|lap| of(lap).iter().copied()).collect();
+    let mut all: Vec<Span> = laps
+        .iter()
+        .flat_map(|lap| of(lap).iter().copied())
+        .collect();
     all.sort_unstable();
     all
 }

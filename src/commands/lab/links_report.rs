@@ -1,7 +1,5 @@
 //! What `lab links` prints: two tables for people, one object for programs.
 
-use std::fmt::Write as _;
-
 use anyhow::Result;
 use serde::Serialize;
 
@@ -53,8 +51,7 @@ pub(super) fn json(clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<String> {
 pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
     let mut text = String::new();
     let mut line = |words: std::fmt::Arguments<'_>| {
-        // Writing to a string does not fail.
-        drop(writeln!(text, "{words}"));
+        text.push_str(&format!("{words}\n"));
     };
     line(format_args!("clock: error of the offset, ms"));
     line(format_args!(
@@ -71,7 +68,9 @@ pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
         ));
     }
     line(format_args!(""));
-    line(format_args!("pose: one lap of the square, steered by the estimate"));
+    line(format_args!(
+        "pose: one lap of the square, steered by the estimate"
+    ));
     line(format_args!(
         "{:<14} {:>6} {:>8} {:>9} {:>11} {:>11} {:>9} {:>9} {:>11} {:>7}",
         "profile",

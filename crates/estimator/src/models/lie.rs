@@ -113,7 +113,16 @@ impl Se2 {
 /// sin(t)/t and (1 - cos t)/t, from the chord: no digits are lost near zero, where 1 - cos t has few.
 fn sine_and_cosine_ratios(turn_rad: f64) -> (f64, f64) {
     let half = 0.5 * turn_rad;
-    let (sin, cos) = half.sin_cos();
+    let (sin, cos) = if half.abs() < 1e-3 {
+        // What an update turns a pose by, mostly. The next terms are below 1e-20.
+        let squared = half * half;
+        (
+            half * (1.0 - squared / 6.0 * (1.0 - squared / 20.0)),
+            1.0 - 0.5 * squared * (1.0 - squared / 12.0),
+        )
+    } else {
+        half.sin_cos()
+    };
     let (chord, _) = chord_ratio_of(half, sin, cos);
     (chord * cos, chord * sin)
 }

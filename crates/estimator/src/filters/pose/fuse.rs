@@ -176,13 +176,15 @@ fn shows_slip<const N: usize>(
     scalar: &Scalar<3>,
     context: &Context<'_>,
 ) -> bool {
-    let geometry = &context.config.geometry;
+    let counted_rad = (scalar.innovation + scalar.by_row[2] * state.mean[ROUNDING]).abs();
+    let beyond_rad = counted_rad - largest_rounding(&context.config.geometry);
+    if beyond_rad <= 0.0 {
+        return false;
+    }
     let rounding_rad2 = match rounded(state, context) {
         Rounded::Anew { variance_rad2 } => variance_rad2,
         Rounded::AsBefore => 0.0,
     };
-    let counted_rad = (scalar.innovation + scalar.by_row[2] * state.mean[ROUNDING]).abs();
-    let beyond_rad = counted_rad - largest_rounding(geometry);
     let but_rounding = Scalar {
         innovation: beyond_rad,
         rows: [scalar.rows[0], scalar.rows[1]],
@@ -190,7 +192,7 @@ fn shows_slip<const N: usize>(
         variance: scalar.variance - rounding_rad2,
     };
     let chance_rad2 = but_rounding.innovation_variance(&state.covariance);
-    beyond_rad > 0.0 && beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
+    beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
 }
 
 /// The wheels counted a turn too much that may be all of the disagreement. Nobody knows which share of it was either wheel's: the
