@@ -26,6 +26,10 @@ fn host(seconds: f64) -> Stamp<HostClock> {
 
 /// What became of an alignment.
 #[derive(Clone, Copy, Debug, Default)]
+#[expect(
+    clippy::struct_field_names,
+    reason = "the unit is part of every name of a bare number"
+)]
 struct Outcome {
     /// Worst error from the scored instant on, s.
     worst_s: f64,

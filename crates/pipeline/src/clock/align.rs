@@ -298,104 +298,17 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
 
-    /// A Bluetooth-like link: a fixed delay and an exponential one each way, in order; and a brick clock.
-    struct Link {
-        rng: Pcg64,
-        skew_ppm: f64,
-        forth_s: f64,
-        back_s: f64,
-        step_s: f64,
-    }
-
-    impl Link {
-        fn delay(&mut self, base_s: f64) -> f64 {
-            base_s - 0.008 * (1.0 - self.rng.random::<f64>()).ln()
-        }
-        fn brick_s(&self, host_s: f64) -> f64 {
-            let exact = 1234.5 + host_s * (1.0 + self.skew_ppm * 1e-6);
-            if self.step_s > 0.0 {
-                (exact / self.step_s).floor() * self.step_s
-            } else {
-                exact
-            }
-        }
-    }
-
-    /// Worst error of the alignment over the last 80 of 180 s, and whether the truth was always within the reported bounds, in s.
-    fn worst_error(mut link: Link) -> (f64, bool) {
-        let mut aligner = ClockAligner::<BrickClock>::default();
-        let (mut worst, mut always_inside) = (0.0_f64, true);
-        for k in 0..1800 {
-            let sent_s = f64::from(k) * 0.1;
-            let at_brick_s = sent_s + link.delay(link.forth_s);
-            let received_s = at_brick_s + link.delay(link.back_s);
-            let brick_nanos = (link.brick_s(at_brick_s) * 1e9).round() as i64;
-            aligner.exchanged(
-                Stamp::from_secs_f64(sent_s),
-                Stamp::from_secs_f64(received_s),
-                brick_nanos,
-            );
-            // Asked for the true brick instant of now, the alignment should say now.
-            let brick_now =
-                Stamp::from_secs_f64(1234.5 + received_s * (1.0 + link.skew_ppm * 1e-6));
-            if let Some((host, uncertainty)) = aligner.host_at(brick_now) {
-                let error_s = host.as_secs_f64() - received_s;
-                always_inside &= error_s.abs() <= uncertainty.as_secs_f64() + link.step_s;
-                if k >= 1000 {
-                    worst = worst.max(error_s.abs());
-                }
-            }
-        }
-        (worst, always_inside)
-    }
-
-    #[test]
-    fn a_skewed_clock_behind_a_bluetooth_link_is_known_to_a_tenth_of_a_millisecond() {
-        for (seed, skew_ppm) in [(1, 50.0), (2, 2021.0), (3, -2000.0)] {
-            let link = Link {
-                rng: Pcg64::seed_from_u64(seed),
-                skew_ppm,
-                forth_s: 0.015,
-                back_s: 0.015,
-                step_s: 0.0,
-            };
-            let (worst_s, inside) = worst_error(link);
-            println!("{skew_ppm} ppm: worst {:.3} ms", worst_s * 1e3);
-            assert!(worst_s < 0.1e-3, "{skew_ppm} ppm: {worst_s} s");
-            assert!(inside, "{skew_ppm} ppm");
-        }
-    }
-
-    #[test]
-    fn an_asymmetry_that_cannot_be_seen_stays_within_the_bounds() {
-        let link = Link {
-            rng: Pcg64::seed_from_u64(4),
-            skew_ppm: 100.0,
-            forth_s: 0.030,
-            back_s: 0.015,
-            step_s: 0.0,
-        };
-        let (worst_s, inside) = worst_error(link);
-        assert!(inside && (worst_s - 0.0075).abs() < 0.3e-3, "{worst_s}");
-    }
-
     #[test]
     fn a_counter_of_whole_milliseconds_contradicts_no_bound_on_a_fast_link() {
-        let mut link = Link {
-            rng: Pcg64::seed_from_u64(5),
-            skew_ppm: 100.0,
-            forth_s: 0.0,
-            back_s: 0.0,
-            step_s: 0.001,
-        };
+        let mut rng = Pcg64::seed_from_u64(5);
         let mut aligner = ClockAligner::<BrickClock>::default();
         for k in 0..600 {
-            let sent_s = f64::from(k) * 0.1 + 0.001 * link.rng.random::<f64>();
-            let brick_nanos = (link.brick_s(sent_s + 20e-6) * 1e9).round() as i64;
+            let sent_s = f64::from(k) * 0.1 + 0.001 * rng.random::<f64>();
+            let shown_ms = ((1_234.5 + (sent_s + 20e-6) * 1.0001) * 1e3).floor();
             let (_, alignment) = aligner.exchanged(
                 Stamp::from_secs_f64(sent_s),
                 Stamp::from_secs_f64(sent_s + 40e-6),
-                brick_nanos,
+                shown_ms as i64 * 1_000_000,
             );
             assert!(k < 3 || alignment.is_some(), "exchange {k}");
         }

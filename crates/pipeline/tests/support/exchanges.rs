@@ -58,6 +58,10 @@ pub(crate) fn bluetooth(seed: u64) -> Path {
 
 /// When a request left, was answered and came back, by the host's clock.
 #[derive(Clone, Copy)]
+#[expect(
+    clippy::struct_field_names,
+    reason = "the unit is part of every name of a bare number"
+)]
 pub(crate) struct RoundTrip {
     pub(crate) sent_s: f64,
     pub(crate) answered_s: f64,
