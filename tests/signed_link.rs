@@ -1,6 +1,5 @@
 //! A signed link as a whole program has it: keys in files, recordings without them, and what people are told.
 #![expect(
-    clippy::expect_used,
     clippy::unwrap_used,
     reason = "helpers outside #[test] stop where the set-up is broken"
 )]
@@ -16,9 +15,7 @@ use std::process::Output;
 use posebridge_protocol::dialect::{Encoder, decode};
 use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message, TimeSync, WheelTicks, WireStamp};
-use posebridge_protocol::signing::{
-    Key, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned,
-};
+use posebridge_protocol::signing::{Key, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned};
 use posebridge_telemetry::{Address, EncoderTicks, Stamp};
 use support::{Running, posebridge};
 
@@ -124,13 +121,15 @@ impl Brick {
             let mut chunk = [0; 4_096];
             let read = self.link.read(&mut chunk).unwrap();
             assert!(read > 0, "the station has gone");
-            self.scanner.push(Stamp::ZERO, &chunk[..read], &mut |found| {
-                if let Scanned::Frame(frame) = found
-                    && let Ok(Some(Message::TimeSync(sync))) = decode(&frame)
-                {
-                    is_answered |= sync.request_nanos == request_nanos && sync.answer_nanos != 0;
-                }
-            });
+            self.scanner
+                .push(Stamp::ZERO, &chunk[..read], &mut |found| {
+                    if let Scanned::Frame(frame) = found
+                        && let Ok(Some(Message::TimeSync(sync))) = decode(&frame)
+                    {
+                        is_answered |=
+                            sync.request_nanos == request_nanos && sync.answer_nanos != 0;
+                    }
+                });
         }
     }
 }
@@ -229,7 +228,10 @@ fn after_a_kill_old_frames_are_refused_and_a_date_that_fell_is_told() {
     brick.ping(1);
     // The stream was written down when it was heard first, and not only with the next half second.
     let state = folder.path().join("a.key.link0.state");
-    while !std::fs::read_to_string(&state).unwrap().contains("link_id = 9") {
+    while !std::fs::read_to_string(&state)
+        .unwrap()
+        .contains("link_id = 9")
+    {
         brick.ping(2);
     }
     first_station.kill();
@@ -241,7 +243,7 @@ fn after_a_kill_old_frames_are_refused_and_a_date_that_fell_is_told() {
     link.write_all(&old).unwrap();
     let mut brick = Brick::new(link, &key);
     brick.signing = LinkSigning::new(SigningConfig {
-        key: key.clone(),
+        key,
         link_id: 10,
         unsigned: Unsigned::Accept,
         memory: Memory {
@@ -277,4 +279,5 @@ fn keys_are_refused_with_the_cure() {
     assert!(!path.join("other").exists());
 }
 
-const OTHER: &str = "[[link]]\nurl = \"udp://127.0.0.1:0\"\nlisten = true\nsigning = { key_file = \"a.key\" }\n";
+const OTHER: &str =
+    "[[link]]\nurl = \"udp://127.0.0.1:0\"\nlisten = true\nsigning = { key_file = \"a.key\" }\n";
