@@ -1,6 +1,5 @@
 //! A signed link as a whole program has it: keys in files, recordings without them, and what people are told.
 #![expect(
-    clippy::expect_used,
     clippy::unwrap_used,
     reason = "helpers outside #[test] stop where the set-up is broken"
 )]
@@ -244,7 +243,7 @@ fn after_a_kill_old_frames_are_refused_and_a_date_that_fell_is_told() {
     link.write_all(&old).unwrap();
     let mut brick = Brick::new(link, &key);
     brick.signing = LinkSigning::new(SigningConfig {
-        key: key.clone(),
+        key,
         link_id: 10,
         unsigned: Unsigned::Accept,
         memory: Memory {

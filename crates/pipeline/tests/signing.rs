@@ -1,7 +1,6 @@
 //! A link with a key: who has it is heard, who has not is counted, and what the station says can be checked.
 #![expect(
     clippy::expect_used,
-    clippy::unwrap_used,
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the events that they are about"
 )]
