@@ -451,3 +451,34 @@ fn links_help() -> String {
     }
     help
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_help_of_run_lists_every_scheme_with_its_options() {
+        let mut program = Cli::command();
+        let run = program.find_subcommand_mut("run").expect("it is there");
+        // The terminal's width may break lines, so only words are compared.
+        let help = run.render_long_help().to_string();
+        let words: Vec<_> = help.split_whitespace().collect();
+        let starts = TRANSPORTS.iter().map(|transport| {
+            let start = words.iter().position(|word| *word == transport.example());
+            start.expect(transport.example())
+        });
+        let starts: Vec<usize> = starts.chain([words.len()]).collect();
+        for (transport, block) in TRANSPORTS.iter().zip(starts.windows(2)) {
+            let lines = &words[block[0]..block[1]];
+            for option in transport.options() {
+                let wanted = format!("?{}={}", option.name, option.kind.default_text());
+                let scheme = transport.scheme();
+                assert!(
+                    lines.contains(&wanted.as_str()),
+                    "{wanted} of {scheme} in:\n{help}"
+                );
+            }
+        }
+    }
+}

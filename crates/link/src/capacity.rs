@@ -1,20 +1,23 @@
 //! What a link takes, in bytes per second, measured while frames wait for it.
 //!
 //! ```text
-//! waiting      time during which at least one frame waits, joined over its pieces
-//! sample       bytes taken while waiting / waiting, for each second of waiting
+//! busy         time during which at least one frame waits, and the gaps between two such times that are short enough
+//! sample       bytes taken while busy / busy, for each second of it
 //! capacity     first sample, then capacity + (sample - capacity) / 2
 //! ```
 //!
-//! A link on which nothing waits takes whatever it is given, which says nothing about what it could take; so only the
-//! time counts during which the queue holds something, and what is taken at the moment at which it begins to wait does
-//! not. Halving the distance with each second follows a radio that fades within a few seconds, and evens out that a
-//! socket takes its bytes in lumps. It reads no clock.
+//! A link on which nothing waits takes whatever it is given, which says nothing about what it could take; so only busy
+//! time counts, and what is taken at the moment at which it begins does not. A system that takes its bytes in lumps empties
+//! our queue with each of them and is full again a moment later; from one such moment to the next it has taken what it
+//! has sent, so these gaps are part of the busy time. Halving the distance with each second follows a radio that fades
+//! within a few seconds. It reads no clock.
 
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
-/// Waiting that makes the first sample. A TCP socket of ours takes a third of 16 KiB at a time, a 115200 baud line's
-/// worth of half a second.
+/// Longest gap of a stream whose system takes bytes in lumps of unknown size: our TCP sockets take 1 KiB at a time, and a
+/// 4000 byte/s link has sent that after this time.
+pub(crate) const LUMPY_GAP: Span = Span::from_millis(250);
+/// Waiting that makes the first sample.
 const FIRST_WINDOW: Span = Span::from_millis(500);
 /// Waiting that makes every later sample: as often as the station tells of its links.
 const WINDOW: Span = Span::from_millis(1_000);
@@ -34,8 +37,11 @@ pub enum Backlog {
 /// The measurement of one peer or one link.
 #[derive(Clone, Debug, Default)]
 pub struct CapacityMeter {
+    longest_gap: Span,
     /// The last look, while frames waited at it.
     waiting_since: Option<Stamp<HostClock>>,
+    /// When the last frame that waited was taken, and what has been taken since.
+    gap: Option<(Stamp<HostClock>, u64)>,
     last_waited: Option<Stamp<HostClock>>,
     /// Waiting and bytes of the sample that is being collected.
     waited: Span,
@@ -44,28 +50,53 @@ pub struct CapacityMeter {
 }
 
 impl CapacityMeter {
+    /// A meter that counts gaps of up to `longest_gap` as busy.
+    #[must_use]
+    pub fn joining(longest_gap: Span) -> Self {
+        Self {
+            longest_gap,
+            ..Self::default()
+        }
+    }
+
     /// Notes that the link has taken `taken_bytes` since the last note, and whether frames wait after that. A stamp
     /// before the last one adds bytes but no time.
     pub fn note(&mut self, now: Stamp<HostClock>, taken_bytes: usize, backlog: Backlog) {
+        let taken_bytes = taken_bytes as u64;
         if let Some(since) = self.waiting_since {
-            self.waited += (now - since).max(Span::ZERO);
-            self.taken_bytes += taken_bytes as u64;
-            self.sample();
+            self.count((now - since).max(Span::ZERO), taken_bytes);
+        } else if let Some((begun, bytes)) = self.gap {
+            let bytes = bytes + taken_bytes;
+            self.gap = Some((begun, bytes));
+            if backlog == Backlog::Waiting && now - begun <= self.longest_gap {
+                self.count((now - begun).max(Span::ZERO), bytes);
+            }
         }
-        self.waiting_since = match backlog {
-            Backlog::Empty => None,
+        match backlog {
+            Backlog::Empty => {
+                let ended = self.waiting_since.take().map(|since| since.max(now));
+                let may_join = |gap: &(Stamp<HostClock>, u64)| now - gap.0 <= self.longest_gap;
+                self.gap = ended.map(|at| (at, 0)).or(self.gap.filter(may_join));
+            }
             Backlog::Waiting => {
                 let latest = self.waiting_since.map_or(now, |since| since.max(now));
+                self.gap = None;
                 self.last_waited = Some(latest);
-                Some(latest)
+                self.waiting_since = Some(latest);
             }
-        };
+        }
     }
 
-    /// True if frames waited at the last note.
+    fn count(&mut self, span: Span, taken_bytes: u64) {
+        self.waited += span;
+        self.taken_bytes += taken_bytes;
+        self.sample();
+    }
+
+    /// True if what the link takes is of interest: frames waited at the last note, or shortly before.
     #[must_use]
-    pub const fn is_waiting(&self) -> bool {
-        self.waiting_since.is_some()
+    pub const fn is_busy(&self) -> bool {
+        self.waiting_since.is_some() || self.gap.is_some()
     }
 
     fn sample(&mut self) {
@@ -143,6 +174,29 @@ mod tests {
             meter.note(Stamp::from_millis(start + 500), 5_000, Backlog::Empty);
         }
         assert_eq!(capacity(&meter, 9_100), Some(2_000.0));
+    }
+
+    #[test]
+    fn a_link_that_takes_lumps_is_measured_from_lump_to_lump() {
+        let (mut joining, mut strict) = (
+            CapacityMeter::joining(LUMPY_GAP),
+            CapacityMeter::joining(Span::ZERO),
+        );
+        // Every 100 ms there is room for 1000 bytes: 40 of them were waiting, the rest is given 20 ms later.
+        for lump in 0..20 {
+            for (ms, bytes, backlog) in [
+                (0, 0, Backlog::Waiting),
+                (80, 40, Backlog::Empty),
+                (90, 400, Backlog::Empty),
+                (100, 560, Backlog::Waiting),
+            ] {
+                let at = Stamp::from_millis(100 * lump + ms);
+                joining.note(at, bytes, backlog);
+                strict.note(at, bytes, backlog);
+            }
+        }
+        assert_eq!(capacity(&joining, 2_000), Some(10_000.0));
+        assert_eq!(capacity(&strict, 2_000), Some(500.0));
     }
 
     #[test]

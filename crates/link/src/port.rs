@@ -520,4 +520,34 @@ mod tests {
         port.open_first().await.expect("it may open later");
         assert!(matches!(port.next().await, PortEvent::Down { .. }));
     }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_open_that_hangs_does_not_hang_the_other_links() {
+        let (hanging, _release) = hanging_port();
+        let config = PortConfig {
+            id: LinkId(8),
+            url: LinkUrl::parse("udp://127.0.0.1:0").expect("a link"),
+            role: Role::Listen,
+        };
+        let mut set = crate::PortSet::new(vec![hanging, Port::new(config, HostTimer::start())]);
+        set.open_first().await.expect("both may open later");
+        let mut told = Vec::new();
+        for _ in 0..2 {
+            let (id, event) = set.next().await;
+            told.push((id.0, matches!(event, PortEvent::Up { .. })));
+        }
+        told.sort_unstable();
+        assert_eq!(told, [(7, false), (8, true)]);
+        let address = set
+            .get_mut(LinkId(8))
+            .and_then(|port| port.local_address())
+            .expect("it listens");
+        let brick = std::net::UdpSocket::bind("127.0.0.1:0").expect("a free port");
+        for number in 0..100 {
+            brick.send_to(&[number], address).expect("loopback");
+            let (id, event) = set.next().await;
+            assert_eq!(id, LinkId(8));
+            assert!(matches!(event, PortEvent::Bytes { bytes, .. } if bytes == [number]));
+        }
+    }
 }

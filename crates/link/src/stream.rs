@@ -17,11 +17,14 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
 use tokio::time::Sleep;
 
-use crate::capacity::{Backlog, CapacityMeter};
+use crate::capacity::{Backlog, CapacityMeter, LUMPY_GAP};
 use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::LinkLoss;
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
+
+#[cfg(test)]
+mod tests;
 
 /// Most bytes of one read: more than a tenth of a second of the fastest usual serial line (921600 baud).
 const READ_BYTES: usize = 16 * 1024;
@@ -118,7 +121,7 @@ impl<S: ByteStream> StreamConnection<S> {
             timer,
             queue: SendQueue::new(queue_bytes),
             bound: None,
-            meter: CapacityMeter::default(),
+            meter: CapacityMeter::joining(LUMPY_GAP),
             write_failure: None,
             buffer: vec![0; READ_BYTES].into_boxed_slice(),
         }
@@ -127,6 +130,7 @@ impl<S: ByteStream> StreamConnection<S> {
     /// Leaves no more in the system than a line of `bytes_per_s` sends in a fiftieth of a second.
     pub(crate) fn with_line_rate(mut self, bytes_per_s: f64) -> Self {
         self.bound = Some(SystemBound::new(bytes_per_s));
+        self.meter = CapacityMeter::default();
         self
     }
 
@@ -185,7 +189,7 @@ impl<S: ByteStream> StreamConnection<S> {
         } else {
             Backlog::Waiting
         };
-        if backlog == Backlog::Waiting || self.meter.is_waiting() {
+        if backlog == Backlog::Waiting || self.meter.is_busy() {
             self.meter.note(self.timer.now(), taken, backlog);
         }
     }
@@ -224,12 +228,14 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
         }
         if !self.queue.is_empty() {
             counters.drops_out += self.queue.push((), out.priority, frame);
-            return;
+            return self.measure(0);
         }
         // Nobody has to be woken: what is left over is written by the next `poll`, which leaves its own waker.
         let mut cx = Context::from_waker(Waker::noop());
+        let mut taken = 0;
         match self.poll_write(&mut cx, frame) {
             Poll::Ready(Ok(count)) if count > 0 => {
+                taken = count;
                 counters.bytes_out += count as u64;
                 if let Some(rest) = frame.get(count..).filter(|rest| !rest.is_empty()) {
                     self.queue.push_rest((), rest);
@@ -242,7 +248,7 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
                 self.fail(error, counters);
             }
         }
-        self.measure(0);
+        self.measure(taken);
     }
 
     fn poll(

@@ -202,7 +202,7 @@ impl UdpConnection {
         } else {
             Backlog::Waiting
         };
-        if backlog == Backlog::Waiting || self.meter.is_waiting() {
+        if backlog == Backlog::Waiting || self.meter.is_busy() {
             self.meter.note(self.timer.now(), taken, backlog);
         }
     }

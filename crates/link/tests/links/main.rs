@@ -11,5 +11,6 @@ mod conformance;
 mod file;
 mod network;
 mod serial;
+mod slow;
 mod support;
 mod url;

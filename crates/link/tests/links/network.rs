@@ -370,6 +370,40 @@ async fn the_idle_time_of_a_udp_link_is_an_option() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_loud_peer_keeps_its_number_and_its_order_and_the_address_stays_ours() {
+    let timer = HostTimer::start();
+    let (mut station, address) = listening("udp://127.0.0.1:0", timer).await;
+    let (loud, calm) = (foreign_peer(), foreign_peer());
+    let (mut numbers, mut loud_peer) = (Vec::new(), None);
+    // The clock stands still, so after 500 datagrams the peer is loud; the rest comes by a socket of its own.
+    for number in 0..2_000_u32 {
+        loud.send_to(&number.to_be_bytes(), address)
+            .expect("loopback");
+        if number % 150 == 149 {
+            calm.send_to(b"calm!", address).expect("loopback");
+            let mut was_calm = false;
+            while numbers.len() <= number as usize || !was_calm {
+                let (peer, bytes) = next_bytes(&mut station).await;
+                if bytes == b"calm!" {
+                    was_calm = true;
+                    continue;
+                }
+                assert_eq!(*loud_peer.get_or_insert(peer), peer);
+                numbers.push(u32::from_be_bytes(bytes.try_into().expect("four bytes")));
+            }
+        }
+    }
+    let expected = (0..numbers.len() as u32).collect::<Vec<_>>();
+    assert_eq!(numbers, expected, "none lost, none out of order");
+    station.send(b"to all");
+    assert_eq!(heard_by(&loud), b"to all");
+    assert_eq!(heard_by(&calm), b"to all");
+    let mut rival = port(&format!("udp://{address}"), Role::Listen, timer);
+    let error = rival.open_first().await.expect_err("it is ours");
+    assert!(error.to_string().contains("is already in use"), "{error}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_flooded_port_does_not_silence_its_neighbour() {
     let timer = HostTimer::start();
     let mut addresses = Vec::new();

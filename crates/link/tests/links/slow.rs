@@ -1,0 +1,364 @@
+//! Links that take less than they are offered: how old estimates get, what happens to commands, and who has to wait.
+//!
+//! The sockets are real, the clock is paused: a reader that takes so many bytes per virtual second is as slow as it says,
+//! however busy the computer is.
+
+use std::io::{ErrorKind, Read};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use crate::support::{next_beside, poll_once, port, up};
+use posebridge_link::{HostTimer, Outgoing, Port, PortEvent, Role};
+use posebridge_telemetry::{Audience, Priority, Span};
+
+const FRAME_BYTES: usize = 40;
+const TICK: Span = Span::from_millis(10);
+const COMMAND: u8 = 9;
+
+/// A frame that knows what it is, its number, and when it was sent.
+fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
+    let mut frame = [kind; FRAME_BYTES];
+    frame[1..5].copy_from_slice(&number.to_be_bytes());
+    frame[5..13].copy_from_slice(&timer.now().as_nanos().to_be_bytes());
+    frame
+}
+
+/// What a reader makes of the bytes.
+#[derive(Default)]
+struct Heard {
+    bytes: Vec<u8>,
+    commands: Vec<u32>,
+    /// Numbers of the estimates of each of two streams.
+    estimates: [Vec<u32>; 2],
+    oldest_estimate: Option<Span>,
+    oldest_command: Option<Span>,
+}
+
+impl Heard {
+    fn take(&mut self, bytes: &[u8], timer: HostTimer) {
+        self.bytes.extend_from_slice(bytes);
+        while self.bytes.len() >= FRAME_BYTES {
+            let rest = self.bytes.split_off(FRAME_BYTES);
+            let frame = std::mem::replace(&mut self.bytes, rest);
+            let kind = frame[0];
+            assert!(
+                frame[13..].iter().all(|byte| *byte == kind),
+                "a torn frame: {frame:?}"
+            );
+            let number = u32::from_be_bytes(frame[1..5].try_into().expect("four bytes"));
+            let sent = i64::from_be_bytes(frame[5..13].try_into().expect("eight bytes"));
+            let age = Some(Span::from_nanos(timer.now().as_nanos() - sent));
+            if kind == COMMAND {
+                self.commands.push(number);
+                self.oldest_command = self.oldest_command.max(age);
+            } else {
+                self.estimates[usize::from(kind)].push(number);
+                self.oldest_estimate = self.oldest_estimate.max(age);
+            }
+        }
+    }
+}
+
+/// Offers two streams of estimates, ten times as much as `capacity_bytes_per_s`, and five commands per second.
+struct Source {
+    estimates: u32,
+    commands: u32,
+    per_tick: u32,
+    ticks: u32,
+}
+
+impl Source {
+    fn new(capacity_bytes_per_s: u32) -> Self {
+        let bytes_per_tick = 10 * capacity_bytes_per_s / 100;
+        Self {
+            estimates: 0,
+            commands: 0,
+            per_tick: bytes_per_tick / (2 * FRAME_BYTES as u32),
+            ticks: 0,
+        }
+    }
+
+    fn tick(&mut self, port: &mut Port, timer: HostTimer) {
+        let mut give = |priority, kind, number| {
+            port.give(&Outgoing {
+                to: Audience::All,
+                priority,
+                frame: &frame(kind, number, timer),
+            });
+        };
+        for _ in 0..self.per_tick {
+            give(Priority::Estimate { stream: 30 }, 0, self.estimates);
+            give(Priority::Estimate { stream: 32 }, 1, self.estimates);
+            self.estimates += 1;
+        }
+        if self.ticks.is_multiple_of(20) {
+            give(Priority::Command, COMMAND, self.commands);
+            self.commands += 1;
+        }
+        self.ticks += 1;
+    }
+}
+
+async fn pass_tick() {
+    tokio::time::advance(Duration::from_millis(10)).await;
+}
+
+/// A TCP client with a receive buffer as small as that of a weak brick.
+fn small_client(address: SocketAddr, receive_buffer_bytes: usize) -> TcpStream {
+    let socket =
+        socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).expect("a socket");
+    socket
+        .set_recv_buffer_size(receive_buffer_bytes)
+        .expect("it may be small");
+    socket.connect(&address.into()).expect("it listens");
+    socket.set_nonblocking(true).expect("own socket");
+    socket.into()
+}
+
+/// Reads what is there, at most `limit` bytes.
+fn read_now(stream: &mut TcpStream, limit: usize) -> Vec<u8> {
+    let mut bytes = vec![0; limit];
+    match stream.read(&mut bytes) {
+        Ok(count) => bytes.truncate(count),
+        Err(error) if error.kind() == ErrorKind::WouldBlock => bytes.clear(),
+        Err(error) => panic!("{error}"),
+    }
+    bytes
+}
+
+async fn tcp_server(timer: HostTimer) -> (Port, SocketAddr) {
+    let mut server = port("tcp://127.0.0.1:0", Role::Listen, timer);
+    up(&mut server).await;
+    let address = server.local_address().expect("it listens");
+    (server, address)
+}
+
+/// Lets the server notice its clients: the reactor has to run, which may take a turn.
+async fn welcomed(server: &mut Port, clients: u32) {
+    while server.counts().peers < clients {
+        assert_eq!(poll_once(server).await, None);
+        tokio::task::yield_now().await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
+    const CAPACITY: usize = 4_000;
+    const RECEIVE_BUFFER: usize = 4_096;
+    let timer = HostTimer::start();
+    let (mut server, address) = tcp_server(timer).await;
+    let mut reader = small_client(address, RECEIVE_BUFFER);
+    welcomed(&mut server, 1).await;
+
+    let mut source = Source::new(CAPACITY as u32);
+    let mut heard = Heard::default();
+    for _ in 0..6_000 {
+        source.tick(&mut server, timer);
+        pass_tick().await;
+        assert_eq!(poll_once(&mut server).await, None);
+        heard.take(&read_now(&mut reader, CAPACITY / 100), timer);
+    }
+    let counts = server.counts();
+    // The doubled receive buffer, the unsent bytes that the system takes, a frame per stream and the waiting commands.
+    let bound_bytes = 2 * RECEIVE_BUFFER + 2_048 + 3 * FRAME_BYTES;
+    let bound = Span::from_secs_f64(bound_bytes as f64 / CAPACITY as f64) + TICK;
+    let oldest = heard.oldest_estimate.expect("some arrived");
+    println!(
+        "oldest estimate {oldest:?} of {bound:?}, oldest command {:?}, {} + {} of {} estimates, capacity {:?}",
+        heard.oldest_command,
+        heard.estimates[0].len(),
+        heard.estimates[1].len(),
+        2 * source.estimates,
+        counts.capacity_bytes_per_s
+    );
+    assert!(oldest <= bound, "{oldest:?} of {bound:?}");
+    for estimates in &heard.estimates {
+        assert!(estimates.is_sorted_by(|a, b| a < b));
+        // Both streams get their share of a tenth of the load.
+        assert!(
+            estimates.len() > source.estimates as usize / 25,
+            "{}",
+            estimates.len()
+        );
+    }
+    assert!(
+        heard
+            .commands
+            .iter()
+            .copied()
+            .eq(0..heard.commands.len() as u32)
+    );
+    let missing = source.commands as usize - heard.commands.len();
+    assert!(missing <= 5 * 3, "{missing} commands are still under way");
+    let capacity = counts.capacity_bytes_per_s.expect("frames wait");
+    assert!((capacity / CAPACITY as f64 - 1.0).abs() < 0.1, "{capacity}");
+    assert!(counts.queued_frames >= 1 && counts.queued_bytes as usize >= FRAME_BYTES);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
+    const RATE: u32 = 4_000;
+    let timer = HostTimer::start();
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("brick.tty");
+    let mut brick = port(&format!("pty:{}", path.display()), Role::Listen, timer);
+    up(&mut brick).await;
+    let mut station = port(
+        &format!("serial:{}?rate={RATE}", path.display()),
+        Role::Dial,
+        timer,
+    );
+    up(&mut station).await;
+
+    let mut source = Source::new(RATE);
+    let mut heard = Heard::default();
+    let mut total = 0;
+    for _ in 0..2_000 {
+        source.tick(&mut station, timer);
+        pass_tick().await;
+        assert_eq!(poll_once(&mut station).await, None);
+        // A pseudo-terminal hands its bytes over on a thread of the system, in real time, of which none passes here.
+        while total < station.counters().bytes_out {
+            match poll_once(&mut brick).await {
+                Some(PortEvent::Bytes { bytes, .. }) => {
+                    total += bytes.len() as u64;
+                    heard.take(&bytes, timer);
+                }
+                Some(event) => panic!("{event:?} on a quiet line"),
+                None => tokio::task::yield_now().await,
+            }
+        }
+    }
+    let secs = timer.now().as_secs_f64();
+    let allowed = f64::from(RATE) * (secs + 0.05) + FRAME_BYTES as f64;
+    assert!(total as f64 <= allowed, "{total} of {allowed} bytes");
+    assert!(
+        total as f64 > 0.97 * f64::from(RATE) * secs,
+        "{total} in {secs} s"
+    );
+    // Nothing lies in the line, so one frame of each kind is all that can be in front.
+    let oldest = heard.oldest_estimate.expect("some arrived");
+    assert!(oldest <= Span::from_millis(60), "{oldest:?}");
+    // The last one may have to wait for its turn.
+    let commands = heard.commands.len() as u32;
+    assert!(
+        source.commands - commands <= 1,
+        "{commands} of {}",
+        source.commands
+    );
+    assert!(heard.commands.iter().copied().eq(0..commands));
+    let capacity = station.counts().capacity_bytes_per_s.expect("frames wait");
+    assert!(
+        (capacity / f64::from(RATE) - 1.0).abs() < 0.05,
+        "{capacity}"
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_rate_counts_every_peer_and_every_transport_keeps_it() {
+    const RATE: usize = 1_000;
+    let timer = HostTimer::start();
+    let mut station = port(
+        &format!("udp://127.0.0.1:0?rate={RATE}"),
+        Role::Listen,
+        timer,
+    );
+    up(&mut station).await;
+    let address = station.local_address().expect("it listens");
+    let bricks: Vec<_> = (0..4)
+        .map(|_| port(&format!("udp://{address}"), Role::Dial, timer))
+        .collect();
+    let mut bricks = bricks;
+    for brick in &mut bricks {
+        up(brick).await;
+        brick.send(b"here");
+        assert!(matches!(
+            next_beside(&mut station, brick).await,
+            PortEvent::Bytes { .. }
+        ));
+    }
+    assert_eq!(station.counts().peers, 4);
+    for _ in 0..800 {
+        station.send(&[0; 50]);
+        pass_tick().await;
+        assert_eq!(poll_once(&mut station).await, None);
+    }
+    let sent = station.counters().bytes_out;
+    // Eight seconds, the burst of 50 ms, and one frame to four peers.
+    assert!((7_800..=8_000 + 50 + 200).contains(&sent), "{sent} bytes");
+
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("out.bin");
+    let url = format!("file:{}?mode=append&rate={RATE}", path.display());
+    let mut file = port(&url, Role::Dial, timer);
+    up(&mut file).await;
+    for _ in 0..200 {
+        file.send(&[0; 50]);
+        pass_tick().await;
+        assert_eq!(poll_once(&mut file).await, None);
+    }
+    let written = std::fs::metadata(&path).expect("it was made").len();
+    assert!((1_950..=2_100).contains(&written), "{written} bytes");
+}
+
+#[tokio::test(start_paused = true)]
+async fn frames_that_wait_for_the_rate_are_counted_when_the_link_goes() {
+    let timer = HostTimer::start();
+    let (server, address) = tcp_server(timer).await;
+    let mut server = Some(server);
+    let mut client = port(&format!("tcp://{address}?rate=100"), Role::Dial, timer);
+    up(&mut client).await;
+    for _ in 0..10 {
+        client.send(&[7; 100]);
+    }
+    let counts = client.counts();
+    assert_eq!((counts.queued_frames, counts.queued_bytes), (9, 900));
+    drop(server.take());
+    let PortEvent::Down { .. } = client.next().await else {
+        panic!("the server has gone");
+    };
+    assert_eq!(client.counters().drops_out, 9);
+    let counts = client.counts();
+    assert_eq!((counts.queued_frames, counts.peers), (0, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_client_that_hangs_does_not_block_another() {
+    const FRAMES: u32 = 5_000;
+    let timer = HostTimer::start();
+    let (mut server, address) = tcp_server(timer).await;
+    let _hung = small_client(address, 4_096);
+    let mut alive = small_client(address, 64 * 1024);
+    welcomed(&mut server, 2).await;
+    let mut heard = Vec::new();
+    for number in 0..FRAMES {
+        let mut frame = [0; 1_000];
+        frame[..4].copy_from_slice(&number.to_be_bytes());
+        server.give(&Outgoing {
+            to: Audience::All,
+            priority: Priority::Forwarded,
+            frame: &frame,
+        });
+        // Until this one is there: the other has five megabytes to choke on.
+        while heard.len() < 1_000 * (number as usize + 1) {
+            assert_eq!(poll_once(&mut server).await, None);
+            tokio::task::yield_now().await;
+            heard.extend(read_now(&mut alive, 4_096));
+        }
+    }
+    for (number, frame) in (0..FRAMES).zip(heard.chunks(1_000)) {
+        assert_eq!(
+            frame[..4],
+            number.to_be_bytes(),
+            "in order and none missing"
+        );
+    }
+    let counts = server.counts();
+    assert!(counts.drops_out > u64::from(FRAMES) * 9 / 10, "{counts:?}");
+    assert!(counts.queued_frames >= 60, "{counts:?}");
+    assert_eq!(counts.peers, 2);
+    assert_eq!(
+        counts.capacity_bytes_per_s, None,
+        "a client that hangs does not make the link look slow"
+    );
+}
