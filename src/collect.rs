@@ -1,9 +1,13 @@
 //! What a run leaves behind for tables and pictures, gathered from its events.
 
+use std::collections::BTreeMap;
+
 use posebridge_analysis::{FixMark, SourceTally, TimedPose, Track};
 use posebridge_telemetry::{
-    Arena, Estimate, Event, FusionRecord, LinkHealth, Observation, Observed, Point2, Span,
+    Arena, Estimate, Event, FusionRecord, LinkId, Observation, Observed, Point2, Span,
 };
+
+use crate::report::links::LinkReport;
 
 /// So many estimates are kept; from then on every second one is, and so on: a run of days must not fill the memory.
 const KEPT: usize = 50_000;
@@ -22,7 +26,7 @@ pub struct Collector {
     /// How many observations came.
     pub observations: u64,
     /// The last word on each link's health.
-    pub health: LinkHealth,
+    pub links: BTreeMap<LinkId, LinkReport>,
     /// How often the brick restarted.
     pub restarts: u64,
     /// Every observation as the estimator was given it, for the offline smoother; nothing unless
@@ -72,7 +76,17 @@ impl Collector {
                     self.estimates.push(*estimate);
                 }
             }
-            Event::Health { health, .. } => self.health = *health,
+            Event::Health {
+                link,
+                health,
+                sources,
+            } => {
+                let report = LinkReport {
+                    health: *health,
+                    sources: sources.clone(),
+                };
+                self.links.insert(*link, report);
+            }
             Event::BrickRestarted { .. } => self.restarts += 1,
             Event::RobotSeen { .. }
             | Event::RobotLost { .. }

@@ -358,7 +358,7 @@ fn finish(
         }
         truth = Some(Truth::of(&embedded.brick.finish()?));
     }
-    let mut text = report::sources(collector) + "\n";
+    let mut text = report::sources(collector) + "\n" + &report::links(collector) + "\n";
     if let Some(truth) = &truth {
         text += &report::table(collector, truth, other.as_ref());
         text += "\n";

@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use posebridge_telemetry::{
-    Estimate, Event, HostClock, LinkHealth, LinkId, LinkState, Span, Stamp, Verdict,
-};
+use posebridge_telemetry::{Estimate, Event, HostClock, LinkId, LinkState, Span, Stamp, Verdict};
 use tokio::sync::watch;
 
+use super::links::{LinkReport, condition};
 use crate::stderr::say;
 
 /// Without a terminal a plain line is written this often instead.
@@ -37,10 +36,10 @@ enum Voice {
 }
 
 /// What the block shows of one link.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct LinkView {
     state: LinkState,
-    health: LinkHealth,
+    report: LinkReport,
     /// Received per second, between two health events.
     bytes_per_s: f64,
     frames_per_s: f64,
@@ -50,7 +49,7 @@ impl Default for LinkView {
     fn default() -> Self {
         Self {
             state: LinkState::Down,
-            health: LinkHealth::default(),
+            report: LinkReport::default(),
             bytes_per_s: 0.0,
             frames_per_s: 0.0,
         }
@@ -58,10 +57,11 @@ impl Default for LinkView {
 }
 
 impl LinkView {
-    fn take(&mut self, health: &LinkHealth) {
-        self.bytes_per_s = health.bytes_in.saturating_sub(self.health.bytes_in) as f64;
-        self.frames_per_s = health.frames_in.saturating_sub(self.health.frames_in) as f64;
-        self.health = *health;
+    fn take(&mut self, report: LinkReport) {
+        let (health, before) = (&report.health, &self.report.health);
+        self.bytes_per_s = health.bytes_in.saturating_sub(before.bytes_in) as f64;
+        self.frames_per_s = health.frames_in.saturating_sub(before.frames_in) as f64;
+        self.report = report;
     }
 }
 
@@ -104,7 +104,14 @@ impl LiveView {
         self.now = now;
         match event {
             Event::Link { link, state } => self.links.entry(*link).or_default().state = *state,
-            Event::Health { link, health, .. } => self.links.entry(*link).or_default().take(health),
+            Event::Health {
+                link,
+                health,
+                sources,
+            } => self.links.entry(*link).or_default().take(LinkReport {
+                health: *health,
+                sources: sources.clone(),
+            }),
             Event::BrickClockAligned {
                 offset,
                 skew_ppm,
@@ -179,18 +186,12 @@ impl LiveView {
                 LinkState::Up => "up",
                 LinkState::Down => "DOWN",
             };
-            let gap = if *id == LinkId(0) {
-                "  "
-            } else {
-                "\n                  "
-            };
             let _ = write!(
                 block,
-                "{gap} link {id} {state}  {:.0} B/s  {:.0} frames/s  lost {}  damaged {}",
+                "\n  link {id} {state}  {:.0} B/s  {:.0} frames/s  {}",
                 link.bytes_per_s,
                 link.frames_per_s,
-                link.health.frames_lost,
-                link.health.checksum_errors,
+                condition(&link.report),
             );
             if link.health.refused_frames > 0 {
                 let _ = write!(block, "  refused {}", link.health.refused_frames);

@@ -12,6 +12,7 @@ use posebridge_analysis::{ErrorSummary, FIGURES, RunLayers, RunRow, TimedPose, T
 use posebridge_sim::{Simulation, Steering, TruthSample};
 use posebridge_telemetry::{Arena, Point2};
 
+use super::links;
 use crate::collect::{Collector, LONGEST_GAP};
 
 /// What the simulator alone knows.
@@ -104,6 +105,12 @@ pub fn table(collector: &Collector, truth: &Truth, other: Option<&Truth>) -> Str
 #[must_use]
 pub fn sources(collector: &Collector) -> String {
     source_table(&collector.sources)
+}
+
+/// How the links did.
+#[must_use]
+pub fn links(collector: &Collector) -> String {
+    links::tables(collector.links.iter())
 }
 
 /// Draws every figure into a folder and says where.

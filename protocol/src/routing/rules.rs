@@ -49,9 +49,9 @@ impl FrameFilter {
     /// Whether a frame of this sender with this message passes.
     #[must_use]
     pub fn admits(&self, source: Address, message_id: u32) -> bool {
-        self.messages.admits(message_id)
-            && self.systems.admits(source.system)
-            && self.components.admits(source.component)
+        self.messages.admits(&message_id)
+            && self.systems.admits(&source.system)
+            && self.components.admits(&source.component)
     }
 }
 
@@ -76,8 +76,8 @@ impl<T> Default for Choice<T> {
 impl<T: PartialEq> Choice<T> {
     /// Whether `item` is chosen.
     #[must_use]
-    pub fn admits(&self, item: T) -> bool {
-        (self.allow.is_empty() || self.allow.contains(&item)) && !self.block.contains(&item)
+    pub fn admits(&self, item: &T) -> bool {
+        (self.allow.is_empty() || self.allow.contains(item)) && !self.block.contains(item)
     }
 }
 
@@ -95,11 +95,11 @@ mod tests {
     #[test]
     fn an_empty_choice_takes_all_and_a_block_beats_an_allow() {
         let mut choice = Choice::default();
-        assert!(choice.admits(7));
+        assert!(choice.admits(&7));
         choice.allow = vec![7, 8];
-        assert!(choice.admits(7) && !choice.admits(9));
+        assert!(choice.admits(&7) && !choice.admits(&9));
         choice.block = vec![7];
-        assert!(!choice.admits(7) && choice.admits(8));
+        assert!(!choice.admits(&7) && choice.admits(&8));
     }
 
     #[test]

@@ -10,20 +10,20 @@ use posebridge_telemetry::{
 };
 
 use super::Pipeline;
+use crate::link_state::Link;
 
 /// Looks at the frames of one input as they are found, and keeps those that go on.
 pub(super) struct Passage<'a> {
-    pub(super) router: &'a mut Router,
-    pub(super) now: Stamp<HostClock>,
-    pub(super) from: Way,
-    /// Whether the link has other peers than this one.
-    pub(super) sharing: Sharing,
-    pub(super) seen: Seen,
+    router: &'a mut Router,
+    now: Stamp<HostClock>,
+    from: Way,
+    sharing: Sharing,
+    seen: Seen,
 }
 
 /// Whether somebody else is at the other end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Sharing {
+enum Sharing {
     /// Only the peer itself.
     Alone,
     /// Others, too.
@@ -34,9 +34,9 @@ pub(super) enum Sharing {
 #[derive(Debug, Default)]
 pub(super) struct Seen {
     /// Frames that the inward filter kept out.
-    pub(super) filtered: u64,
+    filtered: u64,
     /// Frames that had come before by another way.
-    pub(super) duplicates: u64,
+    duplicates: u64,
     passed: Vec<Passed>,
 }
 
@@ -51,7 +51,34 @@ struct Passed {
     bytes: Vec<u8>,
 }
 
-impl Passage<'_> {
+impl<'a> Passage<'a> {
+    /// A passage of what comes by one way at `now`; `link` is the one that it comes by.
+    pub(super) fn new(
+        router: &'a mut Router,
+        now: Stamp<HostClock>,
+        from: Way,
+        link: &Link,
+    ) -> Self {
+        // A peer that only listens was never heard, but the port knows of it.
+        let has_company = link.peers.has_other_than(from.peer) || link.health.port.peers > 1;
+        Self {
+            router,
+            now,
+            from,
+            sharing: if has_company {
+                Sharing::Shared
+            } else {
+                Sharing::Alone
+            },
+            seen: Seen::default(),
+        }
+    }
+
+    /// What it leaves behind.
+    pub(super) fn finish(self) -> Seen {
+        self.seen
+    }
+
     /// Takes a frame: whether it has come before, or `None` if it must not be believed.
     pub(super) fn take(&mut self, frame: &FrameRef<'_>, check: Check) -> Option<Occurrence> {
         if !self.router.admits(self.from.link, frame) {

@@ -12,7 +12,7 @@ use posebridge_telemetry::{
 };
 
 use super::Pipeline;
-use super::forward::{Passage, Seen, Sharing};
+use super::forward::Passage;
 use crate::clock::unwrap::Unwrapped;
 use crate::config::{DescriptionPolicy, OutputKind};
 use crate::interpret::{Reading, StampedBy};
@@ -37,18 +37,8 @@ impl Pipeline {
         if let Some(bytes) = bytes {
             link.health.bytes_in += bytes.len() as u64;
         }
-        let has_company = link.peers.has_other_than(peer) || link.health.port.peers > 1;
-        let mut passage = Passage {
-            router: &mut self.router,
-            now,
-            from: Way { link: id, peer },
-            sharing: if has_company {
-                Sharing::Shared
-            } else {
-                Sharing::Alone
-            },
-            seen: Seen::default(),
-        };
+        let from = Way { link: id, peer };
+        let mut passage = Passage::new(&mut self.router, now, from, link);
         let mut arrived: Vec<Arrived> = Vec::new();
         let mut events: Vec<Event> = Vec::new();
         let (frames_lost, refused_frames) = (
@@ -87,7 +77,7 @@ impl Pipeline {
             Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
             None => link.peers.give_up(now, peer, &mut sink),
         }
-        let seen = passage.seen;
+        let seen = passage.finish();
         self.finish_passage(now, id, seen);
         self.outputs.extend(events.into_iter().map(Output::Event));
         for message in arrived {
