@@ -2,6 +2,7 @@
 
 pub mod completions;
 pub mod config;
+pub mod doctor;
 pub mod lab;
 pub mod play;
 pub mod replay;
@@ -73,6 +74,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Play(args) => play::execute(&args),
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
+        Command::Doctor(args) => doctor::execute(&args),
         Command::Config(args) => config::execute(&args),
         Command::Completions(args) => completions::execute(&args),
     }

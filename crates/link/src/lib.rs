@@ -40,5 +40,5 @@ pub use error::{LinkLoss, OpenError};
 pub use host_timer::HostTimer;
 pub use port::{Port, PortConfig, PortEvent};
 pub use port_set::PortSet;
-pub use transports::{OpenRequest, Role, TRANSPORTS, Transport};
+pub use transports::{OpenRequest, Role, TRANSPORTS, Transport, UDP_RECEIVE_BUFFER_BYTES};
 pub use url::{LinkUrl, OptionHelp, OptionKind, Target, UrlError};

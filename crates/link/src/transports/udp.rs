@@ -24,7 +24,7 @@ use crate::url::TargetKind;
 
 /// Receive buffer that is asked for. Linux doubles it and charges 832 bytes for a small datagram (its default of 212 992
 /// bytes was measured to hold 256), so this holds 10 000 of them: a fifth of a second of 1000 robots at 50 Hz.
-const RECEIVE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
+pub const RECEIVE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
 /// Datagrams taken from the socket per wake-up, so that one flooded port cannot starve the others.
 const DRAIN_LIMIT: usize = 64;
 /// Silence after which a peer is forgotten.
