@@ -45,6 +45,8 @@ pub enum Command {
     Lab(LabArgs),
     /// Make a key for signed links.
     Key(KeyArgs),
+    /// Find out why a robot cannot be heard: ports, permissions, programs in the way, what a link carries.
+    Doctor(DoctorArgs),
     /// Print, check or describe the configuration.
     Config(ConfigArgs),
     /// Print a completion script for a shell.
@@ -367,6 +369,23 @@ pub enum KeyAction {
     },
 }
 
+/// Flags of `doctor`.
+#[derive(Args, Clone, Debug)]
+pub struct DoctorArgs {
+    /// Listen on these links and name what is heard: serial, tcp or udp, e.g. serial:///dev/ttyUSB0.
+    #[arg(value_name = "URL")]
+    pub links: Vec<String>,
+    /// Check this configuration file, and whether its links open.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Listen this long on each link, and at each speed of a serial port that is tried.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = up_to_an_hour)]
+    pub listen_for: f64,
+    /// Print one JSON object (docs/doctor.md) instead of lines.
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Flags of `config`.
 #[derive(Args, Clone, Debug)]
 pub struct ConfigArgs {
@@ -398,6 +417,14 @@ fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
         _ => Err("must be a number of more than zero".to_owned()),
+    }
+}
+
+/// A number of seconds of more than zero and up to an hour.
+fn up_to_an_hour(text: &str) -> Result<f64, String> {
+    match positive(text) {
+        Ok(seconds) if seconds <= 3_600.0 => Ok(seconds),
+        _ => Err("must be a number of seconds of more than zero, up to 3600".to_owned()),
     }
 }
 

@@ -2,6 +2,7 @@
 
 pub mod completions;
 pub mod config;
+pub mod doctor;
 pub mod key;
 pub mod lab;
 pub mod play;
@@ -77,6 +78,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
         Command::Key(args) => key::execute(&args),
+        Command::Doctor(args) => doctor::execute(&args),
         Command::Config(args) => config::execute(&args),
         Command::Completions(args) => completions::execute(&args),
     }

@@ -7,6 +7,7 @@
 
 mod config;
 mod decode;
+mod recognise;
 mod recording;
 mod scanner;
 mod session;
@@ -19,6 +20,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("session", session::check, 1_200_000),
     Target::new("url", url::check, 1_500_000),
     Target::new("config", config::check, 90_000),
+    Target::new("recognise", recognise::check, 300_000),
     Target::new("recording", recording::check, 100_000),
 ];
 

@@ -203,7 +203,7 @@ fn text_lines(bytes: &[u8]) -> Option<Tally> {
     let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
     let whole = bytes.iter().rposition(|byte| *byte == end)? + 1;
     (20 * text_bytes >= 19 * bytes.len()).then_some(Tally {
-        frames: bytes.iter().filter(|byte| **byte == end).count(),
+        frames: memchr::memchr_iter(end, bytes).count(),
         bytes: whole,
     })
 }

@@ -21,17 +21,21 @@ const LENGTH_BYTES: usize = 2;
 /// Telegrams in a row that are believed when they did not begin with the bytes.
 const ENOUGH: usize = 3;
 
+/// Whether bytes without their length are a telegram that a brick of this kind sends.
+type IsTelegram = fn(&[u8]) -> bool;
+
+/// No telegram is one of both.
+const KINDS: &[(Protocol, IsTelegram)] = &[(Protocol::Ev3, is_of_ev3), (Protocol::Nxt, is_of_nxt)];
+
 /// The protocol whose telegrams fill the bytes.
 pub(super) fn recognise(bytes: &[u8]) -> Option<(Protocol, Tally)> {
-    let kinds: [(Protocol, fn(&[u8]) -> bool); 2] =
-        [(Protocol::Ev3, is_of_ev3), (Protocol::Nxt, is_of_nxt)];
     for skipped in 0..bytes.len().min(MOST_SKIPPED) {
         let rest = bytes.get(skipped..).unwrap_or_default();
-        for (protocol, is_telegram) in kinds {
-            if let Some(tally) = chain(rest, is_telegram)
+        for (protocol, is_telegram) in KINDS {
+            if let Some(tally) = chain(rest, *is_telegram)
                 && (tally.frames >= ENOUGH || tally.bytes == bytes.len())
             {
-                return Some((protocol, tally));
+                return Some((*protocol, tally));
             }
         }
     }
@@ -39,7 +43,7 @@ pub(super) fn recognise(bytes: &[u8]) -> Option<(Protocol, Tally)> {
 }
 
 /// The telegrams, if they follow each other until fewer bytes are left than the last one claims.
-fn chain(mut rest: &[u8], is_telegram: fn(&[u8]) -> bool) -> Option<Tally> {
+fn chain(mut rest: &[u8], is_telegram: IsTelegram) -> Option<Tally> {
     let mut tally = Tally::default();
     while let Some((length, behind)) = rest.split_first_chunk::<LENGTH_BYTES>() {
         let length = usize::from(u16::from_le_bytes(*length));

@@ -26,6 +26,7 @@ use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
 use crate::url::{LinkUrl, OptionHelp, OptionKind, TargetKind};
+pub use udp_socket::RECEIVE_BUFFER_BYTES as UDP_RECEIVE_BUFFER_BYTES;
 
 /// Every transport. Adding one: a file in `transports/` and a line here.
 pub const TRANSPORTS: &[&dyn Transport] = &[

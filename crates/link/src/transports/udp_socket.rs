@@ -13,7 +13,7 @@ use tokio::net::UdpSocket;
 
 /// Receive buffer that is asked for. Linux doubles it and charges 832 bytes for a small datagram (its default of 212 992
 /// bytes was measured to hold 256), so this holds 10 000 of them: a fifth of a second of 1000 robots at 50 Hz.
-const RECEIVE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
+pub const RECEIVE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
 
 /// Asks for a large receive buffer and returns how many bytes were granted.
 pub(super) fn enlarge_receive_buffer(socket: &UdpSocket) -> usize {

@@ -6,6 +6,7 @@
 //! the pipeline's work.
 
 mod encoding;
+mod fields;
 mod reader;
 mod records;
 mod writer;

@@ -1,9 +1,10 @@
 //! Reads a recording back, as far as it goes.
 
-use mcap::records::{Metadata, Record, op};
+use mcap::records::op;
 use posebridge_telemetry::{HostClock, Input, Stamp};
 
 use super::encoding::{self, DecodeError, Place};
+use super::fields::{self, Metadata};
 use super::records::{End, RawRecord, Records};
 use super::{FORMAT, HEADER_RECORD, Header, INPUT_ENCODING, INPUT_TOPIC};
 
@@ -194,7 +195,7 @@ impl<'a> Reader<'a> {
     }
 
     fn note_channel(&mut self, record: &RawRecord<'_>) {
-        if let Ok(Record::Channel(channel)) = mcap::parse_record(record.opcode, record.body)
+        if let Some(channel) = fields::channel(record.body)
             && channel.topic == INPUT_TOPIC
             && channel.message_encoding == INPUT_ENCODING
         {
@@ -270,7 +271,7 @@ fn parse_header(record: &RawRecord<'_>) -> Result<Option<Header>, ReadError> {
         offset: record.offset as u64,
         what: what.to_owned(),
     };
-    let Ok(Record::Metadata(found)) = mcap::parse_record(record.opcode, record.body) else {
+    let Some(found) = fields::metadata(record.body) else {
         return Err(broken("a damaged metadata record"));
     };
     if found.name != HEADER_RECORD {
@@ -298,6 +299,6 @@ fn parse_header(record: &RawRecord<'_>) -> Result<Option<Header>, ReadError> {
     }))
 }
 
-fn text_of(record: &Metadata, key: &str) -> Option<String> {
-    record.metadata.get(key).cloned()
+fn text_of(record: &Metadata<'_>, key: &str) -> Option<String> {
+    record.entries.get(key).map(|value| (*value).to_owned())
 }

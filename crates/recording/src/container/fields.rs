@@ -1,0 +1,129 @@
+//! The fields of the two records that tell what a recording is: metadata and channel.
+//!
+//! The `mcap` crate's own parser makes room for whatever length a string claims before it looks how many bytes there are:
+//! a damaged file of some hundred bytes made it ask for four gigabytes. Here nothing is copied before it is there.
+//!
+//! Source: MCAP specification, "Metadata (op=0x0C)", "Channel (op=0x04)", "Serialization": a string is its length (u32)
+//! and UTF-8; a map is its length in bytes (u32) and pairs, with no key twice; little-endian.
+
+use std::collections::BTreeMap;
+
+/// A metadata record.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Metadata<'a> {
+    pub(super) name: &'a str,
+    pub(super) entries: BTreeMap<&'a str, &'a str>,
+}
+
+/// What matters of a channel record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Channel<'a> {
+    pub(super) id: u16,
+    pub(super) topic: &'a str,
+    pub(super) message_encoding: &'a str,
+}
+
+/// Takes a metadata record apart; `None` if it is damaged. Bytes behind its fields are for newer versions.
+pub(super) fn metadata(body: &[u8]) -> Option<Metadata<'_>> {
+    let mut fields = Fields { rest: body };
+    Some(Metadata {
+        name: fields.text()?,
+        entries: fields.map()?,
+    })
+}
+
+/// Takes a channel record apart; `None` if it is damaged.
+pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
+    let mut fields = Fields { rest: body };
+    let id = fields.u16()?;
+    let _schema_id = fields.u16()?;
+    let channel = Channel {
+        id,
+        topic: fields.text()?,
+        message_encoding: fields.text()?,
+    };
+    fields.map()?;
+    Some(channel)
+}
+
+/// What is left of a record.
+struct Fields<'a> {
+    rest: &'a [u8],
+}
+
+impl<'a> Fields<'a> {
+    fn u16(&mut self) -> Option<u16> {
+        let (number, rest) = self.rest.split_first_chunk()?;
+        self.rest = rest;
+        Some(u16::from_le_bytes(*number))
+    }
+
+    /// As many bytes as the number in front of them says.
+    fn counted(&mut self) -> Option<&'a [u8]> {
+        let (count, rest) = self.rest.split_first_chunk()?;
+        let (bytes, rest) = rest.split_at_checked(u32::from_le_bytes(*count) as usize)?;
+        self.rest = rest;
+        Some(bytes)
+    }
+
+    fn text(&mut self) -> Option<&'a str> {
+        std::str::from_utf8(self.counted()?).ok()
+    }
+
+    fn map(&mut self) -> Option<BTreeMap<&'a str, &'a str>> {
+        let mut pairs = Fields {
+            rest: self.counted()?,
+        };
+        let mut entries = BTreeMap::new();
+        while !pairs.rest.is_empty() {
+            let (key, value) = (pairs.text()?, pairs.text()?);
+            if entries.insert(key, value).is_some() {
+                return None;
+            }
+        }
+        Some(entries)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The name `n`, one entry `k` = `v`, and a byte of a newer version.
+    const RECORD: &[u8] = b"\x01\0\0\0n\x0A\0\0\0\x01\0\0\0k\x01\0\0\0v+";
+
+    #[test]
+    fn a_record_comes_apart_as_the_specification_says() {
+        let found = metadata(RECORD).unwrap();
+        assert_eq!(found.name, "n");
+        assert_eq!(found.entries, BTreeMap::from([("k", "v")]));
+
+        let record = b"\x07\0\x01\0\x01\0\0\0t\x02\0\0\0me\0\0\0\0";
+        let expected = Channel {
+            id: 7,
+            topic: "t",
+            message_encoding: "me",
+        };
+        assert_eq!(channel(record), Some(expected));
+    }
+
+    #[test]
+    fn a_record_that_is_cut_or_claims_too_much_is_damaged() {
+        for length in 0..RECORD.len() - 1 {
+            assert_eq!(metadata(&RECORD[..length]), None, "{length}");
+        }
+        // The lengths of the name, the map, the key and the value.
+        for at in [0, 5, 9, 14] {
+            let mut record = RECORD.to_vec();
+            record[at..at + 4].fill(0xFF);
+            assert_eq!(metadata(&record), None, "{at}");
+        }
+    }
+
+    #[test]
+    fn no_key_stands_twice() {
+        let entry = b"\x01\0\0\0k\x01\0\0\0v";
+        let record = [&b"\x01\0\0\0n\x14\0\0\0"[..], entry, entry].concat();
+        assert_eq!(metadata(&record), None);
+    }
+}

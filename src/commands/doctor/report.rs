@@ -1,0 +1,97 @@
+//! The report: lines for people, or one JSON object (docs/doctor.md).
+
+use serde::Serialize;
+
+use super::{Finding, Status};
+
+/// The object of `doctor --json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    version: &'static str,
+    problems: usize,
+    warnings: usize,
+    checks: Vec<Line<'a>>,
+}
+
+#[derive(Serialize)]
+struct Line<'a> {
+    name: &'a str,
+    status: Status,
+    what: &'a str,
+    advice: Option<&'a str>,
+}
+
+/// How many findings came out so.
+#[must_use]
+pub fn count(findings: &[Finding], status: Status) -> usize {
+    findings
+        .iter()
+        .filter(|finding| finding.verdict.status == status)
+        .count()
+}
+
+/// One object on one line.
+///
+/// # Errors
+/// It cannot be written as JSON, which would be a fault of ours.
+pub fn json(findings: &[Finding]) -> serde_json::Result<String> {
+    let checks = findings.iter().map(Line::of).collect();
+    let report = Report {
+        version: env!("CARGO_PKG_VERSION"),
+        problems: count(findings, Status::Problem),
+        warnings: count(findings, Status::Warning),
+        checks,
+    };
+    Ok(serde_json::to_string(&report)? + "\n")
+}
+
+impl<'a> Line<'a> {
+    fn of(finding: &'a Finding) -> Self {
+        let verdict = &finding.verdict;
+        Self {
+            name: finding.name,
+            status: verdict.status,
+            what: &verdict.what,
+            advice: Some(verdict.advice.as_str()).filter(|advice| !advice.is_empty()),
+        }
+    }
+}
+
+/// A line per finding, the cure below it, and the sum.
+#[must_use]
+pub fn text(findings: &[Finding]) -> String {
+    let name_width = findings
+        .iter()
+        .map(|finding| finding.name.len())
+        .max()
+        .unwrap_or(0);
+    let mut lines = String::new();
+    for finding in findings {
+        let verdict = &finding.verdict;
+        let head = format!(
+            "{:STATUS_WIDTH$}  {:name_width$}  ",
+            verdict.status.word(),
+            finding.name
+        );
+        // A message may have lines of its own, such as the line of a file that is wrong.
+        let indent = " ".repeat(head.len());
+        let what = verdict.what.replace('\n', &format!("\n{indent}"));
+        lines += &format!("{head}{what}\n");
+        if !verdict.advice.is_empty() {
+            lines += &format!("{indent}cure: {}\n", verdict.advice);
+        }
+    }
+    lines + &sum(findings)
+}
+
+/// Width of the longest word for a status.
+const STATUS_WIDTH: usize = "problem".len();
+
+fn sum(findings: &[Finding]) -> String {
+    let problems = count(findings, Status::Problem);
+    let warnings = count(findings, Status::Warning);
+    match (problems, warnings) {
+        (0, 0) => "nothing is wrong\n".to_owned(),
+        _ => format!("problems: {problems}, warnings: {warnings}\n"),
+    }
+}
