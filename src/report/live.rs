@@ -193,9 +193,6 @@ impl LiveView {
                 link.frames_per_s,
                 condition(&link.report),
             );
-            if link.health.refused_frames > 0 {
-                let _ = write!(block, "  refused {}", link.health.refused_frames);
-            }
         }
         match self.clock {
             Some((offset, skew_ppm, uncertainty)) => {
