@@ -492,8 +492,10 @@ mod tests {
         let help = run.render_long_help().to_string();
         let words: Vec<_> = help.split_whitespace().collect();
         let starts = TRANSPORTS.iter().map(|transport| {
-            let start = words.iter().position(|word| *word == transport.example());
-            start.expect(transport.example())
+            words
+                .iter()
+                .position(|word| *word == transport.example())
+                .expect("every transport has its example there")
         });
         let starts: Vec<usize> = starts.chain([words.len()]).collect();
         for (transport, block) in TRANSPORTS.iter().zip(starts.windows(2)) {

@@ -4,6 +4,10 @@
 //! scaled down so that it takes seconds.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
+#![expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "a test that sees any other event fails and prints it"
+)]
 
 use std::path::Path;
 
