@@ -94,6 +94,13 @@ fn one_frame_of_mavlink_1_is_believed_only_if_there_is_little_else() {
     check(&among_noise, Protocol::Noise, 0, 0);
 }
 
+#[test]
+fn two_frames_of_mavlink_1_are_believed_among_anything() {
+    let frame = golden("v1_attitude");
+    let among_noise = [&noise(2, 500), &frame[..], &noise(3, 500), &frame].concat();
+    check(&among_noise, Protocol::Mavlink1, 2, 2 * frame.len());
+}
+
 /// Sentences as receivers send them; the checksums are those of the sources.
 const GPGGA: &[u8] = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n";
 const GPRMC: &[u8] = b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n";
@@ -122,6 +129,16 @@ fn replies_of_an_nxt_are_recognised_by_their_lengths() {
     check_any_window(&long, Protocol::Nxt, 100);
     // A brick that answers with a status that no firmware has.
     check(&from_hex("0500 020b77 dc1e"), Protocol::Noise, 0, 0);
+}
+
+#[test]
+fn behind_a_torn_telegram_three_whole_ones_are_believed_and_two_are_not() {
+    let torn = from_hex("dc1e");
+    let telegram = from_hex("0500 020b00 dc1e");
+    let three = [&torn[..], &telegram.repeat(3)].concat();
+    check(&three, Protocol::Nxt, 3, 21);
+    let two = [&torn[..], &telegram.repeat(2)].concat();
+    check(&two, Protocol::Noise, 0, 0);
 }
 
 #[test]
@@ -159,8 +176,9 @@ fn text_is_lines_that_ended() {
     check(b"L 12 R 13\r\nL 14 R 1", Protocol::Text, 1, 11);
     check(b"L 12 R 13\rL 14 R 15\r", Protocol::Text, 2, 20);
     check(b"no end", Protocol::Noise, 0, 0);
-    // One byte in ten is none of text's.
-    check(b"abcdefgh\n\xFF", Protocol::Noise, 0, 0);
+    // One byte in twenty may be none of text's, one in nineteen may not.
+    check(b"abcdefgh\n\xFFbcdefghi\n", Protocol::Text, 2, 20);
+    check(b"abcdefgh\n\xFFbcdefgh\n", Protocol::Noise, 0, 0);
 }
 
 #[test]

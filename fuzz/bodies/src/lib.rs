@@ -15,13 +15,13 @@ mod url;
 
 /// Every fuzz target. Adding one: a module with its `check`, a line here, and seeds in `fuzz/corpus/<name>/`.
 pub const TARGETS: &[Target] = &[
-    Target::new("scanner", scanner::check, 1_000_000),
+    Target::new("scanner", scanner::check, 250_000),
     Target::new("decode", decode::check, 1_500_000),
-    Target::new("session", session::check, 1_200_000),
+    Target::new("session", session::check, 120_000),
     Target::new("url", url::check, 1_500_000),
     Target::new("config", config::check, 90_000),
-    Target::new("recognise", recognise::check, 300_000),
-    Target::new("recording", recording::check, 100_000),
+    Target::new("recognise", recognise::check, 700_000),
+    Target::new("recording", recording::check, 150_000),
 ];
 
 /// One untrusted input and what must hold for it.

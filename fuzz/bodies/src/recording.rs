@@ -54,16 +54,16 @@ pub(crate) fn check(data: &[u8]) {
 }
 
 fn assert_inside(error: &ReadError, length: usize) {
-    let offset = match error {
-        ReadError::NoHeader { offset, .. }
-        | ReadError::Chunked { offset }
-        | ReadError::Damaged { offset, .. }
-        | ReadError::Message { offset, .. }
-        | ReadError::Gap { offset, .. } => *offset,
-        _ => 0,
-    };
-    assert!(offset <= length as u64, "{error}");
     assert!(!error.to_string().is_empty());
+    let (ReadError::NoHeader { offset, .. }
+    | ReadError::Chunked { offset }
+    | ReadError::Damaged { offset, .. }
+    | ReadError::Message { offset, .. }
+    | ReadError::Gap { offset, .. }) = error
+    else {
+        return;
+    };
+    assert!(*offset <= length as u64, "{error}");
 }
 
 /// What was read is written and read again without loss.

@@ -19,7 +19,7 @@
 //!
 //! # Sources
 //! MAVLink: [`crate::framing`]. NMEA 0183: `$`, text, `*` and the exclusive or of the text as two hexadecimal digits, at
-//! most 82 characters. NXT and EV3: [`telegrams`].
+//! most 82 characters. NXT and EV3: LEGO's developer kits, quoted in `telegrams.rs`.
 
 mod telegrams;
 

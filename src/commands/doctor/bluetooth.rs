@@ -33,7 +33,7 @@ pub fn check(examination: &Examination) -> Vec<Verdict> {
             "run `sudo systemctl start bluetooth`",
         ));
     }
-    verdicts.extend(paired(&roots.var_lib));
+    verdicts.push(paired(&roots.var_lib));
     verdicts
 }
 
@@ -73,12 +73,12 @@ fn block_of(radio: &Path) -> Option<Verdict> {
 }
 
 /// The devices that are paired, where that can be read.
-fn paired(var_lib: &Path) -> Option<Verdict> {
+fn paired(var_lib: &Path) -> Verdict {
     let folder = var_lib.join("bluetooth");
     if std::fs::read_dir(&folder).is_err() {
-        return Some(Verdict::skipped(
+        return Verdict::skipped(
             "paired devices cannot be read without root: `bluetoothctl devices Paired` lists them",
-        ));
+        );
     }
     let devices: Vec<_> = names_in(&folder)
         .into_iter()
@@ -86,12 +86,12 @@ fn paired(var_lib: &Path) -> Option<Verdict> {
         .flat_map(|adapter| paired_with(&adapter))
         .collect();
     if devices.is_empty() {
-        return Some(Verdict::warning(
+        return Verdict::warning(
             "no device is paired",
             "for a brick on Bluetooth: pair it with `bluetoothctl` (the PIN of an NXT is 1234)",
-        ));
+        );
     }
-    Some(Verdict::ok(format!("paired: {}", devices.join(", "))))
+    Verdict::ok(format!("paired: {}", devices.join(", ")))
 }
 
 fn paired_with(adapter: &Path) -> Vec<String> {

@@ -228,10 +228,11 @@ fn wrong_speed(url: &LinkUrl, own_baud: u32, heard: &Heard) -> Verdict {
     let baud = baud_of(url);
     let place = format!("{} at {baud} baud", url.path().display());
     let said = judge(&place, heard);
-    let mut advice = format!("write the link as {url}");
-    if !said.advice.is_empty() {
-        advice += &format!("; {}", said.advice);
-    }
+    let link = format!("write the link as {url}");
+    let advice = match said.advice.as_str() {
+        "" => link,
+        further => format!("{link}; {further}"),
+    };
     Verdict::warning(
         format!("{}; at {own_baud} baud it is noise", said.what),
         advice,

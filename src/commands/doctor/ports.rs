@@ -56,22 +56,20 @@ pub fn check(examination: &Examination) -> Vec<Verdict> {
 }
 
 fn describe(port: &SerialPort) -> String {
-    let mut said = port.device.display().to_string();
-    if let Some(driver) = &port.driver {
-        said += &format!(", driver {driver}");
-    }
-    if let Some(UsbIds {
-        vendor,
-        product,
-        name,
-    }) = &port.usb
-    {
-        said += format!(", USB {vendor}:{product} {name}").trim_end();
-    }
-    if let Some(by_id) = &port.by_id {
-        said += &format!(", also {}", by_id.display());
-    }
-    said
+    let driver = port
+        .driver
+        .as_ref()
+        .map(|driver| format!("driver {driver}"));
+    let usb = port.usb.as_ref().map(|usb| {
+        let said = format!("USB {}:{} {}", usb.vendor, usb.product, usb.name);
+        said.trim_end().to_owned()
+    });
+    let by_id = port
+        .by_id
+        .as_ref()
+        .map(|id| format!("also {}", id.display()));
+    let parts = [Some(port.device.display().to_string()), driver, usb, by_id];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 /// The ports of the computer, by name.

@@ -65,23 +65,25 @@ pub fn text(findings: &[Finding]) -> String {
         .map(|finding| finding.name.len())
         .max()
         .unwrap_or(0);
-    let mut lines = String::new();
-    for finding in findings {
-        let verdict = &finding.verdict;
-        let head = format!(
-            "{:STATUS_WIDTH$}  {:name_width$}  ",
-            verdict.status.word(),
-            finding.name
-        );
-        // A message may have lines of its own, such as the line of a file that is wrong.
-        let indent = " ".repeat(head.len());
-        let what = verdict.what.replace('\n', &format!("\n{indent}"));
-        lines += &format!("{head}{what}\n");
-        if !verdict.advice.is_empty() {
-            lines += &format!("{indent}cure: {}\n", verdict.advice);
-        }
+    let lines: Vec<_> = findings
+        .iter()
+        .map(|finding| entry(finding, name_width))
+        .collect();
+    lines.concat() + &sum(findings)
+}
+
+fn entry(finding: &Finding, name_width: usize) -> String {
+    let verdict = &finding.verdict;
+    let (word, name) = (verdict.status.word(), finding.name);
+    let head = format!("{word:STATUS_WIDTH$}  {name:name_width$}  ");
+    // A message may have lines of its own, such as the line of a file that is wrong.
+    let indent = " ".repeat(head.len());
+    let what = verdict.what.replace('\n', &format!("\n{indent}"));
+    if verdict.advice.is_empty() {
+        format!("{head}{what}\n")
+    } else {
+        format!("{head}{what}\n{indent}cure: {}\n", verdict.advice)
     }
-    lines + &sum(findings)
 }
 
 /// Width of the longest word for a status.
