@@ -129,7 +129,7 @@ fn loss_delay_and_skew_of_the_sweep_are_what_was_asked_for() {
         ((last.brick - first.brick).as_secs_f64() / (last.world - first.world).as_secs_f64() - 1.0)
             * 1e6;
     assert!((gained_ppm - 2_000.0).abs() < 1.0, "{gained_ppm}");
-    let health = run.collector.health;
+    let health = run.collector.links.values().next().unwrap().health;
     assert!(health.frames_lost > 50, "{}", health.frames_lost);
     assert!(health.round_trip.unwrap() >= Span::from_millis(60));
     // The robot steers by what reached it: its belief stays with the truth all the same.

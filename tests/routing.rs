@@ -102,11 +102,10 @@ fn address(station: &mut Running) -> String {
     line.trim().replace("listening on ", "")
 }
 
-#[test]
-fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears_it() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("three.toml"), CONFIG).unwrap();
-    let mut station = Running::start(posebridge(folder.path()).args([
+/// A station with the three links of [`CONFIG`].
+fn start_station(folder: &std::path::Path) -> Running {
+    std::fs::write(folder.join("three.toml"), CONFIG).unwrap();
+    Running::start(posebridge(folder).args([
         "run",
         "--config",
         "three.toml",
@@ -114,7 +113,22 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
         "run",
         "--events",
         "live.txt",
-    ]));
+    ]))
+}
+
+/// The wheels of a robot that stands, for one step of 50 ms.
+const fn ticks(step: u32) -> Message {
+    Message::WheelTicks(WheelTicks {
+        stamp: WireStamp::Micros32(5_000_000 + step * 50_000),
+        left: EncoderTicks(0),
+        right: EncoderTicks(0),
+    })
+}
+
+#[test]
+fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut station = start_station(folder.path());
     let brick = socket(&address(&mut station));
     let camera = socket(&address(&mut station));
     let mut gcs = TcpStream::connect(address(&mut station)).unwrap();
@@ -152,12 +166,8 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
     ];
     brick.send(&unknown).unwrap();
     read_until(&mut gcs, &mut heard, &unknown);
-    for k in 0..20_u32 {
-        let ticks = brick_says.frame(&Message::WheelTicks(WheelTicks {
-            stamp: WireStamp::Micros32(5_000_000 + k * 50_000),
-            left: EncoderTicks(0),
-            right: EncoderTicks(0),
-        }));
+    for k in 0..20 {
+        let ticks = brick_says.frame(&ticks(k));
         brick.send(&ticks).unwrap();
         read_until(&mut gcs, &mut heard, &ticks);
     }

@@ -59,7 +59,7 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<Case>> {
     };
     let mut cases = Vec::new();
     for asked in names {
-        let (name, profile) = profile(asked)?;
+        let (name, profile) = profile(&asked)?;
         for &loss in &args.losses {
             for &delay_ms in &args.delays_ms {
                 for &skew_ppm in &args.skews_ppm {
@@ -81,13 +81,15 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<Case>> {
 }
 
 /// A bundled profile by its name, else one from a file, which is called like it.
-fn profile(asked: String) -> Result<(String, LinkProfile)> {
-    let profile = link_profile::load(&asked)?;
-    let name = asked.strip_suffix(".toml").map_or(asked.clone(), |path| {
-        Path::new(path)
-            .file_name()
-            .map_or(asked.clone(), |name| name.to_string_lossy().into_owned())
-    });
+fn profile(asked: &str) -> Result<(String, LinkProfile)> {
+    let profile = link_profile::load(asked)?;
+    let file_name = asked
+        .strip_suffix(".toml")
+        .and_then(|path| Path::new(path).file_name());
+    let name = file_name.map_or_else(
+        || asked.to_owned(),
+        |name| name.to_string_lossy().into_owned(),
+    );
     Ok((name, profile))
 }
 

@@ -49,10 +49,8 @@ pub(super) fn json(clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<String> {
 
 /// Both tables.
 pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
-    let mut text = String::new();
-    let mut line = |words: std::fmt::Arguments<'_>| {
-        text.push_str(&format!("{words}\n"));
-    };
+    let mut lines: Vec<String> = Vec::new();
+    let mut line = |words: std::fmt::Arguments<'_>| lines.push(words.to_string());
     line(format_args!("clock: error of the offset, ms"));
     line(format_args!(
         "{:<16} {:<22} {:>10} {:>10}",
@@ -101,7 +99,7 @@ pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
             row.outages
         ));
     }
-    text
+    lines.join("\n") + "\n"
 }
 
 /// What comes on top of a profile, in words.
