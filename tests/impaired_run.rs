@@ -98,7 +98,10 @@ fn an_estimate_is_as_much_older_at_the_brick_as_the_link_is_slower() {
             ..VirtualLink::default()
         });
         let estimates = run.simulation.received_estimates();
-        let mut ages: Vec<Span> = estimates.iter().map(|estimate| estimate.age()).collect();
+        let mut ages: Vec<Span> = estimates
+            .iter()
+            .map(posebridge_sim::ReceivedEstimate::age)
+            .collect();
         ages.sort_unstable();
         ages[ages.len() / 2].as_millis_f64()
     };

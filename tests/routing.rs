@@ -104,7 +104,7 @@ fn address(station: &mut Running) -> String {
 
 /// A station with the three links of [`CONFIG`].
 fn start_station(folder: &std::path::Path) -> Running {
-    std::fs::write(folder.join("three.toml"), CONFIG).unwrap();
+    std::fs::write(folder.join("three.toml"), CONFIG).expect("a scratch folder");
     Running::start(posebridge(folder).args([
         "run",
         "--config",
