@@ -131,7 +131,7 @@ mod tests {
         let mut filter = TimeSyncFilter::new(0.010);
         for k in 0..500 {
             assert_eq!(filter.offset_at(0.0), None, "sample {k}");
-            filter.exchanged(&exchange(k, 0.010, 3.0));
+            filter.exchanged(&exchange(k, 0.011, 3.0));
             filter.exchanged(&exchange(k, 0.009, 3.0));
         }
         assert!((filter.offset_at(0.0).unwrap() + 3.0).abs() < 1e-12);
