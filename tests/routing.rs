@@ -152,14 +152,9 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
     ];
     brick.send(&unknown).unwrap();
     read_until(&mut gcs, &mut heard, &unknown);
-    for k in 0..20_u32 {
-        let ticks = brick_says.frame(&Message::WheelTicks(WheelTicks {
-            stamp: WireStamp::Micros32(5_000_000 + k * 50_000),
-            left: EncoderTicks(0),
-            right: EncoderTicks(0),
-        }));
-        brick.send(&ticks).unwrap();
-        read_until(&mut gcs, &mut heard, &ticks);
+    for frame in telemetry(&mut brick_says) {
+        brick.send(&frame).unwrap();
+        read_until(&mut gcs, &mut heard, &frame);
     }
 
     let marker = gcs_says.frame(&HEARTBEAT);
@@ -176,6 +171,18 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
         assert!(tables.contains(part), "`{part}` is missing:\n{tables}");
     }
     replays_bit_for_bit(folder.path());
+}
+
+/// A second of wheel ticks at 20 Hz.
+fn telemetry(brick: &mut Voice) -> Vec<Vec<u8>> {
+    let ticks = (0..20_u32).map(|k| {
+        brick.frame(&Message::WheelTicks(WheelTicks {
+            stamp: WireStamp::Micros32(5_000_000 + k * 50_000),
+            left: EncoderTicks(0),
+            right: EncoderTicks(0),
+        }))
+    });
+    ticks.collect()
 }
 
 fn replays_bit_for_bit(folder: &std::path::Path) {

@@ -68,7 +68,7 @@ impl Bench {
             router: Router::new(RouterConfig {
                 own: STATION,
                 duplicate_window: Span::from_millis(1_000),
-                links: BTreeMap::from_iter(links),
+                links: links.collect(),
             }),
             sequence: 0,
         }

@@ -108,7 +108,7 @@ impl<'a> Passage<'a> {
 
 impl Pipeline {
     /// Counts what was seen on a link and sends on what goes on.
-    pub(super) fn finish_passage(&mut self, now: Stamp<HostClock>, id: LinkId, seen: Seen) {
+    pub(super) fn finish_passage(&mut self, now: Stamp<HostClock>, id: LinkId, seen: &Seen) {
         if let Some(link) = self.links.get_mut(&id) {
             link.health.filtered += seen.filtered;
             link.health.duplicates += seen.duplicates;

@@ -68,7 +68,7 @@ impl Pipeline {
             None => link.peers.give_up(now, peer, &mut sink),
         }
         let seen = passage.finish();
-        self.finish_passage(now, id, seen);
+        self.finish_passage(now, id, &seen);
         self.outputs.extend(events.into_iter().map(Output::Event));
         for message in arrived {
             self.handle_message(now, id, &message);
