@@ -102,10 +102,11 @@ fn address(station: &mut Running) -> String {
     line.trim().replace("listening on ", "")
 }
 
-/// A station with the three links of [`CONFIG`].
-fn start_station(folder: &std::path::Path) -> Running {
-    std::fs::write(folder.join("three.toml"), CONFIG).expect("a scratch folder");
-    Running::start(posebridge(folder).args([
+#[test]
+fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears_it() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("three.toml"), CONFIG).unwrap();
+    let mut station = Running::start(posebridge(folder.path()).args([
         "run",
         "--config",
         "three.toml",
@@ -113,22 +114,7 @@ fn start_station(folder: &std::path::Path) -> Running {
         "run",
         "--events",
         "live.txt",
-    ]))
-}
-
-/// The wheels of a robot that stands, for one step of 50 ms.
-const fn ticks(step: u32) -> Message {
-    Message::WheelTicks(WheelTicks {
-        stamp: WireStamp::Micros32(5_000_000 + step * 50_000),
-        left: EncoderTicks(0),
-        right: EncoderTicks(0),
-    })
-}
-
-#[test]
-fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut station = start_station(folder.path());
+    ]));
     let brick = socket(&address(&mut station));
     let camera = socket(&address(&mut station));
     let mut gcs = TcpStream::connect(address(&mut station)).unwrap();
@@ -166,10 +152,9 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
     ];
     brick.send(&unknown).unwrap();
     read_until(&mut gcs, &mut heard, &unknown);
-    for k in 0..20 {
-        let ticks = brick_says.frame(&ticks(k));
-        brick.send(&ticks).unwrap();
-        read_until(&mut gcs, &mut heard, &ticks);
+    for frame in telemetry(&mut brick_says) {
+        brick.send(&frame).unwrap();
+        read_until(&mut gcs, &mut heard, &frame);
     }
 
     let marker = gcs_says.frame(&HEARTBEAT);
@@ -186,6 +171,18 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
         assert!(tables.contains(part), "`{part}` is missing:\n{tables}");
     }
     replays_bit_for_bit(folder.path());
+}
+
+/// A second of wheel ticks at 20 Hz.
+fn telemetry(brick: &mut Voice) -> Vec<Vec<u8>> {
+    let ticks = (0..20_u32).map(|k| {
+        brick.frame(&Message::WheelTicks(WheelTicks {
+            stamp: WireStamp::Micros32(5_000_000 + k * 50_000),
+            left: EncoderTicks(0),
+            right: EncoderTicks(0),
+        }))
+    });
+    ticks.collect()
 }
 
 fn replays_bit_for_bit(folder: &std::path::Path) {

@@ -68,7 +68,7 @@ impl Bench {
             router: Router::new(RouterConfig {
                 own: STATION,
                 duplicate_window: Span::from_millis(1_000),
-                links: links.into_iter().collect(),
+                links: links.collect(),
             }),
             sequence: 0,
         }
