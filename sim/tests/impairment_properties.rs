@@ -137,6 +137,53 @@ fn a_long_delay_does_not_fill_the_memory() {
     assert_eq!(counters.bytes_lost_to_full_buffer, 24 << 20);
 }
 
+#[test]
+fn an_outage_frees_the_line() {
+    let profile = DirectionProfile {
+        rate: Some(Rate {
+            bytes_per_s: 100.0,
+            buffer_bytes: 2_000,
+            burst_bytes: 0,
+        }),
+        ..DirectionProfile::default()
+    };
+    let mut direction = Impairment::new(&profile, LinkKind::Stream, 1, "test");
+    // Ten seconds of bytes wait; after the outage the next ten bytes take a tenth of a second and not ten more.
+    direction.offer(Stamp::ZERO, &[0; 1_000]);
+    direction.cut(Stamp::from_millis(10));
+    direction.offer(Stamp::from_millis(15), b"unheard");
+    direction.restore(Stamp::from_millis(20));
+    direction.offer(Stamp::from_millis(20), b"ten bytes.");
+    let trickled = direction.deadline().unwrap();
+    assert_eq!(trickled, Stamp::from_millis(120));
+    assert_eq!(direction.counters().bytes_lost_to_outages, 1_007);
+}
+
+#[test]
+fn an_outage_ends_a_long_delay() {
+    let profile = DirectionProfile {
+        delay: Delay {
+            base_ms: 0.0,
+            jitter_mean_ms: 60_000.0,
+        },
+        ..DirectionProfile::default()
+    };
+    // What was on the way is gone, so the next unit need not arrive behind it: of two long delays the second is the shorter one
+    // in half of all cases.
+    let arrives_sooner = |seed: &u64| {
+        let mut direction = Impairment::new(&profile, LinkKind::Stream, *seed, "test");
+        direction.offer(Stamp::ZERO, b"late");
+        let late = direction.deadline();
+        direction.cut(Stamp::ZERO);
+        direction.restore(Stamp::ZERO);
+        direction.offer(Stamp::ZERO, b"next");
+        direction.deadline() < late
+    };
+    let sooner = (0..400).filter(arrives_sooner).count();
+    // Binomial: sigma 10.
+    assert!((167..=233).contains(&sooner), "{sooner} of 400");
+}
+
 /// What went in and what came out of one direction.
 struct Run {
     units: Vec<Vec<u8>>,

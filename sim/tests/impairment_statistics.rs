@@ -105,6 +105,25 @@ fn bursts_last_and_lie_apart_as_the_two_states_say() {
 }
 
 #[test]
+fn a_link_begins_in_either_state_as_often_as_it_is_in_it() {
+    let profile = DirectionProfile {
+        burst_loss: Some(BurstLoss {
+            mean_good_s: 3.0,
+            mean_bad_s: 1.0,
+            loss_good: 0.0,
+            loss_bad: 1.0,
+        }),
+        ..DirectionProfile::default()
+    };
+    let is_bad_at_first = |seed: &u64| {
+        let mut direction = Impairment::new(&profile, LinkKind::Datagram, *seed, "begin");
+        direction.offer(Stamp::ZERO, b"x");
+        direction.deadline().is_none()
+    };
+    happens((0..3_000).filter(is_bad_at_first).count(), 3_000, 0.25);
+}
+
+#[test]
 fn each_state_loses_with_its_own_probability() {
     let lossy = |loss_good, loss_bad| DirectionProfile {
         burst_loss: Some(BurstLoss {
