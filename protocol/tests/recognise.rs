@@ -177,8 +177,8 @@ fn text_is_lines_that_ended() {
     check(b"L 12 R 13\rL 14 R 15\r", Protocol::Text, 2, 20);
     check(b"no end", Protocol::Noise, 0, 0);
     // One byte in twenty may be none of text's, one in nineteen may not.
-    check(b"abcdefgh\n\xFFbcdefghi\n", Protocol::Text, 2, 20);
-    check(b"abcdefgh\n\xFFbcdefgh\n", Protocol::Noise, 0, 0);
+    check(b"abcdefghi\n\xFFbcdefghi\n", Protocol::Text, 2, 20);
+    check(b"abcdefghi\n\xFFbcdefgh\n", Protocol::Noise, 0, 0);
 }
 
 #[test]
