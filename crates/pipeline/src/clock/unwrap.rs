@@ -205,6 +205,17 @@ mod tests {
     }
 
     #[test]
+    fn a_millisecond_counter_runs_on_across_its_wrap_after_fifty_days() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, WireStamp::Millis32(u32::MAX - 9), 0);
+        let after = unwrapped(&mut unwrapper, WireStamp::Millis32(40), 50);
+        assert_eq!(
+            after,
+            Unwrapped::Continued(Stamp::from_millis((1 << 32) + 40))
+        );
+    }
+
+    #[test]
     fn milliseconds_and_microseconds_of_one_clock_agree_across_the_wrap() {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Micros32(u32::MAX - 999), 0);
