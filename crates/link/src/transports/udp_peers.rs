@@ -182,6 +182,16 @@ mod tests {
     }
 
     #[test]
+    fn who_was_away_for_long_is_a_new_one_even_if_nobody_looked() {
+        let mut peers = Peers::new(None, IDLE);
+        let first = peers.heard(address(1), Stamp::ZERO);
+        let still = peers.heard(address(1), Stamp::from_millis(10_000));
+        assert_eq!(first, still);
+        let back = peers.heard(address(1), Stamp::from_millis(20_001));
+        assert_ne!(first, back);
+    }
+
+    #[test]
     fn the_named_host_is_never_forgotten() {
         let mut peers = Peers::new(Some(address(1)), IDLE);
         let now = Stamp::from_millis(3_600_000);
