@@ -28,8 +28,10 @@ use steady::{LATE_STEPS, fix, gyro, wheels};
 
 /// Rounds of the comparison; odd, so that there is a middle.
 const ROUNDS: usize = 301;
-/// Steps of the flagship in each round.
-const FLAGSHIP_STEPS: i64 = 200;
+/// Steps of the flagship in each round: as many as of every other row, so that all of them begin a round equally cold.
+const FLAGSHIP_STEPS: i64 = STEPS as i64;
+/// Late fixes in each round, of each camera.
+const LATE_FIXES: i64 = 20;
 /// A minute at 20 Hz fills every history.
 const WARM_UP: i64 = 1_200;
 /// Predict and four gated scalar updates may take this many times as long as the floor.
@@ -222,7 +224,7 @@ impl Flagship {
     }
 
     fn time_fixes(&mut self, micros: &mut Vec<f64>) {
-        for _ in 0..FLAGSHIP_STEPS / 10 {
+        for _ in 0..LATE_FIXES {
             self.drive_on();
             if self.is_fix_due() {
                 micros.push(1e-3 * nanos(self.use_late_fix()));

@@ -12,6 +12,8 @@
 //! # Source
 //! docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
 
+use std::ops::{Add, Mul, Sub};
+
 use nalgebra::SMatrix;
 use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp};
 
@@ -40,6 +42,16 @@ pub enum Window {
     Open,
     /// It is not.
     Closed,
+}
+
+impl Window {
+    /// The share of a turn that counts for the window.
+    fn share(self) -> f64 {
+        match self {
+            Self::Open => 1.0,
+            Self::Closed => 0.0,
+        }
+    }
 }
 
 /// How a step carries errors from its beginning to its end.
@@ -110,45 +122,40 @@ impl Transition {
     }
 
     /// What errors before the step become in the rows that it moves: forward, left, heading, turn since the window began. The
-    /// errors are given by `error`, row for row.
-    fn moved(&self, error: impl Fn(usize) -> f64) -> [f64; 4] {
+    /// errors are given by `error`, row for row: numbers, or whole rows of a matrix.
+    #[inline]
+    fn moved<T>(&self, error: impl Fn(usize) -> T) -> [T; 4]
+    where
+        T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f64, Output = T>,
+    {
         let step = &self.step;
         let (mean, difference) = (error(RADIUS), error(DIFFERENCE));
-        let along = self.forward_by[0] * mean + self.forward_by[1] * difference;
+        let along = mean * self.forward_by[0] + difference * self.forward_by[1];
         let turned =
-            self.turn_by[0] * mean + self.turn_by[1] * difference + self.turn_by[2] * error(TRACK);
+            mean * self.turn_by[0] + difference * self.turn_by[1] + error(TRACK) * self.turn_by[2];
         let heading = error(HEADING);
-        let x = error(FORWARD) - step.motion.y_m * heading;
-        let y = error(LEFT) + step.motion.x_m * heading;
-        let of_window = match self.window {
-            Window::Open => turned,
-            Window::Closed => 0.0,
-        };
+        let x = error(FORWARD) - heading * step.motion.y_m;
+        let y = error(LEFT) + heading * step.motion.x_m;
         [
-            step.cos * x + step.sin * y + step.by_forward[0] * along + step.by_turn[0] * turned,
-            step.cos * y - step.sin * x + step.by_forward[1] * along + step.by_turn[1] * turned,
+            x * step.cos + y * step.sin + along * step.by_forward[0] + turned * step.by_turn[0],
+            y * step.cos - x * step.sin + along * step.by_forward[1] + turned * step.by_turn[1],
             heading + turned,
-            error(WINDOW_TURN) + of_window,
+            error(WINDOW_TURN) + turned * self.window.share(),
         ]
     }
 
     /// P <- F P F' + G q G'.
     ///
     /// Only `MOVED` rows and columns change. F P is formed for these rows; of its product with F' only the block where they
-    /// meet is left to do, the rest follows by symmetry.
+    /// meet is left to do, the rest follows by symmetry. A row of P is read as the column that it equals, which lies in one
+    /// piece in memory.
     pub fn carry<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
-        let mut rows = [[0.0; N]; 4];
-        for column in 0..N {
-            let moved = self.moved(|row| p[(row, column)]);
-            for (row, value) in rows.iter_mut().zip(moved) {
-                row[column] = value;
-            }
-        }
+        let rows = self.moved(|row| p.column(row).into_owned());
         let q = self.noise(noise);
-        for (i, &row) in MOVED.iter().enumerate() {
+        for (&row, values) in MOVED.iter().zip(&rows) {
+            p.set_column(row, values);
             for column in 0..N {
-                p[(row, column)] = rows[i][column];
-                p[(column, row)] = rows[i][column];
+                p[(row, column)] = values[column];
             }
         }
         for (i, &row) in MOVED.iter().enumerate() {
@@ -163,13 +170,9 @@ impl Transition {
 
     /// G q G' in the rows that move.
     fn noise(&self, noise: &StepNoise) -> [[f64; 4]; 4] {
-        let window = match self.window {
-            Window::Open => 1.0,
-            Window::Closed => 0.0,
-        };
         let step = &self.step;
         let along = [step.by_forward[0], step.by_forward[1], 0.0, 0.0];
-        let turned = [step.by_turn[0], step.by_turn[1], 1.0, window];
+        let turned = [step.by_turn[0], step.by_turn[1], 1.0, self.window.share()];
         let mut q = [[0.0; 4]; 4];
         for (i, row) in q.iter_mut().enumerate() {
             let by_forward = noise.forward_var_m2 * along[i] + noise.forward_turn_m_rad * turned[i];
