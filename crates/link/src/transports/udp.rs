@@ -119,6 +119,7 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
         queue: SendQueue::new(QUEUE_BYTES),
         meter: CapacityMeter::default(),
         inbox: Inbox::default(),
+        was_idle: true,
         loss: None,
         buffer: vec![0; DATAGRAM_BYTES].into_boxed_slice(),
     }))
@@ -170,6 +171,8 @@ struct UdpConnection {
     queue: SendQueue<SocketAddr>,
     meter: CapacityMeter,
     inbox: Inbox,
+    /// Nothing was to be had when it was last polled: what comes next is alone, mostly.
+    was_idle: bool,
     /// Told when everything that arrived before has been delivered.
     loss: Option<io::Error>,
     buffer: Box<[u8]>,
@@ -207,9 +210,10 @@ impl UdpConnection {
         }
     }
 
-    /// Takes what the common socket holds, up to the limit.
-    fn drain(&mut self) {
-        for _ in 0..DRAIN_LIMIT {
+    /// Takes what the common socket holds, up to the limit; a single datagram where a robot may be waiting for the answer, since
+    /// to ask the system whether there is another would delay it.
+    fn drain(&mut self, limit: usize) {
+        for _ in 0..limit {
             match self.socket.try_recv_from(&mut self.buffer) {
                 Ok((length, from)) => {
                     self.deliver(length, from);
@@ -346,11 +350,16 @@ impl Connection for UdpConnection {
             }
             let common = self.socket.poll_recv_ready(cx);
             match common {
-                Poll::Ready(Ok(())) => self.drain(),
+                Poll::Ready(Ok(())) => {
+                    let limit = if self.was_idle { 1 } else { DRAIN_LIMIT };
+                    self.was_idle = false;
+                    self.drain(limit);
+                }
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
                 Poll::Pending => {}
             }
             if !self.drain_loud(cx) && common.is_pending() {
+                self.was_idle = true;
                 return Poll::Pending;
             }
         }
