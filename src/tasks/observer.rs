@@ -3,18 +3,19 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_telemetry::{Event, HostClock, Span, Stamp};
 
+use super::gulps::Gulps;
 use crate::collect::Collector;
 use crate::report::live::LiveView;
 
 /// So many events wait for the terminal before they are dropped and counted.
-const WAITING: usize = 65_536;
+const WAITING: usize = 16_384;
 /// The status block is drawn this often.
 const DRAW_PERIOD: Span = Span::from_millis(200);
 
@@ -46,7 +47,7 @@ impl Observer {
         let view = config.view;
         let thread = std::thread::Builder::new()
             .name("observer".to_owned())
-            .spawn(move || watch(&receiver, events, view))
+            .spawn(move || watch(Gulps::new(receiver), events, view))
             .context("starting the observer's thread")?;
         Ok(Self {
             sender,
@@ -101,14 +102,14 @@ pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> 
 }
 
 fn watch(
-    events: &Receiver<(Stamp<HostClock>, Event)>,
+    mut events: Gulps<(Stamp<HostClock>, Event)>,
     mut file: Option<BufWriter<File>>,
     mut view: LiveView,
 ) -> Result<Collector> {
     let mut collector = Collector::default();
     let mut drawn = Stamp::<HostClock>::ZERO;
     loop {
-        match events.recv_timeout(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
+        match events.next(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
             Ok((now, event)) => {
                 if let Some(file) = &mut file {
                     write_event(file, &event).context("writing the event file")?;

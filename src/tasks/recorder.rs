@@ -2,13 +2,15 @@
 
 use std::fs::File;
 use std::path::Path;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_recording::container::{Header, Writer};
 use posebridge_telemetry::{HostClock, Input, Span, Stamp};
+
+use super::gulps::Gulps;
 
 /// So many inputs wait for the disk before the shard waits too: several seconds of a busy link.
 const WAITING: usize = 16_384;
@@ -34,7 +36,9 @@ impl Recorder {
         let (sender, receiver) = sync_channel(WAITING);
         let thread = std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || write(writer, &receiver).with_context(|| format!("recording `{name}`")))
+            .spawn(move || {
+                write(writer, Gulps::new(receiver)).with_context(|| format!("recording `{name}`"))
+            })
             .context("starting the recorder's thread")?;
         Ok(Self { sender, thread })
     }
@@ -61,11 +65,11 @@ impl Recorder {
     }
 }
 
-fn write(mut writer: Writer<File>, inputs: &Receiver<(Stamp<HostClock>, Input)>) -> Result<u64> {
+fn write(mut writer: Writer<File>, mut inputs: Gulps<(Stamp<HostClock>, Input)>) -> Result<u64> {
     let mut recorded = 0;
     let mut flushed = Stamp::<HostClock>::ZERO;
     loop {
-        match inputs.recv_timeout(Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs())) {
+        match inputs.next(Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs())) {
             Ok((now, input)) => {
                 writer.record(now, &input)?;
                 recorded += 1;
