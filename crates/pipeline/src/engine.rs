@@ -22,6 +22,7 @@ use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
 use crate::interpret::Interpreter;
 use crate::link_state::Link;
+use forward::Seen;
 
 /// Health of every link is told once per second.
 const HEALTH_PERIOD: Span = Span::from_millis(1_000);
@@ -67,10 +68,18 @@ pub struct Pipeline {
     described: bool,
     /// Something was observed since the last estimate left.
     is_news: bool,
+    /// The estimate that the robot has been sent and the others not yet.
+    for_others: Option<Estimate>,
+    /// What was seen on a link and is to be counted and sent on.
+    passages: Vec<(LinkId, Seen)>,
+    /// Nothing is left to do of the last input.
+    is_complete: bool,
     next_health: Option<Stamp<HostClock>>,
     /// The instant of the input that is being handled: what leaves is signed with it and limited by it.
     now: Stamp<HostClock>,
     outputs: VecDeque<Output>,
+    /// Frames of others on their way to another link. They leave after what is our own: nobody steers by them.
+    passed_on: VecDeque<Output>,
 }
 
 impl Pipeline {
@@ -111,15 +120,23 @@ impl Pipeline {
             fix_ratio: 0.0,
             described: false,
             is_news: false,
+            for_others: None,
+            passages: Vec::new(),
+            is_complete: true,
             next_health: (!config.links.is_empty()).then(|| now + HEALTH_PERIOD),
             now,
             outputs: VecDeque::new(),
+            passed_on: VecDeque::new(),
             config,
         })
     }
 
     /// Takes one input that came at `now`.
+    ///
+    /// Only what leads to the robot's estimate is done here; the rest is done when that has been polled. Poll until `None`
+    /// before [`deadline`](Self::deadline) is asked.
     pub fn handle(&mut self, now: Stamp<HostClock>, input: &Input) {
+        self.complete();
         self.now = now;
         match input {
             Input::Bytes { link, peer, bytes } => {
@@ -138,13 +155,40 @@ impl Pipeline {
             Input::Command(command) => self.handle_command(*command),
             Input::Tick => {}
         }
-        self.pass_time(now);
-        self.publish_news(now);
+        // What is due goes first: a time request that waited behind the estimate would measure that, too.
+        if self.deadline().is_some_and(|due| due <= now) {
+            self.pass_time(now);
+        }
+        self.publish_to_robot(now);
+        self.is_complete = false;
     }
 
-    /// The next output, oldest first.
+    /// What nobody waits for of the input before: estimates for the others, frames that go on, what time brings.
+    fn complete(&mut self) {
+        if std::mem::replace(&mut self.is_complete, true) {
+            return;
+        }
+        let now = self.now;
+        self.publish_to_others(now);
+        for (link, seen) in std::mem::take(&mut self.passages) {
+            self.finish_passage(now, link, &seen);
+        }
+        self.pass_time(now);
+        // What waited of a peer that fell silent may have been news, too.
+        self.publish_to_robot(now);
+        self.publish_to_others(now);
+        for (link, seen) in std::mem::take(&mut self.passages) {
+            self.finish_passage(now, link, &seen);
+        }
+    }
+
+    /// The next output: our own and what happened, oldest first, then what is passed on, oldest first.
     pub fn poll(&mut self) -> Option<Output> {
-        self.outputs.pop_front()
+        if self.outputs.is_empty() {
+            self.complete();
+        }
+        let own = self.outputs.pop_front();
+        own.or_else(|| self.passed_on.pop_front())
     }
 
     /// When to call [`handle`](Self::handle) with [`Input::Tick`], at the latest.

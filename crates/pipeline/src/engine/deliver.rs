@@ -10,8 +10,8 @@ use crate::config::{OutputInstant, OutputStream};
 use crate::publish::{self, Circumstances, Prediction};
 
 impl Pipeline {
-    /// One estimate per input that brought news, for the latest instant that was observed.
-    pub(super) fn publish_news(&mut self, now: Stamp<HostClock>) {
+    /// One estimate per input that brought news, for the latest instant that was observed: to the robot at once.
+    pub(super) fn publish_to_robot(&mut self, now: Stamp<HostClock>) {
         if !std::mem::take(&mut self.is_news) {
             return;
         }
@@ -24,16 +24,30 @@ impl Pipeline {
         };
         let robot = self.robot.unwrap_or_default();
         self.tell(Event::Estimated { robot, estimate });
+        self.publish_on(robot.link, &estimate, now);
+        self.for_others = Some(estimate);
+    }
+
+    /// To all others when nobody waits.
+    pub(super) fn publish_to_others(&mut self, now: Stamp<HostClock>) {
+        let Some(estimate) = self.for_others.take() else {
+            return;
+        };
+        let served = self.robot.unwrap_or_default().link;
         let ids: Vec<LinkId> = self.links.keys().copied().collect();
-        for id in ids {
-            let due = match self.links.get_mut(&id) {
-                Some(link) if link.state == LinkState::Up => link.publisher.due(now),
-                _ => continue,
-            };
-            for stream in due {
-                if let Some(message) = self.message_for(&stream, &estimate, now) {
-                    self.transmit(id, &message, publish::priority(stream.kind));
-                }
+        for id in ids.into_iter().filter(|id| *id != served) {
+            self.publish_on(id, &estimate, now);
+        }
+    }
+
+    fn publish_on(&mut self, id: LinkId, estimate: &Estimate, now: Stamp<HostClock>) {
+        let due = match self.links.get_mut(&id) {
+            Some(link) if link.state == LinkState::Up => link.publisher.due(now),
+            _ => return,
+        };
+        for stream in due {
+            if let Some(message) = self.message_for(&stream, estimate, now) {
+                self.transmit(id, &message, publish::priority(stream.kind));
             }
         }
     }

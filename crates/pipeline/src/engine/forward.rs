@@ -142,7 +142,7 @@ impl Pipeline {
         link.health.bytes_out += length as u64;
         link.health.frames_out += 1;
         link.health.forwarded += 1;
-        self.outputs.push_back(Output::Transmit {
+        self.passed_on.push_back(Output::Transmit {
             link: id,
             to,
             priority: frame.priority,

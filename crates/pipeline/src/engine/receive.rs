@@ -77,8 +77,7 @@ impl Pipeline {
             Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
             None => link.peers.give_up(now, peer, &mut sink),
         }
-        let seen = passage.finish();
-        self.finish_passage(now, id, &seen);
+        self.passages.push((id, passage.finish()));
         self.outputs.extend(events.into_iter().map(Output::Event));
         for message in arrived {
             self.handle_message(now, id, &message);
