@@ -1,7 +1,7 @@
 //! From the last byte of a telemetry frame to the estimate's datagram, beside a bare echo of the same sizes.
 //!
 //! A brick on a loopback UDP socket sends PB_WHEEL_TICKS and waits for PB_PLANAR_POSE; the station is the program's own shard with its
-//! recorder and observer attached. The echo answers each datagram with one as long as the estimate, on a runtime of the same kind. Both
+//! recorder, its observer and a ground station on a second UDP link attached, which gets what such programs show. The echo answers each datagram with one as long as the estimate, on a runtime of the same kind. Both
 //! take turns in one run, so that a busy machine slows both. Run with `cargo bench --bench latency`.
 //!
 //! Most of what is measured is the wake-up of a sleeping thread by the kernel; the ratio is what the station adds.
@@ -16,7 +16,7 @@
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use posebridge::config::{Config, LinkSection};
+use posebridge::config::{AtInstant, Config, LinkSection, OutputSection};
 use posebridge::report::live::LiveView;
 use posebridge::tasks::observer::{Observer, ObserverConfig};
 use posebridge::tasks::recorder::Recorder;
@@ -41,8 +41,9 @@ fn main() {
     let stop = CancellationToken::new();
     let many = start_echo(Threads::Many);
     let one = start_echo(Threads::One);
-    let (station, thread) = start_station(stop.clone());
-    let mut brick = Brick::new();
+    let ground = GroundStation::new();
+    let (station, thread) = start_station(stop.clone(), ground.address);
+    let mut brick = Brick::new(ground);
     let [mut ours, mut bare, mut bare_one] = [const { Vec::new() }; 3];
     for round in 0..=ROUNDS {
         let station_round = brick.exchange_with(station, Answer::Estimate);
@@ -58,6 +59,15 @@ fn main() {
     stop.cancel();
     thread.join().expect("the station's thread ends");
     report(&mut ours, &mut bare, &mut bare_one);
+    println!(
+        "{} exchanges each; {} datagrams reached the ground station",
+        ROUNDS * EXCHANGES_PER_ROUND,
+        brick.ground.heard
+    );
+    assert!(
+        brick.ground.heard >= ROUNDS * EXCHANGES_PER_ROUND,
+        "the ground station must be served as well"
+    );
 }
 
 fn report(ours: &mut [Duration], bare: &mut [Duration], bare_one: &mut [Duration]) {
@@ -89,7 +99,6 @@ fn report(ours: &mut [Duration], bare: &mut [Duration], bare_one: &mut [Duration
             station[1] / echo[1]
         );
     }
-    println!("{} exchanges each", ROUNDS * EXCHANGES_PER_ROUND);
 }
 
 /// Which datagram ends an exchange.
@@ -99,7 +108,37 @@ enum Answer {
     Anything,
 }
 
+/// A program on another link that takes what the station shows.
+struct GroundStation {
+    socket: UdpSocket,
+    address: SocketAddr,
+    heard: usize,
+}
+
+impl GroundStation {
+    fn new() -> Self {
+        let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
+        socket
+            .set_nonblocking(true)
+            .expect("a socket that does not wait");
+        let address = socket.local_addr().expect("an address");
+        Self {
+            socket,
+            address,
+            heard: 0,
+        }
+    }
+
+    fn read(&mut self) {
+        let mut buffer = [0; 512];
+        while self.socket.recv(&mut buffer).is_ok() {
+            self.heard += 1;
+        }
+    }
+}
+
 struct Brick {
+    ground: GroundStation,
     socket: UdpSocket,
     encoder: Encoder,
     micros: u32,
@@ -107,12 +146,13 @@ struct Brick {
 }
 
 impl Brick {
-    fn new() -> Self {
+    fn new(ground: GroundStation) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
         socket
             .set_read_timeout(Some(Duration::from_secs(5)))
             .expect("a time limit");
         Self {
+            ground,
             socket,
             encoder: Encoder::new(WireVersion::V2),
             micros: 0,
@@ -155,6 +195,7 @@ impl Brick {
         while round_began.elapsed() < Duration::from_micros(u64::from(PERIOD_MICROS)) {
             std::hint::spin_loop();
         }
+        self.ground.read();
         elapsed
     }
 }
@@ -217,7 +258,10 @@ async fn echo(tell: std::sync::mpsc::SyncSender<SocketAddr>) {
     }
 }
 
-fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandle<()>) {
+fn start_station(
+    stop: CancellationToken,
+    ground: SocketAddr,
+) -> (SocketAddr, std::thread::JoinHandle<()>) {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("station".to_owned());
     let thread = thread.spawn(move || {
@@ -225,7 +269,7 @@ fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandl
             std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a scratch folder");
         runtime().block_on(async {
-            let (mut shard, address) = shard(&folder.join("latency.mcap")).await;
+            let (mut shard, address) = shard(&folder.join("latency.mcap"), ground).await;
             tell.send(address).expect("somebody waits");
             shard
                 .run(&Ending {
@@ -249,32 +293,46 @@ fn start_station(stop: CancellationToken) -> (SocketAddr, std::thread::JoinHandl
     (told.recv().expect("the station starts"), thread)
 }
 
-/// The program's own shard on a loopback UDP port, with recorder and observer.
-async fn shard(recording: &std::path::Path) -> (Shard, SocketAddr) {
+/// What a ground station shows of a robot.
+fn shown() -> Vec<OutputSection> {
+    ["odometry", "local_position", "attitude", "estimator_status"]
+        .map(|message| OutputSection {
+            message: message.to_owned(),
+            interval_ms: 0,
+            at: AtInstant::Observed,
+        })
+        .to_vec()
+}
+
+/// The program's own shard on a loopback UDP port, with recorder and observer, and a link to a ground station.
+async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, SocketAddr) {
     let timer = HostTimer::start();
-    let url = "udp://127.0.0.1:0";
-    let links = vec![LinkSection {
+    let (brick, ground) = ("udp://127.0.0.1:0", format!("udp://{ground}"));
+    let to_ground = LinkSection {
+        outputs: shown(),
+        ..LinkSection::new(&ground)
+    };
+    let from_brick = LinkSection {
         listen: true,
-        ..LinkSection::new(url)
-    }];
+        ..LinkSection::new(brick)
+    };
     let config = Config {
-        links,
+        links: vec![to_ground, from_brick],
         ..Config::default()
     };
-    let url = LinkUrl::parse(url).expect("a URL");
-    let port = Port::new(
-        PortConfig {
-            id: LinkId(0),
-            url,
-            role: Role::Listen,
-        },
-        timer,
-    );
-    let mut ports = PortSet::new(vec![port]);
+    let port = |id, url: &str, role| {
+        let url = LinkUrl::parse(url).expect("a URL");
+        let id = LinkId(id);
+        Port::new(PortConfig { id, url, role }, timer)
+    };
+    let mut ports = PortSet::new(vec![
+        port(0, &ground, Role::Dial),
+        port(1, brick, Role::Listen),
+    ]);
     ports.open_first().await.expect("the link opens");
     let address = ports
         .iter()
-        .next()
+        .nth(1)
         .and_then(Port::local_address)
         .expect("an address");
     let observed = ObserverConfig {
