@@ -6,22 +6,21 @@ use crate::support::{
 use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::quantities::wrap_rad;
 
+/// Wheels that do not slip along their way.
+const NO_TRAVEL_NOISE: (&str, &str) = (
+    "wheel_travel_m_per_sqrt_m = 0.0008",
+    "wheel_travel_m_per_sqrt_m = 0.0",
+);
+/// And not in turns either.
+const NO_TURN_NOISE: (&str, &str) = (
+    "turn_rad_per_sqrt_rad = 0.004",
+    "turn_rad_per_sqrt_rad = 0.0",
+);
+
 #[test]
 fn without_noise_the_wheels_tell_the_way_by_the_true_geometry() {
-    let quiet = changed(
-        "no-camera",
-        &[
-            (
-                "wheel_travel_m_per_sqrt_m = 0.0008",
-                "wheel_travel_m_per_sqrt_m = 0.0",
-            ),
-            (
-                "turn_rad_per_sqrt_rad = 0.004",
-                "turn_rad_per_sqrt_rad = 0.0",
-            ),
-            ("tick_deg = 1.0", "tick_deg = 1e-5"),
-        ],
-    );
+    let fine = ("tick_deg = 1.0", "tick_deg = 1e-5");
+    let quiet = changed("no-camera", &[NO_TRAVEL_NOISE, NO_TURN_NOISE, fine]);
     let drive = quiet.drive(2);
     let geometry = drive.true_geometry;
     let mut before: Option<(f64, f64)> = None;
@@ -115,19 +114,7 @@ fn encoder_and_gyro_speak_in_whole_degrees() {
 
 #[test]
 fn encoders_are_floored_and_not_rounded() {
-    let quiet = changed(
-        "no-camera",
-        &[
-            (
-                "wheel_travel_m_per_sqrt_m = 0.0008",
-                "wheel_travel_m_per_sqrt_m = 0.0",
-            ),
-            (
-                "turn_rad_per_sqrt_rad = 0.004",
-                "turn_rad_per_sqrt_rad = 0.0",
-            ),
-        ],
-    );
+    let quiet = changed("no-camera", &[NO_TRAVEL_NOISE, NO_TURN_NOISE]);
     let drive = quiet.drive(0);
     let geometry = drive.true_geometry;
     let mut true_rad = 0.0;
