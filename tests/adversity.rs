@@ -6,7 +6,7 @@ use std::fs::OpenOptions;
 use std::io::Write as _;
 use std::process::Stdio;
 
-use support::{Running, posebridge, root};
+use support::{Running, WHEELS_CSV, posebridge, root, stdout_of};
 
 #[test]
 fn a_player_that_calls_over_udp_is_heard_by_a_station_that_waits() {
@@ -20,10 +20,7 @@ fn a_player_that_calls_over_udp_is_heard_by_a_station_that_waits() {
         "--out",
         "run",
     ]));
-    let address = station
-        .wait_for("listening on")
-        .trim()
-        .replace("listening on ", "");
+    let address = station.listening_address("");
     let mut player = Running::start(
         posebridge(folder.path())
             .arg("play")
@@ -53,10 +50,7 @@ fn another_client_of_our_tcp_server_does_not_mute_the_brick() {
         "--out",
         "run",
     ]));
-    let address = station
-        .wait_for("listening on")
-        .trim()
-        .replace("listening on ", "");
+    let address = station.listening_address("");
     let link = format!("tcp://{address}");
     let _brick = Running::start(posebridge(folder.path()).args(["sim", "circle", "--link", &link]));
     station.wait_for("heard link 0 1/1");
@@ -116,16 +110,8 @@ default_run = "one"
 [robot]
 [[runs]]
 name = "one"
-[files.wheels]
-path = "wheels.csv"
-header_lines = 1
-time = { column = "t_s" }
-[[wheels]]
-file = "wheels"
-counting = "absolute"
-left = { column = "left", unit = "ticks" }
-right = { column = "right", unit = "ticks" }
 "#;
+    let descriptor = [descriptor, WHEELS_CSV].concat();
     std::fs::write(folder.path().join("short.toml"), descriptor).unwrap();
     std::fs::write(
         folder.path().join("wheels.csv"),
@@ -175,23 +161,15 @@ fn way_points_lie_in_a_file_beside_their_scenario_and_folders_may_have_any_name(
         "x_m,y_m\n0,0\n0.5,0\n0.25,0.3\n",
     )
     .unwrap();
-    let output = posebridge(folder.path())
-        .args([
-            "run",
-            "--link",
-            "sim://worlds/triangle.toml",
-            "--duration",
-            "4",
-            "--out",
-            "what?&now",
-        ])
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    stdout_of(posebridge(folder.path()).args([
+        "run",
+        "--link",
+        "sim://worlds/triangle.toml",
+        "--duration",
+        "4",
+        "--out",
+        "what?&now",
+    ]));
     assert!(folder.path().join("what?&now/track.svg").exists());
     std::fs::write(folder.path().join("worlds/triangle.csv"), "0,0\n0.5,zero\n").unwrap();
     let output = posebridge(folder.path())

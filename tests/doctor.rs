@@ -214,6 +214,13 @@ fn a_port_that_may_not_be_opened_is_a_problem_and_names_the_cure() {
         "permissions",
         (Status::Problem, "", "mode 0600"),
     );
+    // A group that may only read is no help: steering needs both ways.
+    fs::set_permissions(&port, fs::Permissions::from_mode(0o640)).unwrap();
+    check(
+        &examine(&examination),
+        "permissions",
+        (Status::Problem, "", "mode 0640"),
+    );
 }
 
 #[test]

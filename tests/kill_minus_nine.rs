@@ -18,7 +18,7 @@ use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig};
 use posebridge_protocol::message::Message;
 use posebridge_recording::container::Reader;
 use posebridge_telemetry::Stamp;
-use support::{Running, posebridge};
+use support::{Running, posebridge, stdout_of};
 
 #[test]
 fn a_killed_run_leaves_a_recording_that_replays_up_to_a_second_before() {
@@ -39,17 +39,10 @@ fn a_killed_run_leaves_a_recording_that_replays_up_to_a_second_before() {
             "{recorded_to_s} {killed_at_s}"
         );
 
-        let replay = posebridge(folder.path())
-            .args(["replay", "run/recording.mcap", "--json"])
-            .output()
-            .unwrap();
-        assert!(
-            replay.status.success(),
-            "{}",
-            String::from_utf8_lossy(&replay.stderr)
-        );
+        let replay =
+            stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--json"]));
         // Nobody knows where the robot was: the figures are null, not zero.
-        let report: serde_json::Value = serde_json::from_slice(&replay.stdout).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&replay).unwrap();
         let estimator = &report["estimators"][0];
         assert_eq!(estimator["name"], "pose");
         for figure in [

@@ -10,18 +10,11 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use support::{posebridge, root};
+use support::{posebridge, root, stdout_of};
 
 /// What the experiment prints for these arguments; it must end well.
 fn lab(folder: &Path, args: &[&str]) -> String {
-    let output = posebridge(folder)
-        .args(["lab", "accuracy"])
-        .args(args)
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    String::from_utf8(output.stdout).unwrap()
+    stdout_of(posebridge(folder).args(["lab", "accuracy"]).args(args))
 }
 
 fn object(folder: &Path, args: &[&str]) -> Value {

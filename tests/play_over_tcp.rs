@@ -6,7 +6,7 @@
 
 mod support;
 
-use support::{Running, posebridge, root};
+use support::{Running, number_after, posebridge, root, stdout_of};
 
 #[test]
 fn a_played_recording_is_estimated_as_its_replay() {
@@ -28,10 +28,7 @@ fn a_played_recording_is_estimated_as_its_replay() {
                 "20",
             ]),
     );
-    let address = player
-        .wait_for("listening on")
-        .trim()
-        .replace("listening on ", "");
+    let address = player.listening_address("");
     let mut station = Running::start(
         posebridge(folder.path())
             .args(["run", "--link", &format!("tcp://{address}"), "--robot"])
@@ -47,18 +44,13 @@ fn a_played_recording_is_estimated_as_its_replay() {
     );
     station.output();
     player.output();
-    let replay = posebridge(folder.path())
-        .arg("replay")
-        .arg(&descriptor)
-        .arg("--data")
-        .arg(root().join("tests/data"))
-        .args(["--run", run, "--filter", "pose", "--events", "replayed.txt"])
-        .output()
-        .unwrap();
-    assert!(
-        replay.status.success(),
-        "{}",
-        String::from_utf8_lossy(&replay.stderr)
+    stdout_of(
+        posebridge(folder.path())
+            .arg("replay")
+            .arg(&descriptor)
+            .arg("--data")
+            .arg(root().join("tests/data"))
+            .args(["--run", run, "--filter", "pose", "--events", "replayed.txt"]),
     );
     let ([live_s, live_x_m, live_y_m], [replayed_s, x_m, y_m]) = (
         last_estimate(&folder.path().join("live.txt")),
@@ -80,13 +72,4 @@ fn last_estimate(events: &std::path::Path) -> [f64; 3] {
         .rfind(|line| line.starts_with("Estimated"))
         .expect("something was estimated");
     ["brick@", "x: Meters(", "y: Meters("].map(|field| number_after(line, field))
-}
-
-fn number_after(line: &str, field: &str) -> f64 {
-    let text = line.split(field).nth(1).expect("the field is there");
-    text.split(['s', ')'])
-        .next()
-        .expect("it has a value")
-        .parse()
-        .expect("it is a number")
 }

@@ -13,27 +13,22 @@ mod support;
 use std::path::PathBuf;
 
 use serde_json::Value;
-use support::{posebridge, root};
+use support::{posebridge, root, stdout_of};
 
 /// Runs `replay --json` on a descriptor.
 fn replay(descriptor: &str, data: &PathBuf, extra: &[&str]) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let path = root().join("config/recordings").join(descriptor);
-    let output = posebridge(folder.path())
-        .arg("replay")
-        .arg(path)
-        .arg("--json")
-        .arg("--data")
-        .arg(data)
-        .args(extra)
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
+    let printed = stdout_of(
+        posebridge(folder.path())
+            .arg("replay")
+            .arg(path)
+            .arg("--json")
+            .arg("--data")
+            .arg(data)
+            .args(extra),
     );
-    serde_json::from_slice(&output.stdout).expect("one JSON object")
+    serde_json::from_str(&printed).expect("one JSON object")
 }
 
 fn estimator<'a>(report: &'a Value, name: &str) -> &'a Value {

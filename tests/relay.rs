@@ -15,7 +15,7 @@ use std::time::Duration;
 use posebridge_sim::impairment::{End, ImpairedLink, LinkEvent, LinkProfile};
 use posebridge_telemetry::Stamp;
 use serde_json::Value;
-use support::{Running, posebridge};
+use support::{Running, posebridge, stdout_of};
 
 /// Long enough for a loaded machine; a test that waits so long has failed.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -182,7 +182,7 @@ fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
         "--listen",
         "tcp://127.0.0.1:0",
     ]));
-    let brick_link = format!("tcp://{}", address(&brick.wait_for("listening on")));
+    let brick_link = format!("tcp://{}", brick.listening_address(""));
     let mut relay = Running::start(posebridge(folder.path()).args([
         "relay",
         &brick_link,
@@ -193,10 +193,7 @@ fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
         "--record",
         "link.mcap",
     ]));
-    let station_link = format!(
-        "tcp://{}",
-        address(&relay.wait_for("station end listening on"))
-    );
+    let station_link = format!("tcp://{}", relay.listening_address("station end "));
     let mut station = Running::start(posebridge(folder.path()).args([
         "run",
         "--link",
@@ -208,15 +205,7 @@ fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
     station.interrupt();
     let table = relay.interrupt();
     assert!(table.contains("link bluetooth-spp, seed 1"), "{table}");
-    let replay = posebridge(folder.path())
-        .args(["replay", "link.mcap", "--events", "replayed.txt"])
-        .output()
-        .unwrap();
-    assert!(
-        replay.status.success(),
-        "{}",
-        String::from_utf8_lossy(&replay.stderr)
-    );
+    stdout_of(posebridge(folder.path()).args(["replay", "link.mcap", "--events", "replayed.txt"]));
     let events = std::fs::read_to_string(folder.path().join("replayed.txt")).unwrap();
     assert!(events.lines().any(|line| line.starts_with("Estimated")));
 }
@@ -392,9 +381,4 @@ fn count(report: &Value, direction: &str, counter: &str) -> u64 {
     report[direction][counter]
         .as_u64()
         .expect("there is such a counter")
-}
-
-fn address(line: &str) -> String {
-    let address = line.split("listening on ").nth(1).expect("it says where");
-    address.trim().to_owned()
 }

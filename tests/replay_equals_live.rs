@@ -1,6 +1,5 @@
 //! The strongest promise of the house: the events of a live run are those of its replay, bit for bit.
 #![expect(
-    clippy::expect_used,
     clippy::unwrap_used,
     reason = "a test stops where its set-up is broken"
 )]
@@ -9,38 +8,27 @@ mod support;
 
 use posebridge_recording::container::Reader;
 use posebridge_telemetry::Input;
-use support::{SKEWED_SQUARE, posebridge};
+use support::{SKEWED_SQUARE, number_after, posebridge, stdout_of};
 
 #[test]
 fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_clock() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("skewed.toml"), SKEWED_SQUARE).unwrap();
-    let live = posebridge(folder.path())
-        .args([
-            "run",
-            "--link",
-            "sim://skewed.toml",
-            "--out",
-            "run",
-            "--events",
-            "live.txt",
-        ])
-        .output()
-        .unwrap();
-    assert!(
-        live.status.success(),
-        "{}",
-        String::from_utf8_lossy(&live.stderr)
-    );
-    let replay = posebridge(folder.path())
-        .args(["replay", "run/recording.mcap", "--events", "replayed.txt"])
-        .output()
-        .unwrap();
-    assert!(
-        replay.status.success(),
-        "{}",
-        String::from_utf8_lossy(&replay.stderr)
-    );
+    stdout_of(posebridge(folder.path()).args([
+        "run",
+        "--link",
+        "sim://skewed.toml",
+        "--out",
+        "run",
+        "--events",
+        "live.txt",
+    ]));
+    stdout_of(posebridge(folder.path()).args([
+        "replay",
+        "run/recording.mcap",
+        "--events",
+        "replayed.txt",
+    ]));
 
     let live = std::fs::read_to_string(folder.path().join("live.txt")).unwrap();
     let replayed = std::fs::read_to_string(folder.path().join("replayed.txt")).unwrap();
@@ -58,7 +46,7 @@ fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_c
         .lines()
         .rfind(|line| line.starts_with("BrickClockAligned"))
         .expect("clocks were aligned");
-    let skew_ppm: f64 = field(last_clock, "skew_ppm: ");
+    let skew_ppm = number_after(last_clock, "skew_ppm: ");
     assert!((skew_ppm - 2000.0).abs() < 300.0, "{skew_ppm} ppm");
     assert_eq!(
         live.lines()
@@ -67,15 +55,6 @@ fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_c
         0
     );
     assert!(chunks_that_are_not_frames(&folder.path().join("run/recording.mcap")) > 0);
-}
-
-fn field(line: &str, name: &str) -> f64 {
-    let text = line.split(name).nth(1).expect("the field is there");
-    text.split([',', ' '])
-        .next()
-        .expect("it has a value")
-        .parse()
-        .expect("it is a number")
 }
 
 /// Chunks of the recording that hold more or less than one frame: the boundaries are those of the reads.

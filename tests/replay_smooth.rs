@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use serde_json::Value;
-use support::posebridge;
+use support::{WHEELS_CSV, posebridge, stdout_of};
 
 /// Straight along x at 0.1 m/s for 20 s: a tick is a millimetre, the camera looks once a second and every second fix is withheld.
 const DESCRIPTOR: &str = r#"
@@ -35,21 +35,10 @@ wall_range_m = 0.01
 [[runs]]
 name = "straight"
 
-[files.wheels]
-path = "wheels.csv"
-header_lines = 1
-time = { column = "t_s" }
-
 [files.camera]
 path = "camera.csv"
 header_lines = 1
 time = { column = "t_s" }
-
-[[wheels]]
-file = "wheels"
-counting = "absolute"
-left = { column = "left", unit = "ticks" }
-right = { column = "right", unit = "ticks" }
 
 [[wall_range]]
 file = "wheels"
@@ -90,20 +79,13 @@ fn recording(parts: &[&str]) -> tempfile::TempDir {
     let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
     write("wheels.csv", &wheels);
     write("camera.csv", &camera);
-    write("by-hand.toml", &parts.concat());
+    write("by-hand.toml", &(parts.concat() + WHEELS_CSV));
     folder
 }
 
 /// What `replay` prints for these arguments; it must end well.
 fn replay(folder: &Path, args: &[&str]) -> String {
-    let output = posebridge(folder)
-        .arg("replay")
-        .args(args)
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    String::from_utf8(output.stdout).unwrap()
+    stdout_of(posebridge(folder).arg("replay").args(args))
 }
 
 fn object(folder: &Path, args: &[&str]) -> Value {
@@ -175,13 +157,7 @@ fn without_start_and_fixes_a_person_reads_why_there_is_no_path() {
 fn a_recording_of_ours_is_smoothed_from_what_its_filter_was_given() {
     let folder = tempfile::tempdir().unwrap();
     let args = ["run", "--link", "sim://square", "--duration", "3"];
-    let live = posebridge(folder.path())
-        .args(args)
-        .args(["--out", "live"])
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&live.stderr);
-    assert!(live.status.success(), "{said}");
+    stdout_of(posebridge(folder.path()).args(args).args(["--out", "live"]));
     let args = ["live/recording.mcap", "--smooth", "--json"];
     let report = object(folder.path(), &args);
     let smooth = &report["smooth"]["recording"];

@@ -16,7 +16,7 @@ use posebridge_protocol::message::{
     CommandAck, CommandLong, Heartbeat, Message, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{Address, EncoderTicks};
-use support::{Running, posebridge};
+use support::{Running, posebridge, stdout_of};
 
 const BRICK: Address = Address::new(1, 1);
 const CAMERA: Address = Address::new(2, 100);
@@ -97,11 +97,6 @@ fn holds(bytes: &[u8], wanted: &[u8]) -> bool {
     bytes.windows(wanted.len()).any(|window| window == wanted)
 }
 
-fn address(station: &mut Running) -> String {
-    let line = station.wait_for("listening on");
-    line.trim().replace("listening on ", "")
-}
-
 #[test]
 fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -115,9 +110,9 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
         "--events",
         "live.txt",
     ]));
-    let brick = socket(&address(&mut station));
-    let camera = socket(&address(&mut station));
-    let mut gcs = TcpStream::connect(address(&mut station)).unwrap();
+    let brick = socket(&station.listening_address(""));
+    let camera = socket(&station.listening_address(""));
+    let mut gcs = TcpStream::connect(station.listening_address("")).unwrap();
     gcs.set_read_timeout(Some(PATIENCE)).unwrap();
     let (mut brick_says, mut camera_says, mut gcs_says) =
         (Voice::new(BRICK), Voice::new(CAMERA), Voice::new(GCS));
@@ -186,12 +181,12 @@ fn telemetry(brick: &mut Voice) -> Vec<Vec<u8>> {
 }
 
 fn replays_bit_for_bit(folder: &std::path::Path) {
-    let replay = posebridge(folder)
-        .args(["replay", "run/recording.mcap", "--events", "replayed.txt"])
-        .output()
-        .expect("the program starts");
-    let said = String::from_utf8_lossy(&replay.stderr);
-    assert!(replay.status.success(), "{said}");
+    stdout_of(posebridge(folder).args([
+        "replay",
+        "run/recording.mcap",
+        "--events",
+        "replayed.txt",
+    ]));
     let lines = |name: &str| std::fs::read_to_string(folder.join(name)).expect("events");
     let (live, replayed) = (lines("live.txt"), lines("replayed.txt"));
     assert!(

@@ -24,6 +24,7 @@
 
 mod bundled;
 mod camera;
+mod checks;
 mod clock;
 mod firmware;
 pub mod impairment;

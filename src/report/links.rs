@@ -2,11 +2,10 @@
 
 use std::fmt::Write as _;
 
+use posebridge_analysis::report::{NO_VALUE, Table};
 use posebridge_telemetry::{LinkHealth, LinkId, SourceHealth, Span};
 
-/// What is printed where there is no value.
-const NO_VALUE: &str = "-";
-/// Between two columns.
+/// Between two parts of a line.
 const GUTTER: &str = "  ";
 
 /// The last word on one link.
@@ -81,7 +80,7 @@ pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Cl
         of_link.map(|said| sender(*id, said))
     });
     let mut text = table(
-        &[
+        [
             "received on",
             "frames",
             "lost",
@@ -95,11 +94,11 @@ pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Cl
             "round trip ms",
             "clock ± ms",
         ],
-        received.collect(),
+        received,
     );
     text += "\n";
     text += &table(
-        &[
+        [
             "sent on",
             "frames",
             "bytes",
@@ -112,24 +111,24 @@ pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Cl
             "peers",
             "reconnects",
         ],
-        sent.collect(),
+        sent,
     );
-    let senders: Vec<Vec<String>> = senders.collect();
+    let senders: Vec<[String; 4]> = senders.collect();
     if !senders.is_empty() {
         text += "\n";
-        text += &table(&["sender", "frames", "lost", "lost %"], senders);
+        text += &table(["sender", "frames", "lost", "lost %"], senders);
     }
     text
 }
 
-fn received(id: LinkId, health: &LinkHealth) -> Vec<String> {
+fn received(id: LinkId, health: &LinkHealth) -> [String; 12] {
     let millis = |span: Option<Span>| {
         span.map_or_else(
             || NO_VALUE.to_owned(),
             |span| format!("{:.2}", span.as_millis_f64()),
         )
     };
-    vec![
+    [
         format!("link {id}"),
         health.frames_in.to_string(),
         health.frames_lost.to_string(),
@@ -145,9 +144,9 @@ fn received(id: LinkId, health: &LinkHealth) -> Vec<String> {
     ]
 }
 
-fn sent(id: LinkId, health: &LinkHealth) -> Vec<String> {
+fn sent(id: LinkId, health: &LinkHealth) -> [String; 11] {
     let capacity = health.port.capacity_bytes_per_s;
-    vec![
+    [
         format!("link {id}"),
         health.frames_out.to_string(),
         health.bytes_out.to_string(),
@@ -162,14 +161,14 @@ fn sent(id: LinkId, health: &LinkHealth) -> Vec<String> {
     ]
 }
 
-fn sender(id: LinkId, said: &SourceHealth) -> Vec<String> {
+fn sender(id: LinkId, said: &SourceHealth) -> [String; 4] {
     let whole = said.frames + said.lost;
     let share = if whole == 0 {
         NO_VALUE.to_owned()
     } else {
         format!("{:.2}", said.lost as f64 / whole as f64 * 100.0)
     };
-    vec![
+    [
         format!("link {id} {}", said.source),
         said.frames.to_string(),
         said.lost.to_string(),
@@ -177,26 +176,15 @@ fn sender(id: LinkId, said: &SourceHealth) -> Vec<String> {
     ]
 }
 
-/// Columns under a header, the first to the left, the others to the right.
-fn table(header: &[&str], rows: Vec<Vec<String>>) -> String {
-    let header: Vec<String> = header.iter().map(|cell| (*cell).to_owned()).collect();
-    let mut rows = rows;
-    rows.insert(0, header);
-    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |column: usize| {
-        let cells = rows.iter().filter_map(|row| row.get(column));
-        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
-    };
-    let widths: Vec<usize> = (0..columns).map(width).collect();
-    let line = |row: &Vec<String>| {
-        let cells = row.iter().zip(&widths).enumerate();
-        let cells = cells.map(|(column, (cell, width))| match column {
-            0 => format!("{cell:<width$}"),
-            _ => format!("{cell:>width$}"),
-        });
-        cells.collect::<Vec<_>>().join(GUTTER).trim_end().to_owned() + "\n"
-    };
-    rows.iter().map(line).collect()
+fn table<const COLUMNS: usize>(
+    header: [&str; COLUMNS],
+    rows: impl IntoIterator<Item = [String; COLUMNS]>,
+) -> String {
+    let mut table = Table::new(header);
+    for row in rows {
+        table.push(row);
+    }
+    table.render()
 }
 
 #[cfg(test)]

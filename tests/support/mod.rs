@@ -29,6 +29,22 @@ pub(crate) fn posebridge(folder: &Path) -> Command {
     command
 }
 
+/// Waits for the end of a program, which must be a good one, and returns what it printed.
+pub(crate) fn stdout_of(command: &mut Command) -> String {
+    let output = command.output().expect("the program starts");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{}: {said}", output.status);
+    String::from_utf8(output.stdout).expect("stdout is text")
+}
+
+/// The number behind the first `name` of a line, up to its unit or the end of its field.
+pub(crate) fn number_after(line: &str, name: &str) -> f64 {
+    let text = line.split(name).nth(1).expect("the field is there");
+    let digits = text.split(['s', ')', ',', ' ']).next();
+    let digits = digits.expect("it has a value");
+    digits.parse().expect("it is a number")
+}
+
 /// A running program whose talk can be waited for; killed when dropped.
 pub(crate) struct Running {
     child: Child,
@@ -67,6 +83,14 @@ impl Running {
                 return line;
             }
         }
+    }
+
+    /// Reads what it says until `who` tells where it is listening, and returns the address.
+    pub(crate) fn listening_address(&mut self, who: &str) -> String {
+        let what = format!("{who}listening on ");
+        let line = self.wait_for(&what);
+        let (_, address) = line.split_once(&what).expect("it was waited for");
+        address.trim().to_owned()
     }
 
     /// Kills it as `kill -9` does.
@@ -125,4 +149,18 @@ speed_m_per_s = 0.2
 [brick]
 clock_skew_ppm = 2000.0
 clock_start_micros = 4290967296
+"#;
+
+/// Of a descriptor: wheels that count ticks, in a file `wheels.csv` with the columns `t_s`, `left` and `right`.
+pub(crate) const WHEELS_CSV: &str = r#"
+[files.wheels]
+path = "wheels.csv"
+header_lines = 1
+time = { column = "t_s" }
+
+[[wheels]]
+file = "wheels"
+counting = "absolute"
+left = { column = "left", unit = "ticks" }
+right = { column = "right", unit = "ticks" }
 "#;

@@ -1,10 +1,12 @@
 //! The table of metrics, and the way from estimates and tracks to numbers.
 
+mod records;
 mod scene;
 
 use posebridge_analysis::metrics::{deviations_from_path, errors_of_estimates, errors_of_track};
 use posebridge_analysis::{Evidence, METRICS, summarise, tally};
-use posebridge_telemetry::{FusionRecord, SensorId, Span, Stamp, Verdict};
+use posebridge_telemetry::{SensorId, Verdict};
+use records::record;
 
 #[test]
 fn names_are_unique_carry_their_unit_and_say_what_they_mean() {
@@ -42,18 +44,7 @@ fn every_metric_has_a_finite_value_on_a_whole_run() {
         .iter()
         .map(|s| s.pose.origin())
         .collect();
-    let record = FusionRecord {
-        sensor: SensorId::CAMERA,
-        kind: "fix",
-        stamp: Stamp::ZERO,
-        lag: Span::ZERO,
-        verdict: Verdict::Accepted,
-        innovation: [0.0; 3],
-        innovation_covariance: [[0.0; 3]; 3],
-        nis: 3.0,
-        degrees_of_freedom: 2,
-        log_likelihood: 0.0,
-    };
+    let record = record(SensorId::CAMERA, Verdict::Accepted, 3.0);
     let evidence = Evidence {
         errors: &errors,
         path_deviations_m: &deviations_from_path(&positions, layers.ideal),

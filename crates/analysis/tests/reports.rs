@@ -1,8 +1,11 @@
 //! The tables, letter by letter.
 
+mod records;
+
 use posebridge_analysis::report::{EstimatorRow, RunRow, estimator_table, run_table, source_table};
 use posebridge_analysis::{ErrorSummary, tally};
-use posebridge_telemetry::{FusionRecord, SensorId, Span, Stamp, Verdict};
+use posebridge_telemetry::{SensorId, Verdict};
+use records::record;
 
 fn odometry() -> ErrorSummary {
     ErrorSummary {
@@ -80,18 +83,6 @@ fn estimators_against_each_other() {
 
 #[test]
 fn sources() {
-    let record = |sensor, verdict, nis| FusionRecord {
-        sensor,
-        kind: "fix",
-        stamp: Stamp::ZERO,
-        lag: Span::ZERO,
-        verdict,
-        innovation: [0.0; 3],
-        innovation_covariance: [[0.0; 3]; 3],
-        nis,
-        degrees_of_freedom: 2,
-        log_likelihood: 0.0,
-    };
     let records = [
         record(SensorId::WHEELS, Verdict::Accepted, 2.2),
         record(SensorId::CAMERA, Verdict::Accepted, 40.0),

@@ -8,12 +8,12 @@
 mod conformance;
 #[path = "support/robot.rs"]
 mod robot;
+#[path = "support/stamped.rs"]
+mod stamped;
 
 use std::f64::consts::PI;
 
-use conformance::{
-    at, belief, drive_straight, fix, fix_of, for_each, gyro, latest, ms, start, wheels,
-};
+use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
 use nalgebra::Matrix5;
 use posebridge_estimator::{Filter, FilterConfig, Late, StartPose};
 use posebridge_telemetry::{
@@ -23,6 +23,7 @@ use posebridge_telemetry::{
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use robot::{DEGREE, RADIUS_M, TRACK_M, config};
+use stamped::{at, gyro, ms, wheels};
 
 fn without_start() -> FilterConfig {
     FilterConfig {

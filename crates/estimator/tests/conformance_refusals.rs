@@ -8,14 +8,17 @@
 mod conformance;
 #[path = "support/robot.rs"]
 mod robot;
+#[path = "support/stamped.rs"]
+mod stamped;
 
-use conformance::{at, belief, drive_straight, fix, fix_of, for_each, gyro, latest, start, wheels};
+use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
 use posebridge_estimator::{Late, StartPose};
 use posebridge_telemetry::{
     Fix, Heading, Meters, MetersPerSecond, Observation, Observed, Point2, Pose, PositionCovariance,
     RadiansPerSecond, SensorId, Span, Verdict,
 };
 use robot::{RADIUS_M, config};
+use stamped::{at, gyro, wheels};
 
 fn malformed_fixes() -> Vec<Fix> {
     let good = fix_of(0.2, 0.1, 0.0);

@@ -2,13 +2,16 @@
 
 #[path = "support/robot.rs"]
 mod robot;
+#[path = "support/stamped.rs"]
+mod stamped;
 
 use posebridge_estimator::{Estimates, FILTERS, Filter, FilterEntry, StartPose};
 use posebridge_telemetry::{
-    BrickClock, Celsius, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, Verdict,
+    Celsius, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, RadiansPerSecond,
+    SensorId, Span, Verdict,
 };
 use robot::config;
+use stamped::{at, gyro, ms, wheels};
 
 const BAD: [f64; 5] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e12];
 
@@ -18,32 +21,6 @@ fn for_each(check: impl Fn(&FilterEntry, Box<dyn Filter>)) {
             check(entry, (entry.build)(&config()));
         }
     }
-}
-
-fn ms(millis: i64) -> Stamp<BrickClock> {
-    Stamp::from_millis(millis)
-}
-
-fn at(millis: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: ms(millis),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
-}
-
-fn wheels(millis: i64) -> Observation {
-    let observed = Observed::WheelAngles {
-        left: Radians(1.0),
-        right: Radians(1.0),
-    };
-    at(millis, SensorId::WHEELS, observed)
-}
-
-fn gyro(millis: i64) -> Observation {
-    let observed = Observed::TurnRate(RadiansPerSecond(0.1));
-    at(millis, SensorId::GYRO, observed)
 }
 
 fn start(x_m: f64) -> StartPose {
@@ -133,8 +110,8 @@ fn what_a_filter_of_one_quantity_refuses_changes_nothing() {
             (temperature(4_950, 20.0), Verdict::TooOld),
             (approach(1_500, 0.2), Verdict::TooOld),
             (temperature(31_536_000_000, 20.0), Verdict::Malformed),
-            (wheels(5_010), Verdict::Unused),
-            (gyro(5_010), Verdict::Unused),
+            (wheels(5_010, 1.0, 1.0), Verdict::Unused),
+            (gyro(5_010, 0.1), Verdict::Unused),
         ])
         .collect();
     for_each(|entry, mut filter| {

@@ -68,12 +68,7 @@ fn mean_over(scenario: &Scenario, runs: u64) -> Score {
 fn with_late_fixes_at_10_hz_the_errors_fit_their_covariance() {
     let scenario = Scenario {
         laps: 1,
-        camera: Some(Camera {
-            every: 2,
-            delay: 3,
-            spread: 1,
-            outliers: 0.0,
-        }),
+        camera: Some(LATE_10_HZ),
     };
     let result = mean_over(&scenario, 20);
     report("camera 10 Hz, 150 ± 50 ms late", &result);
@@ -86,10 +81,8 @@ fn half_metre_outliers_are_kept_out() {
     let scenario = Scenario {
         laps: 1,
         camera: Some(Camera {
-            every: 2,
-            delay: 3,
-            spread: 1,
             outliers: 0.03,
+            ..LATE_10_HZ
         }),
     };
     let result = mean_over(&scenario, 20);

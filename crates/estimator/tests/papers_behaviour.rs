@@ -6,18 +6,21 @@
 
 #[path = "support/robot.rs"]
 mod robot;
+#[path = "support/stamped.rs"]
+mod stamped;
 
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Matrix5;
 use posebridge_estimator::{Filter, FilterConfig, StartPose, filter_named};
 use posebridge_telemetry::{
-    BrickClock, Estimate, Fix, Heading, Meters, MetersPerSecondSquared, Observation, Observed,
-    Point2, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp, Verdict,
+    Estimate, Fix, Heading, Meters, MetersPerSecondSquared, Observation, Observed, Point2, Pose,
+    SensorId, Span, Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use robot::{DEGREE, RADIUS_M, TRACK_M, config};
+use stamped::{at, gyro, ms, wheels};
 
 const ALL: [&str; 6] = [
     "wheel-kf",
@@ -27,32 +30,6 @@ const ALL: [&str; 6] = [
     "ekf5-corrected",
     "ukf5",
 ];
-
-fn ms(millis: i64) -> Stamp<BrickClock> {
-    Stamp::from_millis(millis)
-}
-
-fn at(millis: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: ms(millis),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
-}
-
-fn wheels(millis: i64, left_rad: f64, right_rad: f64) -> Observation {
-    let observed = Observed::WheelAngles {
-        left: Radians(left_rad),
-        right: Radians(right_rad),
-    };
-    at(millis, SensorId::WHEELS, observed)
-}
-
-fn gyro(millis: i64, rad_per_s: f64) -> Observation {
-    let observed = Observed::TurnRate(RadiansPerSecond(rad_per_s));
-    at(millis, SensorId::GYRO, observed)
-}
 
 fn accelerations(millis: i64, left: f64, right: f64) -> Observation {
     let observed = Observed::WheelAccelerations {

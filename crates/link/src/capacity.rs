@@ -87,6 +87,18 @@ impl CapacityMeter {
         }
     }
 
+    /// As [`Self::note`], for writers that are seldom behind: `now` is asked only where the note would change something.
+    pub(crate) fn note_if_busy(
+        &mut self,
+        now: impl FnOnce() -> Stamp<HostClock>,
+        taken_bytes: usize,
+        backlog: Backlog,
+    ) {
+        if backlog == Backlog::Waiting || self.is_busy() {
+            self.note(now(), taken_bytes, backlog);
+        }
+    }
+
     fn count(&mut self, span: Span, taken_bytes: u64) {
         self.waited += span;
         self.taken_bytes += taken_bytes;

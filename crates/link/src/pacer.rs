@@ -10,7 +10,7 @@ use std::task::Context;
 use posebridge_telemetry::{Audience, HostClock, Span, Stamp};
 use tokio::time::Sleep;
 
-use crate::capacity::{Backlog, CapacityMeter};
+use crate::capacity::CapacityMeter;
 use crate::connection::{Connection, Outgoing, Outstanding, PortCounters};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
@@ -54,7 +54,7 @@ impl Pacer {
         if connection.reach(out.to) > 0 {
             counters.drops_out += self.queue.push(out.to, out.priority, out.frame);
         }
-        self.meter.note(now, 0, self.backlog());
+        self.meter.note(now, 0, self.queue.backlog());
     }
 
     /// Passes on what may pass; leaves the waker for the rest.
@@ -87,15 +87,7 @@ impl Pacer {
             connection.send(&out, counters);
             self.bucket.take(bytes);
             self.queue.drop_head();
-            self.meter.note(now, bytes, self.backlog());
-        }
-    }
-
-    fn backlog(&self) -> Backlog {
-        if self.queue.is_empty() {
-            Backlog::Empty
-        } else {
-            Backlog::Waiting
+            self.meter.note(now, bytes, self.queue.backlog());
         }
     }
 

@@ -17,6 +17,8 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::Priority;
 
+use crate::capacity::Backlog;
+
 #[cfg(test)]
 mod tests;
 
@@ -103,6 +105,15 @@ impl<D: PartialEq> SendQueue<D> {
     pub(crate) fn len(&self) -> usize {
         let waiting: usize = self.ranks.iter().map(VecDeque::len).sum();
         waiting + usize::from(self.begun.is_some())
+    }
+
+    /// Whether anything waits, as the meter of a link's capacity wants to know it.
+    pub(crate) fn backlog(&self) -> Backlog {
+        if self.is_empty() {
+            Backlog::Empty
+        } else {
+            Backlog::Waiting
+        }
     }
 
     /// How many bytes wait.

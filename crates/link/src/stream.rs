@@ -17,7 +17,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
 use tokio::time::Sleep;
 
-use crate::capacity::{Backlog, CapacityMeter, LUMPY_GAP};
+use crate::capacity::{CapacityMeter, LUMPY_GAP};
 use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::LinkLoss;
 use crate::host_timer::HostTimer;
@@ -184,14 +184,8 @@ impl<S: ByteStream> StreamConnection<S> {
 
     /// Notes what the system took while frames waited.
     fn measure(&mut self, taken: usize) {
-        let backlog = if self.queue.is_empty() {
-            Backlog::Empty
-        } else {
-            Backlog::Waiting
-        };
-        if backlog == Backlog::Waiting || self.meter.is_busy() {
-            self.meter.note(self.timer.now(), taken, backlog);
-        }
+        self.meter
+            .note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
     }
 
     fn fail(&mut self, error: std::io::Error, counters: &mut PortCounters) {

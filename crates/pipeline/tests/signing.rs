@@ -7,12 +7,15 @@
 
 #[path = "support/brick.rs"]
 mod brick;
+#[path = "support/events.rs"]
+mod events;
 #[path = "support/station.rs"]
 mod station;
 
 use std::collections::BTreeSet;
 
 use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
+use events::{health, observed};
 use posebridge_pipeline::PipelineConfig;
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
@@ -21,7 +24,7 @@ use posebridge_protocol::signing::{
     Ending, Key, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Timestamp, Unsigned,
 };
 use posebridge_telemetry::{
-    Address, Defect, Event, HostClock, LinkHealth, Output, Refusal, SourceHealth, Stamp,
+    Address, Defect, Event, HostClock, Output, Refusal, SourceHealth, Stamp,
 };
 use station::{LINK, Station, at};
 
@@ -81,21 +84,6 @@ fn refusals(station: &Station) -> Vec<(Address, Refusal)> {
     refused.collect()
 }
 
-fn health(station: &Station) -> (LinkHealth, Vec<SourceHealth>) {
-    let health = station.events().filter_map(|event| match event {
-        Event::Health {
-            health, sources, ..
-        } => Some((*health, sources.clone())),
-        _ => None,
-    });
-    health.last().expect("a second has passed")
-}
-
-fn observed(station: &Station) -> usize {
-    let is_observation = |event: &&Event| matches!(event, Event::Observed { .. });
-    station.events().filter(is_observation).count()
-}
-
 #[test]
 fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     let mut station = Station::new(&config());
@@ -140,7 +128,7 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     station.bytes(at(200), &brick.say(at(200), &ticks(5_100, 8, 8)));
     assert_eq!(observed(&station), 3);
     station.pass_until(at(1_000));
-    let (health, sources) = health(&station);
+    let (health, sources) = health(&station, LINK);
     assert_eq!(health.refused_frames, 4);
     assert_eq!(health.frames_in, 7);
     assert_eq!(health.frames_lost, 0);

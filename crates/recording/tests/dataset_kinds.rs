@@ -29,14 +29,21 @@ fn wheels(rest: &str, rows: &str) -> Vec<(i64, [i64; 2])> {
     angles.collect()
 }
 
+/// Wheels that count ticks in these columns, the left one first.
+fn in_ticks(counting: &str, [left, right]: [usize; 2]) -> String {
+    format!(
+        r#"[[wheels]]
+        file = "data"
+        counting = "{counting}"
+        left = {{ column = {left}, unit = "ticks" }}
+        right = {{ column = {right}, unit = "ticks" }}"#
+    )
+}
+
 #[test]
 fn absolute_ticks_become_rotation_with_their_base() {
     let found = wheels(
-        r#"[[wheels]]
-        file = "data"
-        counting = "absolute"
-        left = { column = 1, unit = "ticks" }
-        right = { column = 2, unit = "ticks" }"#,
+        &in_ticks("absolute", [1, 2]),
         "0,20795,16067\n0.5,20805,16057\n",
     );
     assert_eq!(
@@ -50,14 +57,7 @@ fn absolute_ticks_become_rotation_with_their_base() {
 
 #[test]
 fn increments_add_up_and_the_first_row_is_the_base() {
-    let found = wheels(
-        r#"[[wheels]]
-        file = "data"
-        counting = "increments"
-        right = { column = 1, unit = "ticks" }
-        left = { column = 2, unit = "ticks" }"#,
-        "0,99,99\n1,1,2\n2,-3,4\n",
-    );
+    let found = wheels(&in_ticks("increments", [2, 1]), "0,99,99\n1,1,2\n2,-3,4\n");
     assert_eq!(
         found,
         [
@@ -93,12 +93,7 @@ fn metres_millimetres_and_degrees_of_wheels_go_through_the_geometry() {
 #[test]
 fn a_counter_of_16_bits_may_wrap_either_way() {
     let found = wheels(
-        r#"[[wheels]]
-        file = "data"
-        counting = "absolute"
-        wrap_bits = 16
-        left = { column = 1, unit = "ticks" }
-        right = { column = 2, unit = "ticks" }"#,
+        &(in_ticks("absolute", [1, 2]) + "\nwrap_bits = 16"),
         "0,32760,-32760\n1,-32766,32766\n2,-32756,32756\n",
     );
     let left = [3_276_000_000, 3_277_000_000, 3_278_000_000];
@@ -112,19 +107,11 @@ fn a_counter_of_16_bits_may_wrap_either_way() {
 fn counters_lose_nothing_on_a_row_without_an_interval() {
     // The layout of the LEGO recording: the same stamp twice, here with different counts.
     let absolute = wheels(
-        r#"[[wheels]]
-        file = "data"
-        counting = "absolute"
-        left = { column = 1, unit = "ticks" }
-        right = { column = 2, unit = "ticks" }"#,
+        &in_ticks("absolute", [1, 2]),
         "0,0,0\n1,10,10\n1,15,15\n2,20,20\n",
     );
     let increments = wheels(
-        r#"[[wheels]]
-        file = "data"
-        counting = "increments"
-        left = { column = 1, unit = "ticks" }
-        right = { column = 2, unit = "ticks" }"#,
+        &in_ticks("increments", [1, 2]),
         "0,0,0\n1,10,10\n1,5,5\n2,5,5\n",
     );
     assert_eq!(absolute, increments);

@@ -4,6 +4,9 @@
 
 use serde::de::{Deserialize, Deserializer, Error};
 
+pub(super) use crate::checks::probability;
+use crate::checks::within;
+
 /// Ten minutes: longer than any link holds anything back.
 pub(super) const LONGEST_MS: f64 = 600_000.0;
 /// Eleven days.
@@ -14,21 +17,6 @@ const FASTEST_BYTES_PER_S: f64 = 1e9;
 const LARGEST_BUFFER: u64 = 16 * 1024 * 1024;
 /// At this rate of errors nothing of a bit is left.
 const RANDOM_BIT: f64 = 0.5;
-
-fn within<'de, D: Deserializer<'de>>(
-    deserializer: D,
-    low: f64,
-    high: f64,
-) -> Result<f64, D::Error> {
-    let value = f64::deserialize(deserializer)?;
-    if (low..=high).contains(&value) {
-        Ok(value)
-    } else {
-        Err(D::Error::custom(format!(
-            "{value} is outside {low} to {high}; give a number in that range"
-        )))
-    }
-}
 
 fn whole_within<'de, D: Deserializer<'de>>(
     deserializer: D,
@@ -42,11 +30,6 @@ fn whole_within<'de, D: Deserializer<'de>>(
             "{value} is outside {low} to {high}; give a whole number in that range"
         ))),
     }
-}
-
-/// From 0 to 1.
-pub(super) fn probability<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, 0.0, 1.0)
 }
 
 /// From 0 to a half.

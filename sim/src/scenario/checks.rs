@@ -4,25 +4,13 @@
 
 use serde::de::{Deserialize, Deserializer, Error};
 
+pub(crate) use crate::checks::probability;
+use crate::checks::within;
+
 /// Largest magnitude of any number in a scenario.
 pub(crate) const LARGEST: f64 = 1e6;
 /// Smallest size of anything that must not be zero.
 const SMALLEST: f64 = 1e-6;
-
-fn within<'de, D: Deserializer<'de>>(
-    deserializer: D,
-    low: f64,
-    high: f64,
-) -> Result<f64, D::Error> {
-    let value = f64::deserialize(deserializer)?;
-    if (low..=high).contains(&value) {
-        Ok(value)
-    } else {
-        Err(D::Error::custom(format!(
-            "{value} is outside {low} to {high}; give a number in that range"
-        )))
-    }
-}
 
 /// Anything finite.
 pub(crate) fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
@@ -37,11 +25,6 @@ pub(crate) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64
 /// Zero or greater.
 pub(crate) fn non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 0.0, LARGEST)
-}
-
-/// From 0 to 1.
-pub(crate) fn probability<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, 0.0, 1.0)
 }
 
 /// A relative error of at most a half, either way.

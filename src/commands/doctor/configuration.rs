@@ -2,7 +2,7 @@
 
 use posebridge_link::{HostTimer, LinkUrl, Role};
 
-use super::open::{Opened, away, open, refused};
+use super::open::{Opened, away, on_a_runtime, open, refused};
 use super::{Examination, Verdict};
 use crate::config::{self, Config};
 use crate::link_target::{LinkTarget, load_scenario};
@@ -39,14 +39,7 @@ fn wrong(what: &str) -> Verdict {
 }
 
 fn open_links(config: &Config, targets: &[(LinkTarget, Role)]) -> Vec<Verdict> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build();
-    let runtime = match runtime {
-        Ok(runtime) => runtime,
-        Err(error) => return vec![Verdict::skipped(format!("no link can be opened: {error}"))],
-    };
-    let verdicts = runtime.block_on(async {
+    on_a_runtime(async {
         let timer = HostTimer::start();
         let mut verdicts = Vec::new();
         for ((target, role), section) in targets.iter().zip(&config.links) {
@@ -57,10 +50,7 @@ fn open_links(config: &Config, targets: &[(LinkTarget, Role)]) -> Vec<Verdict> {
             });
         }
         verdicts
-    });
-    // An attempt to open a device that hangs must not keep the program alive.
-    runtime.shutdown_background();
-    verdicts
+    })
 }
 
 fn judge_scenario(link: &str, scenario: &str) -> Verdict {

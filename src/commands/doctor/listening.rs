@@ -11,7 +11,7 @@ use posebridge_protocol::recognise::{Protocol, Recognised};
 use posebridge_telemetry::Span;
 
 use super::hear::{Heard, hear};
-use super::open::{Opened, away, open, refused};
+use super::open::{Opened, away, on_a_runtime, open, refused};
 use super::{Examination, Verdict};
 use crate::stderr::say;
 
@@ -29,27 +29,17 @@ pub fn check(examination: &Examination) -> Vec<Verdict> {
             "no link was given: `posebridge doctor serial:///dev/ttyUSB0` listens there",
         )];
     }
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build();
-    let runtime = match runtime {
-        Ok(runtime) => runtime,
-        Err(error) => return vec![Verdict::skipped(format!("no link can be opened: {error}"))],
-    };
     let listener = Listener {
         timer: HostTimer::start(),
         listen_for: Span::from_secs_f64(examination.listen_for_s),
     };
-    let verdicts = runtime.block_on(async {
+    on_a_runtime(async {
         let mut verdicts = Vec::new();
         for link in &examination.links {
             verdicts.push(listener.listen_on(link).await);
         }
         verdicts
-    });
-    // An attempt to open a device that hangs must not keep the program alive.
-    runtime.shutdown_background();
-    verdicts
+    })
 }
 
 /// How to listen.

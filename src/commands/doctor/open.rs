@@ -36,6 +36,21 @@ pub(super) async fn open(url: &LinkUrl, role: Role, timer: HostTimer) -> Opened 
     }
 }
 
+/// Runs what opens links. An attempt to open a device that hangs is left behind, so that it does not keep the program alive.
+pub(super) fn on_a_runtime(look: impl Future<Output = Vec<Verdict>>) -> Vec<Verdict> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
+    match runtime {
+        Ok(runtime) => {
+            let verdicts = runtime.block_on(look);
+            runtime.shutdown_background();
+            verdicts
+        }
+        Err(error) => vec![Verdict::skipped(format!("no link can be opened: {error}"))],
+    }
+}
+
 /// What is said about a link that may come up later.
 pub(super) fn away(link: &str, reason: &str) -> Verdict {
     Verdict::warning(

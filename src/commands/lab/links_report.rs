@@ -1,6 +1,7 @@
 //! What `lab links` prints: two tables for people, one object for programs.
 
 use anyhow::Result;
+use posebridge_analysis::report::NO_VALUE;
 use serde::Serialize;
 
 use super::links_clock::LinkClockRow;
@@ -113,5 +114,5 @@ pub(super) fn circumstance(of: &Circumstance) -> String {
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+    value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.digits$}"))
 }

@@ -1,6 +1,6 @@
 //! The table of one Monte-Carlo scenario: estimators against each other.
 
-use super::run::{NO_VALUE, degrees};
+use super::cells::{NO_VALUE, degrees};
 use super::table::Table;
 use crate::accuracy::Score;
 use crate::metrics::SourceTally;

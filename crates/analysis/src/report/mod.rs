@@ -4,12 +4,15 @@
 //! and JSON belong to the program.
 
 pub(crate) mod accuracy;
+mod cells;
 mod replay;
 mod run;
 mod smooth;
 mod table;
 
 pub use accuracy::{ScoreRow, bound_line, score_table};
+pub use cells::NO_VALUE;
 pub use replay::{EstimatorRow, estimator_table, source_table};
 pub use run::{RunRow, run_table};
 pub use smooth::{SmoothRow, smooth_table};
+pub use table::Table;

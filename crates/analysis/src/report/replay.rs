@@ -1,6 +1,6 @@
 //! The tables of a replay: estimators against each other, and what each sensor contributed.
 
-use super::run::{NO_VALUE, degrees, millimetres};
+use super::cells::{degrees, millimetres, two_digits};
 use super::table::Table;
 use crate::metrics::{ErrorSummary, SourceTally};
 
@@ -72,10 +72,6 @@ pub fn source_table(tallies: &[SourceTally]) -> String {
         ]);
     }
     table.render()
-}
-
-fn two_digits(value: Option<f64>) -> String {
-    value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.2}"))
 }
 
 /// A line for each row that left something out; nothing when all was judged.

@@ -1,5 +1,6 @@
 //! The table at the end of a run: the brick alone against the station.
 
+use super::cells::{NO_VALUE, degrees, millimetres};
 use super::replay::footnotes;
 use super::table::Table;
 use crate::metrics::ErrorSummary;
@@ -37,29 +38,6 @@ pub fn run_table(rows: &[RunRow<'_>]) -> String {
         ]);
     }
     table.render() + &footnotes(rows.iter().map(|row| (row.name, row.errors)))
-}
-
-/// What stands in a cell without a value.
-pub(super) const NO_VALUE: &str = "-";
-
-pub(super) fn millimetres(metres: Option<f64>) -> String {
-    metres.map_or_else(|| NO_VALUE.to_owned(), |metres| number(metres * 1e3))
-}
-
-pub(super) fn degrees(radians: Option<f64>) -> String {
-    radians.map_or_else(
-        || NO_VALUE.to_owned(),
-        |radians| format!("{:.2}", radians.to_degrees()),
-    )
-}
-
-/// One digit after the point; powers of ten where that would flood the column.
-fn number(value: f64) -> String {
-    if value.abs() < 1e9 {
-        format!("{value:.1}")
-    } else {
-        format!("{value:.3e}")
-    }
 }
 
 fn ratio(reference: Option<f64>, value: Option<f64>) -> String {

@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 
 use posebridge_telemetry::Span;
 
+use super::cells::{count, degrees, millimetres, two_digits};
 use super::replay::footnotes;
-use super::run::{NO_VALUE, degrees, millimetres};
 use super::table::Table;
 use crate::metrics::ErrorSummary;
 
@@ -55,7 +55,7 @@ pub fn smooth_table(rows: &[SmoothRow<'_>]) -> String {
             count(row.fixes_used),
             count(row.fixes_left_out),
             count(row.iterations),
-            format!("{:.2}", row.took.as_secs_f64()),
+            two_digits(Some(row.took.as_secs_f64())),
         ]);
     }
     let mut text = table.render() + &footnotes(rows.iter().map(|row| (row.run, row.errors)));
@@ -79,10 +79,6 @@ pub fn smooth_table(rows: &[SmoothRow<'_>]) -> String {
         }
     }
     text
-}
-
-fn count(value: Option<impl ToString>) -> String {
-    value.map_or_else(|| NO_VALUE.to_owned(), |value| value.to_string())
 }
 
 #[cfg(test)]

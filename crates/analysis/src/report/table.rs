@@ -4,23 +4,27 @@
 const GUTTER: &str = "  ";
 
 /// Rows of cells under a header.
-pub(super) struct Table<const COLUMNS: usize> {
+#[derive(Clone, Debug)]
+pub struct Table<const COLUMNS: usize> {
     rows: Vec<[String; COLUMNS]>,
 }
 
 impl<const COLUMNS: usize> Table<COLUMNS> {
-    pub(super) fn new(header: [&str; COLUMNS]) -> Self {
+    /// A table without rows.
+    pub fn new(header: [&str; COLUMNS]) -> Self {
         Self {
             rows: vec![header.map(str::to_owned)],
         }
     }
 
-    pub(super) fn push(&mut self, row: [String; COLUMNS]) {
+    /// Adds a row below the others.
+    pub fn push(&mut self, row: [String; COLUMNS]) {
         self.rows.push(row);
     }
 
     /// The text, one line per row, each with a line feed and without trailing blanks.
-    pub(super) fn render(&self) -> String {
+    #[must_use]
+    pub fn render(&self) -> String {
         let widths: [usize; COLUMNS] = std::array::from_fn(|column| {
             let widths = self.rows.iter().map(|row| row[column].chars().count());
             widths.max().unwrap_or(0)

@@ -4,8 +4,8 @@
 use std::cmp::Reverse;
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionRecord, Observation, Observed, Pose, PoseJump, Radians, Span,
-    Stamp, Verdict, quantities::wrap_rad,
+    Arena, BrickClock, Fix, FusionRecord, Observation, Observed, Pose, PoseJump, Radians, SensorId,
+    Span, Stamp, Verdict, quantities::wrap_rad,
 };
 
 use super::StartPose;
@@ -164,11 +164,21 @@ fn is_finite_fix(fix: &Fix) -> bool {
 /// A record of an observation for which nothing was predicted.
 pub(super) fn bare_record(observation: &Observation, lag: Span, verdict: Verdict) -> FusionRecord {
     FusionRecord {
-        sensor: observation.sensor,
         kind: observation.observed.kind(),
-        stamp: observation.stamp,
         lag,
         verdict,
+        ..blank_record(observation.sensor, observation.stamp)
+    }
+}
+
+/// A record of no kind, for what is not told to anybody.
+pub(super) const fn blank_record(sensor: SensorId, stamp: Stamp<BrickClock>) -> FusionRecord {
+    FusionRecord {
+        sensor,
+        kind: "",
+        stamp,
+        lag: Span::ZERO,
+        verdict: Verdict::Accepted,
         innovation: [0.0; 3],
         innovation_covariance: [[0.0; 3]; 3],
         nis: 0.0,

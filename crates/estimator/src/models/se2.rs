@@ -91,25 +91,18 @@ mod tests {
                 (PI, 0.05, 2.4),
                 (1.0, 0.3, -1.9e-3),
             ] {
+                let moved = |heading: f64, forward_m: f64, turn_rad: f64| {
+                    let step = BodyStep {
+                        forward_m,
+                        turn_rad,
+                    };
+                    displace(heading, step, rule)
+                };
                 let at = |heading: f64, d: f64, turn: f64| {
-                    let m = displace(
-                        heading,
-                        BodyStep {
-                            forward_m: d,
-                            turn_rad: turn,
-                        },
-                        rule,
-                    );
+                    let m = moved(heading, d, turn);
                     [m.dx_m, m.dy_m]
                 };
-                let m = displace(
-                    heading,
-                    BodyStep {
-                        forward_m: d,
-                        turn_rad: turn,
-                    },
-                    rule,
-                );
+                let m = moved(heading, d, turn);
                 for axis in 0..2 {
                     let by_heading = (at(heading + h, d, turn)[axis]
                         - at(heading - h, d, turn)[axis])

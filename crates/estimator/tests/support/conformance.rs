@@ -2,37 +2,11 @@
 
 use posebridge_estimator::{Estimates, FILTERS, Filter, FilterConfig, FilterEntry, StartPose};
 use posebridge_telemetry::{
-    BrickClock, Estimate, Fix, Heading, Meters, Observation, Observed, Point2, Pose, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp,
+    Estimate, Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span,
 };
 
 use super::robot::RADIUS_M;
-
-pub(crate) fn ms(millis: i64) -> Stamp<BrickClock> {
-    Stamp::from_millis(millis)
-}
-
-pub(crate) fn at(millis: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: ms(millis),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
-}
-
-pub(crate) fn wheels(millis: i64, left_rad: f64, right_rad: f64) -> Observation {
-    let observed = Observed::WheelAngles {
-        left: Radians(left_rad),
-        right: Radians(right_rad),
-    };
-    at(millis, SensorId::WHEELS, observed)
-}
-
-pub(crate) fn gyro(millis: i64, rad_per_s: f64) -> Observation {
-    let observed = Observed::TurnRate(RadiansPerSecond(rad_per_s));
-    at(millis, SensorId::GYRO, observed)
-}
+use super::stamped::{at, gyro, wheels};
 
 pub(crate) fn fix_of(x_m: f64, y_m: f64, heading_rad: f64) -> Fix {
     Fix {

@@ -19,6 +19,12 @@ fn drained<D: PartialEq>(mut queue: SendQueue<D>) -> Vec<Vec<u8>> {
     frames
 }
 
+/// The frames of which nothing has been written, in that order; they go on waiting.
+fn waiting<D>(queue: &SendQueue<D>) -> Vec<Vec<u8>> {
+    let waiting = queue.ranks.iter().flatten();
+    waiting.map(|waiting| waiting.frame.clone()).collect()
+}
+
 #[test]
 fn the_worthiest_frame_goes_first_and_equals_keep_their_order() {
     let mut queue = SendQueue::new(100);
@@ -61,22 +67,10 @@ fn a_full_queue_drops_the_stalest_estimate_then_forwarded_then_conversation() {
     // Stream 1 is renewed in its place, so stream 2 is the stalest.
     assert_eq!(queue.push((), estimate(1), b"E1"), 1);
     assert_eq!(queue.push((), Conversation, b"c2"), 1);
-    let order: Vec<_> = queue
-        .ranks
-        .iter()
-        .flatten()
-        .map(|waiting| waiting.frame.clone())
-        .collect();
-    assert_eq!(order, [&b"c1"[..], b"c2", b"f1", b"f2", b"E1"]);
+    assert_eq!(waiting(&queue), [&b"c1"[..], b"c2", b"f1", b"f2", b"E1"]);
     assert_eq!(queue.push((), Conversation, b"c3"), 1);
     assert_eq!(queue.push((), Conversation, b"c4"), 1);
-    let order: Vec<_> = queue
-        .ranks
-        .iter()
-        .flatten()
-        .map(|waiting| waiting.frame.clone())
-        .collect();
-    assert_eq!(order, [&b"c1"[..], b"c2", b"c3", b"c4", b"f2"]);
+    assert_eq!(waiting(&queue), [&b"c1"[..], b"c2", b"c3", b"c4", b"f2"]);
     assert_eq!(queue.push((), Conversation, b"c5"), 1);
     assert_eq!(queue.push((), Conversation, b"c6"), 1);
     let expected: [&[u8]; 5] = [b"c2", b"c3", b"c4", b"c5", b"c6"];

@@ -16,7 +16,7 @@ use std::task::{Context, Poll, Waker};
 use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
 use tokio::net::UdpSocket;
 
-use crate::capacity::{Backlog, CapacityMeter};
+use crate::capacity::CapacityMeter;
 use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::{LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
@@ -200,14 +200,8 @@ impl UdpConnection {
     }
 
     fn measure(&mut self, taken: usize) {
-        let backlog = if self.queue.is_empty() {
-            Backlog::Empty
-        } else {
-            Backlog::Waiting
-        };
-        if backlog == Backlog::Waiting || self.meter.is_busy() {
-            self.meter.note(self.timer.now(), taken, backlog);
-        }
+        self.meter
+            .note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
     }
 
     /// Takes what the common socket holds, up to the limit; a single datagram where a robot may be waiting for the answer, since

@@ -6,6 +6,7 @@
     reason = "a test that sees any other event fails and prints it"
 )]
 
+mod adapters;
 mod bluetooth;
 mod conformance;
 mod file;
@@ -13,4 +14,5 @@ mod network;
 mod serial;
 mod slow;
 mod support;
+mod terminal_names;
 mod url;

@@ -1,41 +1,34 @@
-//! Serial ports and pseudo-terminals: cables that are pulled, names that are taken, buffers that are full.
+//! Serial ports and pseudo-terminals: cables that are pulled, ports that are taken, buffers that are full.
 
-use std::ffi::OsStr;
 use std::future::poll_fn;
-use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::symlink;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::task::Poll;
 
 use crate::support::{bytes, down, poll_once, port, up};
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
-use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
-use posebridge_link::{
-    DeviceDirectories, HostTimer, LinkUrl, OpenError, Port, PortConfig, PortEvent, PortTuning,
-    Role, UrlError,
-};
-use posebridge_telemetry::{LinkId, Span};
+use posebridge_link::{HostTimer, OpenError, Port, PortEvent, Role};
+use posebridge_telemetry::Span;
 
 /// A directory with room for one device name.
-struct Bench {
-    directory: tempfile::TempDir,
-    timer: HostTimer,
+pub(crate) struct Bench {
+    pub(crate) directory: tempfile::TempDir,
+    pub(crate) timer: HostTimer,
 }
 
 impl Bench {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             directory: tempfile::tempdir().expect("a temporary directory"),
             timer: HostTimer::start(),
         }
     }
 
-    fn path(&self) -> PathBuf {
+    pub(crate) fn path(&self) -> PathBuf {
         self.directory.path().join("brick.tty")
     }
 
-    fn serial(&self) -> Port {
+    pub(crate) fn serial(&self) -> Port {
         port(
             &format!("serial:{}", self.path().display()),
             Role::Dial,
@@ -43,7 +36,7 @@ impl Bench {
         )
     }
 
-    fn pty(&self) -> Port {
+    pub(crate) fn pty(&self) -> Port {
         port(
             &format!("pty:{}", self.path().display()),
             Role::Listen,
@@ -52,7 +45,7 @@ impl Bench {
     }
 
     /// What is said about the port while another program holds it.
-    fn in_use(&self) -> String {
+    pub(crate) fn in_use(&self) -> String {
         let path = self.path();
         let path = path.display();
         format!(
@@ -60,7 +53,7 @@ impl Bench {
         )
     }
 
-    async fn plugged_pty(&self) -> Port {
+    pub(crate) async fn plugged_pty(&self) -> Port {
         let mut pty = self.pty();
         pty.open_first().await.expect("a fresh name");
         up(&mut pty).await;
@@ -269,170 +262,6 @@ async fn a_port_that_is_taken_while_the_cable_is_out_is_waited_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_was_left_behind_is_replaced() {
-    let bench = Bench::new();
-    symlink("/dev/pts/4000000", bench.path()).expect("a free name");
-    let pty = bench.plugged_pty().await;
-    let device = std::fs::read_link(bench.path()).expect("our link");
-    assert!(device.exists(), "{} leads to a terminal", device.display());
-    drop(pty);
-    assert!(
-        !bench.path().is_symlink(),
-        "the name goes with the terminal"
-    );
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_name_of_a_successor_is_left_alone() {
-    let bench = Bench::new();
-    let old = bench.plugged_pty().await;
-    // Somebody removes the name, so it is free while its first owner lives.
-    std::fs::remove_file(bench.path()).expect("our link");
-    let new = bench.plugged_pty().await;
-    drop(old);
-    assert!(bench.path().is_symlink());
-    drop(new);
-    assert!(!bench.path().is_symlink());
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_name_of_a_living_terminal_is_not_taken_over() {
-    let bench = Bench::new();
-    let mut first = bench.plugged_pty().await;
-    let device = std::fs::read_link(bench.path()).expect("our link");
-    let mut station = bench.serial();
-    up(&mut station).await;
-
-    let shown = bench.path();
-    let shown = shown.display();
-    check_refusal(
-        bench.pty(),
-        &format!(
-            "{shown} is the pseudo-terminal of another program that is still running: stop that program \
-             (`fuser -v {shown}` names it) or choose another path"
-        ),
-    )
-    .await;
-    assert_eq!(std::fs::read_link(bench.path()).ok(), Some(device));
-    first.send(b"undisturbed");
-    assert_eq!(poll_once(&mut first).await, None);
-    assert_eq!(bytes(&mut station, 11).await, b"undisturbed");
-
-    drop(first);
-    bench.plugged_pty().await;
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_name_whose_number_went_to_a_terminal_window_is_replaced() {
-    let bench = Bench::new();
-    let window = nix::pty::openpty(None, None).expect("a foreign terminal");
-    let device = nix::unistd::ttyname(&window.slave).expect("it has a name");
-    symlink(&device, bench.path()).expect("a free name");
-    let pty = bench.plugged_pty().await;
-    assert_ne!(std::fs::read_link(bench.path()).expect("our link"), device);
-    drop(pty);
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_link_from_a_path_opens_whatever_the_folder_is_called() {
-    let bench = Bench::new();
-    let awkward = OsStr::from_bytes(b"what?baud=9 \xff");
-    let folder = bench.directory.path().join(awkward);
-    std::fs::create_dir(&folder).expect("own directory");
-    let device = folder.join("brick.tty");
-    let open = |url: Result<LinkUrl, UrlError>, role| {
-        let config = PortConfig {
-            id: LinkId(1),
-            url: url.expect("a path"),
-            role,
-        };
-        Port::new(config, bench.timer)
-    };
-    let mut pty = open(LinkUrl::pty(&device), Role::Listen);
-    up(&mut pty).await;
-    assert!(device.is_symlink());
-    let mut station = open(LinkUrl::serial(&device), Role::Dial);
-    up(&mut station).await;
-    pty.send(b"hello");
-    assert_eq!(poll_once(&mut pty).await, None);
-    assert_eq!(bytes(&mut station, 5).await, b"hello");
-}
-
-async fn check_refusal(mut port: Port, message: &str) {
-    let error: OpenError = port.open_first().await.expect_err(message);
-    assert!(!error.can_heal() && error.stops_start());
-    assert_eq!(error.to_string(), message);
-}
-
-#[tokio::test(start_paused = true)]
-async fn what_is_not_ours_is_not_replaced() {
-    let bench = Bench::new();
-    let path = bench.path();
-    std::fs::write(&path, "precious").expect("own directory");
-    let shown = path.display();
-    check_refusal(
-        bench.pty(),
-        &format!("{shown} is a regular file, not a link that may be replaced"),
-    )
-    .await;
-    assert_eq!(
-        std::fs::read_to_string(&path).expect("still there"),
-        "precious"
-    );
-
-    std::fs::remove_file(&path).expect("own file");
-    symlink("/dev/null", &path).expect("a free name");
-    check_refusal(
-        bench.pty(),
-        &format!("{shown} is a symbolic link to something else, not a link that may be replaced"),
-    )
-    .await;
-    assert_eq!(
-        std::fs::read_link(&path).expect("still there"),
-        Path::new("/dev/null")
-    );
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_serial_port_that_is_something_else_is_refused() {
-    let bench = Bench::new();
-    let path = bench.path();
-    std::fs::create_dir(&path).expect("own directory");
-    let shown = path.display();
-    check_refusal(
-        bench.serial(),
-        &format!("{shown} is a directory, not a serial port"),
-    )
-    .await;
-    std::fs::remove_dir(&path).expect("own directory");
-    std::fs::write(&path, "").expect("own directory");
-    check_refusal(
-        bench.serial(),
-        &format!("{shown} is a regular file, not a serial port"),
-    )
-    .await;
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_pty_in_a_directory_that_does_not_exist_is_refused() {
-    let bench = Bench::new();
-    let directory = bench.directory.path().join("missing");
-    let pty = port(
-        &format!("pty:{}/brick.tty", directory.display()),
-        Role::Listen,
-        bench.timer,
-    );
-    check_refusal(
-        pty,
-        &format!(
-            "{} does not exist: create the directory first",
-            directory.display()
-        ),
-    )
-    .await;
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_terminal_is_raw_before_anybody_can_open_it() {
     let bench = Bench::new();
     let mut pty = bench.plugged_pty().await;
@@ -447,131 +276,4 @@ async fn a_terminal_is_raw_before_anybody_can_open_it() {
     assert_eq!(bytes(&mut pty, awkward.len()).await, awkward);
     let echoed = poll_fn(|cx| Poll::Ready(pty.poll_next(cx).is_ready())).await;
     assert!(!echoed, "the terminal echoes");
-}
-
-/// A station on a computer whose udev links lie in the bench's directory.
-fn tuned(bench: &Bench, url: &str) -> Port {
-    let config = PortConfig {
-        id: LinkId(1),
-        url: LinkUrl::parse(url).expect("the test's own link"),
-        role: Role::Dial,
-    };
-    let tuning = PortTuning {
-        directories: DeviceDirectories {
-            serial_by_id: bench.directory.path().join("by-id"),
-            usb_serial: bench.directory.path().join("usb-serial"),
-        },
-        ..PortTuning::default()
-    };
-    Port::tuned(config, tuning, bench.timer)
-}
-
-/// An adapter that the system calls `name`: a pseudo-terminal, and udev's link to it.
-async fn adapter(bench: &Bench, name: &str, id: &str) -> Port {
-    let device = bench.directory.path().join(name);
-    let mut pty = port(
-        &format!("pty:{}", device.display()),
-        Role::Listen,
-        bench.timer,
-    );
-    up(&mut pty).await;
-    let by_id = bench.directory.path().join("by-id");
-    std::fs::create_dir_all(&by_id).expect("own directory");
-    drop(std::fs::remove_file(by_id.join(id)));
-    symlink(&device, by_id.join(id)).expect("a free name");
-    pty
-}
-
-#[tokio::test(start_paused = true)]
-async fn an_adapter_that_comes_back_under_another_number_is_found() {
-    let bench = Bench::new();
-    let shown = bench.directory.path().display().to_string();
-    let mine = adapter(&bench, "ttyUSB0", "usb-mine-if00").await;
-    let mut station = tuned(&bench, &format!("serial:{shown}/ttyUSB0"));
-    assert_eq!(
-        up(&mut station).await,
-        format!("{shown}/ttyUSB0 ({shown}/by-id/usb-mine-if00) at 115200 baud")
-    );
-    drop(mine);
-    down(&mut station).await;
-    // Somebody else's adapter takes the number; ours comes back as the next one.
-    let mut other = adapter(&bench, "ttyUSB0", "usb-other-if00").await;
-    std::fs::remove_file(bench.directory.path().join("by-id/usb-mine-if00")).expect("our link");
-    let (reason, _) = down(&mut station).await;
-    assert_eq!(
-        reason,
-        format!("{shown}/by-id/usb-mine-if00 is not there: plug the device in or check the name")
-    );
-    let mut mine = adapter(&bench, "ttyUSB1", "usb-mine-if00").await;
-    let detail = up(&mut station).await;
-    assert_eq!(
-        detail,
-        format!("{shown}/by-id/usb-mine-if00 at 115200 baud")
-    );
-    mine.send(b"mine");
-    other.send(b"other");
-    assert_eq!(poll_once(&mut mine).await, None);
-    assert_eq!(bytes(&mut station, 4).await, b"mine");
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
-    let bench = Bench::new();
-    let shown = bench.directory.path().display().to_string();
-    let pattern = format!("serial:{shown}/ttyACM*");
-    let mut first = tuned(&bench, &pattern);
-    first.open_first().await.expect("a device may come");
-    let (reason, _) = down(&mut first).await;
-    assert_eq!(
-        reason,
-        format!("{shown}/ttyACM* is not there: plug the device in or check the name")
-    );
-    let _b = adapter(&bench, "ttyACM1", "usb-b").await;
-    let a = adapter(&bench, "ttyACM0", "usb-a").await;
-    assert_eq!(
-        up(&mut first).await,
-        format!("{shown}/ttyACM0 at 115200 baud")
-    );
-    // One question mark is part of the name, the other begins the options.
-    let mut second = tuned(&bench, &format!("serial:{shown}/ttyACM??baud=9600"));
-    assert_eq!(
-        up(&mut second).await,
-        format!("{shown}/ttyACM1 at 9600 baud")
-    );
-    let mut third = tuned(&bench, &pattern);
-    let error = third.open_first().await.expect_err("both are taken");
-    assert!(error.stops_start() && error.can_heal());
-    let busy = format!("port {shown}/ttyACM0 is in use by another program");
-    assert!(error.to_string().starts_with(&busy), "{error}");
-
-    drop(a);
-    down(&mut first).await;
-    assert!(down(&mut first).await.0.contains("ttyACM1 is in use"));
-    let _c = adapter(&bench, "ttyACM7", "usb-c").await;
-    assert_eq!(
-        up(&mut first).await,
-        format!("{shown}/ttyACM7 at 115200 baud")
-    );
-}
-
-#[tokio::test(start_paused = true)]
-async fn closing_a_port_does_not_drop_dtr_whatever_is_asked_for() {
-    let bench = Bench::new();
-    let _pty = bench.plugged_pty().await;
-    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
-    let line = nix::fcntl::open(&bench.path(), flags, Mode::empty()).expect("a foreign reader");
-    for dtr in ["keep", "on", "off"] {
-        let mut settings = tcgetattr(&line).expect("a terminal");
-        settings.control_flags.insert(ControlFlags::HUPCL);
-        tcsetattr(&line, SetArg::TCSANOW, &settings).expect("a terminal");
-        // A pseudo-terminal has no DTR; that is no reason to refuse it.
-        let url = format!("serial:{}?dtr={dtr}", bench.path().display());
-        let mut station = tuned(&bench, &url);
-        up(&mut station).await;
-        let settings = tcgetattr(&line).expect("a terminal");
-        assert!(
-            !settings.control_flags.contains(ControlFlags::HUPCL),
-            "dtr={dtr}"
-        );
-    }
 }

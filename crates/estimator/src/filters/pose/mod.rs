@@ -398,17 +398,6 @@ fn published<const N: usize>(
 }
 
 /// A record that nobody reads: an entry that is applied again was reported when it came. Its sensor says whose noise is learned.
-fn scratch_record(told: &Told) -> FusionRecord {
-    FusionRecord {
-        sensor: told.sensor,
-        kind: "",
-        stamp: told.stamp,
-        lag: Span::ZERO,
-        verdict: Verdict::Accepted,
-        innovation: [0.0; 3],
-        innovation_covariance: [[0.0; 3]; 3],
-        nis: 0.0,
-        degrees_of_freedom: 0,
-        log_likelihood: 0.0,
-    }
+const fn scratch_record(told: &Told) -> FusionRecord {
+    intake::blank_record(told.sensor, told.stamp)
 }

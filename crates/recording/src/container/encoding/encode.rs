@@ -1,0 +1,153 @@
+//! From an input to its bytes.
+
+use posebridge_telemetry::{
+    Command, Fix, Input, LinkState, Observation, Observed, PeerId, PortCounts, Pose,
+};
+
+use super::{Place, VERSION, fix_flag, kind, tag};
+
+/// Appends the bytes of `input` to `bytes`, which must be empty.
+pub(in crate::container) fn encode(input: &Input, place: Place, bytes: &mut Vec<u8>) {
+    bytes.push(VERSION);
+    match input {
+        Input::Bytes {
+            link,
+            peer,
+            bytes: payload,
+        } => {
+            let is_first = *peer == PeerId::default();
+            bytes.push(if is_first {
+                tag::BYTES
+            } else {
+                tag::PEER_BYTES
+            });
+            bytes.extend_from_slice(&link.0.to_le_bytes());
+            if !is_first {
+                bytes.extend_from_slice(&peer.0.to_le_bytes());
+            }
+            bytes.extend_from_slice(payload);
+        }
+        Input::Port { link, counts } => {
+            bytes.push(tag::PORT);
+            bytes.extend_from_slice(&link.0.to_le_bytes());
+            put_counts(counts, bytes);
+        }
+        Input::Link { link, state } => {
+            bytes.push(tag::LINK);
+            bytes.extend_from_slice(&link.0.to_le_bytes());
+            bytes.push(match state {
+                LinkState::Up => 1,
+                LinkState::Down => 0,
+            });
+        }
+        Input::Observation(observation) => {
+            bytes.push(tag::OBSERVATION);
+            put_observation(observation, bytes);
+        }
+        Input::Command(Command::SetPose {
+            pose,
+            position_sigma_m,
+            heading_sigma_rad,
+        }) => {
+            bytes.push(tag::SET_POSE);
+            put_pose(*pose, bytes);
+            put_all(&[*position_sigma_m, *heading_sigma_rad], bytes);
+        }
+        Input::Tick => bytes.push(tag::TICK),
+    }
+    let checksum = place.checksum(bytes);
+    bytes.extend_from_slice(&checksum.to_le_bytes());
+}
+
+fn put_all(values: &[f64], bytes: &mut Vec<u8>) {
+    for value in values {
+        bytes.extend_from_slice(&value.to_le_bytes());
+    }
+}
+
+fn put_pose<S>(pose: Pose<S>, bytes: &mut Vec<u8>) {
+    put_all(&[pose.x.0, pose.y.0, pose.heading.rad()], bytes);
+}
+
+fn put_counts(counts: &PortCounts, bytes: &mut Vec<u8>) {
+    bytes.extend_from_slice(&counts.bytes_out.to_le_bytes());
+    bytes.extend_from_slice(&counts.drops_out.to_le_bytes());
+    for count in [counts.peers, counts.queued_frames, counts.queued_bytes] {
+        bytes.extend_from_slice(&count.to_le_bytes());
+    }
+    // No link takes less than nothing: a negative capacity says that none was measured.
+    put_all(&[counts.capacity_bytes_per_s.unwrap_or(-1.0)], bytes);
+}
+
+fn put_observation(observation: &Observation, bytes: &mut Vec<u8>) {
+    bytes.push(observation.sensor.0);
+    bytes.extend_from_slice(&observation.stamp.as_nanos().to_le_bytes());
+    bytes.extend_from_slice(&observation.stamp_sigma.as_nanos().to_le_bytes());
+    put_observed(&observation.observed, bytes);
+}
+
+fn put_observed(observed: &Observed, bytes: &mut Vec<u8>) {
+    let mut put = |kind: u8, values: &[f64]| {
+        bytes.push(kind);
+        put_all(values, bytes);
+    };
+    match observed {
+        Observed::WheelAngles { left, right } => put(kind::WHEEL_ANGLES, &[left.0, right.0]),
+        Observed::OdometerPose(pose) => put(
+            kind::ODOMETER_POSE,
+            &[pose.x.0, pose.y.0, pose.heading.rad()],
+        ),
+        Observed::BodyVelocity { forward, turn } => put(kind::BODY_VELOCITY, &[forward.0, turn.0]),
+        Observed::TurnRate(rate) => put(kind::TURN_RATE, &[rate.0]),
+        Observed::WheelAccelerations { left, right } => {
+            put(kind::WHEEL_ACCELERATIONS, &[left.0, right.0]);
+        }
+        Observed::WallRange(range) => put(kind::WALL_RANGE, &[range.0]),
+        Observed::CompassHeading(heading) => put(kind::COMPASS_HEADING, &[heading.rad()]),
+        Observed::Temperature(temperature) => put(kind::TEMPERATURE, &[temperature.0]),
+        Observed::Fix(fix) => {
+            bytes.push(kind::FIX);
+            put_fix(fix, bytes);
+        }
+        Observed::Landmark { id, range, bearing } => {
+            bytes.push(kind::LANDMARK);
+            bytes.extend_from_slice(&id.0.to_le_bytes());
+            put_all(&[range.0, bearing.0], bytes);
+        }
+        Observed::BeaconRange { id, range } => {
+            bytes.push(kind::BEACON_RANGE);
+            bytes.extend_from_slice(&id.0.to_le_bytes());
+            put_all(&[range.0], bytes);
+        }
+    }
+}
+
+fn put_fix(fix: &Fix, bytes: &mut Vec<u8>) {
+    let heading = if fix.heading.is_some() {
+        fix_flag::HEADING
+    } else {
+        0
+    };
+    let covariance = if fix.covariance.is_some() {
+        fix_flag::COVARIANCE
+    } else {
+        0
+    };
+    bytes.push(heading | covariance);
+    bytes.push(fix.reset_counter);
+    put_all(
+        &[
+            fix.position.x.0,
+            fix.position.y.0,
+            fix.tag_in_body.x.0,
+            fix.tag_in_body.y.0,
+        ],
+        bytes,
+    );
+    if let Some(heading) = fix.heading {
+        put_all(&[heading.rad()], bytes);
+    }
+    if let Some(c) = fix.covariance {
+        put_all(&[c.xx_m2, c.xy_m2, c.yy_m2, c.heading_rad2], bytes);
+    }
+}

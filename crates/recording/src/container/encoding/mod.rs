@@ -1,0 +1,117 @@
+//! The pipeline's inputs as bytes and back, bit for bit: docs/recording-format.md in code.
+//!
+//! Little-endian, no padding, every `f64` by its bits. The last four bytes are a CRC-32 over the message's sequence
+//! number, its time and the bytes before, so that damage is noticed and named instead of being replayed.
+
+mod cursor;
+mod decode;
+mod encode;
+#[cfg(test)]
+mod tests;
+
+use flate2::Crc;
+
+pub(super) use decode::decode;
+pub(super) use encode::encode;
+
+/// First byte of every message; a change of layout changes it.
+const VERSION: u8 = 2;
+/// The oldest layout that is still read: it has the same tags, but for those that came later.
+const OLDEST: u8 = 1;
+/// Bytes of the checksum at the end.
+const CHECKSUM_BYTES: usize = 4;
+
+/// Which input a message holds: its second byte.
+mod tag {
+    pub(super) const BYTES: u8 = 0;
+    pub(super) const LINK: u8 = 1;
+    pub(super) const OBSERVATION: u8 = 2;
+    pub(super) const SET_POSE: u8 = 3;
+    pub(super) const TICK: u8 = 4;
+    /// Bytes of a peer that is not the first of its link.
+    pub(super) const PEER_BYTES: u8 = 5;
+    pub(super) const PORT: u8 = 6;
+}
+
+/// Which kind of observation follows.
+mod kind {
+    pub(super) const WHEEL_ANGLES: u8 = 0;
+    pub(super) const ODOMETER_POSE: u8 = 1;
+    pub(super) const BODY_VELOCITY: u8 = 2;
+    pub(super) const TURN_RATE: u8 = 3;
+    pub(super) const WHEEL_ACCELERATIONS: u8 = 4;
+    pub(super) const FIX: u8 = 5;
+    pub(super) const LANDMARK: u8 = 6;
+    pub(super) const BEACON_RANGE: u8 = 7;
+    pub(super) const WALL_RANGE: u8 = 8;
+    pub(super) const COMPASS_HEADING: u8 = 9;
+    pub(super) const TEMPERATURE: u8 = 10;
+}
+
+/// Flags of a fix: which optional parts follow.
+mod fix_flag {
+    pub(super) const HEADING: u8 = 1;
+    pub(super) const COVARIANCE: u8 = 2;
+    pub(super) const ALL: u8 = HEADING | COVARIANCE;
+}
+
+/// Why the bytes of a message are not an input.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// The message ends before its layout does.
+    #[error("the message is too short: {wanted} more bytes wanted, {left} left")]
+    TooShort {
+        /// Bytes that the next field needs.
+        wanted: usize,
+        /// Bytes that are left.
+        left: usize,
+    },
+    /// Bytes follow the end of the layout.
+    #[error("{0} bytes too many at the end of the message")]
+    TooLong(usize),
+    /// The bytes are not those that were written.
+    #[error("checksum {found:#010x} where {expected:#010x} was expected")]
+    Checksum {
+        /// The checksum that stands there.
+        found: u32,
+        /// The checksum of the bytes.
+        expected: u32,
+    },
+    /// Written by a newer program.
+    #[error("message layout {0} is unknown: read the file with the program version in its header")]
+    Version(u8),
+    /// A tag, kind, state or flag that the layout does not have.
+    #[error("{field} {value} is not one of this layout")]
+    Unknown {
+        /// The field.
+        field: &'static str,
+        /// Its value.
+        value: u8,
+    },
+    /// A heading outside (-pi, pi].
+    #[error("heading {0} rad is outside (-pi, pi]")]
+    Heading(f64),
+    /// A time that no stamp of the host clock can hold; taken as it stands it would lie before the session.
+    #[error("time {0} ns is beyond the range of the host clock")]
+    Time(u64),
+}
+
+/// Where a message stands in the recording: part of its checksum.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    /// Its number, from 0.
+    pub(super) sequence: u32,
+    /// Its time, host nanoseconds.
+    pub(super) log_time: u64,
+}
+
+impl Place {
+    fn checksum(self, bytes: &[u8]) -> u32 {
+        let mut crc = Crc::new();
+        crc.update(&self.sequence.to_le_bytes());
+        crc.update(&self.log_time.to_le_bytes());
+        crc.update(bytes);
+        crc.sum()
+    }
+}
