@@ -18,7 +18,7 @@ mod damage;
 #[path = "support/station.rs"]
 mod station;
 
-use damage::{BRICK, Books, KINDS, Kind, Speaker, message};
+use damage::{BRICK, Books, Condition, KINDS, Kind, Speaker, message};
 use posebridge_pipeline::Pipeline;
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
@@ -181,7 +181,7 @@ fn on_a_busy_line_a_torn_header_hides_frames_for_as_long_as_its_own_would_have_t
         let (message, said) = message(number, sent_ms(number));
         let mut frame = Vec::new();
         encoder.encode(BRICK, &message, &mut frame);
-        line.books.sent(said, true);
+        line.books.sent(said, Condition::Whole);
         line.bytes(Stamp::from_millis(sent_ms(number)), &frame);
         bytes_behind += frame.len();
         if line.books.owed.is_empty() {

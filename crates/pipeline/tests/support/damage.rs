@@ -167,53 +167,60 @@ impl Speaker {
         let (message, said) = message(number, millis);
         let (mut frame, mut bytes) = (Vec::new(), Vec::new());
         self.encoder.encode(BRICK, &message, &mut frame);
-        let is_intact = (self.damage)(&mut self.rng, &mut bytes, &mut frame);
-        books.sent(said, is_intact);
+        let condition = (self.damage)(&mut self.rng, &mut bytes, &mut frame);
+        books.sent(said, condition);
         bytes.extend_from_slice(&frame);
         bytes
     }
 }
 
-/// Damages a frame in place and returns whether it was left whole; may put noise before it.
-type Damage = fn(&mut Pcg64, &mut Vec<u8>, &mut Vec<u8>) -> bool;
-
-fn none(_rng: &mut Pcg64, _noise: &mut Vec<u8>, _frame: &mut Vec<u8>) -> bool {
-    true
+/// What became of a frame.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Condition {
+    Whole,
+    Damaged,
 }
 
-fn one_byte_lost(rng: &mut Pcg64, _noise: &mut Vec<u8>, frame: &mut Vec<u8>) -> bool {
-    let is_intact = !rng.random_bool(0.02);
-    if !is_intact {
-        frame.remove(rng.random_range(0..frame.len()));
+/// Damages a frame in place, or not; may put noise before it.
+type Damage = fn(&mut Pcg64, &mut Vec<u8>, &mut Vec<u8>) -> Condition;
+
+fn none(_rng: &mut Pcg64, _noise: &mut Vec<u8>, _frame: &mut Vec<u8>) -> Condition {
+    Condition::Whole
+}
+
+fn one_byte_lost(rng: &mut Pcg64, _noise: &mut Vec<u8>, frame: &mut Vec<u8>) -> Condition {
+    if !rng.random_bool(0.02) {
+        return Condition::Whole;
     }
-    is_intact
+    frame.remove(rng.random_range(0..frame.len()));
+    Condition::Damaged
 }
 
-fn bits_flipped(rng: &mut Pcg64, _noise: &mut Vec<u8>, frame: &mut Vec<u8>) -> bool {
-    let mut is_intact = true;
+fn bits_flipped(rng: &mut Pcg64, _noise: &mut Vec<u8>, frame: &mut Vec<u8>) -> Condition {
+    let mut condition = Condition::Whole;
     for byte in frame {
         if rng.random_bool(2e-4) {
             *byte ^= 1 << rng.random_range(0..8);
-            is_intact = false;
+            condition = Condition::Damaged;
         }
     }
-    is_intact
+    condition
 }
 
-fn tail_lost(rng: &mut Pcg64, _noise: &mut Vec<u8>, frame: &mut Vec<u8>) -> bool {
-    let is_intact = !rng.random_bool(0.02);
-    if !is_intact {
-        frame.truncate(rng.random_range(1..frame.len()));
+fn tail_lost(rng: &mut Pcg64, _noise: &mut Vec<u8>, frame: &mut Vec<u8>) -> Condition {
+    if !rng.random_bool(0.02) {
+        return Condition::Whole;
     }
-    is_intact
+    frame.truncate(rng.random_range(1..frame.len()));
+    Condition::Damaged
 }
 
-fn noise_before(rng: &mut Pcg64, noise: &mut Vec<u8>, _frame: &mut Vec<u8>) -> bool {
+fn noise_before(rng: &mut Pcg64, noise: &mut Vec<u8>, _frame: &mut Vec<u8>) -> Condition {
     if rng.random_bool(0.05) {
         let length = rng.random_range(1..40);
         noise.extend((0..length).map(|_| rng.random::<u8>()));
     }
-    true
+    Condition::Whole
 }
 
 /// What was sent whole, and what came of it.
@@ -247,8 +254,8 @@ impl Books {
         }
     }
 
-    pub(crate) fn sent(&mut self, said: Option<Said>, is_intact: bool) {
-        if is_intact {
+    pub(crate) fn sent(&mut self, said: Option<Said>, condition: Condition) {
+        if condition == Condition::Whole {
             if self.intact > 0 {
                 self.noticeable += self.damaged_since;
             }
