@@ -7,6 +7,7 @@
 
 mod config;
 mod decode;
+mod impairment;
 mod operands;
 mod recognise;
 mod recording;
@@ -26,6 +27,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("recognise", recognise::check, 700_000),
     Target::new("recording", recording::check, 150_000),
     Target::new("signing", signing::check, 9_000),
+    Target::new("impairment", impairment::check, 100_000),
     Target::new("routing", routing::check, 1_500),
 ];
 
