@@ -51,7 +51,7 @@ const LAYERS: &[Layer] = &[
     // Tests of the others; nobody may name it.
     io(
         "fuzz-bodies",
-        &["telemetry", "protocol", "recording", "link", ROOT],
+        &["telemetry", "protocol", "recording", "link", "sim", ROOT],
     ),
     io(
         ROOT,

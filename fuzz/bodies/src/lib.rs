@@ -7,10 +7,14 @@
 
 mod config;
 mod decode;
+mod impairment;
+mod operands;
 mod recognise;
 mod recording;
+mod routing;
 mod scanner;
 mod session;
+mod signing;
 mod url;
 
 /// Every fuzz target. Adding one: a module with its `check`, a line here, and seeds in `fuzz/corpus/<name>/`.
@@ -22,6 +26,9 @@ pub const TARGETS: &[Target] = &[
     Target::new("config", config::check, 90_000),
     Target::new("recognise", recognise::check, 700_000),
     Target::new("recording", recording::check, 150_000),
+    Target::new("signing", signing::check, 9_000),
+    Target::new("impairment", impairment::check, 100_000),
+    Target::new("routing", routing::check, 1_500),
 ];
 
 /// One untrusted input and what must hold for it.

@@ -1,0 +1,294 @@
+//! Any frames by any ways: each goes exactly where the model of `protocol::routing` says, nothing comes back to where it came
+//! from, what is remembered stays bounded, and no limit of a link is exceeded.
+//!
+//! The model is written down a second time, in [`model`], without hashes and without bounds.
+
+mod limits;
+mod model;
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::routing::{
+    Check, Choice, Forward, FrameFilter, LinkRules, Occurrence, RateLimits, Routed, Router,
+    RouterConfig, Target, Way, priority_of, target_of,
+};
+use posebridge_telemetry::{
+    Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp, SystemId,
+};
+
+use crate::operands::Operands;
+use model::{MOST_ROUTES, Model};
+
+const STATION: Address = Address::new(1, 197);
+/// Links that have rules; a fifth has none.
+const LINKS: u16 = 4;
+/// Frames of one input, all in all, apart from crowds; together with those they stay within what is remembered of duplicates.
+const MOST_FRAMES: u32 = 1_000;
+/// Peers that are heard for the first time by one operation, and how often that may be: together a few more than are remembered.
+const CROWD: u32 = 1_024;
+const SMALL_CROWD: u32 = 32;
+const MOST_CROWDS: u32 = 4;
+const MOST_SMALL_CROWDS: u32 = 8;
+/// Messages with a target, with a time, with neither, and one that nobody knows.
+const MESSAGES: [u32; 12] = [0, 4, 23, 24, 30, 69, 75, 76, 77, 331, 42_100, 60_000];
+
+/// Input: one byte that chooses router or limits, then the rules, then operations.
+pub(crate) fn check(data: &[u8]) {
+    let mut operands = Operands::new(data);
+    if operands.byte() % 4 == 3 {
+        return limits::check(operands);
+    }
+    let mut bench = Bench::new(rules(&mut operands));
+    while !operands.is_empty() && bench.frames < MOST_FRAMES {
+        match operands.byte() % 8 {
+            0 => bench.now = bench.now + Span::from_millis(i64::from(operands.number())),
+            1..=3 => bench.build(&mut operands),
+            4 => {
+                let way = way(operands.byte());
+                let length = usize::from(operands.byte()) * 4;
+                bench.scan(way, operands.part(length));
+            }
+            5 => bench.again(way(operands.byte())),
+            6 => bench.forget(LinkId(u16::from(operands.byte()) % (LINKS + 1))),
+            _ => bench.crowd(operands.byte()),
+        }
+    }
+}
+
+/// Four links; groups, filters and what is forwarded as the bytes say.
+fn rules(operands: &mut Operands<'_>) -> RouterConfig {
+    let window = Span::from_millis([0, 1_000, 1_000, 60_000][usize::from(operands.byte() % 4)]);
+    let links = (0..LINKS).map(|id| (LinkId(id), link_rules(operands.byte())));
+    RouterConfig {
+        own: STATION,
+        duplicate_window: window,
+        links: links.collect(),
+    }
+}
+
+fn link_rules(byte: u8) -> LinkRules {
+    let group = [None, Some(1), Some(2), None][usize::from(byte % 4)];
+    let forward = match byte >> 2 & 3 {
+        0 | 1 => Forward::All,
+        2 => Forward::Targeted,
+        _ => Forward::Nothing,
+    };
+    LinkRules {
+        group,
+        forward,
+        inward: filter(byte >> 4 & 3),
+        outward: filter(byte >> 6),
+        limits: RateLimits::default(),
+    }
+}
+
+fn filter(choice: u8) -> FrameFilter {
+    let mut filter = FrameFilter::default();
+    match choice {
+        2 => filter.messages.block = vec![0, 60_000],
+        3 => {
+            filter.systems = Choice {
+                allow: (1..5).map(SystemId).collect(),
+                block: vec![SystemId(3)],
+            }
+        }
+        _ => {}
+    }
+    filter
+}
+
+/// One of fifteen ways: three peers on each of four links and on one without rules.
+fn way(byte: u8) -> Way {
+    Way {
+        link: LinkId(u16::from(byte) % (LINKS + 1)),
+        peer: PeerId(u32::from(byte >> 4) % 3),
+    }
+}
+
+/// The frame of these parts; checksums are the scanner's business.
+fn bytes_of(source: Address, message_id: u32, payload: &[u8]) -> Vec<u8> {
+    let [a, b, c, _] = message_id.to_le_bytes();
+    let (system, component) = (source.system.0, source.component.0);
+    let mut bytes = vec![
+        0xFD,
+        payload.len() as u8,
+        0,
+        0,
+        0,
+        system,
+        component,
+        a,
+        b,
+        c,
+    ];
+    bytes.extend_from_slice(payload);
+    bytes.extend_from_slice(&[0, 0]);
+    bytes
+}
+
+fn frame_of(bytes: &[u8]) -> FrameRef<'_> {
+    FrameRef {
+        version: WireVersion::V2,
+        message_id: u32::from_le_bytes([bytes[7], bytes[8], bytes[9], 0]),
+        source: Address::new(bytes[5], bytes[6]),
+        sequence: bytes[4],
+        payload: &bytes[10..bytes.len() - 2],
+        raw: bytes,
+    }
+}
+
+/// The router, and what it must do.
+struct Bench {
+    router: Router,
+    model: Model,
+    now: Stamp<HostClock>,
+    frames: u32,
+    crowds: u32,
+    small_crowds: u32,
+    next_peer: u32,
+    last: Option<(Vec<u8>, Check)>,
+}
+
+impl Bench {
+    fn new(config: RouterConfig) -> Self {
+        Self {
+            router: Router::new(config.clone()),
+            model: Model::new(config),
+            now: Stamp::ZERO,
+            frames: 0,
+            crowds: 0,
+            small_crowds: 0,
+            next_peer: 16,
+            last: None,
+        }
+    }
+
+    /// Somebody says something that may be for somebody.
+    fn build(&mut self, operands: &mut Operands<'_>) {
+        let way = way(operands.byte());
+        let (who, what) = (operands.byte(), operands.byte());
+        let source = match who % 16 {
+            0 => STATION,
+            _ => Address::new(1 + who % 5, [0, 1, 2, 190][usize::from(who >> 6)]),
+        };
+        let message_id = MESSAGES[usize::from(what % 12)];
+        let fill = operands.byte() % 6;
+        let length = usize::from(operands.byte()) % 64;
+        let mut payload = vec![fill; length];
+        payload.extend_from_slice(operands.part(4));
+        let check = match what >> 6 {
+            3 => Check::Unverifiable,
+            _ => Check::Verified,
+        };
+        self.hear(way, bytes_of(source, message_id, &payload), check);
+    }
+
+    /// Bytes as they come from a link.
+    fn scan(&mut self, way: Way, bytes: &[u8]) {
+        let mut found = Vec::new();
+        Scanner::new(ScannerConfig::default()).push(
+            self.now,
+            bytes,
+            &mut |scanned| match scanned {
+                Scanned::Frame(frame) => found.push((frame.raw.to_vec(), Check::Verified)),
+                Scanned::Unknown(frame) => found.push((frame.raw.to_vec(), Check::Unverifiable)),
+                Scanned::Defect(_) => {}
+            },
+        );
+        for (bytes, check) in found {
+            self.hear(way, bytes, check);
+        }
+    }
+
+    /// What came last comes again.
+    fn again(&mut self, way: Way) {
+        if let Some((bytes, check)) = self.last.clone() {
+            self.hear(way, bytes, check);
+        }
+    }
+
+    fn forget(&mut self, link: LinkId) {
+        self.router.forget_link(link);
+        self.model.forget(link);
+    }
+
+    /// Many peers of one system on one link, and then a word to that system: no more ways than are remembered.
+    fn crowd(&mut self, who: u8) {
+        let (crowds, most, size) = match who & 0xC3 {
+            0 => (&mut self.crowds, MOST_CROWDS, CROWD),
+            _ => (&mut self.small_crowds, MOST_SMALL_CROWDS, SMALL_CROWD),
+        };
+        if *crowds >= most {
+            return;
+        }
+        *crowds += 1;
+        // Nobody else has this component, so that none of these frames has come before.
+        let source = Address::new(2 + who % 3, 77);
+        let link = LinkId(u16::from(who >> 4) % LINKS);
+        let first = self.next_peer;
+        self.next_peer += size;
+        for number in first..self.next_peer {
+            let peer = PeerId(number);
+            let bytes = bytes_of(source, 0, &number.to_le_bytes());
+            let (from, frame) = (Way { link, peer }, frame_of(&bytes));
+            if self.router.admits(link, &frame) {
+                let routed = self.router.route(self.now, from, &frame, Check::Verified);
+                assert_eq!(routed.occurrence, Occurrence::First);
+                self.model.hear(self.now, source, from);
+            }
+        }
+        // COMMAND_LONG: the target's system and component stand behind seven floats and the command.
+        let mut payload = [9; 33];
+        payload[30] = source.system.0;
+        payload[31] = 0;
+        let bytes = bytes_of(Address::new(9, 9), 76, &payload);
+        self.hear(way(who ^ 1), bytes, Check::Verified);
+    }
+
+    fn hear(&mut self, from: Way, bytes: Vec<u8>, check: Check) {
+        self.frames += 1;
+        let frame = frame_of(&bytes);
+        check_target(&frame);
+        if self.router.admits(from.link, &frame) {
+            let expected = self.model.route(self.now, from, &frame, check);
+            let routed = self.router.route(self.now, from, &frame, check);
+            self.check_routed(from, &routed);
+            if self.model.is_exact() {
+                assert_eq!(routed, expected, "{from:?} {frame:?}");
+            } else {
+                assert_eq!(routed.occurrence, expected.occurrence);
+                assert!(routed.to.iter().all(|to| expected.to.contains(to)));
+            }
+        }
+        self.last = Some((bytes, check));
+    }
+
+    /// What holds for every frame.
+    fn check_routed(&self, from: Way, routed: &Routed) {
+        assert!(routed.to.len() <= MOST_ROUTES, "{} ways", routed.to.len());
+        assert!(routed.to.windows(2).all(|pair| pair[0].0 <= pair[1].0));
+        let mut copies = BTreeMap::new();
+        for (link, audience) in &routed.to {
+            let is_back = *link == from.link && audience.includes(from.peer);
+            assert!(!is_back, "back to {from:?}");
+            assert!(*link == from.link || !self.router.lead_to_one(*link, from.link));
+            if let Audience::Peer(peer) = audience {
+                let copies = copies.entry((*link, *peer)).or_insert(0);
+                *copies += 1;
+                assert_eq!(*copies, 1, "{peer:?} of {link:?} gets it twice");
+            }
+        }
+    }
+}
+
+/// Zeros at the end of a payload may be cut off and change no target; a command to nobody in particular is no command to one.
+fn check_target(frame: &FrameRef<'_>) {
+    let target = target_of(frame.message_id, frame.payload);
+    let zeros = frame.payload.iter().rev().take_while(|byte| **byte == 0);
+    let cut = &frame.payload[..frame.payload.len() - zeros.count()];
+    assert_eq!(target_of(frame.message_id, cut), target);
+    if priority_of(frame) == Priority::Command {
+        assert_ne!(target, Target::Everybody);
+    }
+}

@@ -1,0 +1,216 @@
+//! A cable that is pulled in the middle of a frame, again and again: the recording of the real station has every byte that arrived,
+//! and what is left of the torn frame is not taken for one, not even when its other half is the first that comes afterwards.
+//!
+//! A hundred times and with the processor time is a test of the link (`crates/link/tests/replug.rs`).
+#![expect(
+    clippy::expect_used,
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+mod support;
+#[path = "support/terminal.rs"]
+mod terminal;
+
+use std::io::{Read as _, Write as _};
+use std::path::Path;
+
+use posebridge_protocol::dialect::{Encoder, decode};
+use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::message::{Heartbeat, Message, TimeSync, WheelTicks, WireStamp};
+use posebridge_recording::container::{Ending, Reader};
+use posebridge_telemetry::{Address, EncoderTicks, Input, LinkState, Stamp};
+use support::{Running, posebridge};
+use terminal::Terminal;
+
+const BRICK: Address = Address::new(1, 1);
+/// The waits before the next attempt double from one to the next: five make four seconds.
+const PLUGGINGS: usize = 5;
+/// Wheel messages of one plugging, behind its heartbeat.
+const MESSAGES: i64 = 20;
+/// All messages of a plugging come at once, and no clock may leap by a second.
+const STEP_MICROS: u32 = 20_000;
+
+/// What a plugging has sent: whether it must all be there is known of the bytes before the torn frame.
+struct Sent {
+    whole: Vec<u8>,
+    torn: Vec<u8>,
+}
+
+/// A brick that numbers its messages through all pluggings.
+struct Brick {
+    encoder: Encoder,
+    said: i64,
+}
+
+impl Brick {
+    fn frame(&mut self, message: &Message) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        self.encoder.encode(BRICK, message, &mut bytes);
+        bytes
+    }
+
+    fn next_ticks(&mut self) -> Vec<u8> {
+        self.said += 1;
+        self.frame(&ticks(self.said))
+    }
+
+    /// Waits until the station speaks, says its part, waits for the answer to its last word, and is torn off in the middle of
+    /// the next. `remainder` is what the plugging before has not got rid of.
+    fn talk(&mut self, mut terminal: Terminal, remainder: &[u8]) -> Sent {
+        hear(&mut terminal, |_| true);
+        let mut whole = remainder.to_vec();
+        whole.extend(self.frame(&HEARTBEAT));
+        for _ in 0..MESSAGES {
+            whole.extend(self.next_ticks());
+        }
+        let request_nanos = 1_000 + self.said;
+        whole.extend(self.frame(&Message::TimeSync(TimeSync {
+            answer_nanos: 0,
+            request_nanos,
+            target: None,
+        })));
+        terminal.wire.write_all(&whole).expect("it is plugged in");
+        hear(
+            &mut terminal,
+            |message| matches!(message, Message::TimeSync(sync) if sync.request_nanos == request_nanos && sync.answer_nanos != 0),
+        );
+        let torn = self.next_ticks();
+        let half = torn.len() / 2;
+        terminal
+            .wire
+            .write_all(&torn[..half])
+            .expect("it is plugged in");
+        Sent { whole, torn }
+    }
+}
+
+/// The wheels of the message of this number; the one that is torn has one, too.
+fn ticks(number: i64) -> Message {
+    Message::WheelTicks(WheelTicks {
+        stamp: WireStamp::Micros32(5_000_000 + number as u32 * STEP_MICROS),
+        left: EncoderTicks(3 * number),
+        right: EncoderTicks(4 * number),
+    })
+}
+
+const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
+    vehicle_type: 10,
+    autopilot: 0,
+    base_mode: 0,
+    system_status: 4,
+});
+
+/// Reads what the station says until a message of it is wanted.
+fn hear(terminal: &mut Terminal, is_wanted: impl Fn(&Message) -> bool) {
+    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut buffer = [0; 4_096];
+    let mut is_heard = false;
+    while !is_heard {
+        let read = terminal.wire.read(&mut buffer).expect("the station speaks");
+        scanner.push(Stamp::ZERO, &buffer[..read], &mut |found| {
+            if let Scanned::Frame(frame) = found
+                && let Ok(Some(message)) = decode(&frame)
+            {
+                is_heard |= is_wanted(&message);
+            }
+        });
+    }
+}
+
+/// The recorded bytes of each time that the link was up.
+fn recorded(path: &Path) -> Vec<Vec<u8>> {
+    let file = std::fs::read(path).expect("the recording is there");
+    let reader = Reader::open(&file).expect("it is one");
+    assert_eq!(reader.ending(), Ending::Complete);
+    let mut times: Vec<Vec<u8>> = Vec::new();
+    for input in reader {
+        match input.expect("every record is good").1 {
+            Input::Link {
+                state: LinkState::Up,
+                ..
+            } => times.push(Vec::new()),
+            Input::Bytes { bytes, .. } => {
+                times.last_mut().expect("the link is up").extend(bytes);
+            }
+            Input::Link { .. }
+            | Input::Port { .. }
+            | Input::Observation(_)
+            | Input::Command(_)
+            | Input::Tick => {}
+        }
+    }
+    times
+}
+
+#[test]
+fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = folder.path().join("brick.tty");
+    let link = format!("serial:{}", name.display());
+    let mut terminal = Terminal::open_as(&name);
+    let args = [
+        "run", "--link", &link, "--out", "run", "--events", "live.txt",
+    ];
+    let station = Running::start(posebridge(folder.path()).args(args));
+    let mut brick = Brick {
+        encoder: Encoder::new(WireVersion::V2),
+        said: 0,
+    };
+    let mut sent = vec![brick.talk(terminal, &[])];
+    while sent.len() < PLUGGINGS {
+        terminal = Terminal::open_as(&name);
+        let torn = &sent[sent.len() - 1].torn;
+        let remainder = torn[torn.len() / 2..].to_vec();
+        sent.push(brick.talk(terminal, &remainder));
+    }
+    station.interrupt();
+
+    let recorded = recorded(&folder.path().join("run/recording.mcap"));
+    assert_eq!(recorded.len(), sent.len(), "the link was up so often");
+    for (number, (found, sent)) in recorded.iter().zip(&sent).enumerate() {
+        let all = [&sent.whole[..], &sent.torn[..sent.torn.len() / 2]].concat();
+        assert!(
+            found.starts_with(&sent.whole),
+            "plugging {number}: bytes are missing"
+        );
+        assert!(
+            all.starts_with(found),
+            "plugging {number}: bytes are made up"
+        );
+    }
+    check_events(folder.path(), brick.said);
+}
+
+/// Every whole message was observed once and in order, no torn one was, and the recording replays to the same events.
+fn check_events(folder: &Path, said: i64) {
+    let live = std::fs::read_to_string(folder.join("live.txt")).unwrap();
+    let stamps: Vec<&str> = live
+        .lines()
+        .filter(|line| line.starts_with("Observed"))
+        .map(|line| after(line, "stamp: brick@"))
+        .collect();
+    // The last of each plugging is the torn one.
+    let expected: Vec<String> = (1..=said)
+        .filter(|number| number % (MESSAGES + 1) != 0)
+        .map(|number| {
+            let micros = 5_000_000 + number * i64::from(STEP_MICROS);
+            format!("{}.{:06}000s", micros / 1_000_000, micros % 1_000_000)
+        })
+        .collect();
+    assert_eq!(stamps, expected);
+    // The station may be stopped before it has noticed the last.
+    assert!(live.matches("state: Down").count() >= PLUGGINGS - 1);
+    assert_eq!(live.matches("BrickRestarted").count(), 0);
+
+    let args = ["replay", "run/recording.mcap", "--events", "again.txt"];
+    let replay = posebridge(folder).args(args).output().unwrap();
+    assert!(replay.status.success(), "{replay:?}");
+    let again = std::fs::read_to_string(folder.join("again.txt")).unwrap();
+    assert!(again == live, "the replay tells something else");
+}
+
+fn after<'a>(line: &'a str, name: &str) -> &'a str {
+    let rest = line.split(name).nth(1).expect("the field is there");
+    rest.split([',', ')']).next().expect("it has a value")
+}
