@@ -49,12 +49,12 @@ enum Keeping {
 }
 
 impl Collector {
-    /// One for a live run without a known end.
+    /// One for a live run without a known end: it takes all of its memory at once.
     #[must_use]
     pub fn live() -> Self {
         Self {
-            estimates: Thinned::keeping(KEPT_LIVE),
-            fixes: Thinned::keeping(KEPT_LIVE),
+            estimates: Thinned::reserving(KEPT_LIVE),
+            fixes: Thinned::reserving(KEPT_LIVE),
             ..Self::default()
         }
     }
@@ -158,6 +158,14 @@ impl<T> Thinned<T> {
         }
     }
 
+    /// The same with room for all of them.
+    fn reserving(most: usize) -> Self {
+        Self {
+            items: Vec::with_capacity(most),
+            ..Self::keeping(most)
+        }
+    }
+
     fn push(&mut self, item: T) {
         if self.seen.is_multiple_of(self.stride) {
             self.items.push(item);
@@ -197,5 +205,16 @@ mod tests {
             .map(|pair| pair[1] - pair[0])
             .collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
+    }
+
+    #[test]
+    fn a_reserved_list_takes_no_more_memory() {
+        let mut list = Thinned::reserving(100);
+        let capacity = list.items.capacity();
+        for item in 0..100_000 {
+            list.push(item);
+        }
+        assert!((50..100).contains(&list.items().len()));
+        assert_eq!(list.items.capacity(), capacity);
     }
 }

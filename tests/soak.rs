@@ -4,7 +4,7 @@
 //! Every commit runs half an hour of virtual time; docs/soak.md tells of longer runs:
 //!
 //! ```text
-//! POSEBRIDGE_SOAK_HOURS=24 cargo test --release --test soak -- --nocapture
+//! POSEBRIDGE_SOAK_HOURS=24 POSEBRIDGE_SOAK_SEED=3 cargo test --release --test soak -- --nocapture
 //! ```
 #![expect(
     clippy::expect_used,
@@ -14,7 +14,7 @@
 
 use std::collections::BTreeMap;
 
-use allocation_counter::measure;
+use allocation_counter::{measure, opt_out};
 use posebridge::collect::Collector;
 use posebridge::config::Config;
 use posebridge_pipeline::Pipeline;
@@ -29,6 +29,8 @@ use posebridge_telemetry::{
 
 /// Length of the run that every commit makes, hours of virtual time.
 const SHORT_HOURS: f64 = 0.5;
+/// Seed of the link; that of the world is the scenario's.
+const SHORT_SEED: u64 = 3;
 /// What is kept is compared with what was kept after this long.
 const SETTLED: Span = Span::from_millis(60_000);
 /// The accounts are compared this often, and at the end.
@@ -40,47 +42,45 @@ const GROWTH: f64 = 0.05;
 /// Longest a sender may be silent: an outage of 5 s within stalls of 10 s that follow each other.
 const LONGEST_SILENCE: Span = Span::from_millis(60_000);
 
+/// Frames by which the two accounts may differ, because no receiver can see the damage: a byte that is missing at a frame's edge and the
+/// equal last byte of a damaged neighbour that takes its place, or a 16-bit checksum that fits by chance. A few a day are expected of
+/// some hundred thousand damaged and torn frames.
+const UNSEEN_PER_HOUR: f64 = 0.2;
+
 const BRICK: Address = Address::new(1, 1);
 const CAMERA: Address = Address::new(1, 100);
 const STATION: Address = Address::new(1, 197);
 
 #[test]
 fn a_day_on_the_worst_link_leaks_nothing_and_every_lost_frame_is_known() {
-    let hours = std::env::var("POSEBRIDGE_SOAK_HOURS")
-        .ok()
-        .map_or(SHORT_HOURS, |hours| {
-            hours.parse().expect("a number of hours")
-        });
+    let hours: f64 = wished("POSEBRIDGE_SOAK_HOURS").unwrap_or(SHORT_HOURS);
+    let seed = wished("POSEBRIDGE_SOAK_SEED").unwrap_or(SHORT_SEED);
     let end = Stamp::from_secs_f64(hours * 3_600.0);
-    let mut live_bytes = 0_i64;
-    let mut soak = None;
-    let mut pass = |soak: &mut Option<Soak>, until| {
-        let change = measure(|| {
-            soak.get_or_insert_with(|| Soak::new(3)).run_until(until);
-        });
-        live_bytes += change.bytes_current;
-        live_bytes
-    };
-    let settled_bytes = pass(&mut soak, Stamp::ZERO + SETTLED);
+    let mut soak = Soak::new(seed);
+    soak.run_until(Stamp::ZERO + SETTLED);
+    let settled_bytes = soak.kept_bytes;
     let mut highest_bytes = settled_bytes;
     let mut until = Stamp::ZERO;
     while until < end {
         until = end.min(until + CHECK_PERIOD);
-        highest_bytes = highest_bytes.max(pass(&mut soak, until));
-        let soak = soak.as_mut().expect("it runs");
+        soak.run_until(until);
         soak.compare();
-        println!(
-            "{:8.0} s  {highest_bytes} bytes  {soak}",
-            until.as_secs_f64()
-        );
+        highest_bytes = highest_bytes.max(soak.kept_bytes);
+        println!("{:8.0} s  {soak}", until.as_secs_f64());
     }
     let growth = highest_bytes as f64 / settled_bytes as f64 - 1.0;
     println!(
-        "kept {settled_bytes} bytes after a minute, {highest_bytes} at most: {:+.2} %",
+        "the station kept {settled_bytes} bytes after a minute, {highest_bytes} at most: {:+.2} %",
         growth * 100.0
     );
     assert!(growth <= GROWTH, "{growth}");
-    soak.expect("it ran").check_the_conversation();
+    soak.check_the_conversation();
+}
+
+/// What the caller wishes otherwise.
+fn wished<T: std::str::FromStr<Err: std::fmt::Debug>>(variable: &str) -> Option<T> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().expect("a number"))
 }
 
 /// Brick, link and station with nothing but counts.
@@ -94,6 +94,8 @@ struct Soak {
     to_brick: FrameLedger,
     /// What a live run keeps for its tables.
     collector: Collector,
+    /// Live bytes of station and collector.
+    kept_bytes: i64,
     told: Told,
     outages: Outages,
     /// Seconds at which the two accounts were equal and not.
@@ -134,15 +136,23 @@ impl Soak {
             .with_tag_of(&scenario)
             .pipeline()
             .expect("the default makes sense");
+        let mut station = None;
+        let made = measure(|| {
+            let config = config.clone();
+            let pipeline = Pipeline::new(config, Stamp::ZERO).expect("the default makes sense");
+            station = Some((pipeline, Collector::live()));
+        });
+        let (pipeline, collector) = station.expect("it was made");
         let mut soak = Self {
             id: config.links.first().map_or(LinkId(0), |link| link.id),
             now: Stamp::ZERO,
-            pipeline: Pipeline::new(config, Stamp::ZERO).expect("the default makes sense"),
+            pipeline,
             simulation: Simulation::new(scenario).without_history(),
             link: ImpairedLink::new(&profile, seed, Stamp::ZERO),
             to_station: FrameLedger::new(),
             to_brick: FrameLedger::new(),
-            collector: Collector::live(),
+            collector,
+            kept_bytes: made.bytes_current,
             told: Told::default(),
             outages: Outages::default(),
             equal: 0,
@@ -214,20 +224,26 @@ impl Soak {
     }
 
     fn give(&mut self, at: Stamp<HostClock>, input: &Input) {
-        self.pipeline.handle(at, input);
-        while let Some(output) = self.pipeline.poll() {
-            match output {
-                Output::Transmit { bytes, .. } => {
-                    let unit = self.link.offer(End::Station, at, &bytes);
-                    self.to_brick.offer(at, unit, &bytes);
+        let change = measure(|| {
+            self.pipeline.handle(at, input);
+            while let Some(output) = self.pipeline.poll() {
+                match output {
+                    // The link and the test itself keep what is theirs.
+                    Output::Transmit { bytes, .. } => opt_out(|| {
+                        let unit = self.link.offer(End::Station, at, &bytes);
+                        self.to_brick.offer(at, unit, &bytes);
+                    }),
+                    Output::Event(event) => {
+                        self.collector.take(&event);
+                        opt_out(|| self.hear(at, &event));
+                    }
                 }
-                Output::Event(event) => self.hear(at, &event),
             }
-        }
+        });
+        self.kept_bytes += change.bytes_current;
     }
 
     fn hear(&mut self, at: Stamp<HostClock>, event: &Event) {
-        self.collector.take(event);
         self.told.take(at, event);
         if matches!(event, Event::Health { .. }) {
             // What has arrived in this very millisecond is not in the log's account yet.
@@ -255,13 +271,20 @@ impl Soak {
         let mut differences = Vec::new();
         for source in [BRICK, CAMERA] {
             let said = self.told.sources.iter().find(|said| said.source == source);
-            let said = said.map_or((0, 0), |said| (said.frames, said.lost));
+            let (frames, lost) = said.map_or((0, 0), |said| (said.frames, said.lost));
             let counts = truth.get(&source).copied().unwrap_or_default();
-            if said != (counts.whole, counts.missing_between) {
-                differences.push(format!("{source}: told {said:?}, {counts:?}"));
+            let is_equal = frames + lost == counts.whole + counts.missing_between
+                && frames.abs_diff(counts.whole) as f64 <= self.unseen_at_most();
+            if !is_equal {
+                differences.push(format!("{source}: told {frames}, {lost} lost; {counts:?}"));
             }
         }
         differences
+    }
+
+    /// Damaged frames that may have passed for whole ones so far.
+    fn unseen_at_most(&self) -> f64 {
+        1.0 + UNSEEN_PER_HOUR * self.now.as_secs_f64() / 3_600.0
     }
 
     /// The two accounts are equal now, or as soon as what is on its way has come.
@@ -345,7 +368,8 @@ impl std::fmt::Display for Soak {
         }
         write!(
             f,
-            "{} estimates, {} alignments, silent for {:.1} s at most; {} outages; equal in {} of {} seconds",
+            "{} bytes, {} estimates, {} alignments, silent for {:.1} s at most; {} outages; equal in {} of {} seconds",
+            self.kept_bytes,
             self.told.estimates,
             self.told.alignments,
             self.told.longest_silence.as_secs_f64(),

@@ -105,7 +105,7 @@ impl Scene {
     fn set(folder: &Path) -> Self {
         std::fs::write(folder.join("datagrams.toml"), HARSH_DATAGRAMS).expect("it can be written");
         let start = |args: &[&str]| Running::start(posebridge(folder).args(args));
-        let laps = ["--laps", "1000"];
+        let laps = ["--laps", "10000"];
         let mut wired =
             start(&[&["sim", "square", "--listen", "pty:brick.tty"], &laps[..]].concat());
         wired.wait_for("brick up");

@@ -27,7 +27,7 @@ impl BrickCodec for Mavlink {
     fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         let sequences = &mut self.sequences;
         self.scanner.push(now, bytes, &mut |found| {
-            hear((now, &mut *sequences), found, sink)
+            hear((now, &mut *sequences), found, sink);
         });
     }
 
