@@ -145,7 +145,7 @@ pub struct SimArgs {
     #[arg(long)]
     pub seed: Option<u64>,
     /// Laps, instead of the scenario's.
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub laps: Option<u32>,
     /// By what to steer, instead of what the scenario says.
     #[arg(long, value_enum)]

@@ -11,6 +11,8 @@ use crate::report::links::LinkReport;
 
 /// So many estimates are kept; from then on every second one is, and so on: a run of days must not fill the memory.
 const KEPT: usize = 50_000;
+/// The same for a live run, whose memory must not grow after its first minute: still more than a picture has columns.
+const KEPT_LIVE: usize = 2_048;
 /// A track is not interpolated across a longer silence.
 pub const LONGEST_GAP: Span = Span::from_millis(1_000);
 
@@ -47,6 +49,16 @@ enum Keeping {
 }
 
 impl Collector {
+    /// One for a live run without a known end: it takes all of its memory at once.
+    #[must_use]
+    pub fn live() -> Self {
+        Self {
+            estimates: Thinned::reserving(KEPT_LIVE),
+            fixes: Thinned::reserving(KEPT_LIVE),
+            ..Self::default()
+        }
+    }
+
     /// One that keeps every observation: for recordings, whose length is known.
     #[must_use]
     pub fn keeping_observations() -> Self {
@@ -124,27 +136,42 @@ impl Collector {
 #[derive(Debug)]
 pub struct Thinned<T> {
     items: Vec<T>,
+    most: usize,
     stride: usize,
     seen: usize,
 }
 
 impl<T> Default for Thinned<T> {
     fn default() -> Self {
-        Self {
-            items: Vec::new(),
-            stride: 1,
-            seen: 0,
-        }
+        Self::keeping(KEPT)
     }
 }
 
 impl<T> Thinned<T> {
+    /// An empty list that never holds more than `most` items.
+    fn keeping(most: usize) -> Self {
+        Self {
+            items: Vec::new(),
+            most,
+            stride: 1,
+            seen: 0,
+        }
+    }
+
+    /// The same with room for all of them.
+    fn reserving(most: usize) -> Self {
+        Self {
+            items: Vec::with_capacity(most),
+            ..Self::keeping(most)
+        }
+    }
+
     fn push(&mut self, item: T) {
         if self.seen.is_multiple_of(self.stride) {
             self.items.push(item);
         }
         self.seen += 1;
-        if self.items.len() >= KEPT {
+        if self.items.len() >= self.most {
             let mut index = 0;
             self.items.retain(|_| {
                 index += 1;
@@ -178,5 +205,16 @@ mod tests {
             .map(|pair| pair[1] - pair[0])
             .collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
+    }
+
+    #[test]
+    fn a_reserved_list_takes_no_more_memory() {
+        let mut list = Thinned::reserving(100);
+        let capacity = list.items.capacity();
+        for item in 0..100_000 {
+            list.push(item);
+        }
+        assert!((50..100).contains(&list.items().len()));
+        assert_eq!(list.items.capacity(), capacity);
     }
 }

@@ -145,6 +145,42 @@ pub enum Message {
     },
 }
 
+impl Message {
+    /// The instant of its sender's clock of which a measurement or an estimate speaks; `None` for the conversation, in which an
+    /// answer holds two clocks.
+    #[must_use]
+    pub const fn stamp(&self) -> Option<WireStamp> {
+        match self {
+            Self::WheelTicks(WheelTicks { stamp, .. })
+            | Self::Inertial(Inertial { stamp, .. })
+            | Self::PlanarPose(PlanarPose { stamp, .. })
+            | Self::FusionHealth(FusionHealth { stamp, .. })
+            | Self::WheelDistance { stamp, .. }
+            | Self::ScaledImu(PlanarImu { stamp, .. })
+            | Self::HighresImu(PlanarImu { stamp, .. })
+            | Self::DistanceSensor { stamp, .. }
+            | Self::VisionPosition(VisionFix { stamp, .. })
+            | Self::MocapPosition(VisionFix { stamp, .. })
+            | Self::Odometry(Odometry { stamp, .. })
+            | Self::LocalPosition { stamp, .. }
+            | Self::Attitude { stamp, .. }
+            | Self::EstimatorStatus(EstimatorStatus { stamp, .. }) => Some(*stamp),
+            Self::Heartbeat(_)
+            | Self::SystemTime { .. }
+            | Self::TimeSync(_)
+            | Self::SetMessageInterval(_)
+            | Self::Command(_)
+            | Self::CommandAck(_)
+            | Self::StatusText { .. }
+            | Self::RobotDescription(_)
+            | Self::ParamRequestList { .. }
+            | Self::ParamRequestRead { .. }
+            | Self::ParamSet { .. }
+            | Self::ParamValue { .. } => None,
+        }
+    }
+}
+
 /// What a participant says about itself once per second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {

@@ -13,6 +13,7 @@ use crate::clock::SkewedClock;
 use crate::node::{IntervalRequest, Node};
 use crate::random::Stream;
 use crate::scenario::{CameraOrder, CameraSettings};
+use crate::simulation::History;
 
 /// The camera's address on the link: MAV_COMP_ID_CAMERA of the robot's system (minimal.xml).
 pub const CAMERA: Address = Address::new(1, 100);
@@ -56,6 +57,7 @@ pub(crate) struct Camera {
     /// Seen but not sent, in the order of sending.
     pending: Vec<CameraFix>,
     last_due: Span,
+    history: History,
     log: Vec<CameraFix>,
 }
 
@@ -78,6 +80,7 @@ impl Camera {
             stream: Stream::new(seed, "camera"),
             pending: Vec::new(),
             last_due: Span::ZERO,
+            history: History::Kept,
             log: Vec::new(),
         }
     }
@@ -92,7 +95,9 @@ impl Camera {
         for fix in self.pending.drain(..due).collect::<Vec<_>>() {
             let message = self.message(&fix);
             self.node.send(&message);
-            self.log.push(fix);
+            if self.history == History::Kept {
+                self.log.push(fix);
+            }
         }
         let requests = self.node.tick(self.clock.reading(world));
         self.follow(world, &requests);
@@ -107,6 +112,11 @@ impl Camera {
     /// The bytes that wait to be sent.
     pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
         self.node.take()
+    }
+
+    /// Keeps no log.
+    pub(crate) const fn forget(&mut self) {
+        self.history = History::Forgotten;
     }
 
     /// Everything that was sent.

@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 
 use posebridge_protocol::dialect;
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig};
+use posebridge_protocol::framing::{ScanCounters, Scanned, Scanner, ScannerConfig};
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::{
     Address, Arena, BrickClock, DriveGeometry, HostClock, MetersPerSecond, Point2, Pose,
@@ -67,6 +67,15 @@ impl ReceivedEstimate {
     }
 }
 
+/// Whether a simulation remembers what has been.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum History {
+    /// All of it.
+    Kept,
+    /// Nothing: a brick that runs for days must not fill the memory.
+    Forgotten,
+}
+
 /// A simulated robot with its brick and its camera.
 #[derive(Debug)]
 pub struct Simulation {
@@ -83,6 +92,9 @@ pub struct Simulation {
     camera: Option<Camera>,
     scanner: Scanner,
     outgoing: VecDeque<Vec<u8>>,
+    history: History,
+    /// Truth samples that were due so far.
+    samples: u64,
     truth: Vec<TruthSample>,
     received: Vec<ReceivedEstimate>,
 }
@@ -109,6 +121,8 @@ impl Simulation {
             camera,
             scanner: Scanner::new(ScannerConfig::default()),
             outgoing: VecDeque::new(),
+            history: History::Kept,
+            samples: 0,
             truth: Vec::new(),
             received: Vec::new(),
             path,
@@ -116,6 +130,16 @@ impl Simulation {
         };
         simulation.log_truth();
         simulation
+    }
+
+    /// The same world, which keeps neither truth nor estimates nor camera fixes from here on: for runs without end.
+    #[must_use]
+    pub fn without_history(mut self) -> Self {
+        self.history = History::Forgotten;
+        if let Some(camera) = &mut self.camera {
+            camera.forget();
+        }
+        self
     }
 
     /// Advances the world by [`STEP`](crate::STEP). Call [`Self::poll`] until it is empty afterwards.
@@ -147,13 +171,15 @@ impl Simulation {
         let brick_now = self.brick_clock.reading(self.world);
         for (from, message) in messages {
             let estimate = self.firmware.handle(brick_now, from, &message);
-            self.received
-                .extend(estimate.map(|(instant, pose)| ReceivedEstimate {
-                    world: self.world,
-                    arrival: self.brick_clock.exact(self.world),
-                    instant,
-                    pose,
-                }));
+            let received = estimate.map(|(instant, pose)| ReceivedEstimate {
+                world: self.world,
+                arrival: self.brick_clock.exact(self.world),
+                instant,
+                pose,
+            });
+            if self.history == History::Kept {
+                self.received.extend(received);
+            }
             if let Some(camera) = &mut self.camera {
                 camera.handle(self.world, from, &message);
             }
@@ -168,6 +194,11 @@ impl Simulation {
         self.board.restart();
         self.firmware.restart(self.brick_clock.reading(self.world));
         self.duty = Pair::default();
+    }
+
+    /// What brick and camera have found in the bytes that came: their counterpart to the station's link health.
+    pub const fn heard(&self) -> &ScanCounters {
+        self.scanner.counters()
     }
 
     /// World time since the beginning.
@@ -228,10 +259,11 @@ impl Simulation {
 
     fn log_truth(&mut self) {
         let period_s = 1.0 / self.scenario.brick.telemetry_hz;
-        let due = Span::from_secs_f64(self.truth.len() as f64 * period_s);
-        if self.world < due {
+        let due = Span::from_secs_f64(self.samples as f64 * period_s);
+        if self.history == History::Forgotten || self.world < due {
             return;
         }
+        self.samples += 1;
         let pose = self.body.pose();
         self.truth.push(TruthSample {
             world: self.world,

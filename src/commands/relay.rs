@@ -1,7 +1,8 @@
 //! `posebridge relay`: two real links, and between them a link as bad as one likes.
 //!
 //! What one end sends is offered to the model of a link ([`posebridge_sim::impairment`]) and handed to the other end when it has
-//! arrived there. It knows nothing of frames: a datagram is one unit, and so is whatever one read of a stream brings. An outage
+//! arrived there. A datagram is one unit, and so is whatever one read of a stream brings; frames are looked for only to tell at the
+//! end how many of each sender arrived whole. An outage
 //! of the model is silence; the real links stay open. It never sends back what an end has sent, so the peers of one end do not
 //! hear each other.
 
@@ -14,7 +15,9 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use posebridge_link::{HostTimer, Port, PortEvent};
 use posebridge_recording::container::{FORMAT, Header};
-use posebridge_sim::impairment::{End, ImpairedLink, LinkEvent, LinkKind, LinkProfile};
+use posebridge_sim::impairment::{
+    End, FrameLedger, ImpairedLink, LinkEvent, LinkKind, LinkProfile,
+};
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, PeerId, Span, Stamp};
 
 pub use self::ends::RelayEnds;
@@ -66,6 +69,8 @@ async fn relay(args: &RelayArgs, profile: &LinkProfile) -> Result<(), Failure> {
         brick,
         station,
         link: ImpairedLink::new(profile, args.seed, start),
+        to_station: FrameLedger::new(),
+        to_brick: FrameLedger::new(),
         outages: 0,
         told_up: false,
         recorder,
@@ -183,6 +188,9 @@ struct Relay {
     brick: RealEnd,
     station: RealEnd,
     link: ImpairedLink,
+    /// What became of the frames on their way to each end.
+    to_station: FrameLedger,
+    to_brick: FrameLedger,
     outages: u64,
     told_up: bool,
     recorder: Option<Recorder>,
@@ -216,7 +224,8 @@ impl Relay {
     fn take(&mut self, from: End, event: &PortEvent) {
         self.real(from).note(event);
         if let PortEvent::Bytes { arrival, bytes, .. } = event {
-            self.link.offer(from, *arrival, bytes);
+            let unit = self.link.offer(from, *arrival, bytes);
+            self.ledger(from.other()).offer(*arrival, unit, bytes);
         }
         if !self.told_up && self.brick.was_up && self.station.was_up {
             self.told_up = true;
@@ -251,8 +260,8 @@ impl Relay {
         for end in [End::Brick, End::Station] {
             let real = self.real(end);
             real.outbox.flush(&mut real.port);
-            // The counters are enough here; what became of each byte would fill the memory of a long run.
-            drop(self.link.take_log(end));
+            let log = self.link.take_log(end);
+            self.ledger(end).follow(&log);
         }
     }
 
@@ -280,6 +289,14 @@ impl Relay {
         match end {
             End::Brick => &mut self.brick,
             End::Station => &mut self.station,
+        }
+    }
+
+    /// The ledger of the frames that travel to an end.
+    const fn ledger(&mut self, end: End) -> &mut FrameLedger {
+        match end {
+            End::Brick => &mut self.to_brick,
+            End::Station => &mut self.to_station,
         }
     }
 
@@ -317,8 +334,9 @@ impl Relay {
     }
 
     fn finish(self, args: &RelayArgs, start: Stamp<HostClock>) -> Result<(), Failure> {
-        let direction = |end: End, real: &RealEnd| DirectionReport {
+        let direction = |end: End, real: &RealEnd, ledger: &FrameLedger| DirectionReport {
             link: self.link.counters(end),
+            frames: report::by_sender(ledger),
             bytes_untaken: real.outbox.untaken_bytes,
             chunks_dropped: real.port.counters().drops_out,
         };
@@ -327,8 +345,8 @@ impl Relay {
             seed: args.seed,
             duration_s: (self.timer.now() - start).as_secs_f64(),
             outages: self.outages,
-            to_station: direction(End::Station, &self.station),
-            to_brick: direction(End::Brick, &self.brick),
+            to_station: direction(End::Station, &self.station, &self.to_station),
+            to_brick: direction(End::Brick, &self.brick, &self.to_brick),
         };
         let text = if args.json {
             serde_json::to_string_pretty(&report).while_running()? + "\n"

@@ -29,7 +29,7 @@ pub fn execute(args: &SimArgs) -> Result<(), Failure> {
         .enable_all()
         .build()
         .at_start()?;
-    let simulation = runtime.block_on(brick(scenario, &args.link))?;
+    let simulation = runtime.block_on(brick(simulation(scenario, args), &args.link))?;
     if let Some(path) = &args.truth {
         write_truth(path, &simulation).while_running()?;
     }
@@ -53,13 +53,25 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
     Ok(scenario)
 }
 
-async fn brick(scenario: Scenario, link: &StationLink) -> Result<Simulation, Failure> {
+/// The world; without a file for its truth it keeps none, so that it may run for days.
+fn simulation(scenario: Scenario, args: &SimArgs) -> Simulation {
+    let simulation = Simulation::new(scenario);
+    if args.truth.is_some() {
+        simulation
+    } else {
+        simulation.without_history()
+    }
+}
+
+async fn brick(mut simulation: Simulation, link: &StationLink) -> Result<Simulation, Failure> {
     let timer = HostTimer::start();
     let mut signals = Signals::listen().at_start()?;
     let mut port = station_link::port(link, timer).at_start()?;
     let place = station_link::open(link, &mut port).await.at_start()?;
-    say(&format!("brick up, seed {}, {place}", scenario.seed));
-    let mut simulation = Simulation::new(scenario);
+    say(&format!(
+        "brick up, seed {}, {place}",
+        simulation.scenario().seed
+    ));
     let stop = CancellationToken::new();
     let (progress, _) = watch::channel(0.0);
     tokio::select! {

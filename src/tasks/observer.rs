@@ -106,7 +106,7 @@ fn watch(
     mut file: Option<BufWriter<File>>,
     mut view: LiveView,
 ) -> Result<Collector> {
-    let mut collector = Collector::default();
+    let mut collector = Collector::live();
     let mut drawn = Stamp::<HostClock>::ZERO;
     loop {
         match events.next(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {

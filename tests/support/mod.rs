@@ -68,6 +68,11 @@ impl Running {
         }
     }
 
+    /// Its process.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Reads what it says until a line holds `text`, and returns that line.
     pub(crate) fn wait_for(&mut self, text: &str) -> String {
         loop {

@@ -316,12 +316,12 @@ impl Pipeline {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        link.refresh_health();
+        let sources = link.refresh_health();
         if self.robot.is_some_and(|robot| robot.link == home) {
             link.health.round_trip = self.brick_clock.round_trip();
             link.health.clock_uncertainty = self.brick_clock.uncertainty();
         }
-        let (health, sources) = (link.health, link.peers.sources());
+        let health = link.health;
         self.tell(Event::Health {
             link: id,
             health,

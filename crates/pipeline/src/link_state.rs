@@ -6,7 +6,7 @@ use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::routing::Limiter;
 use posebridge_protocol::session::{Session, SessionConfig};
 use posebridge_protocol::signing::LinkSigning;
-use posebridge_telemetry::{Address, HostClock, LinkHealth, LinkState, Span, Stamp};
+use posebridge_telemetry::{Address, HostClock, LinkHealth, LinkState, SourceHealth, Span, Stamp};
 
 use crate::config::{AcceptedVersions, LinkConfig, PipelineConfig};
 use crate::peers::Peers;
@@ -81,14 +81,17 @@ impl Link {
         })
     }
 
-    /// Brings the scanners' counters into the health record.
-    pub(crate) fn refresh_health(&mut self) {
+    /// Brings the scanners' and senders' counters into the health record and returns what each sender has sent.
+    pub(crate) fn refresh_health(&mut self) -> Vec<SourceHealth> {
+        let sources = self.peers.sources();
+        self.health.frames_lost = sources.iter().map(|source| source.lost).sum();
         let counters = self.peers.counters();
         self.health.frames_in = counters.frames;
         self.health.checksum_errors = counters.checksum_errors;
         self.health.garbage_bytes = counters.garbage_bytes;
         self.health.unknown_ids = counters.unknown_ids;
         self.health.stalls = counters.stalls;
+        sources
     }
 }
 

@@ -18,6 +18,9 @@ use posebridge_telemetry::{Address, HostClock, PeerId, Refusal, SourceHealth, Sp
 const IDLE: Span = Span::from_millis(30_000);
 /// Most peers of one link; the most silent goes first. As many as a UDP port remembers.
 const MOST_PEERS: usize = 4_096;
+/// So many are remembered over a loss of the link, those with the highest numbers: a link with one peer always calls it 0, and a
+/// link with several gives whoever returns a new number.
+const MOST_RESTING: usize = 16;
 
 /// The peers of one link.
 #[derive(Debug)]
@@ -26,6 +29,8 @@ pub(crate) struct Peers {
     /// Signs and judges; all peers of a link share its key and its streams.
     pub(crate) signing: Option<LinkSigning>,
     present: BTreeMap<PeerId, Peer>,
+    /// The numbers of those that were there when the link was lost: one that comes back under its name goes on.
+    resting: BTreeMap<PeerId, SequenceTracker>,
     /// What those that are gone had counted.
     gone: ScanCounters,
     gone_sources: BTreeMap<Address, SourceHealth>,
@@ -44,33 +49,35 @@ impl Peers {
             config,
             signing,
             present: BTreeMap::new(),
+            resting: BTreeMap::new(),
             gone: NOTHING,
             gone_sources: BTreeMap::new(),
         }
     }
 
-    /// Bytes of a peer; what is found in them goes to `sink`, with how many frames of the sender are missing before it, or why
-    /// it must not be believed.
+    /// Bytes of a peer; what is found in them goes to `sink`, with how many more frames of the sender are known to be missing, or
+    /// why it must not be believed.
     pub(crate) fn push(
         &mut self,
         now: Stamp<HostClock>,
         id: PeerId,
         bytes: &[u8],
-        sink: &mut impl FnMut(Scanned<'_>, Result<u8, Refusal>),
+        sink: &mut impl FnMut(Scanned<'_>, Result<u32, Refusal>),
     ) {
         if !self.present.contains_key(&id) {
             self.make_room(now);
         }
+        let resting = &mut self.resting;
         let peer = self.present.entry(id).or_insert_with(|| Peer {
             scanner: Scanner::new(self.config),
-            sequences: SequenceTracker::new(),
+            sequences: resting.remove(&id).unwrap_or_default(),
             last_heard: now,
         });
         peer.last_heard = now;
         let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
         peer.scanner.push(now, bytes, &mut |scanned| {
             let verdict = judge(signing.as_mut(), now, &scanned)
-                .map(|()| missing_before(sequences, &scanned));
+                .map(|()| newly_missing(now, sequences, &scanned));
             sink(scanned, verdict);
         });
     }
@@ -94,13 +101,13 @@ impl Peers {
         &mut self,
         now: Stamp<HostClock>,
         id: PeerId,
-        sink: &mut impl FnMut(Scanned<'_>, Result<u8, Refusal>),
+        sink: &mut impl FnMut(Scanned<'_>, Result<u32, Refusal>),
     ) {
         if let Some(peer) = self.present.get_mut(&id) {
             let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
             peer.scanner.tick(now, &mut |scanned| {
                 let verdict = judge(signing.as_mut(), now, &scanned)
-                    .map(|()| missing_before(sequences, &scanned));
+                    .map(|()| newly_missing(now, sequences, &scanned));
                 sink(scanned, verdict);
             });
         }
@@ -114,10 +121,18 @@ impl Peers {
             .min()
     }
 
-    /// The link was lost: nothing that was half received goes on.
+    /// The link was lost: nothing that was half received goes on. What a sender says next still follows what it said last, so
+    /// that what it sent meanwhile is known to be missing.
     pub(crate) fn restart(&mut self) {
-        for (_, peer) in std::mem::take(&mut self.present) {
-            self.count_gone(&peer);
+        for (id, mut peer) in std::mem::take(&mut self.present) {
+            self.gone = sum(self.gone, *peer.scanner.counters());
+            peer.sequences.break_off();
+            self.resting.insert(id, peer.sequences);
+        }
+        while self.resting.len() > MOST_RESTING
+            && let Some((_, sequences)) = self.resting.pop_first()
+        {
+            add_sources(&mut self.gone_sources, &sequences);
         }
     }
 
@@ -130,8 +145,9 @@ impl Peers {
     /// What each sender has sent, in the order of their addresses.
     pub(crate) fn sources(&self) -> Vec<SourceHealth> {
         let mut sources = self.gone_sources.clone();
-        for peer in self.present.values() {
-            add_sources(&mut sources, &peer.sequences);
+        let present = self.present.values().map(|peer| &peer.sequences);
+        for sequences in present.chain(self.resting.values()) {
+            add_sources(&mut sources, sequences);
         }
         sources.into_values().collect()
     }
@@ -194,9 +210,13 @@ fn judge(
     }
 }
 
-fn missing_before(sequences: &mut SequenceTracker, scanned: &Scanned<'_>) -> u8 {
+fn newly_missing(
+    now: Stamp<HostClock>,
+    sequences: &mut SequenceTracker,
+    scanned: &Scanned<'_>,
+) -> u32 {
     match scanned {
-        Scanned::Frame(frame) => sequences.missing_before(frame.source, frame.sequence),
+        Scanned::Frame(frame) => sequences.take(frame, now),
         Scanned::Unknown(_) | Scanned::Defect(_) => 0,
     }
 }

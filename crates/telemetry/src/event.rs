@@ -172,12 +172,12 @@ pub enum Defect {
         /// The message's id.
         message_id: u32,
     },
-    /// Frames are missing before this one, by its sequence number.
+    /// Frames are missing before this one, by the sequence numbers and stamps of its sender.
     Lost {
         /// Who sent it.
         source: Address,
-        /// How many are missing.
-        frames: u8,
+        /// How many more than was known before.
+        frames: u32,
     },
     /// A frame was refused for its signature.
     Refused {

@@ -1,4 +1,4 @@
-//! How well a link is doing, in counts that only grow.
+//! How well a link is doing, in counts that only grow; but a frame that was missing and comes late is taken off its count.
 
 use crate::clock::Span;
 
@@ -28,7 +28,7 @@ pub struct SourceHealth {
     pub source: Address,
     /// Frames received whole.
     pub frames: u64,
-    /// Frames missing in its sequence numbers.
+    /// Frames missing in its sequence numbers; one that comes late is taken off again.
     pub lost: u64,
 }
 
@@ -51,7 +51,7 @@ pub struct LinkHealth {
     pub unknown_ids: u64,
     /// Candidates given up because their bytes stopped coming.
     pub stalls: u64,
-    /// Frames missing in the sequence numbers, summed over the senders.
+    /// Frames missing in the sequence numbers, summed over the senders; one that comes late is taken off again.
     pub frames_lost: u64,
     /// Times the link came up again after a loss.
     pub reconnects: u64,

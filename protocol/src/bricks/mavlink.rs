@@ -26,8 +26,9 @@ pub(super) fn open(config: ScannerConfig) -> Box<dyn BrickCodec> {
 impl BrickCodec for Mavlink {
     fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         let sequences = &mut self.sequences;
-        self.scanner
-            .push(now, bytes, &mut |found| hear(sequences, found, sink));
+        self.scanner.push(now, bytes, &mut |found| {
+            hear((now, &mut *sequences), found, sink);
+        });
     }
 
     fn deadline(&self) -> Option<Stamp<HostClock>> {
@@ -37,7 +38,7 @@ impl BrickCodec for Mavlink {
     fn tick(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
         let sequences = &mut self.sequences;
         self.scanner
-            .tick(now, &mut |found| hear(sequences, found, sink));
+            .tick(now, &mut |found| hear((now, &mut *sequences), found, sink));
     }
 
     fn encode(&mut self, from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
@@ -45,13 +46,17 @@ impl BrickCodec for Mavlink {
     }
 }
 
-fn hear(sequences: &mut SequenceTracker, found: Scanned<'_>, sink: &mut dyn FnMut(Heard<'_>)) {
+fn hear(
+    (now, sequences): (Stamp<HostClock>, &mut SequenceTracker),
+    found: Scanned<'_>,
+    sink: &mut dyn FnMut(Heard<'_>),
+) {
     match found {
         Scanned::Defect(defect) => sink(Heard::Defect(defect)),
         // Unverified: its sequence number is not believed either.
         Scanned::Unknown(frame) => sink(Heard::Other(frame)),
         Scanned::Frame(frame) => {
-            let missing = sequences.missing_before(frame.source, frame.sequence);
+            let missing = sequences.take(&frame, now);
             if missing > 0 {
                 sink(Heard::Defect(Defect::Lost {
                     source: frame.source,

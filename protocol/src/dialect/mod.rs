@@ -26,7 +26,7 @@ pub use encoder::Encoder;
 pub use ids::{MESSAGES, MessageInfo};
 
 use crate::framing::FrameRef;
-use crate::message::Message;
+use crate::message::{Message, WireStamp};
 
 /// Why the payload of a verified frame makes no sense.
 #[derive(Debug, thiserror::Error)]
@@ -131,6 +131,17 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::PB_FUSION_HEALTH => own::fusion_health(payload),
         ids::PB_ROBOT_DESCRIPTION => own::robot_description(payload),
         _ => Ok(None),
+    }
+}
+
+/// The instant of its sender's clock of which a verified frame speaks; `None` if it speaks of none or makes no sense.
+pub(crate) fn stamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
+    match frame.message_id {
+        // The commonest without one need not be decoded for it.
+        ids::HEARTBEAT | ids::TIMESYNC | ids::COMMAND_LONG | ids::COMMAND_ACK | ids::STATUSTEXT => {
+            None
+        }
+        _ => decode(frame).ok().flatten()?.stamp(),
     }
 }
 

@@ -24,6 +24,9 @@ use crate::framing::FrameRef;
 
 /// Most keys that are remembered; the oldest go first. Two seconds of what a megabit carries.
 const MOST_KEYS: usize = 8_192;
+/// For so many keys there is room from the start: what a brick has said in ten seconds comes at once after a stall, and a station's memory
+/// should not grow by it.
+const RESERVED_KEYS: usize = 2_048;
 /// FNV-1a: offset basis for 64 bits.
 const BASIS: u64 = 0xCBF2_9CE4_8422_2325;
 /// FNV-1a: prime for 64 bits.
@@ -85,7 +88,7 @@ impl DuplicateGuard {
         Self {
             window,
             noted: BTreeMap::new(),
-            order: VecDeque::new(),
+            order: VecDeque::with_capacity(RESERVED_KEYS),
         }
     }
 

@@ -12,7 +12,7 @@
 //! ```
 //! What is offered at once is a *unit*: a datagram, or one write to a stream. A datagram is lost, repeated and overtaken whole; a
 //! stream keeps its order and loses bytes. Every stage has a sequence of random numbers of its own, so that a changed value
-//! shifts nothing else. A log says what became of every byte.
+//! shifts nothing else. A log says what became of every byte, a [`FrameLedger`] what that means for the frames.
 //!
 //! # Sources
 //! docs/impairment.md, with the formulas and the origin of the profiles' values.
@@ -27,6 +27,7 @@ mod delay;
 mod direction;
 mod draws;
 mod fragments;
+mod frames;
 mod line;
 mod link;
 mod outages;
@@ -37,6 +38,7 @@ mod slots;
 pub use account::{Cause, Counters, Fate, LogEntry};
 pub use bundled::PROFILES;
 pub use direction::{Delivery, Impairment};
+pub use frames::{FrameCounts, FrameLedger};
 pub use link::{End, ImpairedLink, LinkEvent};
 pub use profile::{LinkProfile, ProfileError};
 pub use settings::{

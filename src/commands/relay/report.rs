@@ -1,8 +1,9 @@
 //! What a relay tells at its end, for people and for machines.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use posebridge_sim::impairment::Counters;
+use posebridge_sim::impairment::{Counters, FrameCounts, FrameLedger};
 use serde::Serialize;
 
 /// The end of a relay.
@@ -32,6 +33,16 @@ pub(super) struct DirectionReport {
     pub(super) bytes_untaken: u64,
     /// Chunks that the real end's port dropped.
     pub(super) chunks_dropped: u64,
+    /// What became of the frames of each sender, `system/component`.
+    pub(super) frames: BTreeMap<String, FrameCounts>,
+}
+
+/// The counts of a ledger under the names of the senders.
+pub(super) fn by_sender(ledger: &FrameLedger) -> BTreeMap<String, FrameCounts> {
+    let named = ledger
+        .counts()
+        .map(|(source, counts)| (source.to_string(), counts));
+    named.collect()
 }
 
 impl Report {
@@ -45,6 +56,17 @@ impl Report {
         for ((name, to_station), (_, to_brick)) in rows(station).into_iter().zip(rows(brick)) {
             // Writing to a String cannot fail.
             let _ = writeln!(text, "{name:<34}{to_station:>14}{to_brick:>14}");
+        }
+        for (end, direction) in [("station", station), ("brick", brick)] {
+            for (source, frames) in &direction.frames {
+                let FrameCounts {
+                    sent, whole, lost, ..
+                } = frames;
+                let _ = writeln!(
+                    text,
+                    "frames of {source} to the {end}: {sent} sent, {whole} arrived whole, {lost} lost"
+                );
+            }
         }
         text
     }

@@ -25,6 +25,8 @@ use super::hull::{Bound, Hull, Side};
 const WINDOW_S: f64 = 120.0;
 /// One bound of each kind is kept per bucket of this length, s; the tightest.
 const BUCKET_S: f64 = 0.5;
+/// Bounds of one kind within the window, and one on each of its ends.
+const MOST_BOUNDS: usize = (WINDOW_S / BUCKET_S) as usize + 2;
 /// No clock of a brick is further off: resonators reach 2000 ppm and 10 ppm per degree.
 pub(super) const LARGEST_SKEW: f64 = 0.003;
 /// How fast the rate of a clock may change, per second: 10 ppm per degree and 1.2 degrees per minute, a brick that was just switched on.
@@ -89,8 +91,8 @@ pub struct ClockBounds {
 impl Default for ClockBounds {
     fn default() -> Self {
         Self {
-            upper: VecDeque::new(),
-            lower: VecDeque::new(),
+            upper: VecDeque::with_capacity(MOST_BOUNDS),
+            lower: VecDeque::with_capacity(MOST_BOUNDS),
             upper_hull: Hull::new(Side::Upper),
             lower_hull: Hull::new(Side::Lower),
             slope: 0.0,

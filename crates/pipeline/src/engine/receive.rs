@@ -41,38 +41,34 @@ impl Pipeline {
         let mut passage = Passage::new(&mut self.router, now, from, link);
         let mut arrived: Vec<Arrived> = Vec::new();
         let mut events: Vec<Event> = Vec::new();
-        let (frames_lost, refused_frames) = (
-            &mut link.health.frames_lost,
-            &mut link.health.refused_frames,
-        );
-        let mut sink = |scanned: Scanned<'_>, verdict: Result<u8, Refusal>| match (scanned, verdict)
-        {
-            (Scanned::Frame(frame) | Scanned::Unknown(frame), Err(reason)) => {
-                *refused_frames += 1;
-                let source = frame.source;
-                let defect = Defect::Refused { source, reason };
-                events.push(Event::Defect { link: id, defect });
-            }
-            (Scanned::Frame(frame), Ok(missing)) => {
-                if missing > 0 {
-                    *frames_lost += u64::from(missing);
-                    events.push(Event::Defect {
-                        link: id,
-                        defect: Defect::Lost {
-                            source: frame.source,
-                            frames: missing,
-                        },
-                    });
+        let refused_frames = &mut link.health.refused_frames;
+        let mut sink =
+            |scanned: Scanned<'_>, verdict: Result<u32, Refusal>| match (scanned, verdict) {
+                (Scanned::Frame(frame) | Scanned::Unknown(frame), Err(reason)) => {
+                    *refused_frames += 1;
+                    let source = frame.source;
+                    let defect = Defect::Refused { source, reason };
+                    events.push(Event::Defect { link: id, defect });
                 }
-                if let Some(occurrence) = passage.take(&frame, Check::Verified) {
-                    take_frame((id, occurrence), &frame, &mut arrived, &mut events);
+                (Scanned::Frame(frame), Ok(missing)) => {
+                    if missing > 0 {
+                        events.push(Event::Defect {
+                            link: id,
+                            defect: Defect::Lost {
+                                source: frame.source,
+                                frames: missing,
+                            },
+                        });
+                    }
+                    if let Some(occurrence) = passage.take(&frame, Check::Verified) {
+                        take_frame((id, occurrence), &frame, &mut arrived, &mut events);
+                    }
                 }
-            }
-            (Scanned::Unknown(frame), Ok(_)) => {
-                passage.take(&frame, Check::Unverifiable);
-            }
-            (Scanned::Defect(defect), _) => events.push(Event::Defect { link: id, defect }),
-        };
+                (Scanned::Unknown(frame), Ok(_)) => {
+                    passage.take(&frame, Check::Unverifiable);
+                }
+                (Scanned::Defect(defect), _) => events.push(Event::Defect { link: id, defect }),
+            };
         match bytes {
             Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
             None => link.peers.give_up(now, peer, &mut sink),

@@ -1,0 +1,121 @@
+//! How fast a sender sends, and how many frames it has sent in a silence.
+//!
+//! # Model
+//! ```text
+//! expected = pace t            pace: frames per second of the sender's clock, averaged over some twenty seconds
+//! n = a + 256 k nearest to expected,  known while  0.08 expected < 128
+//! ```
+//! The pace is that of everything that the sender says. It varies with what others ask of it: in an outage nobody asks for the time,
+//! and a brick of 42 frames per second that otherwise answers five requests falls short of its mean by a tenth.
+
+/// Time over which the pace is averaged, s of the sender's clock: longer than an outage, shorter than a person's patience.
+const AVERAGE_S: f64 = 20.0;
+/// Frames are gathered for so long before they say anything of the pace, s: heartbeats come once per second.
+const GATHER_S: f64 = 1.0;
+/// A sender may be this much slower or faster than its pace through a silence: what the answers to time requests make of a brick.
+const VARIATION: f64 = 0.08;
+/// What comes once per second or more rarely may fall on either side of an end of the silence.
+const VARIATION_FRAMES: f64 = 8.0;
+/// Half the circle: a number further off from what is expected is nearer to the next turn.
+const HALF_CIRCLE: f64 = 128.0;
+/// A number that has advanced by no more than this over a silence of many turns is that of a sender that was silent itself.
+const AFTER_A_PAUSE: u32 = 16;
+
+/// The pace of one sender.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Pace {
+    per_s: Option<f64>,
+    gathered_s: f64,
+    gathered: f64,
+}
+
+impl Pace {
+    /// How many frames were sent in `elapsed_s`, in which the number advanced by `advance` modulo 256 and `received` frames came.
+    /// 0 of a sender that does not count by one, `None` if the silence was too long to tell.
+    pub(super) fn sent(&self, elapsed_s: f64, advance: u8, received: u32) -> Option<u32> {
+        let Some(per_s) = self.per_s else {
+            return Some(u32::from(advance));
+        };
+        let expected = per_s * elapsed_s;
+        if expected * VARIATION > HALF_CIRCLE {
+            return None;
+        }
+        let turns = ((expected - f64::from(advance)) / 256.0).round().max(0.0);
+        let sent = u32::from(advance) + 256 * turns as u32;
+        let is_off = (expected - f64::from(sent)).abs() > VARIATION_FRAMES + VARIATION * expected;
+        let has_paused = u32::from(advance) <= received + AFTER_A_PAUSE;
+        if turns > 0.0 && is_off && has_paused {
+            return Some(u32::from(advance));
+        }
+        // Half a circle more than expected is an advance that falls: the number of somebody who does not count by one.
+        if f64::from(sent) - expected > HALF_CIRCLE {
+            return Some(0);
+        }
+        Some(sent)
+    }
+
+    /// So many frames were sent in `elapsed_s`.
+    pub(super) fn learn(&mut self, sent: u32, elapsed_s: f64) {
+        self.gathered += f64::from(sent);
+        self.gathered_s += elapsed_s;
+        if self.gathered_s < GATHER_S {
+            return;
+        }
+        let seen_per_s = self.gathered / self.gathered_s;
+        let weight = self.gathered_s / (self.gathered_s + AVERAGE_S);
+        self.per_s = Some(
+            self.per_s
+                .map_or(seen_per_s, |per_s| per_s + weight * (seen_per_s - per_s)),
+        );
+        (self.gathered, self.gathered_s) = (0.0, 0.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(per_s: u32) -> Pace {
+        let mut pace = Pace::default();
+        pace.learn(per_s, 1.0);
+        pace
+    }
+
+    #[test]
+    fn a_silence_has_as_many_turns_as_fit_its_length() {
+        let pace = of(45);
+        for sent in [1_u32, 100, 225, 400, 700, 1_100] {
+            for off in [0.93, 1.0, 1.07] {
+                let elapsed_s = f64::from(sent) / 45.0 * off;
+                assert_eq!(pace.sent(elapsed_s, sent as u8, 1), Some(sent), "{off}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_silence_of_minutes_cannot_be_told() {
+        assert_eq!(of(45).sent(60.0, 7, 1), None);
+        assert_eq!(of(1).sent(60.0, 60, 1), Some(60));
+    }
+
+    #[test]
+    fn a_sender_that_was_silent_itself_has_lost_nothing() {
+        assert_eq!(of(45).sent(4.0, 3, 1), Some(3));
+        assert_eq!(of(45).sent(4.0, 180, 1), Some(180));
+    }
+
+    #[test]
+    fn somebody_who_does_not_count_loses_nothing() {
+        assert_eq!(of(45).sent(0.1, 0, 4), Some(0));
+        assert_eq!(of(45).sent(0.1, 200, 4), Some(0));
+        assert_eq!(of(0).sent(10.0, 0, 450), Some(0));
+    }
+
+    #[test]
+    fn the_pace_follows_slowly() {
+        let mut pace = of(40);
+        pace.learn(400, 5.0);
+        let per_s = pace.per_s.unwrap();
+        assert!((per_s - 48.0).abs() < 1e-9, "{per_s}");
+    }
+}

@@ -1,0 +1,381 @@
+//! A brick that drives its laps without end and a station, for a virtual day over the worst link there is: nothing leaks, every
+//! outage is recovered from, and the station's account of its losses is that of the link's log to the frame.
+//!
+//! Every commit runs half an hour of virtual time; docs/soak.md tells of longer runs:
+//!
+//! ```text
+//! POSEBRIDGE_SOAK_HOURS=24 POSEBRIDGE_SOAK_SEED=3 cargo test --release --test soak -- --nocapture
+//! ```
+#![expect(
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "helpers outside #[test] stop where the set-up is broken, and a long run shows how it goes"
+)]
+
+use std::collections::BTreeMap;
+
+use allocation_counter::{measure, opt_out};
+use posebridge::collect::Collector;
+use posebridge::config::Config;
+use posebridge_pipeline::Pipeline;
+use posebridge_sim::impairment::{
+    End, FrameCounts, FrameLedger, ImpairedLink, LinkEvent, LinkProfile,
+};
+use posebridge_sim::{Scenario, Simulation};
+use posebridge_telemetry::{
+    Address, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Output, PeerId, SourceHealth,
+    Span, Stamp,
+};
+
+/// Length of the run that every commit makes, hours of virtual time.
+const SHORT_HOURS: f64 = 0.5;
+/// Seed of the link; that of the world is the scenario's.
+const SHORT_SEED: u64 = 3;
+/// What is kept is compared with what was kept after this long.
+const SETTLED: Span = Span::from_millis(60_000);
+/// The accounts are compared this often, and at the end.
+const CHECK_PERIOD: Span = Span::from_millis(600_000);
+/// Frames may be on their way between the link and the accounts; so many seconds in a row they may differ for that.
+const PATIENCE: u32 = 20;
+/// What is kept may grow by this share.
+const GROWTH: f64 = 0.05;
+/// Longest a sender may be silent: an outage of 5 s within stalls of 10 s that follow each other.
+const LONGEST_SILENCE: Span = Span::from_millis(60_000);
+
+/// Frames by which the two accounts may differ, because no receiver can see the damage: a byte that is missing at a frame's edge and the
+/// equal last byte of a damaged neighbour that takes its place, or a 16-bit checksum that fits by chance. A few a day are expected of
+/// some hundred thousand damaged and torn frames.
+const UNSEEN_PER_HOUR: f64 = 0.2;
+
+const BRICK: Address = Address::new(1, 1);
+const CAMERA: Address = Address::new(1, 100);
+const STATION: Address = Address::new(1, 197);
+
+#[test]
+fn a_day_on_the_worst_link_leaks_nothing_and_every_lost_frame_is_known() {
+    let hours: f64 = wished("POSEBRIDGE_SOAK_HOURS").unwrap_or(SHORT_HOURS);
+    let seed = wished("POSEBRIDGE_SOAK_SEED").unwrap_or(SHORT_SEED);
+    let end = Stamp::from_secs_f64(hours * 3_600.0);
+    let mut soak = Soak::new(seed);
+    soak.run_until(Stamp::ZERO + SETTLED);
+    let settled_bytes = soak.kept_bytes;
+    let mut highest_bytes = settled_bytes;
+    let mut until = Stamp::ZERO;
+    while until < end {
+        until = end.min(until + CHECK_PERIOD);
+        soak.run_until(until);
+        soak.compare();
+        highest_bytes = highest_bytes.max(soak.kept_bytes);
+        println!("{:8.0} s  {soak}", until.as_secs_f64());
+    }
+    let growth = highest_bytes as f64 / settled_bytes as f64 - 1.0;
+    println!(
+        "the station kept {settled_bytes} bytes after a minute, {highest_bytes} at most: {:+.2} %",
+        growth * 100.0
+    );
+    assert!(growth <= GROWTH, "{growth}");
+    soak.check_the_conversation();
+}
+
+/// What the caller wishes otherwise.
+fn wished<T: std::str::FromStr<Err: std::fmt::Debug>>(variable: &str) -> Option<T> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().expect("a number"))
+}
+
+/// Brick, link and station with nothing but counts.
+struct Soak {
+    id: LinkId,
+    now: Stamp<HostClock>,
+    pipeline: Pipeline,
+    simulation: Simulation,
+    link: ImpairedLink,
+    to_station: FrameLedger,
+    to_brick: FrameLedger,
+    /// What a live run keeps for its tables.
+    collector: Collector,
+    /// Live bytes of station and collector.
+    kept_bytes: i64,
+    told: Told,
+    outages: Outages,
+    /// Seconds at which the two accounts were equal and not.
+    equal: u64,
+    unequal: u64,
+    unequal_in_a_row: u32,
+}
+
+/// What the station told last, or counts.
+#[derive(Default)]
+struct Told {
+    health: LinkHealth,
+    sources: Vec<SourceHealth>,
+    estimates: u64,
+    alignments: u64,
+    restarts: u64,
+    last_estimate: Option<Stamp<HostClock>>,
+    longest_silence: Span,
+}
+
+/// How the outages went.
+#[derive(Default)]
+struct Outages {
+    begun: u64,
+    recovered: u64,
+    /// The next one came before anything else.
+    cut_short: u64,
+    is_pending: bool,
+}
+
+impl Soak {
+    fn new(seed: u64) -> Self {
+        let scenario = Scenario::bundled("square")
+            .expect("it is bundled")
+            .with_laps(10_000);
+        let profile = LinkProfile::bundled("harsh").expect("it is bundled");
+        let config = Config::default()
+            .with_tag_of(&scenario)
+            .pipeline()
+            .expect("the default makes sense");
+        let mut station = None;
+        let made = measure(|| {
+            let config = config.clone();
+            let pipeline = Pipeline::new(config, Stamp::ZERO).expect("the default makes sense");
+            station = Some((pipeline, Collector::live()));
+        });
+        let (pipeline, collector) = station.expect("it was made");
+        let mut soak = Self {
+            id: config.links.first().map_or(LinkId(0), |link| link.id),
+            now: Stamp::ZERO,
+            pipeline,
+            simulation: Simulation::new(scenario).without_history(),
+            link: ImpairedLink::new(&profile, seed, Stamp::ZERO),
+            to_station: FrameLedger::new(),
+            to_brick: FrameLedger::new(),
+            collector,
+            kept_bytes: made.bytes_current,
+            told: Told::default(),
+            outages: Outages::default(),
+            equal: 0,
+            unequal: 0,
+            unequal_in_a_row: 0,
+        };
+        soak.tell(Stamp::ZERO, LinkState::Up);
+        soak
+    }
+
+    fn run_until(&mut self, until: Stamp<HostClock>) {
+        while self.now < until {
+            self.simulation.step();
+            self.now = Stamp::ZERO + self.simulation.elapsed();
+            self.pass_to(self.now);
+            while let Some(bytes) = self.simulation.poll() {
+                let unit = self.link.offer(End::Brick, self.now, &bytes);
+                self.to_station.offer(self.now, unit, &bytes);
+                self.pass_to(self.now);
+            }
+            let is_due = |due: Stamp<HostClock>| due <= self.now;
+            if self.pipeline.deadline().is_some_and(is_due) {
+                self.give(self.now, &Input::Tick);
+                self.pass_to(self.now);
+            }
+        }
+    }
+
+    fn pass_to(&mut self, now: Stamp<HostClock>) {
+        while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
+            while let Some(event) = self.link.poll(at) {
+                self.take(event);
+            }
+        }
+        self.to_station.follow(&self.link.take_log(End::Station));
+        self.to_brick.follow(&self.link.take_log(End::Brick));
+    }
+
+    fn take(&mut self, event: LinkEvent) {
+        match event {
+            LinkEvent::Arrived {
+                end: End::Brick,
+                delivery,
+            } => self.simulation.receive(&delivery.bytes),
+            LinkEvent::Arrived {
+                end: End::Station,
+                delivery,
+            } => {
+                if std::mem::take(&mut self.outages.is_pending) {
+                    self.outages.recovered += 1;
+                }
+                let (link, peer, bytes) = (self.id, PeerId::default(), delivery.bytes);
+                self.give(delivery.at, &Input::Bytes { link, peer, bytes });
+            }
+            LinkEvent::Down { at } => {
+                self.outages.begun += 1;
+                if std::mem::replace(&mut self.outages.is_pending, true) {
+                    self.outages.cut_short += 1;
+                }
+                self.tell(at, LinkState::Down);
+            }
+            LinkEvent::Up { at } => self.tell(at, LinkState::Up),
+        }
+    }
+
+    fn tell(&mut self, at: Stamp<HostClock>, state: LinkState) {
+        let link = self.id;
+        self.give(at, &Input::Link { link, state });
+    }
+
+    fn give(&mut self, at: Stamp<HostClock>, input: &Input) {
+        let change = measure(|| {
+            self.pipeline.handle(at, input);
+            while let Some(output) = self.pipeline.poll() {
+                match output {
+                    // The link and the test itself keep what is theirs.
+                    Output::Transmit { bytes, .. } => opt_out(|| {
+                        let unit = self.link.offer(End::Station, at, &bytes);
+                        self.to_brick.offer(at, unit, &bytes);
+                    }),
+                    Output::Event(event) => {
+                        self.collector.take(&event);
+                        opt_out(|| self.hear(at, &event));
+                    }
+                }
+            }
+        });
+        self.kept_bytes += change.bytes_current;
+    }
+
+    fn hear(&mut self, at: Stamp<HostClock>, event: &Event) {
+        self.told.take(at, event);
+        if matches!(event, Event::Health { .. }) {
+            // What has arrived in this very millisecond is not in the log's account yet.
+            self.to_station.follow(&self.link.take_log(End::Station));
+            self.to_brick.follow(&self.link.take_log(End::Brick));
+            let is_equal = self.differences().is_empty();
+            self.equal += u64::from(is_equal);
+            self.unequal += u64::from(!is_equal);
+            self.unequal_in_a_row = if is_equal {
+                0
+            } else {
+                self.unequal_in_a_row + 1
+            };
+            assert!(
+                self.unequal_in_a_row <= PATIENCE,
+                "{at:?}: {}",
+                self.differences().join("\n")
+            );
+        }
+    }
+
+    /// Where the station's account differs from the log's.
+    fn differences(&self) -> Vec<String> {
+        let truth: BTreeMap<Address, FrameCounts> = self.to_station.counts().collect();
+        let mut differences = Vec::new();
+        for source in [BRICK, CAMERA] {
+            let said = self.told.sources.iter().find(|said| said.source == source);
+            let (frames, lost) = said.map_or((0, 0), |said| (said.frames, said.lost));
+            let counts = truth.get(&source).copied().unwrap_or_default();
+            let is_equal = frames + lost == counts.whole + counts.missing_between
+                && frames.abs_diff(counts.whole) as f64 <= self.unseen_at_most();
+            if !is_equal {
+                differences.push(format!("{source}: told {frames}, {lost} lost; {counts:?}"));
+            }
+        }
+        differences
+    }
+
+    /// Damaged frames that may have passed for whole ones so far.
+    fn unseen_at_most(&self) -> f64 {
+        1.0 + UNSEEN_PER_HOUR * self.now.as_secs_f64() / 3_600.0
+    }
+
+    /// The two accounts are equal now, or as soon as what is on its way has come.
+    fn compare(&mut self) {
+        for _ in 0..PATIENCE {
+            if self.unequal_in_a_row == 0 {
+                return;
+            }
+            self.run_until(self.now + Span::from_millis(1_000));
+        }
+        assert_eq!(self.unequal_in_a_row, 0, "{:?}", self.differences());
+    }
+
+    /// The other direction, the clocks and the outages.
+    fn check_the_conversation(&self) {
+        let truth: BTreeMap<Address, FrameCounts> = self.to_brick.counts().collect();
+        let counts = truth.get(&STATION).copied().unwrap_or_default();
+        println!(
+            "to the brick: {counts:?}, it heard {:?}",
+            self.simulation.heard()
+        );
+        assert_eq!(truth.len(), 1, "nobody else speaks there");
+        assert!(counts.sent >= self.told.health.frames_out);
+        assert!(counts.lost > 0);
+        // One may wait behind a torn one for the brick's next bytes.
+        assert!(counts.whole - self.simulation.heard().frames <= 1);
+        let Outages {
+            begun,
+            recovered,
+            cut_short,
+            is_pending,
+        } = self.outages;
+        assert!(begun > 0);
+        assert_eq!(recovered + cut_short + u64::from(is_pending), begun);
+        assert!(cut_short * 10 < begun, "{cut_short} of {begun}");
+        assert_eq!(self.told.restarts, 0);
+        assert!(self.told.longest_silence < LONGEST_SILENCE);
+        assert!(self.equal > 10 * self.unequal, "{self}");
+    }
+}
+
+impl Told {
+    fn take(&mut self, at: Stamp<HostClock>, event: &Event) {
+        match event {
+            Event::Health {
+                health, sources, ..
+            } => {
+                self.health = *health;
+                self.sources.clone_from(sources);
+            }
+            Event::Estimated { estimate, .. } => {
+                assert!(estimate.pose.x.0.is_finite() && estimate.pose.heading.rad().is_finite());
+                self.estimates += 1;
+                let before = self.last_estimate.replace(at).unwrap_or(at);
+                self.longest_silence = self.longest_silence.max(at - before);
+            }
+            Event::BrickClockAligned { .. } => self.alignments += 1,
+            Event::BrickRestarted { .. } => self.restarts += 1,
+            Event::RobotSeen { .. }
+            | Event::RobotLost { .. }
+            | Event::Observed { .. }
+            | Event::Fused { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Link { .. }
+            | Event::Defect { .. }
+            | Event::Text { .. } => {}
+        }
+    }
+}
+
+impl std::fmt::Display for Soak {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (source, counts) in self.to_station.counts() {
+            let said = self.told.sources.iter().find(|said| said.source == source);
+            let (frames, lost) = said.map_or((0, 0), |said| (said.frames, said.lost));
+            write!(
+                f,
+                "{source}: {} sent, {} whole ({frames}), {} missing ({lost}); ",
+                counts.sent, counts.whole, counts.missing_between
+            )?;
+        }
+        write!(
+            f,
+            "{} bytes, {} estimates, {} alignments, silent for {:.1} s at most; {} outages; equal in {} of {} seconds",
+            self.kept_bytes,
+            self.told.estimates,
+            self.told.alignments,
+            self.told.longest_silence.as_secs_f64(),
+            self.outages.begun,
+            self.equal,
+            self.equal + self.unequal,
+        )
+    }
+}

@@ -1,0 +1,267 @@
+//! Two bricks over two bad links for as long as one likes, in real time and with the real program: one on a pseudo-terminal behind
+//! the profile `harsh`, one on UDP behind a profile that is as bad to datagrams.
+//!
+//! The station's account of its losses must be that of the relays to the frame, its memory must not grow, and whoever falls silent must
+//! be heard again. Every commit runs it for a quarter of a minute; docs/soak.md tells of longer runs:
+//!
+//! ```text
+//! POSEBRIDGE_SOAK_REAL_HOURS=1 cargo test --release --test soak_real -- --nocapture
+//! ```
+#![expect(
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "helpers outside #[test] stop where the set-up is broken, and a long run shows how it goes"
+)]
+
+mod support;
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde_json::Value;
+use support::{Running, posebridge};
+
+/// Length of the run that every commit makes, s.
+const SHORT_S: f64 = 15.0;
+/// Memory is compared with what it was after this long, s.
+const SETTLED_S: f64 = 60.0;
+/// And only if the run is at least this long, s.
+const LONG_S: f64 = 300.0;
+/// Memory may grow by this share.
+const GROWTH: f64 = 0.05;
+/// Lines of the station between two that are shown; it says one every five seconds.
+const SHOWN: usize = 60;
+
+/// What `harsh` is to a stream, for datagrams.
+const HARSH_DATAGRAMS: &str = r#"
+kind = "datagram"
+
+[both]
+loss = 0.02
+burst_loss = { mean_good_s = 5.0, mean_bad_s = 0.3, loss_good = 0.0, loss_bad = 1.0 }
+bit_error_rate = 1e-4
+delay = { base_ms = 15.0, jitter_mean_ms = 15.0 }
+stalls = [
+    { probability = 0.01, from_ms = 50.0, to_ms = 500.0 },
+    { probability = 0.0005, from_ms = 2000.0, to_ms = 10000.0 },
+]
+duplicate = 0.01
+reorder = { probability = 0.01, from_ms = 1.0, to_ms = 50.0 }
+
+[disconnects]
+mean_up_s = 30.0
+down_from_s = 1.0
+down_to_s = 5.0
+"#;
+
+/// The bricks' frames are none of each other's business.
+const STATION: &str = r#"
+[[link]]
+url = "serial:station.tty"
+forward = "none"
+
+[[link]]
+url = "udp://RELAY"
+forward = "none"
+"#;
+
+#[test]
+fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() {
+    let hours = std::env::var("POSEBRIDGE_SOAK_REAL_HOURS")
+        .ok()
+        .map(|hours| hours.parse::<f64>().expect("a number of hours"));
+    let length_s = hours.map_or(SHORT_S, |hours| hours * 3_600.0);
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = Scene::set(folder.path());
+    let watched = scene.watch(length_s);
+    println!("{watched:?}");
+    let outages = scene.end();
+    println!("{outages} outages");
+    if length_s >= LONG_S {
+        assert!(outages > 0);
+        let growth = watched.highest_kib as f64 / watched.settled_kib as f64 - 1.0;
+        println!("memory grew by {:.2} %", growth * 100.0);
+        assert!(growth <= GROWTH, "{watched:?}");
+    }
+}
+
+/// Two bricks, two relays, one station.
+struct Scene {
+    bricks: [Running; 2],
+    relays: [Running; 2],
+    station: Running,
+}
+
+/// What was seen of the station.
+#[derive(Clone, Copy, Debug, Default)]
+struct Watched {
+    lines: usize,
+    settled_kib: u64,
+    highest_kib: u64,
+    cpu_share: f64,
+}
+
+impl Scene {
+    fn set(folder: &Path) -> Self {
+        std::fs::write(folder.join("datagrams.toml"), HARSH_DATAGRAMS).expect("it can be written");
+        let start = |args: &[&str]| Running::start(posebridge(folder).args(args));
+        let laps = ["--laps", "10000"];
+        let mut wired =
+            start(&[&["sim", "square", "--listen", "pty:brick.tty"], &laps[..]].concat());
+        wired.wait_for("brick up");
+        let udp = "udp://127.0.0.1:0";
+        let mut wireless = start(
+            &[
+                &["sim", "square", "--seed", "2", "--listen", udp],
+                &laps[..],
+            ]
+            .concat(),
+        );
+        let brick = address(&wireless.wait_for("listening on"));
+        let relay = |ends: &[&str], profile: &str, seed: &str| {
+            let options = ["--impair", profile, "--seed", seed, "--json"];
+            start(&[&["relay"], ends, &options[..]].concat())
+        };
+        let ends = ["serial:brick.tty", "--listen", "pty:station.tty"];
+        let mut by_wire = relay(&ends, "harsh", "3");
+        by_wire.wait_for("station end");
+        let brick = format!("udp://{brick}");
+        let mut by_air = relay(&[&brick, "--listen", udp], "datagrams.toml", "4");
+        let at = address(&by_air.wait_for("station end listening on"));
+        let config = STATION.replace("RELAY", &at);
+        std::fs::write(folder.join("station.toml"), config).expect("it can be written");
+        let mut station = start(&["run", "--config", "station.toml", "--out", "run"]);
+        let mut silent = BTreeSet::from(["link 0 1/1", "link 1 1/1"].map(str::to_owned));
+        while !silent.is_empty() {
+            let line = station.wait_for("heard ");
+            silent.remove(line.trim().trim_start_matches("heard "));
+        }
+        Self {
+            bricks: [wired, wireless],
+            relays: [by_wire, by_air],
+            station,
+        }
+    }
+
+    /// Watches the station until the time is over and everybody is heard.
+    fn watch(&mut self, length_s: f64) -> Watched {
+        let mut watched = Watched::default();
+        let mut silent = BTreeSet::new();
+        loop {
+            let line = self.station.wait_for("\n");
+            let line = line.trim();
+            if let Some(robot) = line.strip_prefix("lost ") {
+                silent.insert(robot.split(',').next().unwrap_or(robot).to_owned());
+            } else if let Some(robot) = line.strip_prefix("heard ") {
+                silent.remove(robot);
+            } else if let Some(time) = line.strip_prefix("time ") {
+                let time_s = seconds(time);
+                watched.take(self.station.id(), time_s);
+                if watched.lines.is_multiple_of(SHOWN) {
+                    println!(
+                        "{} KiB, CPU {:.1} %, {line}",
+                        memory_kib(self.station.id()),
+                        watched.cpu_share * 1e2
+                    );
+                }
+                if time_s >= length_s && silent.is_empty() {
+                    return watched;
+                }
+            }
+        }
+    }
+
+    /// Ends all and compares the accounts; returns how often the links were away.
+    fn end(self) -> u64 {
+        let Self {
+            bricks,
+            relays,
+            mut station,
+        } = self;
+        for brick in bricks {
+            brick.interrupt();
+        }
+        // What was on its way arrives, and the station tells of it once per second.
+        for _ in 0..2 {
+            station.wait_for("time ");
+        }
+        let reports = relays.map(|relay| {
+            serde_json::from_str::<Value>(&relay.interrupt()).expect("it prints one object")
+        });
+        station.wait_for("time ");
+        let table = station.interrupt();
+        println!("{table}");
+        for (link, report) in reports.iter().enumerate() {
+            for source in ["1/1", "1/100"] {
+                let frames = &report["to_station"]["frames"][source];
+                println!("link {link} {source}: {frames}");
+                let count = |key: &str| frames[key].as_u64().expect("there is such a count");
+                let [came, lost] = account(&table, link, source);
+                assert!(came > 0, "link {link} {source}");
+                let sent = count("whole") + count("repeated");
+                assert_eq!(came, sent, "link {link} {source}, frames");
+                assert_eq!(lost, count("missing_between"), "link {link} {source}, lost");
+            }
+            for untaken in ["bytes_untaken", "chunks_dropped"] {
+                assert_eq!(report["to_station"][untaken], 0, "link {link}");
+            }
+        }
+        reports
+            .iter()
+            .filter_map(|report| report["outages"].as_u64())
+            .sum()
+    }
+}
+
+impl Watched {
+    fn take(&mut self, process: u32, time_s: f64) {
+        let kib = memory_kib(process);
+        self.lines += 1;
+        self.cpu_share = cpu_s(process) / time_s;
+        if time_s < SETTLED_S {
+            return;
+        }
+        if self.settled_kib == 0 {
+            self.settled_kib = kib;
+        }
+        self.highest_kib = self.highest_kib.max(kib);
+    }
+}
+
+/// The station's frames and losses of one sender.
+fn account(table: &str, link: usize, source: &str) -> [u64; 2] {
+    let link = link.to_string();
+    let row = table
+        .lines()
+        .map(|line| line.split_whitespace().collect::<Vec<_>>())
+        .find(|row| row.starts_with(&["link", &link, source]))
+        .expect("the sender has a row");
+    [3, 4].map(|column| row[column].parse().expect("a count"))
+}
+
+fn seconds(text: &str) -> f64 {
+    let number = text.split_whitespace().next().expect("a time");
+    number.parse().expect("a number of seconds")
+}
+
+/// What a process keeps in memory.
+fn memory_kib(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"));
+    let number = line.and_then(|line| line.split_whitespace().nth(1));
+    number.expect("the system tells").parse().expect("a number")
+}
+
+/// Processor time of a process: fields 14 and 15 of its stat, in hundredths of a second.
+fn cpu_s(process: u32) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).expect("it runs");
+    let after_name = stat.rsplit(") ").next().expect("fields");
+    let fields: Vec<&str> = after_name.split_whitespace().collect();
+    let ticks = |field: usize| fields[field - 3].parse::<f64>().expect("a number");
+    (ticks(14) + ticks(15)) / 100.0
+}
+
+fn address(line: &str) -> String {
+    let address = line.split("listening on ").nth(1).expect("it says where");
+    address.trim().to_owned()
+}
