@@ -15,7 +15,7 @@ use crate::clock::unwrap::Unwrapped;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exchange {
     sent: Stamp<HostClock>,
-    received: Stamp<HostClock>,
+    answer: Arrival,
     peer_nanos: i64,
 }
 
@@ -56,10 +56,10 @@ impl Pipeline {
                     // The session's own idea of when it came is when it was handled.
                     let exchange = Exchange {
                         sent,
-                        received: arrival.at,
+                        answer: arrival,
                         peer_nanos,
                     };
-                    self.handle_exchange(id, peer, exchange);
+                    self.handle_exchange(peer, exchange);
                 }
                 SessionOutput::IntervalRequested {
                     message_id,
@@ -80,13 +80,13 @@ impl Pipeline {
             .is_none_or(|link| link.state == LinkState::Down)
     }
 
-    fn handle_exchange(&mut self, id: LinkId, peer: Address, exchange: Exchange) {
+    fn handle_exchange(&mut self, peer: Address, exchange: Exchange) {
         // No clock of a brick or a camera counts backwards from its power-up: a negative instant is damage.
         if exchange.peer_nanos < 0 {
             return;
         }
         // Bounds of one clock, whichever of several redundant links they came by.
-        let id = self.router.first_of_group(id);
+        let id = self.router.first_of_group(exchange.answer.way.link);
         let from = RobotId {
             link: id,
             address: peer,
@@ -101,10 +101,10 @@ impl Pipeline {
     fn align_brick(&mut self, robot: RobotId, exchange: Exchange) {
         let Exchange {
             sent,
-            received,
+            answer: Arrival { way, at },
             peer_nanos,
         } = exchange;
-        let (unwrapped, alignment) = self.brick_clock.exchanged(sent, received, peer_nanos);
+        let (unwrapped, alignment) = self.brick_clock.exchanged(way, sent, at, peer_nanos);
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
             self.brick_restarted(robot);
         }
@@ -133,11 +133,11 @@ impl Pipeline {
     fn align_observer(&mut self, (id, camera): (LinkId, Address), exchange: Exchange) {
         let Exchange {
             sent,
-            received,
+            answer: Arrival { way, at },
             peer_nanos,
         } = exchange;
         let clock = self.observers.entry((id, camera)).or_default();
-        let (unwrapped, alignment) = clock.exchanged(sent, received, peer_nanos);
+        let (unwrapped, alignment) = clock.exchanged(way, sent, at, peer_nanos);
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
             self.ask_time_again(id, camera);
         }

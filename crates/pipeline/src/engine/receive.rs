@@ -37,11 +37,12 @@ impl Pipeline {
             link.session.handle(self.now, source, message);
         }
         self.drain_session(arrival);
-        if occurrence == Occurrence::Redundant {
-            return;
-        }
         // Redundant links are one: the robot, its clock and its observations know only the first of them.
         let id = self.router.first_of_group(id);
+        if occurrence == Occurrence::Redundant {
+            self.note_copy(arrival, robot_at(id, source), message);
+            return;
+        }
         if let (Message::StatusText { severity, text }, Occurrence::First) = (message, occurrence) {
             self.tell(Event::Text {
                 source,
@@ -56,6 +57,18 @@ impl Pipeline {
             // What went round a loop is news only from the robot, whose telemetry counts on its own link alone.
             if occurrence == Occurrence::First || self.is_of_robot(id, source, &reading) {
                 self.handle_reading(arrival, id, source, &reading);
+            }
+        }
+    }
+
+    /// What came before by another link of the group says nothing new, but by this link it is one more bound of its sender's clock.
+    fn note_copy(&mut self, arrival: Arrival, from: RobotId, message: &Message) {
+        for reading in self.interpreter.readings(message).into_iter().flatten() {
+            if self.robot == Some(from) && reading.stamped_by == StampedBy::Brick {
+                let clock = &mut self.brick_clock;
+                clock.copied(arrival.way, reading.stamp, arrival.at);
+            } else if let Some(clock) = self.observers.get_mut(&(from.link, from.address)) {
+                clock.copied(arrival.way, reading.stamp, arrival.at);
             }
         }
     }
@@ -102,11 +115,16 @@ impl Pipeline {
     }
 
     fn handle_brick_reading(&mut self, arrival: Arrival, robot: RobotId, reading: &Reading) {
-        let stamp = match self.brick_clock.arrived(reading.stamp, arrival.at) {
+        let Arrival { way, at } = arrival;
+        let stamp = match self.brick_clock.arrived(way, reading.stamp, at) {
             Unwrapped::Continued(stamp) => stamp,
             Unwrapped::Restarted(stamp) => {
                 self.brick_restarted(robot);
                 stamp
+            }
+            Unwrapped::Outlived => {
+                self.tell_unaligned(way.link, robot.address);
+                return;
             }
         };
         let observed = self.whole_turn_rate(stamp, reading);
@@ -116,7 +134,7 @@ impl Pipeline {
             stamp_sigma: Span::ZERO,
             observed,
         };
-        self.observe(robot, robot.address, arrival.at, observation);
+        self.observe(robot, robot.address, at, observation);
     }
 
     /// A fix that the robot passes on, stamped by its own clock: it may be older than any reordering explains.
@@ -169,8 +187,11 @@ impl Pipeline {
         reading: &Reading,
     ) {
         let clock = self.observers.entry((link, source)).or_default();
-        let unwrapped = clock.arrived(reading.stamp, arrival.at);
-        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) = unwrapped;
+        let unwrapped = clock.arrived(arrival.way, reading.stamp, arrival.at);
+        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) = unwrapped else {
+            self.tell_unaligned(link, source);
+            return;
+        };
         let on_host = clock.host_at(stamp);
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
             self.ask_time_again(link, source);
@@ -189,11 +210,13 @@ impl Pipeline {
                 };
                 self.observe(robot, source, arrival.at, observation);
             }
-            _ => self.tell(Event::Defect {
-                link,
-                defect: Defect::Unaligned { source },
-            }),
+            _ => self.tell_unaligned(link, source),
         }
+    }
+
+    fn tell_unaligned(&mut self, link: LinkId, source: Address) {
+        let defect = Defect::Unaligned { source };
+        self.tell(Event::Defect { link, defect });
     }
 
     pub(super) fn observe(
