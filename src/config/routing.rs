@@ -26,10 +26,11 @@ pub struct RoutingSection {
 }
 
 impl Default for RoutingSection {
-    /// One second: longer than a stall of a Bluetooth link, shorter than most repetitions of a command.
+    /// Longer than a frame may be on its way round: a Bluetooth link stalls for up to 10 s (config/links/bluetooth-spp.toml), and
+    /// the 64 KiB of forwarded frames that may wait for a line take 11.4 s at 57600 baud.
     fn default() -> Self {
         Self {
-            duplicate_window_ms: 1_000,
+            duplicate_window_ms: 15_000,
         }
     }
 }

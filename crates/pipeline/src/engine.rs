@@ -6,18 +6,20 @@
 mod converse;
 mod deliver;
 mod forward;
+mod intake;
 mod receive;
 
 use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_estimator::{Filter, StartPose, filter_named};
-use posebridge_protocol::routing::{Router, RouterConfig};
+use posebridge_protocol::routing::{Router, RouterConfig, Way};
 use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, CameraClock, Command, DriveGeometry, Estimate, Event,
-    HostClock, Input, LinkId, LinkState, Output, Radians, RobotId, Span, Stamp, Verdict,
+    HostClock, Input, LinkId, LinkState, Output, PeerId, Radians, RobotId, Span, Stamp, Verdict,
 };
 
+use self::intake::Arrival;
 use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
 use crate::interpret::Interpreter;
@@ -75,7 +77,7 @@ pub struct Pipeline {
     /// Nothing is left to do of the last input.
     is_complete: bool,
     next_health: Option<Stamp<HostClock>>,
-    /// The instant of the input that is being handled: what leaves is signed with it and limited by it.
+    /// The latest instant of any input so far: everything is planned, signed and limited by it. It never falls.
     now: Stamp<HostClock>,
     outputs: VecDeque<Output>,
     /// Frames of others on their way to another link. They leave after what is our own: nobody steers by them.
@@ -131,16 +133,20 @@ impl Pipeline {
         })
     }
 
-    /// Takes one input that came at `now`.
+    /// Takes one input that came at `arrival`.
+    ///
+    /// Bytes that waited for their turn may have come before what was handled before them. Their own instant counts where it says
+    /// something about a remote clock; time itself does not go back for them.
     ///
     /// Only what leads to the robot's estimate is done here; the rest is done when that has been polled. Poll until `None`
     /// before [`deadline`](Self::deadline) is asked.
-    pub fn handle(&mut self, now: Stamp<HostClock>, input: &Input) {
+    pub fn handle(&mut self, arrival: Stamp<HostClock>, input: &Input) {
         self.complete();
+        let now = self.now.max(arrival);
         self.now = now;
         match input {
             Input::Bytes { link, peer, bytes } => {
-                self.handle_bytes(now, (*link, *peer), Some(bytes));
+                self.handle_bytes(arrival, (*link, *peer), Some(bytes));
             }
             Input::Link { link, state } => self.handle_link(*link, *state),
             Input::Port { link, counts } => {
@@ -150,7 +156,7 @@ impl Pipeline {
             }
             Input::Observation(observation) => {
                 let robot = self.robot.unwrap_or_default();
-                self.observe(robot, robot.address, now, *observation);
+                self.observe(robot, robot.address, arrival, *observation);
             }
             Input::Command(command) => self.handle_command(*command),
             Input::Tick => {}
@@ -298,7 +304,11 @@ impl Pipeline {
             if let Some(link) = self.links.get_mut(id) {
                 link.session.tick(now);
             }
-            self.drain_session(now, *id);
+            let way = Way {
+                link: *id,
+                peer: PeerId::default(),
+            };
+            self.drain_session(Arrival { way, at: now });
         }
         if let Some(due) = self.next_health.filter(|due| *due <= now) {
             // From the due time, not from now: the period must not drift with the load.

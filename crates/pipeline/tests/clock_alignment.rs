@@ -7,6 +7,7 @@
 mod exchanges;
 
 use exchanges::{Path, RemoteTime, RoundTrip, bluetooth};
+use posebridge_pipeline::clock::Way;
 use posebridge_pipeline::clock::align::ClockAligner;
 use posebridge_pipeline::clock::unwrap::Unwrapped;
 use posebridge_protocol::message::WireStamp;
@@ -70,8 +71,12 @@ impl<'a> Watched<'a> {
 
     fn exchange(&mut self, trip: &RoundTrip) {
         let nanos = (self.truth.at(trip.answered_s) * 1e9) as i64;
-        self.aligner
-            .exchanged(host(trip.sent_s), host(trip.received_s), nanos);
+        self.aligner.exchanged(
+            Way::default(),
+            host(trip.sent_s),
+            host(trip.received_s),
+            nanos,
+        );
         self.look(trip);
     }
 
@@ -290,9 +295,12 @@ fn a_restarted_clock_is_known_again_within_three_seconds() {
         let late = bluetooth(seed + 100).round_trips(120.0);
         for trip in late.iter().filter(|trip| trip.sent_s >= 63.0) {
             let nanos = (after.at(trip.answered_s) * 1e9) as i64;
-            let (unwrapped, _) =
-                anew.aligner
-                    .exchanged(host(trip.sent_s), host(trip.received_s), nanos);
+            let (unwrapped, _) = anew.aligner.exchanged(
+                Way::default(),
+                host(trip.sent_s),
+                host(trip.received_s),
+                nanos,
+            );
             restarts += u32::from(matches!(unwrapped, Unwrapped::Restarted(_)));
             anew.look(trip);
         }
@@ -316,12 +324,15 @@ fn counters_of_32_bits_keep_the_alignment_when_they_wrap() {
     for trip in bluetooth(3).round_trips(180.0) {
         let register = (truth.at(trip.answered_s) * 1e6) as u64 % (1 << 32);
         watched.aligner.exchanged(
+            Way::default(),
             host(trip.sent_s),
             host(trip.received_s),
             register as i64 * 1_000,
         );
         let shown = WireStamp::Millis32((truth.at(trip.answered_s) * 1e3) as u32);
-        let unwrapped = watched.aligner.arrived(shown, host(trip.received_s));
+        let unwrapped = watched
+            .aligner
+            .arrived(Way::default(), shown, host(trip.received_s));
         assert!(matches!(unwrapped, Unwrapped::Continued(_)));
         watched.look(&trip);
     }
@@ -338,7 +349,9 @@ fn the_bounds_hold_while_answers_stay_away_and_telemetry_goes_on() {
             watched.exchange(&trip);
         } else {
             let stamp = WireStamp::Micros64((truth.at(trip.answered_s) * 1e6) as u64);
-            watched.aligner.arrived(stamp, host(trip.received_s));
+            watched
+                .aligner
+                .arrived(Way::default(), stamp, host(trip.received_s));
             watched.look(&trip);
         }
     }
@@ -352,7 +365,9 @@ fn a_clock_that_never_answers_is_known_within_its_assumption() {
     let mut watched = Watched::new(&truth, 100.0);
     for trip in bluetooth(6).round_trips(180.0) {
         let stamp = WireStamp::Micros64((truth.at(trip.answered_s) * 1e6) as u64);
-        watched.aligner.arrived(stamp, host(trip.received_s));
+        watched
+            .aligner
+            .arrived(Way::default(), stamp, host(trip.received_s));
         watched.look(&trip);
     }
     promised("one way", watched.outcome);
@@ -365,8 +380,12 @@ fn an_answer_from_before_its_request_bounds_nothing() {
     let mut aligner = ClockAligner::<BrickClock>::default();
     for k in 0..10_i64 {
         let received = Stamp::from_millis(k * 100);
-        let (_, alignment) =
-            aligner.exchanged(received + Span::from_millis(50), received, k * 100_000_000);
+        let (_, alignment) = aligner.exchanged(
+            Way::default(),
+            received + Span::from_millis(50),
+            received,
+            k * 100_000_000,
+        );
         assert_eq!(alignment, None);
     }
     assert_eq!(aligner.round_trip(), None);
@@ -386,9 +405,12 @@ fn a_clock_that_steps_without_falling_is_known_again_after_three_answers() {
     anew.aligner = watched.aligner;
     for (k, trip) in after.iter().enumerate() {
         let nanos = (stepped.at(trip.answered_s) * 1e9) as i64;
-        let (_, alignment) =
-            anew.aligner
-                .exchanged(host(trip.sent_s), host(trip.received_s), nanos);
+        let (_, alignment) = anew.aligner.exchanged(
+            Way::default(),
+            host(trip.sent_s),
+            host(trip.received_s),
+            nanos,
+        );
         assert_eq!(alignment.is_some(), k >= 2, "answer {k}");
         anew.look(trip);
     }

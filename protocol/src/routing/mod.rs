@@ -45,8 +45,8 @@ const COMMAND_INT: u32 = 75;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
 
-/// By which way a frame came: a peer of a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+/// By which way a frame came: a peer of a link. The default is the only peer of the first link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Way {
     /// The link.
     pub link: LinkId,
@@ -139,11 +139,7 @@ impl Router {
                 to: Vec::new(),
             };
         }
-        let occurrence = match self.first_way(now, from, frame) {
-            None => Occurrence::First,
-            Some(first) if self.lead_to_one(first.link, from.link) => Occurrence::Redundant,
-            Some(_) => Occurrence::Detour,
-        };
+        let occurrence = self.occurrence(now, from, frame);
         // By a detour nobody is to be reached: that would send commands around the loop. By a redundant link he is.
         if check == Check::Verified && occurrence != Occurrence::Detour {
             self.routes.learn(now, frame.source, from);
@@ -177,14 +173,22 @@ impl Router {
         self.config.links.get(&link)?.group
     }
 
-    /// The way by which the frame came first, if it came by another one before.
-    fn first_way(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>) -> Option<Way> {
+    /// Takes note of a frame and says whether it came by another way before. By the bytes and by what they say that may be two
+    /// ways; what a redundant link has brought is no news, even if a detour was quicker still.
+    fn occurrence(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>) -> Occurrence {
         let by_bytes = self.duplicates.note(now, from, frame_key(frame));
         let by_content = self
             .group(from.link)
             .filter(|_| is_stamped(frame.message_id))
             .and_then(|group| self.duplicates.note(now, from, content_key(group, frame)));
-        by_bytes.or(by_content)
+        let leads_here = |first: Way| self.lead_to_one(first.link, from.link);
+        if by_bytes.is_some_and(leads_here) || by_content.is_some_and(leads_here) {
+            Occurrence::Redundant
+        } else if by_bytes.or(by_content).is_some() {
+            Occurrence::Detour
+        } else {
+            Occurrence::First
+        }
     }
 
     fn destinations(

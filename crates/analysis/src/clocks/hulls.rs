@@ -1,5 +1,6 @@
 //! Convex hulls of the pipeline's clock stage: of arrivals alone, and of both directions as the station uses them.
 
+use posebridge_pipeline::clock::Way;
 use posebridge_pipeline::clock::align::ClockAligner;
 use posebridge_pipeline::clock::bounds::{ClockBounds, Line};
 use posebridge_telemetry::{BrickClock, Stamp};
@@ -51,6 +52,7 @@ impl ClockMethod for TwoWayHulls {
     fn exchanged(&mut self, exchange: &Exchange) {
         let remote_nanos = (exchange.remote_s * 1e9).round() as i64;
         self.aligner.exchanged(
+            Way::default(),
             Stamp::from_secs_f64(exchange.sent_s),
             Stamp::from_secs_f64(exchange.received_s),
             remote_nanos,

@@ -3,6 +3,7 @@
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, Span, Stamp, clock::Clock};
 
+use super::Way;
 use super::bounds::{ClockBounds, Line};
 use super::conversion::Conversion;
 use super::unwrap::{Unwrapped, Unwrapper};
@@ -80,17 +81,31 @@ impl<C: Clock> Default for ClockAligner<C> {
 }
 
 impl<C: Clock> ClockAligner<C> {
-    /// A message with this stamp arrived.
-    pub fn arrived(&mut self, stamp: WireStamp, arrival: Stamp<HostClock>) -> Unwrapped<C> {
-        let (unwrapped, meeting) = self.met(stamp, arrival);
-        let is_due = self
-            .line
-            .is_none_or(|line| meeting.remote_s - line.at_s >= REFIT_S);
-        if is_due && !self.fit(meeting) {
-            let (Unwrapped::Continued(remote) | Unwrapped::Restarted(remote)) = unwrapped;
-            self.begin_anew(remote, arrival);
+    /// A message with this stamp arrived by `way`.
+    pub fn arrived(
+        &mut self,
+        way: Way,
+        stamp: WireStamp,
+        arrival: Stamp<HostClock>,
+    ) -> Unwrapped<C> {
+        let unwrapped = self.unwrapped(way, stamp, arrival);
+        if let Unwrapped::Continued(remote) | Unwrapped::Restarted(remote) = unwrapped {
+            let meeting = self.bound_above(remote, arrival);
+            let is_due = self
+                .line
+                .is_none_or(|line| meeting.remote_s - line.at_s >= REFIT_S);
+            if is_due && !self.fit(meeting) {
+                self.begin_anew(remote, arrival);
+            }
         }
         unwrapped
+    }
+
+    /// A copy of a message that has arrived before came by `way`, too: by that way it bounds the clock as well.
+    pub fn copied(&mut self, way: Way, stamp: WireStamp, arrival: Stamp<HostClock>) {
+        if let Some(remote) = self.unwrapper.copied(way, stamp, arrival) {
+            self.bound_above(remote, arrival);
+        }
     }
 
     /// The instant of a stamp that may be long past, such as that of a fix that the robot passes on: it says nothing about how the
@@ -100,20 +115,24 @@ impl<C: Clock> ClockAligner<C> {
         self.unwrapper.nearest(stamp)
     }
 
-    /// A request that left at `sent` was answered with the remote clock's `remote_nanos`; the answer came at `received`.
+    /// A request that left at `sent` was answered with the remote clock's `remote_nanos`; the answer came by `way` at `received`.
     /// Returns the new alignment, or `None` while there is none. An answer from before its request is only a message that arrived.
     pub fn exchanged(
         &mut self,
+        way: Way,
         sent: Stamp<HostClock>,
         received: Stamp<HostClock>,
         remote_nanos: i64,
     ) -> (Unwrapped<C>, Option<Alignment<C>>) {
         let stamp = WireStamp::Micros64(u64::try_from(remote_nanos.div_euclid(1_000)).unwrap_or(0));
         if received < sent {
-            return (self.arrived(stamp, received), None);
+            return (self.arrived(way, stamp, received), None);
         }
-        let (unwrapped, meeting) = self.met(stamp, received);
-        let (Unwrapped::Continued(remote) | Unwrapped::Restarted(remote)) = unwrapped;
+        let unwrapped = self.unwrapped(way, stamp, received);
+        let (Unwrapped::Continued(remote) | Unwrapped::Restarted(remote)) = unwrapped else {
+            return (unwrapped, None);
+        };
+        let meeting = self.bound_above(remote, received);
         self.answered(remote, sent, received);
         if self.answers >= ANSWERS_NEEDED && !self.fit(meeting) {
             self.begin_anew(remote, received);
@@ -179,21 +198,19 @@ impl<C: Clock> ClockAligner<C> {
         }
     }
 
-    /// Unwraps a stamp and takes its bound.
-    fn met(&mut self, stamp: WireStamp, arrival: Stamp<HostClock>) -> (Unwrapped<C>, Meeting) {
-        let unwrapped = self.unwrapper.unwrap(stamp, arrival);
-        let remote = match unwrapped {
-            Unwrapped::Continued(remote) => remote,
-            Unwrapped::Restarted(remote) => {
-                self.forget();
-                remote
-            }
-        };
-        self.step_micros =
-            greatest_common_divisor(self.step_micros, remote.as_micros().unsigned_abs());
-        (unwrapped, self.bound_above(remote, arrival))
+    fn unwrapped(&mut self, way: Way, stamp: WireStamp, arrival: Stamp<HostClock>) -> Unwrapped<C> {
+        let unwrapped = self.unwrapper.unwrap(way, stamp, arrival);
+        if matches!(unwrapped, Unwrapped::Restarted(_)) {
+            self.forget();
+        }
+        if let Unwrapped::Continued(remote) | Unwrapped::Restarted(remote) = unwrapped {
+            self.step_micros =
+                greatest_common_divisor(self.step_micros, remote.as_micros().unsigned_abs());
+        }
+        unwrapped
     }
 
+    /// A stamp is a bound from above: it was made before it arrived.
     fn bound_above(&mut self, remote: Stamp<C>, arrival: Stamp<HostClock>) -> Meeting {
         let meeting = self.meeting(remote, arrival);
         self.youngest_s = self.youngest_s.max(meeting.remote_s);
@@ -274,10 +291,9 @@ impl<C: Clock> ClockAligner<C> {
     }
 
     fn forget(&mut self) {
-        let (unwrapper, step_micros) = (self.unwrapper, self.step_micros);
         *self = Self {
-            unwrapper,
-            step_micros,
+            unwrapper: std::mem::take(&mut self.unwrapper),
+            step_micros: self.step_micros,
             ..Self::default()
         };
     }
@@ -306,6 +322,7 @@ mod tests {
             let sent_s = f64::from(k) * 0.1 + 0.001 * rng.random::<f64>();
             let shown_ms = ((1_234.5 + (sent_s + 20e-6) * 1.0001) * 1e3).floor();
             let (_, alignment) = aligner.exchanged(
+                Way::default(),
                 Stamp::from_secs_f64(sent_s),
                 Stamp::from_secs_f64(sent_s + 40e-6),
                 shown_ms as i64 * 1_000_000,
@@ -321,6 +338,7 @@ mod tests {
         for k in 0..20_i64 {
             let sent = Stamp::from_millis(k * 100);
             aligner.exchanged(
+                Way::default(),
                 sent,
                 Stamp::from_millis(k * 100 + 30),
                 (900_000 + k * 100 + 15) * 1_000_000 + k * 1_000,
@@ -331,6 +349,7 @@ mod tests {
         let (back, _) = aligner.remote_at(host).unwrap();
         assert!((back - Stamp::from_millis(901_000)).as_nanos().abs() <= 2);
         let (unwrapped, _) = aligner.exchanged(
+            Way::default(),
             Stamp::from_millis(2_500),
             Stamp::from_millis(2_530),
             5_000_000,
@@ -344,6 +363,7 @@ mod tests {
         let mut aligner = ClockAligner::<BrickClock>::default();
         for k in 0..100_i64 {
             aligner.arrived(
+                Way::default(),
                 WireStamp::Millis32((5_000 + k * 50) as u32),
                 Stamp::from_millis(k * 50 + 10 + (k * 7) % 13),
             );

@@ -1,6 +1,6 @@
 //! From one clock to another: the only place where stamps of different clocks meet.
 //!
-//! [`unwrap`] turns the counters of a brick or camera into instants that neither wrap nor fall; [`bounds`] finds how two clocks
+//! [`unwrap`] turns the counters of a brick or camera into instants that neither wrap nor fall, by whichever ways they come; [`bounds`] finds how two clocks
 //! run against each other from the instants of messages; [`conversion`] follows what was found without ever running backwards;
 //! [`align`] puts the three together for one remote participant.
 //! Nothing here reads a clock: all instants come in as arguments.
@@ -10,3 +10,6 @@ pub mod bounds;
 pub mod conversion;
 mod hull;
 pub mod unwrap;
+mod ways;
+
+pub use posebridge_protocol::routing::Way;

@@ -14,6 +14,9 @@
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, Span, Stamp, clock::Clock};
 
+use super::Way;
+use super::ways::{Place, Ways};
+
 /// Period of a 32-bit microsecond counter.
 const PERIOD_MICROS: i64 = 1 << 32;
 /// A stamp this much older than the last one is no reordering: datagrams overtake each other by milliseconds. Shorter falls are
@@ -27,16 +30,17 @@ const LARGEST_SKEW: f64 = 0.01;
 /// whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
 const LONGEST_DELAY: Span = Span::from_millis(924_600);
 
-/// Unwraps the stamps of one remote clock.
-#[derive(Clone, Copy, Debug, Default)]
+/// Unwraps the stamps of one remote clock, by whichever ways they come.
+#[derive(Clone, Debug, Default)]
 pub struct Unwrapper {
-    last: Option<Seen>,
+    ways: Ways,
 }
 
+/// The last stamp of a clock, or of what one way tells of it.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
-    remote_micros: i64,
-    arrival: Stamp<HostClock>,
+pub(super) struct Seen {
+    pub(super) remote_micros: i64,
+    pub(super) arrival: Stamp<HostClock>,
     /// By how much it came later than the quickest before it. Behind a queue the next may come at once, and be so much younger.
     held_back: Span,
 }
@@ -48,44 +52,57 @@ pub enum Unwrapped<C: Clock> {
     Continued(Stamp<C>),
     /// The clock fell or leapt: it was restarted, and this is its first stamp.
     Restarted(Stamp<C>),
+    /// The stamp is from before a restart that is known already, held back by a slower way. It is no instant of the clock as it runs.
+    Outlived,
 }
 
 impl Unwrapper {
-    /// The instant of a stamp that arrived at `arrival`.
+    /// The instant of a stamp that arrived by `way` at `arrival`.
     pub fn unwrap<C: Clock>(
         &mut self,
+        way: Way,
         stamp: WireStamp,
         arrival: Stamp<HostClock>,
     ) -> Unwrapped<C> {
-        let Some(last) = self.last else {
-            return Unwrapped::Continued(self.keep(micros_of(stamp), arrival));
-        };
-        let believable = last.believable(arrival);
-        let remote_micros = believable.instant_of(stamp);
-        if !believable.contains(remote_micros) {
-            return Unwrapped::Restarted(self.keep(micros_of(stamp), arrival));
+        match self.ways.place(way, stamp, arrival) {
+            None => Unwrapped::Continued(self.begin(way, stamp, arrival)),
+            Some(Place::RunsOn(micros)) => Unwrapped::Continued(Stamp::from_micros(micros)),
+            Some(Place::Outlived) => Unwrapped::Outlived,
+            Some(Place::Restarted) => Unwrapped::Restarted(self.begin(way, stamp, arrival)),
         }
-        if remote_micros > last.remote_micros {
-            self.last = Some(last.followed_by(remote_micros, arrival));
+    }
+
+    /// The instant of a stamp that another way has brought before; where a way stands is learnt from it, but it is no sign of a
+    /// restart. `None` if it is no instant of the clock as it runs.
+    pub(super) fn copied<C: Clock>(
+        &mut self,
+        way: Way,
+        stamp: WireStamp,
+        arrival: Stamp<HostClock>,
+    ) -> Option<Stamp<C>> {
+        match self.ways.place(way, stamp, arrival)? {
+            Place::RunsOn(micros) => Some(Stamp::from_micros(micros)),
+            Place::Outlived | Place::Restarted => None,
         }
-        Unwrapped::Continued(Stamp::from_micros(remote_micros))
     }
 
     /// The instant of a stamp near the last one, whichever side; nothing is learnt from it.
     pub(super) fn nearest<C: Clock>(&self, stamp: WireStamp) -> Option<Stamp<C>> {
-        let last = self.last?;
+        let last = self.ways.youngest()?;
         Some(Stamp::from_micros(nearest_instant(
             last.remote_micros,
             micros_of(stamp),
         )))
     }
 
-    fn keep<C: Clock>(&mut self, remote_micros: i64, arrival: Stamp<HostClock>) -> Stamp<C> {
-        self.last = Some(Seen {
-            remote_micros,
-            arrival,
-            held_back: Span::ZERO,
-        });
+    fn begin<C: Clock>(
+        &mut self,
+        way: Way,
+        stamp: WireStamp,
+        arrival: Stamp<HostClock>,
+    ) -> Stamp<C> {
+        let remote_micros = micros_of(stamp);
+        self.ways.begin(way, remote_micros, arrival);
         Stamp::from_micros(remote_micros)
     }
 }
@@ -96,15 +113,24 @@ impl Unwrapper {
     clippy::struct_field_names,
     reason = "the unit is part of every name of a bare number"
 )]
-struct Believable {
+pub(super) struct Believable {
     earliest_micros: i64,
     expected_micros: i64,
-    latest_micros: i64,
+    pub(super) latest_micros: i64,
 }
 
 impl Seen {
+    /// A stamp of which nothing is known but that it came.
+    pub(super) const fn at(remote_micros: i64, arrival: Stamp<HostClock>) -> Self {
+        Self {
+            remote_micros,
+            arrival,
+            held_back: Span::ZERO,
+        }
+    }
+
     /// What a stamp that arrives at `arrival` may mean if the clock ran on.
-    fn believable(&self, arrival: Stamp<HostClock>) -> Believable {
+    pub(super) fn believable(&self, arrival: Stamp<HostClock>) -> Believable {
         let (elapsed, skew) = self.elapsed(arrival);
         let expected_micros = self.remote_micros + micros(elapsed);
         Believable {
@@ -116,7 +142,7 @@ impl Seen {
     }
 
     /// A younger stamp of the same clock.
-    fn followed_by(&self, remote_micros: i64, arrival: Stamp<HostClock>) -> Self {
+    pub(super) fn followed_by(&self, remote_micros: i64, arrival: Stamp<HostClock>) -> Self {
         let (elapsed, skew) = self.elapsed(arrival);
         let lag = elapsed - Span::from_micros(remote_micros - self.remote_micros);
         // A slow clock lags for ever without being held back: what its rate may explain neither counts nor is kept.
@@ -138,12 +164,12 @@ impl Seen {
 }
 
 impl Believable {
-    const fn contains(&self, instant_micros: i64) -> bool {
+    pub(super) const fn contains(&self, instant_micros: i64) -> bool {
         self.earliest_micros <= instant_micros && instant_micros <= self.latest_micros
     }
 
     /// What the stamp means: its full value if it has 64 bits and that is believable, else the instant next to the expected one.
-    fn instant_of(&self, stamp: WireStamp) -> i64 {
+    pub(super) fn instant_of(&self, stamp: WireStamp) -> i64 {
         let whole = micros_of(stamp);
         match stamp {
             WireStamp::Micros64(_) if self.contains(whole) => whole,
@@ -190,7 +216,7 @@ mod tests {
         stamp: WireStamp,
         arrival_ms: i64,
     ) -> Unwrapped<BrickClock> {
-        unwrapper.unwrap(stamp, Stamp::from_millis(arrival_ms))
+        unwrapper.unwrap(Way::default(), stamp, Stamp::from_millis(arrival_ms))
     }
 
     #[test]

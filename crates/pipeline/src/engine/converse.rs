@@ -7,6 +7,7 @@ use posebridge_telemetry::{
 };
 
 use super::Pipeline;
+use super::intake::Arrival;
 use crate::clock::align::Alignment;
 use crate::clock::unwrap::Unwrapped;
 
@@ -14,12 +15,14 @@ use crate::clock::unwrap::Unwrapped;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exchange {
     sent: Stamp<HostClock>,
-    received: Stamp<HostClock>,
+    answer: Arrival,
     peer_nanos: i64,
 }
 
 impl Pipeline {
-    pub(super) fn drain_session(&mut self, now: Stamp<HostClock>, id: LinkId) {
+    /// Does what the session of a link wants done after it took what came so, or time.
+    pub(super) fn drain_session(&mut self, arrival: Arrival) {
+        let id = arrival.way.link;
         while let Some(output) = self.links.get_mut(&id).and_then(|link| link.session.poll()) {
             match output {
                 // Nobody hears it; the session says it again when the link is back.
@@ -47,15 +50,16 @@ impl Pipeline {
                 SessionOutput::TimeExchanged {
                     peer,
                     sent,
-                    received,
                     peer_nanos,
+                    ..
                 } => {
+                    // The session's own idea of when it came is when it was handled.
                     let exchange = Exchange {
                         sent,
-                        received,
+                        answer: arrival,
                         peer_nanos,
                     };
-                    self.handle_exchange(now, id, peer, exchange);
+                    self.handle_exchange(peer, exchange);
                 }
                 SessionOutput::IntervalRequested {
                     message_id,
@@ -76,39 +80,33 @@ impl Pipeline {
             .is_none_or(|link| link.state == LinkState::Down)
     }
 
-    fn handle_exchange(
-        &mut self,
-        now: Stamp<HostClock>,
-        id: LinkId,
-        peer: Address,
-        exchange: Exchange,
-    ) {
+    fn handle_exchange(&mut self, peer: Address, exchange: Exchange) {
         // No clock of a brick or a camera counts backwards from its power-up: a negative instant is damage.
         if exchange.peer_nanos < 0 {
             return;
         }
         // Bounds of one clock, whichever of several redundant links they came by.
-        let id = self.router.first_of_group(id);
+        let id = self.router.first_of_group(exchange.answer.way.link);
         let from = RobotId {
             link: id,
             address: peer,
         };
         if self.robot == Some(from) {
-            self.align_brick(now, from, exchange);
+            self.align_brick(from, exchange);
         } else {
-            self.align_observer(now, (id, peer), exchange);
+            self.align_observer((id, peer), exchange);
         }
     }
 
-    fn align_brick(&mut self, now: Stamp<HostClock>, robot: RobotId, exchange: Exchange) {
+    fn align_brick(&mut self, robot: RobotId, exchange: Exchange) {
         let Exchange {
             sent,
-            received,
+            answer: Arrival { way, at },
             peer_nanos,
         } = exchange;
-        let (unwrapped, alignment) = self.brick_clock.exchanged(sent, received, peer_nanos);
+        let (unwrapped, alignment) = self.brick_clock.exchanged(way, sent, at, peer_nanos);
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
-            self.brick_restarted(now, robot);
+            self.brick_restarted(robot);
         }
         if let Some(Alignment {
             remote,
@@ -132,21 +130,16 @@ impl Pipeline {
         }
     }
 
-    fn align_observer(
-        &mut self,
-        now: Stamp<HostClock>,
-        (id, camera): (LinkId, Address),
-        exchange: Exchange,
-    ) {
+    fn align_observer(&mut self, (id, camera): (LinkId, Address), exchange: Exchange) {
         let Exchange {
             sent,
-            received,
+            answer: Arrival { way, at },
             peer_nanos,
         } = exchange;
         let clock = self.observers.entry((id, camera)).or_default();
-        let (unwrapped, alignment) = clock.exchanged(sent, received, peer_nanos);
+        let (unwrapped, alignment) = clock.exchanged(way, sent, at, peer_nanos);
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
-            self.ask_time_again(now, id, camera);
+            self.ask_time_again(id, camera);
         }
         if let Some(alignment) = alignment {
             self.tell(Event::CameraClockAligned {
@@ -160,7 +153,8 @@ impl Pipeline {
     }
 
     /// A participant's clock began anew: some quick exchanges say how it runs now.
-    pub(super) fn ask_time_again(&mut self, now: Stamp<HostClock>, id: LinkId, peer: Address) {
+    pub(super) fn ask_time_again(&mut self, id: LinkId, peer: Address) {
+        let now = self.now;
         if let Some(link) = self.links.get_mut(&id) {
             link.session.peer_restarted(now, peer);
         }

@@ -1,18 +1,16 @@
-//! Bytes to observations: what came on a link, as far as the filter.
+//! Messages to observations: what came on a link, as far as the filter.
 
 use posebridge_estimator::gate::chi_square_quantile;
 use posebridge_estimator::{StartPose, filter_named};
-use posebridge_protocol::dialect;
-use posebridge_protocol::framing::{FrameRef, Scanned};
 use posebridge_protocol::message::{Message, RobotDescription};
-use posebridge_protocol::routing::{Check, Occurrence, Way};
+use posebridge_protocol::routing::Occurrence;
 use posebridge_telemetry::{
     Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
-    Output, PeerId, Radians, RadiansPerSecond, Refusal, RobotId, Span, Stamp, SystemId,
+    Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId,
 };
 
 use super::Pipeline;
-use super::forward::Passage;
+use super::intake::{Arrival, Arrived};
 use crate::clock::unwrap::Unwrapped;
 use crate::config::{DescriptionPolicy, OutputKind};
 use crate::interpret::{Reading, StampedBy};
@@ -24,63 +22,7 @@ const LONGEST_GYRO_GAP: Span = Span::from_millis(1_000);
 const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
 
 impl Pipeline {
-    /// Bytes of one peer of a link; `None` gives up what waits of it.
-    pub(super) fn handle_bytes(
-        &mut self,
-        now: Stamp<HostClock>,
-        (id, peer): (LinkId, PeerId),
-        bytes: Option<&[u8]>,
-    ) {
-        let Some(link) = self.links.get_mut(&id) else {
-            return;
-        };
-        if let Some(bytes) = bytes {
-            link.health.bytes_in += bytes.len() as u64;
-        }
-        let from = Way { link: id, peer };
-        let mut passage = Passage::new(&mut self.router, now, from, link);
-        let mut arrived: Vec<Arrived> = Vec::new();
-        let mut events: Vec<Event> = Vec::new();
-        let refused_frames = &mut link.health.refused_frames;
-        let mut sink =
-            |scanned: Scanned<'_>, verdict: Result<u32, Refusal>| match (scanned, verdict) {
-                (Scanned::Frame(frame) | Scanned::Unknown(frame), Err(reason)) => {
-                    *refused_frames += 1;
-                    let source = frame.source;
-                    let defect = Defect::Refused { source, reason };
-                    events.push(Event::Defect { link: id, defect });
-                }
-                (Scanned::Frame(frame), Ok(missing)) => {
-                    if missing > 0 {
-                        events.push(Event::Defect {
-                            link: id,
-                            defect: Defect::Lost {
-                                source: frame.source,
-                                frames: missing,
-                            },
-                        });
-                    }
-                    if let Some(occurrence) = passage.take(&frame, Check::Verified) {
-                        take_frame((id, occurrence), &frame, &mut arrived, &mut events);
-                    }
-                }
-                (Scanned::Unknown(frame), Ok(_)) => {
-                    passage.take(&frame, Check::Unverifiable);
-                }
-                (Scanned::Defect(defect), _) => events.push(Event::Defect { link: id, defect }),
-            };
-        match bytes {
-            Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
-            None => link.peers.give_up(now, peer, &mut sink),
-        }
-        self.passages.push((id, passage.finish()));
-        self.outputs.extend(events.into_iter().map(Output::Event));
-        for message in arrived {
-            self.handle_message(now, id, &message);
-        }
-    }
-
-    pub(super) fn handle_message(&mut self, now: Stamp<HostClock>, id: LinkId, arrived: &Arrived) {
+    pub(super) fn handle_message(&mut self, arrival: Arrival, arrived: &Arrived) {
         let Arrived {
             source,
             occurrence,
@@ -90,15 +32,17 @@ impl Pipeline {
             // A link that echoes: what the station said itself is no news, least of all its own estimate.
             return;
         }
+        let id = arrival.way.link;
         if let Some(link) = self.links.get_mut(&id) {
-            link.session.handle(now, source, message);
+            link.session.handle(self.now, source, message);
         }
-        self.drain_session(now, id);
-        if occurrence == Occurrence::Redundant {
-            return;
-        }
+        self.drain_session(arrival);
         // Redundant links are one: the robot, its clock and its observations know only the first of them.
         let id = self.router.first_of_group(id);
+        if occurrence == Occurrence::Redundant {
+            self.note_copy(arrival, robot_at(id, source), message);
+            return;
+        }
         if let (Message::StatusText { severity, text }, Occurrence::First) = (message, occurrence) {
             self.tell(Event::Text {
                 source,
@@ -112,27 +56,36 @@ impl Pipeline {
         for reading in self.interpreter.readings(message).into_iter().flatten() {
             // What went round a loop is news only from the robot, whose telemetry counts on its own link alone.
             if occurrence == Occurrence::First || self.is_of_robot(id, source, &reading) {
-                self.handle_reading(now, id, source, &reading);
+                self.handle_reading(arrival, id, source, &reading);
             }
         }
     }
 
-    pub(super) fn handle_reading(
-        &mut self,
-        now: Stamp<HostClock>,
-        id: LinkId,
-        source: Address,
-        reading: &Reading,
-    ) {
+    /// What came before by another link of the group says nothing new, but by this link it is one more bound of its sender's clock.
+    fn note_copy(&mut self, arrival: Arrival, from: RobotId, message: &Message) {
+        for reading in self.interpreter.readings(message).into_iter().flatten() {
+            if self.robot == Some(from) && reading.stamped_by == StampedBy::Brick {
+                let clock = &mut self.brick_clock;
+                clock.copied(arrival.way, reading.stamp, arrival.at);
+            } else if let Some(clock) = self.observers.get_mut(&(from.link, from.address)) {
+                clock.copied(arrival.way, reading.stamp, arrival.at);
+            }
+        }
+    }
+
+    /// `id` is the first link of the group by which it came.
+    fn handle_reading(&mut self, arrival: Arrival, id: LinkId, source: Address, reading: &Reading) {
         let from_robot = self.robot == Some(robot_at(id, source));
         match reading.stamped_by {
             StampedBy::Brick => {
                 if let Some(robot) = self.adopt_robot(id, source) {
-                    self.handle_brick_reading(now, robot, reading);
+                    self.handle_brick_reading(arrival, robot, reading);
                 }
             }
-            StampedBy::Observer if from_robot => self.handle_relayed_reading(now, source, reading),
-            StampedBy::Observer => self.handle_observer_reading(now, id, source, reading),
+            StampedBy::Observer if from_robot => {
+                self.handle_relayed_reading(arrival, source, reading)
+            }
+            StampedBy::Observer => self.handle_observer_reading(arrival, id, source, reading),
         }
     }
 
@@ -161,17 +114,17 @@ impl Pipeline {
         (self.robot == Some(candidate)).then_some(candidate)
     }
 
-    pub(super) fn handle_brick_reading(
-        &mut self,
-        now: Stamp<HostClock>,
-        robot: RobotId,
-        reading: &Reading,
-    ) {
-        let stamp = match self.brick_clock.arrived(reading.stamp, now) {
+    fn handle_brick_reading(&mut self, arrival: Arrival, robot: RobotId, reading: &Reading) {
+        let Arrival { way, at } = arrival;
+        let stamp = match self.brick_clock.arrived(way, reading.stamp, at) {
             Unwrapped::Continued(stamp) => stamp,
             Unwrapped::Restarted(stamp) => {
-                self.brick_restarted(now, robot);
+                self.brick_restarted(robot);
                 stamp
+            }
+            Unwrapped::Outlived => {
+                self.tell_unaligned(way.link, robot.address);
+                return;
             }
         };
         let observed = self.whole_turn_rate(stamp, reading);
@@ -181,16 +134,11 @@ impl Pipeline {
             stamp_sigma: Span::ZERO,
             observed,
         };
-        self.observe(robot, robot.address, now, observation);
+        self.observe(robot, robot.address, at, observation);
     }
 
     /// A fix that the robot passes on, stamped by its own clock: it may be older than any reordering explains.
-    fn handle_relayed_reading(
-        &mut self,
-        now: Stamp<HostClock>,
-        source: Address,
-        reading: &Reading,
-    ) {
+    fn handle_relayed_reading(&mut self, arrival: Arrival, source: Address, reading: &Reading) {
         let (Some(robot), Some(stamp)) = (self.robot, self.brick_clock.placed(reading.stamp))
         else {
             return;
@@ -201,7 +149,7 @@ impl Pipeline {
             stamp_sigma: Span::ZERO,
             observed: reading.observed,
         };
-        self.observe(robot, source, now, observation);
+        self.observe(robot, source, arrival.at, observation);
     }
 
     /// The mean rate since the sensor's last observation that arrived: from the integral, where the sender has one.
@@ -231,19 +179,22 @@ impl Pipeline {
         Observed::TurnRate(RadiansPerSecond(turned_rad / gap.as_secs_f64()))
     }
 
-    pub(super) fn handle_observer_reading(
+    fn handle_observer_reading(
         &mut self,
-        now: Stamp<HostClock>,
+        arrival: Arrival,
         link: LinkId,
         source: Address,
         reading: &Reading,
     ) {
         let clock = self.observers.entry((link, source)).or_default();
-        let unwrapped = clock.arrived(reading.stamp, now);
-        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) = unwrapped;
+        let unwrapped = clock.arrived(arrival.way, reading.stamp, arrival.at);
+        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) = unwrapped else {
+            self.tell_unaligned(link, source);
+            return;
+        };
         let on_host = clock.host_at(stamp);
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
-            self.ask_time_again(now, link, source);
+            self.ask_time_again(link, source);
         }
         let on_brick = on_host.and_then(|(host, camera_off)| {
             let (brick, brick_off) = self.brick_clock.remote_at(host)?;
@@ -257,13 +208,15 @@ impl Pipeline {
                     stamp_sigma,
                     observed: reading.observed,
                 };
-                self.observe(robot, source, now, observation);
+                self.observe(robot, source, arrival.at, observation);
             }
-            _ => self.tell(Event::Defect {
-                link,
-                defect: Defect::Unaligned { source },
-            }),
+            _ => self.tell_unaligned(link, source),
         }
+    }
+
+    fn tell_unaligned(&mut self, link: LinkId, source: Address) {
+        let defect = Defect::Unaligned { source };
+        self.tell(Event::Defect { link, defect });
     }
 
     pub(super) fn observe(
@@ -301,7 +254,8 @@ impl Pipeline {
     }
 
     /// The brick was switched off and on: it has forgotten what was asked of it.
-    pub(super) fn brick_restarted(&mut self, now: Stamp<HostClock>, robot: RobotId) {
+    pub(super) fn brick_restarted(&mut self, robot: RobotId) {
+        let now = self.now;
         self.filter.restart_clock();
         self.last_gyro_turn = None;
         for (id, link) in &mut self.links {
@@ -371,37 +325,8 @@ fn geometry_of(said: &RobotDescription) -> Option<DriveGeometry> {
         .then_some(geometry)
 }
 
-/// A message that came, with its sender.
-pub(super) struct Arrived {
-    source: Address,
-    occurrence: Occurrence,
-    message: Message,
-}
-
 const fn robot_at(link: LinkId, address: Address) -> RobotId {
     RobotId { link, address }
-}
-
-fn take_frame(
-    (link, occurrence): (LinkId, Occurrence),
-    frame: &FrameRef<'_>,
-    arrived: &mut Vec<Arrived>,
-    events: &mut Vec<Event>,
-) {
-    match dialect::decode(frame) {
-        Ok(Some(message)) => arrived.push(Arrived {
-            source: frame.source,
-            occurrence,
-            message,
-        }),
-        Ok(None) => {}
-        Err(error) => {
-            let defect = Defect::Payload {
-                message_id: error.message_id(),
-            };
-            events.push(Event::Defect { link, defect });
-        }
-    }
 }
 
 /// Standard deviation of an instant that lies anywhere within plus or minus `bound`: uniform.

@@ -48,7 +48,7 @@ pub(crate) fn config() -> PipelineConfig {
             (42_100, Span::from_millis(50)),
             (42_101, Span::from_millis(50)),
         ],
-        duplicate_window: Span::from_millis(1_000),
+        duplicate_window: Span::from_millis(15_000),
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }
 }
