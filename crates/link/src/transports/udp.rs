@@ -37,6 +37,9 @@ const LOUD_DRAIN_LIMIT: usize = 16;
 const MAX_LOUD: usize = 64;
 /// Largest UDP datagram.
 const DATAGRAM_BYTES: usize = 65_535;
+/// How long nobody is set apart after an attempt has failed: without a descriptor left each datagram of a loud peer would
+/// cost another attempt.
+const APART_PAUSE: Span = Span::from_millis(1_000);
 
 /// When a peer is forgotten. Ten heartbeats of MAVLink may be lost before the default.
 const IDLE: OptionHelp = OptionHelp {
@@ -114,6 +117,7 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
         local_address,
         detail,
         timer: request.timer,
+        next_apart: Stamp::ZERO,
         loud: Vec::new(),
         peers: Peers::new((!is_listening).then_some(target), idle),
         queue: SendQueue::new(QUEUE_BYTES),
@@ -162,6 +166,8 @@ struct Loud {
 
 struct UdpConnection {
     socket: UdpSocket,
+    /// When a loud peer may be set apart again.
+    next_apart: Stamp<HostClock>,
     loud: Vec<Loud>,
     local_address: SocketAddr,
     detail: String,
@@ -235,7 +241,8 @@ impl UdpConnection {
     /// Gives a loud peer a socket of its own, if it has none and there is one to have.
     fn set_apart(&mut self, address: SocketAddr) {
         let has_one = self.loud.iter().any(|loud| loud.address == address);
-        if has_one || self.loud.len() >= MAX_LOUD {
+        let now = self.timer.now();
+        if has_one || self.loud.len() >= MAX_LOUD || now < self.next_apart {
             return;
         }
         match split_off(&self.socket, self.local_address, address) {
@@ -247,7 +254,10 @@ impl UdpConnection {
                     is_next: false,
                 });
             }
-            Err(error) => tracing::debug!(peer = %address, %error, "a loud peer stays"),
+            Err(error) => {
+                self.next_apart = now + APART_PAUSE;
+                tracing::debug!(peer = %address, %error, "a loud peer stays");
+            }
         }
     }
 
