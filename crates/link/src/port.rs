@@ -16,7 +16,7 @@ use posebridge_telemetry::{
 };
 use tokio::time::Sleep;
 
-use crate::backoff::{Backoff, Waits};
+use crate::backoff::{Backoff, SessionSeed, Waits};
 use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
@@ -146,7 +146,7 @@ impl Port {
     #[must_use]
     pub fn tuned(config: PortConfig, tuning: PortTuning, timer: HostTimer) -> Self {
         Self {
-            backoff: Backoff::new(config.id, tuning.waits),
+            backoff: Backoff::new(config.id, SessionSeed::of(&timer), tuning.waits),
             config,
             directories: tuning.directories,
             timer,
