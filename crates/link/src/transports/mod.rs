@@ -65,8 +65,12 @@ pub(crate) const RATE: OptionHelp = OptionHelp {
 /// Where Linux tells of its devices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceDirectories {
-    /// udev's links to serial ports, which keep their names whatever number the device gets.
+    /// udev's links to serial ports, named by vendor, model and serial number.
     pub serial_by_id: PathBuf,
+    /// udev's links to serial ports, named by the socket in which they are plugged.
+    pub serial_by_path: PathBuf,
+    /// The terminals of the system, a directory for each, with what is behind it.
+    pub tty_class: PathBuf,
     /// The settings of USB serial adapters, a directory for each.
     pub usb_serial: PathBuf,
 }
@@ -75,6 +79,8 @@ impl Default for DeviceDirectories {
     fn default() -> Self {
         Self {
             serial_by_id: "/dev/serial/by-id".into(),
+            serial_by_path: "/dev/serial/by-path".into(),
+            tty_class: "/sys/class/tty".into(),
             usb_serial: "/sys/bus/usb-serial/devices".into(),
         }
     }

@@ -196,7 +196,7 @@ impl Attempt {
             stable_path: self
                 .stable_path
                 .clone()
-                .or_else(|| stable_name(&self.path, &self.directories.serial_by_id)),
+                .or_else(|| stable_name(&self.path, &self.directories)),
             latency: shorten_latency(&device, &self.directories.usb_serial),
         })
     }

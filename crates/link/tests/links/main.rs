@@ -6,6 +6,7 @@
     reason = "a test that sees any other event fails and prints it"
 )]
 
+mod adapters;
 mod bluetooth;
 mod conformance;
 mod file;

@@ -1,0 +1,239 @@
+//! Serial adapters on a made-up computer: which one is meant, and whether its line keeps DTR up.
+
+use std::os::unix::fs::symlink;
+use std::path::PathBuf;
+
+use crate::serial::Bench;
+use crate::support::{bytes, down, poll_once, port, up};
+use nix::fcntl::OFlag;
+use nix::sys::stat::Mode;
+use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
+use posebridge_link::{
+    DeviceDirectories, LinkUrl, Port, PortConfig, PortTuning, Role,
+};
+use posebridge_telemetry::LinkId;
+
+/// A computer whose devices are told of in the bench's directory.
+fn tuning(bench: &Bench) -> PortTuning {
+    let root = bench.directory.path();
+    PortTuning {
+        directories: DeviceDirectories {
+            serial_by_id: root.join("by-id"),
+            serial_by_path: root.join("by-path"),
+            tty_class: root.join("tty"),
+            usb_serial: root.join("usb-serial"),
+        },
+        ..PortTuning::default()
+    }
+}
+
+/// A station on such a computer.
+fn station_at(bench: &Bench, url: &str) -> Port {
+    tuned(bench, url, tuning(bench))
+}
+
+fn tuned(bench: &Bench, url: &str, tuning: PortTuning) -> Port {
+    let config = PortConfig {
+        id: LinkId(1),
+        url: LinkUrl::parse(url).expect("the test's own link"),
+        role: Role::Dial,
+    };
+    Port::tuned(config, tuning, bench.timer)
+}
+
+/// Where an adapter is plugged in, and what it says of itself.
+struct Plug {
+    socket: &'static str,
+    /// udev's name for its kind, with its serial number if it has one.
+    id: &'static str,
+    serial: Option<&'static str>,
+}
+
+/// What udev and the kernel say of an adapter that is called `name`.
+fn tell(bench: &Bench, name: &str, plug: &Plug) {
+    let root = bench.directory.path();
+    let usb = root.join("usb").join(plug.socket);
+    let class = root.join("tty").join(name);
+    drop(std::fs::remove_dir_all(&class));
+    drop(std::fs::remove_dir_all(&usb));
+    let write = |path: PathBuf, says: &str| std::fs::write(path, says).expect("own directory");
+    for directory in [&usb.join("1.0"), &class] {
+        std::fs::create_dir_all(directory).expect("own directory");
+    }
+    write(usb.join("idVendor"), "1a86\n");
+    write(usb.join("idProduct"), "7523\n");
+    if let Some(serial) = plug.serial {
+        write(usb.join("serial"), serial);
+    }
+    symlink(usb.join("1.0"), class.join("device")).expect("a free name");
+    for (directory, link) in [("by-id", plug.id), ("by-path", plug.socket)] {
+        let directory = root.join(directory);
+        std::fs::create_dir_all(&directory).expect("own directory");
+        drop(std::fs::remove_file(directory.join(link)));
+        symlink(root.join(name), directory.join(link)).expect("a free name");
+    }
+}
+
+/// An adapter that the system calls `name`: a pseudo-terminal, and what is said of it.
+async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Port {
+    let device = bench.directory.path().join(name);
+    let mut pty = port(
+        &format!("pty:{}", device.display()),
+        Role::Listen,
+        bench.timer,
+    );
+    up(&mut pty).await;
+    tell(bench, name, plug);
+    pty
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_adapter_that_comes_back_under_another_number_is_found() {
+    let bench = Bench::new();
+    let shown = bench.directory.path().display().to_string();
+    let plug = Plug {
+        socket: "socket-1",
+        id: "usb-mine-if00",
+        serial: Some("mine"),
+    };
+    let mine = adapter(&bench, "ttyUSB0", &plug).await;
+    let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
+    assert_eq!(
+        up(&mut station).await,
+        format!("{shown}/ttyUSB0 ({shown}/by-id/usb-mine-if00) at 115200 baud")
+    );
+    drop(mine);
+    down(&mut station).await;
+    // Somebody else's adapter takes the number; ours comes back as the next one.
+    let theirs = Plug {
+        socket: "socket-2",
+        id: "usb-other-if00",
+        serial: Some("other"),
+    };
+    let mut other = adapter(&bench, "ttyUSB0", &theirs).await;
+    std::fs::remove_file(bench.directory.path().join("by-id/usb-mine-if00")).expect("our link");
+    let (reason, _) = down(&mut station).await;
+    assert_eq!(
+        reason,
+        format!("{shown}/by-id/usb-mine-if00 is not there: plug the device in or check the name")
+    );
+    let elsewhere = Plug {
+        socket: "socket-3",
+        ..plug
+    };
+    let mut mine = adapter(&bench, "ttyUSB1", &elsewhere).await;
+    let detail = up(&mut station).await;
+    assert_eq!(
+        detail,
+        format!("{shown}/by-id/usb-mine-if00 at 115200 baud")
+    );
+    mine.send(b"mine");
+    other.send(b"other");
+    assert_eq!(poll_once(&mut mine).await, None);
+    assert_eq!(bytes(&mut station, 4).await, b"mine");
+}
+
+#[tokio::test(start_paused = true)]
+async fn of_two_adapters_of_one_name_the_other_one_is_left_alone() {
+    let bench = Bench::new();
+    let shown = bench.directory.path().display().to_string();
+    let kind = "usb-1a86_USB_Serial-if00-port0";
+    let plug = |socket| Plug {
+        socket,
+        id: kind,
+        serial: None,
+    };
+    let mut other = adapter(&bench, "ttyUSB1", &plug("socket-2")).await;
+    // The name of the kind leads to the one that came last.
+    let mine = adapter(&bench, "ttyUSB0", &plug("socket-1")).await;
+    let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
+    up(&mut station).await;
+    drop(mine);
+    down(&mut station).await;
+    let by_id = bench.directory.path().join("by-id").join(kind);
+    std::fs::remove_file(&by_id).expect("our link");
+    symlink(bench.directory.path().join("ttyUSB1"), &by_id).expect("a free name");
+    std::fs::remove_file(bench.directory.path().join("by-path/socket-1")).expect("our link");
+    let (reason, _) = down(&mut station).await;
+    assert_eq!(
+        reason,
+        format!("{shown}/by-path/socket-1 is not there: plug the device in or check the name")
+    );
+    let mut mine = adapter(&bench, "ttyUSB2", &plug("socket-1")).await;
+    assert_eq!(
+        up(&mut station).await,
+        format!("{shown}/by-path/socket-1 at 115200 baud")
+    );
+    other.send(b"other");
+    assert_eq!(poll_once(&mut other).await, None);
+    mine.send(b"mine");
+    assert_eq!(poll_once(&mut mine).await, None);
+    assert_eq!(bytes(&mut station, 4).await, b"mine");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
+    let bench = Bench::new();
+    let shown = bench.directory.path().display().to_string();
+    let pattern = format!("serial:{shown}/ttyACM*");
+    let mut first = station_at(&bench, &pattern);
+    first.open_first().await.expect("a device may come");
+    let (reason, _) = down(&mut first).await;
+    assert_eq!(
+        reason,
+        format!("{shown}/ttyACM* is not there: plug the device in or check the name")
+    );
+    let board = |id| Plug {
+        socket: id,
+        id,
+        serial: Some(id),
+    };
+    let _b = adapter(&bench, "ttyACM1", &board("usb-b")).await;
+    let a = adapter(&bench, "ttyACM0", &board("usb-a")).await;
+    assert_eq!(
+        up(&mut first).await,
+        format!("{shown}/ttyACM0 at 115200 baud")
+    );
+    // One question mark is part of the name, the other begins the options.
+    let mut second = station_at(&bench, &format!("serial:{shown}/ttyACM??baud=9600"));
+    assert_eq!(
+        up(&mut second).await,
+        format!("{shown}/ttyACM1 at 9600 baud")
+    );
+    let mut third = station_at(&bench, &pattern);
+    let error = third.open_first().await.expect_err("both are taken");
+    assert!(error.stops_start() && error.can_heal());
+    let busy = format!("port {shown}/ttyACM0 is in use by another program");
+    assert!(error.to_string().starts_with(&busy), "{error}");
+
+    drop(a);
+    down(&mut first).await;
+    assert!(down(&mut first).await.0.contains("ttyACM1 is in use"));
+    let _c = adapter(&bench, "ttyACM7", &board("usb-c")).await;
+    assert_eq!(
+        up(&mut first).await,
+        format!("{shown}/ttyACM7 at 115200 baud")
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn closing_a_port_does_not_drop_dtr_whatever_is_asked_for() {
+    let bench = Bench::new();
+    let _pty = bench.plugged_pty().await;
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
+    let line = nix::fcntl::open(&bench.path(), flags, Mode::empty()).expect("a foreign reader");
+    for dtr in ["keep", "on", "off"] {
+        let mut settings = tcgetattr(&line).expect("a terminal");
+        settings.control_flags.insert(ControlFlags::HUPCL);
+        tcsetattr(&line, SetArg::TCSANOW, &settings).expect("a terminal");
+        // A pseudo-terminal has no DTR; that is no reason to refuse it.
+        let url = format!("serial:{}?dtr={dtr}", bench.path().display());
+        let mut station = station_at(&bench, &url);
+        up(&mut station).await;
+        let settings = tcgetattr(&line).expect("a terminal");
+        assert!(
+            !settings.control_flags.contains(ControlFlags::HUPCL),
+            "dtr={dtr}"
+        );
+    }
+}
