@@ -22,7 +22,8 @@ use crate::error::OpenError;
 use crate::host_timer::HostTimer;
 use crate::pacer::Pacer;
 use crate::transports::{
-    DeviceDirectories, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, RATE, Role, timed_out,
+    DeviceDirectories, LineSettings, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, RATE, Role,
+    timed_out,
 };
 use crate::url::LinkUrl;
 
@@ -47,6 +48,8 @@ pub struct PortTuning {
     pub waits: Waits,
     /// Where the system tells of its devices.
     pub directories: DeviceDirectories,
+    /// What becomes of the settings of a serial line.
+    pub line_settings: LineSettings,
 }
 
 /// What happened on a port.
@@ -88,6 +91,7 @@ pub enum PortEvent {
 pub struct Port {
     config: PortConfig,
     directories: DeviceDirectories,
+    line_settings: LineSettings,
     timer: HostTimer,
     state: State,
     /// Where the device is found again under whatever number it comes back.
@@ -149,6 +153,7 @@ impl Port {
             backoff: Backoff::new(config.id, SessionSeed::of(&timer), tuning.waits),
             config,
             directories: tuning.directories,
+            line_settings: tuning.line_settings,
             timer,
             state: State::Closed,
             stable_path: None,
@@ -373,6 +378,7 @@ impl Port {
             role: self.config.role,
             timer: self.timer,
             directories: self.directories.clone(),
+            line_settings: self.line_settings,
             stable_path: self.stable_path.clone(),
         };
         let deadline = self.timer.now() + Span::from_millis(1_000 * OPEN_DEADLINE_SECS as i64);

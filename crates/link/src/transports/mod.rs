@@ -86,6 +86,16 @@ impl Default for DeviceDirectories {
     }
 }
 
+/// What becomes of the settings of a serial line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LineSettings {
+    /// They are made fit for a station, and stay so: the adapter's latency is shortened, and closing does not drop DTR.
+    #[default]
+    Keep,
+    /// Only what reading needs is set, and everything is put back when the link is closed.
+    PutBack,
+}
+
 /// Who calls whom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
@@ -115,6 +125,8 @@ pub struct OpenRequest {
     pub timer: HostTimer,
     /// Where the system tells of its devices.
     pub directories: DeviceDirectories,
+    /// What becomes of the settings of a serial line.
+    pub line_settings: LineSettings,
     /// What the last connection said of itself: [`Connection::stable_path`].
     pub stable_path: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! Serial adapters on a made-up computer: which one is meant, and whether its line keeps DTR up.
+//! Serial adapters on a made-up computer: which one is meant, and what becomes of the settings of its line.
 
 use std::os::unix::fs::symlink;
 use std::path::PathBuf;
@@ -9,9 +9,10 @@ use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
 use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
 use posebridge_link::{
-    DeviceDirectories, LinkUrl, Port, PortConfig, PortTuning, Role,
+    DeviceDirectories, LineSettings, LinkUrl, Port, PortConfig, PortTuning, Role,
 };
 use posebridge_telemetry::LinkId;
+use rustix::termios::{self, ControlModes, OptionalActions};
 
 /// A computer whose devices are told of in the bench's directory.
 fn tuning(bench: &Bench) -> PortTuning {
@@ -39,6 +40,50 @@ fn tuned(bench: &Bench, url: &str, tuning: PortTuning) -> Port {
         role: Role::Dial,
     };
     Port::tuned(config, tuning, bench.timer)
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
+    let bench = Bench::new();
+    let _pty = bench.plugged_pty().await;
+    let number = bench.path().canonicalize().expect("a terminal");
+    let adapter = bench
+        .directory
+        .path()
+        .join("usb-serial")
+        .join(number.file_name().expect("a number"));
+    let latency_timer = adapter.join("latency_timer");
+    std::fs::create_dir_all(&adapter).expect("own directory");
+    std::fs::write(&latency_timer, "16\n").expect("own directory");
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
+    let line = nix::fcntl::open(&bench.path(), flags, Mode::empty()).expect("a foreign reader");
+    let settings = || termios::tcgetattr(&line).expect("a terminal");
+    let mut unlike = settings();
+    unlike.control_modes.insert(ControlModes::HUPCL);
+    // A usual speed of MIDI lines, for which termios has no name.
+    unlike.set_speed(31_250).expect("any speed");
+    termios::tcsetattr(&line, OptionalActions::Now, &unlike).expect("a terminal");
+    let before = format!("{:?}", settings());
+
+    let url = format!("serial:{}?baud=57600", bench.path().display());
+    let with = |line_settings| PortTuning {
+        line_settings,
+        ..tuning(&bench)
+    };
+    let mut guest = tuned(&bench, &url, with(LineSettings::PutBack));
+    up(&mut guest).await;
+    assert_eq!(settings().output_speed(), 57_600);
+    drop(guest);
+    assert_eq!(format!("{:?}", settings()), before);
+    assert_eq!(settings().output_speed(), 31_250);
+    let says = || std::fs::read_to_string(&latency_timer).expect("it is there");
+    assert_eq!(says(), "16\n");
+
+    let mut station = tuned(&bench, &url, with(LineSettings::Keep));
+    assert!(up(&mut station).await.contains("latency timer 1 ms"));
+    drop(station);
+    assert!(!settings().control_modes.contains(ControlModes::HUPCL));
+    assert_eq!(says(), "1");
 }
 
 /// Where an adapter is plugged in, and what it says of itself.
