@@ -76,6 +76,11 @@ pub trait Connection: Send {
         None
     }
 
+    /// True if whoever reaches [`Connection::local_address`] is heard without having been called.
+    fn is_listening(&self) -> bool {
+        false
+    }
+
     /// A path that leads to the same device after it was unplugged and came back under another number; `None` where the
     /// link's own target is as good as any.
     fn stable_path(&self) -> Option<&Path> {

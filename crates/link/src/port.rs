@@ -197,6 +197,18 @@ impl Port {
         }
     }
 
+    /// True while the link is up and hears whoever calls: TCP that listens, and UDP that names nobody to send to. Where it
+    /// does, says [`Port::local_address`].
+    #[must_use]
+    pub fn is_listening(&self) -> bool {
+        match &self.state {
+            State::Up { connection, .. } => connection.is_listening(),
+            State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => {
+                false
+            }
+        }
+    }
+
     /// Counts since the port was made.
     #[must_use]
     pub const fn counters(&self) -> PortCounters {

@@ -170,6 +170,10 @@ impl Connection for TcpServer {
         Some(self.address)
     }
 
+    fn is_listening(&self) -> bool {
+        true
+    }
+
     fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
         for client in &mut self.clients {
             client.send(out, counters);

@@ -113,6 +113,7 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     Ok(Box::new(UdpConnection {
         socket,
         local_address,
+        is_listening,
         detail,
         timer: request.timer,
         loud: Vec::new(),
@@ -168,6 +169,7 @@ struct UdpConnection {
     /// When a loud peer may be set apart again.
     next_apart: Stamp<HostClock>,
     local_address: SocketAddr,
+    is_listening: bool,
     detail: String,
     timer: HostTimer,
     peers: Peers,
@@ -321,6 +323,10 @@ impl Connection for UdpConnection {
 
     fn local_address(&self) -> Option<SocketAddr> {
         Some(self.local_address)
+    }
+
+    fn is_listening(&self) -> bool {
+        self.is_listening
     }
 
     fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
