@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use nix::sys::termios::{BaudRate, ControlFlags, SetArg, cfsetspeed, tcgetattr, tcsetattr};
 use posebridge_link::{Port, PortConfig, PortEvent};
 use posebridge_telemetry::LinkId;
 use tokio::io::AsyncWriteExt;
@@ -181,6 +182,21 @@ async fn on_a_pseudo_terminal_the_speed_does_not_matter() {
         "{verdict:?}"
     );
     assert!(verdict.what.contains("MAVLink 2"), "{verdict:?}");
+}
+
+#[tokio::test]
+async fn a_line_is_left_with_the_settings_that_it_had() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut port, link) = pseudo_terminal(&folder).await;
+    let line = fs::File::open(folder.path().join("brick.tty")).unwrap();
+    let mut settings = tcgetattr(&line).unwrap();
+    settings.control_flags.insert(ControlFlags::HUPCL);
+    cfsetspeed(&mut settings, BaudRate::B19200).unwrap();
+    tcsetattr(&line, SetArg::TCSANOW, &settings).unwrap();
+    let before = tcgetattr(&line).unwrap();
+    let verdict = listen_while_sending(&mut port, &format!("{link}?baud=57600"), &FRAME).await;
+    assert_eq!(verdict.status, Status::Ok, "{verdict:?}");
+    assert_eq!(tcgetattr(&line).unwrap(), before);
 }
 
 #[tokio::test(start_paused = true)]
