@@ -150,10 +150,17 @@ fn baud_of(url: &LinkUrl) -> u32 {
     baud.map_or(0, |option| url.integer(option))
 }
 
-/// The same port at another speed; `None` for a path that cannot be written in a link.
+/// The same port with the same options at another speed; `None` for a path that cannot be written in a link.
 fn at_speed(url: &LinkUrl, baud: u32) -> Option<LinkUrl> {
     let path = url.path().to_str()?;
-    let other = LinkUrl::parse(&format!("serial:{path}?baud={baud}")).ok()?;
+    let mut text = format!("serial:{path}?baud={baud}");
+    for option in url.transport().options() {
+        let value = url.option_text(option);
+        if option.name != "baud" && value != option.kind.default_text() {
+            text += &format!("&{}={value}", option.name);
+        }
+    }
+    let other = LinkUrl::parse(&text).ok()?;
     (other.path() == url.path()).then_some(other)
 }
 
