@@ -63,7 +63,8 @@ impl StateFile {
         let lock = Flock::lock(lock, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| {
             if error == Errno::EWOULDBLOCK {
                 anyhow!(
-                    "another station signs with link id {link_id} of the key `{}`: give this one another `signing.link_id`",
+                    "another station on this computer signs with link id {link_id} of the key `{}`: give this one another \
+                     `signing.link_id`",
                     key_file.display()
                 )
             } else {
