@@ -244,6 +244,14 @@ fn check_subset(
     Ok(())
 }
 
+/// What became of a byte that arrived.
+#[derive(Debug, PartialEq, Eq)]
+struct Arrival {
+    /// Once, or twice with a copy.
+    instants: Vec<Stamp<HostClock>>,
+    as_what: u8,
+}
+
 /// What went in and what came out of one direction.
 struct Run {
     units: Vec<Vec<u8>>,
@@ -299,7 +307,7 @@ impl Run {
     }
 
     /// When each byte arrives, each time that it does, and as what.
-    fn arrivals(&self) -> BTreeMap<(u64, usize), (Vec<Stamp<HostClock>>, u8)> {
+    fn arrivals(&self) -> BTreeMap<(u64, usize), Arrival> {
         let mut arrivals = BTreeMap::new();
         for entry in &self.log {
             let (Fate::Delivered { at } | Fate::Repeated { at }) = entry.fate else {
@@ -308,8 +316,11 @@ impl Run {
             for place in entry.bytes.clone() {
                 let as_what = self.damaged(entry.unit, place);
                 let key = (entry.unit, place);
-                let arrival = arrivals.entry(key).or_insert((Vec::new(), as_what));
-                arrival.0.push(at);
+                let arrival = arrivals.entry(key).or_insert_with(|| Arrival {
+                    instants: Vec::new(),
+                    as_what,
+                });
+                arrival.instants.push(at);
             }
         }
         arrivals

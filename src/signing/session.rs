@@ -56,9 +56,9 @@ impl SigningSession {
 
     /// Refuses a link that would sign as one stream with another one, however the paths of their key files are spelt.
     fn check_unused(&self, key: &Key, link_id: u8, name: &str) -> Result<()> {
-        let same = |signing: &SigningConfig| signing.key == *key && signing.link_id == link_id;
-        let pairs = self.kept.iter().zip(&self.links);
-        for (other, _) in pairs.filter(|(_, (_, signing))| same(signing)) {
+        let is_same = |signing: &SigningConfig| signing.key == *key && signing.link_id == link_id;
+        let before = self.links.iter().position(|(_, signing)| is_same(signing));
+        if let Some(other) = before.and_then(|index| self.kept.get(index)) {
             bail!(
                 "{name}: {} uses the same key {} with the same `signing.link_id` {link_id}; give each link its own",
                 other.name,
@@ -165,13 +165,15 @@ fn key_named(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Ke
     if let Some(key) = given.iter().find(|key| key.name() == wanted) {
         return Ok(key.clone());
     }
-    let mut cure = format!(
-        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`"
+    let names: Vec<String> = given.iter().map(Key::name).collect();
+    let told = if names.is_empty() {
+        String::new()
+    } else {
+        format!(" (you gave {})", names.join(", "))
+    };
+    let cure = format!(
+        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{told}"
     );
-    if !given.is_empty() {
-        let names: Vec<String> = given.iter().map(Key::name).collect();
-        cure += &format!(" (you gave {})", names.join(", "));
-    }
     let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
     if key.name() != wanted {
         bail!("{cure} (`{}` holds {})", section.key_file, key.name());
