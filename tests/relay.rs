@@ -235,6 +235,33 @@ fn it_ends_by_itself_when_its_time_is_over() {
 }
 
 #[test]
+fn it_ends_with_a_file_though_the_other_end_still_has_something_on_the_way() {
+    let profile = "kind = \"stream\"\n[to_station]\ndelay = { base_ms = 300.0, jitter_mean_ms = 0.0 }\n\
+        [to_brick]\ndelay = { base_ms = 60000.0, jitter_mean_ms = 0.0 }\n";
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("slow.toml"), profile).unwrap();
+    std::fs::write(folder.path().join("run.bin"), b"a short file").unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let link = format!("tcp://{}", listener.local_addr().unwrap());
+    let mut relay = Running::start(posebridge(folder.path()).args([
+        "relay",
+        "file://run.bin",
+        &link,
+        "--impair",
+        "slow.toml",
+        "--json",
+    ]));
+    let (mut station, _) = listener.accept().unwrap();
+    station.set_read_timeout(Some(PATIENCE)).unwrap();
+    station.write_all(b"a minute away").unwrap();
+    assert_eq!(read_exactly(&mut station, 12), b"a short file");
+    let report: Value = serde_json::from_str(&relay.output()).unwrap();
+    assert_eq!(count(&report, "to_brick", "bytes_on_the_way"), 13);
+    let took_s = report["duration_s"].as_f64().unwrap();
+    assert!(took_s < 30.0, "it waited for what nobody takes: {took_s} s");
+}
+
+#[test]
 fn what_makes_no_sense_is_refused_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(

@@ -279,5 +279,28 @@ fn keys_are_refused_with_the_cure() {
     assert!(!path.join("other").exists());
 }
 
+#[test]
+fn a_listener_that_anybody_can_reach_is_warned_of_however_its_link_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = |flag: &str, url: &str| {
+        let run = ["run", flag, url, "--duration", "0.1", "--out", "run"];
+        let output = finished(folder.path(), &[&run[..], &["--no-record"]].concat());
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    for (flag, url, is_open) in [
+        ("--link", "udp://0.0.0.0:0", true),
+        ("--listen", "udp://0.0.0.0:0", true),
+        ("--listen", "tcp://0.0.0.0:0", true),
+        ("--link", "udp://:0", false),
+        ("--listen", "udp://127.0.0.1:0", false),
+    ] {
+        let said = said(flag, url);
+        assert!(said.contains("listening on"), "{flag} {url}: {said}");
+        let is_warned = said.contains("can speak as the robot");
+        assert_eq!(is_warned, is_open, "{flag} {url}: {said}");
+    }
+}
+
 const OTHER: &str =
     "[[link]]\nurl = \"udp://127.0.0.1:0\"\nlisten = true\nsigning = { key_file = \"a.key\" }\n";

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use posebridge_sim::impairment::{
-    BurstLoss, Delay, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink, Impairment,
-    LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+    BurstLoss, Cause, Delay, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink,
+    Impairment, LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
 };
 use posebridge_telemetry::{HostClock, Span, Stamp};
 use proptest::prelude::*;
@@ -63,6 +63,46 @@ proptest! {
             arrived.push((delivery.at, delivery.bytes));
         }
         prop_assert_eq!(arrived, whole.arrived);
+    }
+
+    #[test]
+    fn more_loss_of_any_kind_changes_nothing_for_what_still_arrives(
+        profile in stream_profile(), traffic in traffic(), seed: u64, stage in 0..3,
+    ) {
+        let profile = DirectionProfile { loss: 0.0, byte_loss: 0.0, burst_loss: None, ..profile };
+        let burst_loss = BurstLoss { mean_good_s: 0.3, mean_bad_s: 0.1, loss_good: 0.1, loss_bad: 0.9 };
+        let more = match stage {
+            0 => DirectionProfile { loss: 0.3, ..profile.clone() },
+            1 => DirectionProfile { byte_loss: 0.1, ..profile.clone() },
+            _ => DirectionProfile { burst_loss: Some(burst_loss), ..profile.clone() },
+        };
+        check_subset(&profile, &more, LinkKind::Stream, &traffic, seed)?;
+    }
+
+    #[test]
+    fn more_loss_of_datagrams_changes_nothing_for_those_that_still_arrive(
+        profile in datagram_profile(), traffic in traffic(), seed: u64, is_burst: bool,
+    ) {
+        let profile = DirectionProfile { loss: 0.0, burst_loss: None, ..profile };
+        let burst_loss = BurstLoss { mean_good_s: 0.3, mean_bad_s: 0.1, loss_good: 0.1, loss_bad: 0.9 };
+        let more = if is_burst {
+            DirectionProfile { burst_loss: Some(burst_loss), ..profile.clone() }
+        } else {
+            DirectionProfile { loss: 0.3, ..profile.clone() }
+        };
+        check_subset(&profile, &more, LinkKind::Datagram, &traffic, seed)?;
+    }
+
+    #[test]
+    fn bursts_lie_where_they_lie_however_many_units_are_lost(traffic in traffic(), seed: u64) {
+        let burst_loss = BurstLoss { mean_good_s: 0.1, mean_bad_s: 0.1, loss_good: 0.0, loss_bad: 1.0 };
+        let profile = DirectionProfile { burst_loss: Some(burst_loss), ..DirectionProfile::default() };
+        let more = DirectionProfile { loss: 0.5, ..profile.clone() };
+        check_subset(&profile, &more, LinkKind::Datagram, &traffic, seed)?;
+        let lost_in_bursts = |run: &Run| run.places(|fate| fate == Fate::Lost(Cause::Burst));
+        let [all, some] = [&profile, &more].map(|profile| Run::of(profile, LinkKind::Datagram, &traffic, seed));
+        let all = lost_in_bursts(&all);
+        prop_assert!(lost_in_bursts(&some).iter().all(|place| all.contains(place)));
     }
 
     #[test]
@@ -184,6 +224,34 @@ fn an_outage_ends_a_long_delay() {
     assert!((167..=233).contains(&sooner), "{sooner} of 400");
 }
 
+/// What still arrives with more loss arrives when it did, as it did and as often as it did.
+fn check_subset(
+    profile: &DirectionProfile,
+    more: &DirectionProfile,
+    kind: LinkKind,
+    traffic: &[(Stamp<HostClock>, Vec<u8>)],
+    seed: u64,
+) -> Result<(), TestCaseError> {
+    let before = Run::of(profile, kind, traffic, seed);
+    let after = Run::of(more, kind, traffic, seed);
+    let (arrivals, still) = (before.arrivals(), after.arrivals());
+    for (place, arrival) in &still {
+        prop_assert_eq!(Some(arrival), arrivals.get(place), "{:?}", place);
+    }
+    // What is missing is what the added stage has taken.
+    let taken = after.lost - before.lost;
+    prop_assert_eq!(arrivals.len() as u64, still.len() as u64 + taken);
+    Ok(())
+}
+
+/// What became of a byte that arrived.
+#[derive(Debug, PartialEq, Eq)]
+struct Arrival {
+    /// Once, or twice with a copy.
+    instants: Vec<Stamp<HostClock>>,
+    as_what: u8,
+}
+
 /// What went in and what came out of one direction.
 struct Run {
     units: Vec<Vec<u8>>,
@@ -236,6 +304,26 @@ impl Run {
     fn damaged(&self, unit: u64, place: usize) -> u8 {
         let flips = self.flips.get(&(unit, place)).copied().unwrap_or(0);
         self.units[unit as usize][place] ^ flips
+    }
+
+    /// When each byte arrives, each time that it does, and as what.
+    fn arrivals(&self) -> BTreeMap<(u64, usize), Arrival> {
+        let mut arrivals = BTreeMap::new();
+        for entry in &self.log {
+            let (Fate::Delivered { at } | Fate::Repeated { at }) = entry.fate else {
+                continue;
+            };
+            for place in entry.bytes.clone() {
+                let as_what = self.damaged(entry.unit, place);
+                let key = (entry.unit, place);
+                let arrival = arrivals.entry(key).or_insert_with(|| Arrival {
+                    instants: Vec::new(),
+                    as_what,
+                });
+                arrival.instants.push(at);
+            }
+        }
+        arrivals
     }
 
     fn places(&self, wanted: impl Fn(Fate) -> bool) -> Vec<(u64, usize)> {

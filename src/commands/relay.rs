@@ -306,15 +306,23 @@ impl Relay {
             || !self.station.outbox.is_empty(&self.station.port)
     }
 
-    /// Whether a file has been played and nothing of it is left.
+    /// Whether a file has been played and nothing of it is left. What goes to the end of the file waits for nobody.
     fn is_played(&self) -> bool {
-        let on_the_way = [End::Brick, End::Station]
-            .map(|end| self.link.counters(end).bytes_on_the_way)
-            .iter()
-            .sum::<u64>();
-        (self.brick.is_finished || self.station.is_finished)
-            && on_the_way == 0
-            && !self.has_waiting()
+        let mut is_played = false;
+        for (from, to, end) in [
+            (&self.brick, &self.station, End::Station),
+            (&self.station, &self.brick, End::Brick),
+        ] {
+            if !from.is_finished {
+                continue;
+            }
+            is_played = true;
+            let on_the_way = self.link.counters(end).bytes_on_the_way;
+            if on_the_way > 0 || !to.outbox.is_empty(&to.port) {
+                return false;
+            }
+        }
+        is_played
     }
 
     /// What has arrived goes out; what is on the way stays there, and nothing is taken in any more.

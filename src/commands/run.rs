@@ -272,8 +272,8 @@ async fn open_links(
     ports.open_first().await.map_err(|(id, error)| {
         anyhow::Error::from(error).context(format!("opening link {}", id.0 + 1))
     })?;
-    for (port, section) in ports.iter().zip(&config.links) {
-        if let (true, Some(address)) = (section.listen, port.local_address()) {
+    for port in &ports {
+        if let (true, Some(address)) = (port.is_listening(), port.local_address()) {
             say(&format!("listening on {address}"));
         }
     }

@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use posebridge_link::{Port, PortSet, Target};
+use posebridge_link::PortSet;
 
 use crate::config::{Config, LinkSection};
 use crate::stderr::say;
@@ -10,17 +10,11 @@ use crate::stderr::say;
 /// Warns of every link that listens beyond this computer and takes frames from whoever sends them.
 pub fn warn_of_open_listeners(ports: &PortSet, config: &Config) {
     for (index, (port, section)) in ports.iter().zip(&config.links).enumerate() {
-        let address = port.local_address().filter(|_| listens(port, section));
+        let address = port.local_address().filter(|_| port.is_listening());
         if let Some(warning) = address.and_then(|address| warning(index, section, address)) {
             say(&warning);
         }
     }
-}
-
-/// Whether a link waits for others to call; UDP without a host does so however it was given.
-fn listens(port: &Port, section: &LinkSection) -> bool {
-    let has_no_host = matches!(port.url().target(), Target::Host { host, .. } if host.is_empty());
-    section.listen || (has_no_host && port.is_datagram())
 }
 
 fn warning(index: usize, section: &LinkSection, address: SocketAddr) -> Option<String> {

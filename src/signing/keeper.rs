@@ -1,23 +1,23 @@
 //! The thread that writes the stamps down while a session runs: a disk that hangs must not hold up a robot.
 
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_pipeline::Pipeline;
 use posebridge_protocol::signing::{Ending, Key, Memory};
-use posebridge_telemetry::{HostClock, LinkId, Span, Stamp};
+use posebridge_telemetry::{HostClock, LinkId, Stamp};
 
 use super::state_file::StateFile;
 use crate::config::MemoryRecord;
 
-/// How often the stamps are written down: twice as often as the second that is promised, because a shard may sleep for a second
-/// when nothing happens. [`Memory::LARGEST_LOSS`] is what may at most go wrong with it.
-const PERIOD: Span = Span::from_millis(500);
-
 /// A link whose stamps are kept.
 #[derive(Debug)]
 pub(super) struct Kept {
+    /// What the link is called when it is spoken of.
+    pub(super) name: String,
     /// The link.
     pub(super) link: LinkId,
     /// Its key.
@@ -39,6 +39,9 @@ struct Snapshot {
 pub struct Keeper {
     links: Vec<LinkId>,
     sender: SyncSender<Snapshot>,
+    /// Whether the thread still has a snapshot to write. While it has, none is taken: to copy all streams for every datagram
+    /// would hold up the robot that the thread is there to spare.
+    is_writing: Arc<AtomicBool>,
     thread: JoinHandle<Result<()>>,
     /// When the next writing is due.
     due: Stamp<HostClock>,
@@ -58,15 +61,18 @@ impl Keeper {
         }
         let links = kept.iter().map(|kept| kept.link).collect();
         let (sender, snapshots) = sync_channel(1);
+        let is_writing = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&is_writing);
         let thread = std::thread::Builder::new()
             .name("signing".to_owned())
-            .spawn(move || write_all(&kept, &snapshots))
+            .spawn(move || write_all(&kept, &snapshots, &flag))
             .context("starting the thread that keeps the stamps of signatures")?;
         Ok(Self {
             links,
             sender,
+            is_writing,
             thread,
-            due: Stamp::ZERO + PERIOD,
+            due: Stamp::ZERO + Memory::WRITTEN_EVERY,
             met: 0,
         })
     }
@@ -75,14 +81,14 @@ impl Keeper {
     /// call tries again.
     pub fn offer(&mut self, now: Stamp<HostClock>, pipeline: &Pipeline) {
         let met = pipeline.signing_streams_met();
-        if now < self.due && met == self.met {
+        if now < self.due && met == self.met || self.is_writing.load(Ordering::Acquire) {
             return;
         }
+        self.is_writing.store(true, Ordering::Release);
         let snapshot = self.snapshot(now, pipeline, Ending::Cut);
-        if let Err(TrySendError::Full(_)) = self.sender.try_send(snapshot) {
-            return;
-        }
-        (self.due, self.met) = (now + PERIOD, met);
+        // There is room, since nothing is being written; a thread that has died says so at the end.
+        drop(self.sender.try_send(snapshot));
+        (self.due, self.met) = (now + Memory::WRITTEN_EVERY, met);
     }
 
     /// Writes down where the session has ended, and that it has.
@@ -112,7 +118,7 @@ impl Keeper {
 }
 
 /// Writes every snapshot; the result is that of the last.
-fn write_all(kept: &[Kept], snapshots: &Receiver<Snapshot>) -> Result<()> {
+fn write_all(kept: &[Kept], snapshots: &Receiver<Snapshot>, is_writing: &AtomicBool) -> Result<()> {
     let mut last = Ok(());
     for snapshot in snapshots {
         let result = write(kept, &snapshot);
@@ -123,16 +129,109 @@ fn write_all(kept: &[Kept], snapshots: &Receiver<Snapshot>) -> Result<()> {
             );
         }
         last = result;
+        is_writing.store(false, Ordering::Release);
     }
     last
 }
 
+/// Writes what can be written; the first failure is the one to tell.
 fn write(kept: &[Kept], snapshot: &Snapshot) -> Result<()> {
+    let mut first = Ok(());
     for (link, memory) in kept.iter().zip(&snapshot.memories) {
         if let Some(memory) = memory {
             let record = MemoryRecord::of(&link.key, memory);
-            link.file.write(&record, snapshot.ending)?;
+            let written = link.file.write(&record, snapshot.ending);
+            first = first.and(written.with_context(|| link.name.clone()));
         }
     }
-    Ok(())
+    first
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    use posebridge_protocol::signing::Timestamp;
+
+    use crate::config::Config;
+
+    fn kept(folder: &Path, link: u16) -> Kept {
+        std::fs::create_dir_all(folder).unwrap();
+        Kept {
+            name: format!("link {link}"),
+            link: LinkId(link),
+            key: Key::from_bytes([link as u8; 32]),
+            file: StateFile::lock(&folder.join("a.key"), 0).unwrap(),
+            begun: Memory::default(),
+        }
+    }
+
+    #[test]
+    fn a_link_that_cannot_be_written_keeps_none_behind_it_from_being_written() {
+        let root = tempfile::tempdir().unwrap();
+        let folders = [1, 2, 3].map(|link| root.path().join(format!("stick-{link}")));
+        let links: Vec<Kept> = folders
+            .iter()
+            .zip(1..)
+            .map(|(folder, link)| kept(folder, link))
+            .collect();
+        for gone in &folders[..2] {
+            std::fs::remove_dir_all(gone).unwrap();
+        }
+        let memory = Memory {
+            own: Timestamp::from_units(7),
+            ..Memory::default()
+        };
+        let snapshot = Snapshot {
+            memories: vec![Some(memory.clone()); 3],
+            ending: Ending::Closed,
+        };
+        let error = format!("{:#}", write(&links, &snapshot).unwrap_err());
+        assert!(error.starts_with("link 1: "), "{error}");
+        let read = links[2].file.read(&links[2].key).unwrap();
+        assert_eq!(read, Some((memory, Ending::Closed)));
+    }
+
+    #[test]
+    fn while_the_disk_is_behind_no_snapshot_is_taken() {
+        let pipeline = Pipeline::new(Config::default().pipeline().unwrap(), Stamp::ZERO).unwrap();
+        let (sender, snapshots) = sync_channel(1);
+        let mut keeper = Keeper {
+            links: vec![],
+            sender,
+            is_writing: Arc::new(AtomicBool::new(false)),
+            thread: std::thread::spawn(|| Ok(())),
+            due: Stamp::ZERO,
+            met: 0,
+        };
+        let late = Stamp::ZERO + Memory::LARGEST_LOSS;
+        keeper.offer(late, &pipeline);
+        assert!(snapshots.try_recv().is_ok());
+        assert!(keeper.is_writing.load(Ordering::Acquire));
+        let later = late + Memory::LARGEST_LOSS;
+        keeper.offer(later, &pipeline);
+        assert!(
+            snapshots.try_recv().is_err(),
+            "nobody has written the first"
+        );
+        keeper.is_writing.store(false, Ordering::Release);
+        keeper.offer(later, &pipeline);
+        assert!(snapshots.try_recv().is_ok(), "the one that was put off");
+    }
+
+    #[test]
+    fn the_thread_says_when_it_can_take_more() {
+        let root = tempfile::tempdir().unwrap();
+        let (sender, snapshots) = sync_channel(1);
+        let nothing_new = Snapshot {
+            memories: vec![None],
+            ending: Ending::Cut,
+        };
+        sender.send(nothing_new).unwrap();
+        drop(sender);
+        let is_writing = AtomicBool::new(true);
+        write_all(&[kept(root.path(), 1)], &snapshots, &is_writing).unwrap();
+        assert!(!is_writing.load(Ordering::Acquire));
+    }
 }

@@ -37,10 +37,13 @@ impl SigningSession {
                 continue;
             };
             let name = format!("link {} `{}`", index + 1, link.url);
-            let (key, memory, file) = resume(section, date).with_context(|| name.clone())?;
+            let key = key_of(section).with_context(|| name.clone())?;
+            session.check_unused(&key, section.link_id, &name)?;
+            let (memory, file) = resume(section, &key, date).with_context(|| name.clone())?;
             warn_of_date(&name, date, &memory);
             let id = LinkId(index as u16);
             session.kept.push(Kept {
+                name,
                 link: id,
                 key: key.clone(),
                 file,
@@ -49,6 +52,20 @@ impl SigningSession {
             session.links.push((id, section.pipeline(key, memory)));
         }
         Ok(session)
+    }
+
+    /// Refuses a link that would sign as one stream with another one, however the paths of their key files are spelt.
+    fn check_unused(&self, key: &Key, link_id: u8, name: &str) -> Result<()> {
+        let is_same = |signing: &SigningConfig| signing.key == *key && signing.link_id == link_id;
+        let before = self.links.iter().position(|(_, signing)| is_same(signing));
+        if let Some(other) = before.and_then(|index| self.kept.get(index)) {
+            bail!(
+                "{name}: {} uses the same key {} with the same `signing.link_id` {link_id}; give each link its own",
+                other.name,
+                key.name()
+            );
+        }
+        Ok(())
     }
 
     /// Gives the links of a pipeline their keys.
@@ -85,14 +102,16 @@ impl SigningSession {
     }
 }
 
-fn resume(section: &SigningSection, date: Timestamp) -> Result<(Key, Memory, StateFile)> {
+fn key_of(section: &SigningSection) -> Result<Key> {
     if section.begun.is_some() {
         bail!("`signing.begun` belongs to recordings: take it away");
     }
-    let path = Path::new(&section.key_file);
-    let key = read_key(path)?;
-    let file = StateFile::lock(path, section.link_id)?;
-    let memory = match file.read(&key)? {
+    read_key(Path::new(&section.key_file))
+}
+
+fn resume(section: &SigningSection, key: &Key, date: Timestamp) -> Result<(Memory, StateFile)> {
+    let file = StateFile::lock(Path::new(&section.key_file), section.link_id)?;
+    let memory = match file.read(key)? {
         Some((memory, ending)) => memory.resumed(date, ending),
         None => Memory {
             written: date,
@@ -100,7 +119,7 @@ fn resume(section: &SigningSection, date: Timestamp) -> Result<(Key, Memory, Sta
             ..Memory::default()
         },
     };
-    Ok((key, memory, file))
+    Ok((memory, file))
 }
 
 fn warn_of_date(link: &str, date: Timestamp, memory: &Memory) {
@@ -141,20 +160,87 @@ pub fn recall(config: &Config, files: &[PathBuf], pipeline: &mut PipelineConfig)
     Ok(())
 }
 
+/// The key of that name: one of those given, or else the one in the file that held it.
 fn key_named(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Key> {
     if let Some(key) = given.iter().find(|key| key.name() == wanted) {
         return Ok(key.clone());
     }
+    let names: Vec<String> = given.iter().map(Key::name).collect();
+    let told = if names.is_empty() {
+        String::new()
+    } else {
+        format!(" (you gave {})", names.join(", "))
+    };
     let cure = format!(
-        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`"
+        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{told}"
     );
-    if given.is_empty() {
-        let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
-        if key.name() == wanted {
-            return Ok(key);
-        }
+    let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
+    if key.name() != wanted {
         bail!("{cure} (`{}` holds {})", section.key_file, key.name());
     }
-    let names: Vec<String> = given.iter().map(Key::name).collect();
-    bail!("{cure} (you gave {})", names.join(", "))
+    Ok(key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load_text;
+    use crate::signing::create_key;
+
+    fn section(file: &Path) -> SigningSection {
+        SigningSection {
+            key_file: file.display().to_string(),
+            link_id: 0,
+            accept_unsigned: vec![],
+            required: true,
+            begun: None,
+        }
+    }
+
+    #[test]
+    fn one_key_and_link_id_under_two_spellings_is_refused_with_both_links_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.key");
+        create_key(&path).unwrap();
+        let copy = folder.path().join("copy.key");
+        std::fs::copy(&path, &copy).unwrap();
+        let link = |port: u16, file: &Path, link_id: u8| {
+            let file = file.display();
+            format!(
+                "[[link]]\nurl = \"udp://127.0.0.1:{port}\"\nsigning = {{ key_file = \"{file}\", link_id = {link_id} }}\n"
+            )
+        };
+        let open = |links: &str| {
+            let config = load_text("test", links, &[]).unwrap().config;
+            config.pipeline().unwrap();
+            SigningSession::open(&config, 1_750_000_000_000_000)
+        };
+        let dotted = folder.path().join("./a.key");
+        for other in [&copy, &dotted] {
+            let error = open(&(link(1, &path, 7) + &link(2, other, 7))).unwrap_err();
+            let error = format!("{error:#}");
+            assert!(error.contains("link 1 `udp://127.0.0.1:1`"), "{error}");
+            assert!(error.contains("link 2 `udp://127.0.0.1:2`"), "{error}");
+            assert!(error.contains("`signing.link_id` 7"), "{error}");
+            assert!(open(&(link(1, &path, 7) + &link(2, other, 8))).is_ok());
+        }
+    }
+
+    #[test]
+    fn of_two_keys_one_may_be_given_and_the_other_lie_where_it_did() {
+        let folder = tempfile::tempdir().unwrap();
+        let [here, given, foreign] = ["a", "b", "c"].map(|name| folder.path().join(name));
+        let [own, other, third] = [&here, &given, &foreign].map(|path| create_key(path).unwrap());
+        let both = [third.clone(), other.clone()];
+        for (wanted, file) in [(&own, &here), (&other, &here)] {
+            let found = key_named(&wanted.name(), &both, &section(file)).unwrap();
+            assert_eq!(found, *wanted);
+        }
+        let error = key_named(&own.name(), &both, &section(&foreign)).unwrap_err();
+        let error = format!("{error:#}");
+        for named in [&own, &other, &third] {
+            assert!(error.contains(&named.name()), "{error}");
+        }
+        assert!(error.contains("--key FILE"), "{error}");
+    }
 }

@@ -1,14 +1,35 @@
 //! How long to wait before a link is opened again.
 //!
-//! Doubling from a quarter of a second to five seconds, with a little seeded jitter so that the ports of a class that
-//! lost the same access point do not all knock in the same instant. It sleeps for nobody: it only says how long.
+//! Doubling from a quarter of a second to five seconds, with a little jitter so that the ports of a class that lost the
+//! same access point do not all knock in the same instant. A class is many processes, on one computer or on many, whose
+//! links have the same numbers: so the jitter is seeded by the process and the moment of its start as well. No replay needs
+//! it: links are there in live sessions only. It sleeps for nobody: it only says how long.
 
 use posebridge_telemetry::{LinkId, Span};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
+use crate::host_timer::HostTimer;
+
 /// Largest relative deviation from the nominal wait.
 const JITTER: f64 = 0.1;
+
+/// What tells this session from every other one that may lose the same network: the process, and the microsecond of its
+/// start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SessionSeed(u64);
+
+impl SessionSeed {
+    /// The seed of this process in the session of `timer`.
+    pub(crate) fn of(timer: &HostTimer) -> Self {
+        Self::from_parts(std::process::id(), timer.utc_start())
+    }
+
+    const fn from_parts(process: u32, utc_start_micros: u64) -> Self {
+        // Both change fastest in their lowest bits; apart they cannot cancel out.
+        Self((process as u64).rotate_right(16) ^ utc_start_micros)
+    }
+}
 
 /// The nominal waits of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,12 +60,14 @@ pub(crate) struct Backoff {
 }
 
 impl Backoff {
-    /// The waits of the link `id`; the same link has the same jitter in every session.
-    pub(crate) fn new(id: LinkId, waits: Waits) -> Self {
+    /// The waits of the link `id` in a session.
+    pub(crate) fn new(id: LinkId, session: SessionSeed, waits: Waits) -> Self {
+        // Every number selects a sequence of its own.
+        let seed = Pcg32::seed_from_u64(session.0).random::<u64>() ^ u64::from(id.0);
         Self {
             waits,
             nominal: waits.first,
-            jitter: Pcg32::seed_from_u64(u64::from(id.0)),
+            jitter: Pcg32::seed_from_u64(seed),
         }
     }
 
@@ -66,18 +89,20 @@ impl Backoff {
 mod tests {
     use super::*;
 
-    fn waits(id: u16, count: usize) -> Vec<f64> {
-        let mut backoff = Backoff::new(LinkId(id), Waits::default());
-        (0..count)
-            .map(|_| backoff.next_wait().as_secs_f64())
-            .collect()
+    /// 15 June 2025, in microseconds since 1970.
+    const START: u64 = 1_750_000_000_000_000;
+
+    fn waits(id: u16, process: u32, start: u64) -> Vec<f64> {
+        let session = SessionSeed::from_parts(process, start);
+        let mut backoff = Backoff::new(LinkId(id), session, Waits::default());
+        (0..8).map(|_| backoff.next_wait().as_secs_f64()).collect()
     }
 
     #[test]
     fn waits_double_up_to_five_seconds_and_stray_by_a_tenth() {
         let nominal = [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0, 5.0];
         for id in 0..50 {
-            for (wait, nominal) in waits(id, nominal.len()).into_iter().zip(nominal) {
+            for (wait, nominal) in waits(id, 1, START).into_iter().zip(nominal) {
                 assert!(
                     (wait / nominal - 1.0).abs() <= JITTER + 1e-9,
                     "{wait} for {nominal}"
@@ -87,14 +112,33 @@ mod tests {
     }
 
     #[test]
-    fn the_jitter_belongs_to_the_link() {
-        assert_eq!(waits(3, 6), waits(3, 6));
-        assert_ne!(waits(3, 6), waits(4, 6));
+    fn no_two_of_a_class_wait_alike() {
+        // One computer that starts thirty stations at once, thirty computers that are switched on together, and the links
+        // of one station.
+        let mut first = Vec::new();
+        for step in 0..30 {
+            first.push(waits(0, 4_000 + step, START)[0]);
+            first.push(waits(0, 4_000, START + 1 + u64::from(step))[0]);
+            first.push(waits(1 + step as u16, 4_000, START)[0]);
+        }
+        let (least, most) = (0.25 * (1.0 - JITTER), 0.25 * (1.0 + JITTER));
+        for quarter in 0..4 {
+            let from = least + (most - least) * f64::from(quarter) / 4.0;
+            let within = |wait: &&f64| (from..from + (most - least) / 4.0).contains(*wait);
+            let count = first.iter().filter(within).count();
+            // Binomial: mean 22.5, sigma 4.1.
+            assert!((9..=36).contains(&count), "{count} of 90 from {from}");
+        }
+        first.sort_by(f64::total_cmp);
+        first.dedup();
+        assert_eq!(first.len(), 90);
+        assert_eq!(waits(3, 1, START), waits(3, 1, START));
     }
 
     #[test]
     fn a_reset_starts_from_the_shortest_wait() {
-        let mut backoff = Backoff::new(LinkId(1), Waits::default());
+        let session = SessionSeed::from_parts(1, START);
+        let mut backoff = Backoff::new(LinkId(1), session, Waits::default());
         for _ in 0..6 {
             assert!(backoff.next_wait() > Span::ZERO);
         }

@@ -18,7 +18,9 @@ pub struct PortCounters {
     pub bytes_in: u64,
     /// Bytes that the operating system took, once per peer.
     pub bytes_out: u64,
-    /// Frames dropped because the link was slow or down, once per peer.
+    /// Frames dropped because the link was slow or down: once per peer where each peer has a queue of its own, once in all
+    /// where they wait for the allowed rate of the whole link and where the link is down, since nobody knows then who would
+    /// have heard them.
     pub drops_out: u64,
     /// Times the link came up again after it had been up before.
     pub reconnects: u64,
@@ -56,7 +58,8 @@ pub enum Incoming {
 pub struct Outstanding {
     /// Peers at the moment.
     pub peers: u32,
-    /// Frames that wait to be written and are lost if the connection is dropped, once per peer.
+    /// Frames that wait to be written and are lost if the connection is dropped, counted like
+    /// [`PortCounters::drops_out`].
     pub frames: u64,
     /// Their unwritten bytes.
     pub bytes: u64,
@@ -74,6 +77,11 @@ pub trait Connection: Send {
     /// system chose for port 0.
     fn local_address(&self) -> Option<SocketAddr> {
         None
+    }
+
+    /// True if whoever reaches [`Connection::local_address`] is heard without having been called.
+    fn is_listening(&self) -> bool {
+        false
     }
 
     /// A path that leads to the same device after it was unplugged and came back under another number; `None` where the

@@ -2,7 +2,8 @@
 //!
 //! For radios that share the air, and for lines whose own buffers cannot be asked (a pseudo-terminal, a modem behind a
 //! fast cable). Frames wait in front of the connection, where the worthiest goes first and the newest estimate replaces
-//! the one before it. Bytes are counted once per peer that hears them. It limits only what goes out.
+//! the one before it. Bytes are counted once per peer that hears them, frames that are dropped here once in all: who would
+//! have heard them is known when they leave, not while they wait. It limits only what goes out.
 
 use std::pin::Pin;
 use std::task::Context;
@@ -91,7 +92,8 @@ impl Pacer {
         }
     }
 
-    /// What waits here and in the connection. The allowed rate is the capacity where it is the smaller one.
+    /// What waits here and in the connection. The allowed rate, which counts all peers together, is the capacity where it is
+    /// smaller than what the connection says, which may be about its fastest peer alone.
     pub(crate) fn outstanding(&self, below: Outstanding, now: Stamp<HostClock>) -> Outstanding {
         let here = self.meter.bytes_per_s(now);
         let capacity_bytes_per_s = match (here, below.capacity_bytes_per_s) {

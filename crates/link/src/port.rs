@@ -16,13 +16,14 @@ use posebridge_telemetry::{
 };
 use tokio::time::Sleep;
 
-use crate::backoff::{Backoff, Waits};
+use crate::backoff::{Backoff, SessionSeed, Waits};
 use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
 use crate::pacer::Pacer;
 use crate::transports::{
-    DeviceDirectories, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, RATE, Role, timed_out,
+    DeviceDirectories, LineSettings, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, RATE, Role,
+    timed_out,
 };
 use crate::url::LinkUrl;
 
@@ -47,6 +48,8 @@ pub struct PortTuning {
     pub waits: Waits,
     /// Where the system tells of its devices.
     pub directories: DeviceDirectories,
+    /// What becomes of the settings of a serial line.
+    pub line_settings: LineSettings,
 }
 
 /// What happened on a port.
@@ -88,6 +91,7 @@ pub enum PortEvent {
 pub struct Port {
     config: PortConfig,
     directories: DeviceDirectories,
+    line_settings: LineSettings,
     timer: HostTimer,
     state: State,
     /// Where the device is found again under whatever number it comes back.
@@ -146,9 +150,10 @@ impl Port {
     #[must_use]
     pub fn tuned(config: PortConfig, tuning: PortTuning, timer: HostTimer) -> Self {
         Self {
-            backoff: Backoff::new(config.id, tuning.waits),
+            backoff: Backoff::new(config.id, SessionSeed::of(&timer), tuning.waits),
             config,
             directories: tuning.directories,
+            line_settings: tuning.line_settings,
             timer,
             state: State::Closed,
             stable_path: None,
@@ -189,6 +194,18 @@ impl Port {
         match &self.state {
             State::Up { connection, .. } => connection.local_address(),
             State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => None,
+        }
+    }
+
+    /// True while the link is up and hears whoever calls: TCP that listens, and UDP that names nobody to send to. Where it
+    /// does, says [`Port::local_address`].
+    #[must_use]
+    pub fn is_listening(&self) -> bool {
+        match &self.state {
+            State::Up { connection, .. } => connection.is_listening(),
+            State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => {
+                false
+            }
         }
     }
 
@@ -373,6 +390,7 @@ impl Port {
             role: self.config.role,
             timer: self.timer,
             directories: self.directories.clone(),
+            line_settings: self.line_settings,
             stable_path: self.stable_path.clone(),
         };
         let deadline = self.timer.now() + Span::from_millis(1_000 * OPEN_DEADLINE_SECS as i64);

@@ -110,6 +110,8 @@ pub(crate) struct StreamConnection<S> {
     /// Told only after everything that the peer sent before has been read.
     write_failure: Option<std::io::Error>,
     buffer: Box<[u8]>,
+    /// Fields are dropped in their order: this one when the stream is closed.
+    closing: Option<Box<dyn Send>>,
 }
 
 impl<S: ByteStream> StreamConnection<S> {
@@ -124,7 +126,14 @@ impl<S: ByteStream> StreamConnection<S> {
             meter: CapacityMeter::joining(LUMPY_GAP),
             write_failure: None,
             buffer: vec![0; READ_BYTES].into_boxed_slice(),
+            closing: None,
         }
+    }
+
+    /// Drops `closing` when the stream has been closed.
+    pub(crate) fn closing_with(mut self, closing: Box<dyn Send>) -> Self {
+        self.closing = Some(closing);
+        self
     }
 
     /// Leaves no more in the system than a line of `bytes_per_s` sends in a fiftieth of a second.

@@ -9,7 +9,8 @@ use crate::ids::Address;
 pub struct PortCounts {
     /// Bytes that the operating system took, once per peer.
     pub bytes_out: u64,
-    /// Frames dropped because the link was slow or down, once per peer.
+    /// Frames dropped because the link was slow or down: once per peer where each peer has a queue of its own, once in all
+    /// where they wait for the allowed rate of the whole link and where the link is down.
     pub drops_out: u64,
     /// Peers at the moment.
     pub peers: u32,

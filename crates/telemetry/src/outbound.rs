@@ -28,7 +28,8 @@ impl Audience {
 /// What a frame is worth while a slow link backs up. A later variant goes before an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Priority {
-    /// Somebody waits for it and will not ask twice: never dropped while the link is up.
+    /// Somebody waits for it and will not ask twice: it goes first and makes room for nothing. It is given up only when too
+    /// many wait already, when the system refuses it, and when the connection breaks (docs/links.md).
     Command,
     /// Heartbeats and time requests: said again soon.
     Conversation,

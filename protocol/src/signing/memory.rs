@@ -56,7 +56,10 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// The longest that a running station may go without writing its memory down: ten times what it intends.
+    /// How often a running station writes its memory down, while there is anything new.
+    pub const WRITTEN_EVERY: Span = Span::from_millis(500);
+
+    /// The longest that it may go without: twenty times as long, so that a disk that hangs for a while costs nothing.
     pub const LARGEST_LOSS: Span = Span::from_millis(10_000);
 
     /// What a session begins with that finds this memory when its computer's date is `utc`.

@@ -25,34 +25,33 @@ pub(super) struct GilbertElliott {
     /// When the state changes; `None` before the first look.
     changes_at: Option<Stamp<HostClock>>,
     states: Stream,
-    losses: Stream,
 }
 
 impl GilbertElliott {
     /// A link in a state drawn from the long-run shares of both.
-    pub(super) fn new(settings: BurstLoss, mut states: Stream, losses: Stream) -> Self {
+    pub(super) fn new(settings: BurstLoss, mut states: Stream) -> Self {
         let share_bad = settings.mean_bad_s / (settings.mean_good_s + settings.mean_bad_s);
         Self {
             is_bad: states.happens(share_bad),
             settings,
             changes_at: None,
             states,
-            losses,
         }
     }
 
-    /// Whether what leaves at `at` is lost. The instants must not fall.
-    pub(super) fn takes(&mut self, at: Stamp<HostClock>) -> bool {
+    /// Whether what leaves at `at` is lost, with its luck on [0, 1). The instants must not fall.
+    pub(super) fn takes(&mut self, at: Stamp<HostClock>, luck: f64) -> bool {
         self.pass_to(at);
         let loss = if self.is_bad {
             self.settings.loss_bad
         } else {
             self.settings.loss_good
         };
-        self.losses.happens(loss)
+        luck < loss
     }
 
-    fn pass_to(&mut self, at: Stamp<HostClock>) {
+    /// Lets time pass. The first look starts the first state, so it must come with the first unit, whatever becomes of it.
+    pub(super) fn pass_to(&mut self, at: Stamp<HostClock>) {
         // A memoryless state may be looked at first at any instant.
         let mut changes_at = match self.changes_at {
             Some(changes_at) => changes_at,

@@ -5,7 +5,8 @@
 //! delay = base + Exp(jitter mean) + sum over the kinds of stall: U(from, to) with probability p
 //! arrival = max(departure + delay, arrival of the unit before)        order is kept
 //! ```
-//! One delay is drawn for each unit, so that a write that the line cuts into pieces stays together.
+//! One delay is drawn for each unit, so that a write that the line cuts into pieces stays together. A unit that is lost holds
+//! up the others as if it were not, so that a loss changes nobody else's arrival.
 //!
 //! # Sources
 //! docs/impairment.md, section 2; the shape of the jitter is our choice.

@@ -7,8 +7,7 @@ use posebridge_telemetry::{HostClock, Span, Stamp};
 
 use super::account::{Account, Cause, Counters, Fate, LogEntry};
 use super::burst_loss::GilbertElliott;
-use super::copies::Copies;
-use super::damage::Gaps;
+use super::chances::{Chances, Drawn};
 use super::delay::Delays;
 use super::fragments::Fragments;
 use super::line::{Line, Sent};
@@ -27,6 +26,13 @@ pub struct Delivery {
     pub at: Stamp<HostClock>,
     /// The bytes, at least one.
     pub bytes: Vec<u8>,
+}
+
+/// A unit that is being offered.
+struct Unit<'a> {
+    number: u64,
+    bytes: &'a [u8],
+    drawn: Drawn,
 }
 
 /// Bytes of one unit that travel together.
@@ -59,13 +65,9 @@ pub struct Impairment {
     kind: LinkKind,
     presence: Presence,
     line: Line,
-    loss: f64,
-    losing: Stream,
+    chances: Chances,
     burst_loss: Option<GilbertElliott>,
-    missing_bytes: Gaps,
-    bit_errors: Gaps,
     delays: Delays,
-    copies: Copies,
     slots: Option<Slots>,
     fragments: Option<Fragments>,
     /// By arrival, then in the order of offering.
@@ -86,15 +88,11 @@ impl Impairment {
             kind,
             presence: Presence::Up,
             line: Line::new(profile.rate, kind),
-            loss: profile.loss,
-            losing: stream("loss"),
-            burst_loss: profile.burst_loss.map(|settings| {
-                GilbertElliott::new(settings, stream("burst states"), stream("burst loss"))
-            }),
-            missing_bytes: Gaps::new(profile.byte_loss, stream("byte loss")),
-            bit_errors: Gaps::new(profile.bit_error_rate, stream("bit errors")),
+            chances: Chances::new(profile, kind, stream),
+            burst_loss: profile
+                .burst_loss
+                .map(|settings| GilbertElliott::new(settings, stream("burst states"))),
             delays: Delays::new(profile, stream("jitter"), stream("stalls")),
-            copies: Copies::new(profile, stream("reorder"), stream("duplicate")),
             slots: profile
                 .slot_ms
                 .map(|period| Slots::new(period, stream("slots"))),
@@ -115,6 +113,11 @@ impl Impairment {
         let unit = self.account.counters.units_offered;
         let on_the_way = self.account.counters.bytes_on_the_way;
         self.account.offered(bytes.len());
+        let drawn = self.chances.draw(bytes.len());
+        let delay = self.delays.draw();
+        if let Some(burst_loss) = &mut self.burst_loss {
+            burst_loss.pass_to(now);
+        }
         if self.presence == Presence::Down {
             self.lose(unit, 0..bytes.len(), Cause::LinkDown);
             return unit;
@@ -126,20 +129,25 @@ impl Impairment {
         };
         let left = sent.last().map_or(0, |piece| piece.bytes.end);
         self.lose(unit, left..bytes.len(), Cause::BufferFull);
-        let drawn = self.delays.draw();
-        if self.losing.happens(self.loss) {
+        if drawn.is_lost {
             self.lose(unit, 0..left, Cause::Alone);
-        } else {
-            if drawn.stalled > Span::ZERO {
-                let by = drawn.stalled;
-                self.account.note(unit, 0..left, Fate::Stalled { by });
-            }
-            for piece in sent {
-                let data = bytes.get(piece.bytes.clone()).unwrap_or_default();
-                self.carry(unit, &piece, data, drawn.delay);
+        } else if delay.stalled > Span::ZERO {
+            let by = delay.stalled;
+            self.account.note(unit, 0..left, Fate::Stalled { by });
+        }
+        let unit = Unit {
+            number: unit,
+            bytes,
+            drawn,
+        };
+        for piece in sent {
+            // A link that stalls holds up what comes behind, even if the unit of the stall is lost.
+            let at = self.delays.arrival(piece.at, delay.delay);
+            if !unit.drawn.is_lost {
+                self.carry(&unit, &piece, at);
             }
         }
-        unit
+        unit.number
     }
 
     /// The next bytes that have arrived by `now`, in the order of their arrival.
@@ -236,37 +244,36 @@ impl Impairment {
         piece.bytes
     }
 
-    /// Takes a piece through loss and damage and puts what is left on the way.
-    fn carry(&mut self, unit: u64, sent: &Sent, data: &[u8], delay: Span) {
-        let (runs, mut bytes) = self.survivors(unit, sent, data);
+    /// Takes a piece of a unit through loss and damage and puts what is left on the way, to arrive at `at`.
+    fn carry(&mut self, unit: &Unit<'_>, sent: &Sent, at: Stamp<HostClock>) {
+        let causes = self.losses(sent, &unit.drawn);
+        let data = self.damaged(unit, sent, &causes);
+        let (runs, bytes) = self.survivors(unit.number, sent, &causes, &data);
         if bytes.is_empty() {
             return;
         }
-        self.flip_bits(unit, &runs, &mut bytes);
-        let mut at = self.delays.arrival(sent.at, delay);
-        if let Some(by) = self.held_back() {
+        let mut at = at;
+        if let Some(by) = unit.drawn.held_back {
             at = at + by;
             self.account
-                .note(unit, sent.bytes.clone(), Fate::HeldBack { by });
+                .note(unit.number, sent.bytes.clone(), Fate::HeldBack { by });
         }
         if let Some(slots) = self.slots {
             at = slots.next(at);
         }
         let piece = Piece {
-            unit,
+            unit: unit.number,
             runs,
             bytes,
             is_copy: false,
         };
-        if self.kind == LinkKind::Datagram && self.copies.is_repeated() {
-            let copy = Piece {
-                is_copy: true,
-                ..piece.clone()
-            };
-            self.put(at, piece);
+        let copy = unit.drawn.is_repeated.then(|| Piece {
+            is_copy: true,
+            ..piece.clone()
+        });
+        self.put(at, piece);
+        if let Some(copy) = copy {
             self.put(at, copy);
-        } else {
-            self.put(at, piece);
         }
     }
 
@@ -275,18 +282,11 @@ impl Impairment {
         self.next_order += 1;
     }
 
-    fn held_back(&mut self) -> Option<Span> {
-        match self.kind {
-            LinkKind::Datagram => self.copies.held_back(),
-            LinkKind::Stream => None,
-        }
-    }
-
     /// What becomes of each byte of a piece; `None` travels on.
-    fn losses(&mut self, sent: &Sent) -> Vec<Option<Cause>> {
+    fn losses(&mut self, sent: &Sent, drawn: &Drawn) -> Vec<Option<Cause>> {
         let mut causes: Vec<Option<Cause>> = vec![None; sent.bytes.len()];
-        for hit in self.missing_bytes.hits(causes.len() as u64) {
-            if let Some(cause) = causes.get_mut(hit as usize) {
+        for place in within(&drawn.missing, &sent.bytes, 1) {
+            if let Some(cause) = causes.get_mut(place as usize) {
                 *cause = Some(Cause::Byte);
             }
         }
@@ -294,22 +294,45 @@ impl Impairment {
             return causes;
         };
         if self.kind == LinkKind::Datagram {
-            if burst_loss.takes(sent.at) {
+            let luck = drawn.burst_luck.first().copied().unwrap_or_default();
+            if burst_loss.takes(sent.at, luck) {
                 causes.fill(Some(Cause::Burst));
             }
             return causes;
         }
-        for cause in &mut causes {
-            if burst_loss.takes(sent.at) {
+        let luck = drawn.burst_luck.get(sent.bytes.clone());
+        for (cause, luck) in causes.iter_mut().zip(luck.unwrap_or_default()) {
+            if burst_loss.takes(sent.at, *luck) {
                 *cause = Some(Cause::Burst);
             }
         }
         causes
     }
 
+    /// The bytes of a piece with bits turned over, except in bytes that are lost.
+    fn damaged(&mut self, unit: &Unit<'_>, sent: &Sent, causes: &[Option<Cause>]) -> Vec<u8> {
+        let data = unit.bytes.get(sent.bytes.clone()).unwrap_or_default();
+        let mut data = data.to_vec();
+        for hit in within(&unit.drawn.failing, &sent.bytes, 8) {
+            let (index, bit) = ((hit / 8) as usize, (hit % 8) as u8);
+            if let (Some(byte), Some(None)) = (data.get_mut(index), causes.get(index)) {
+                *byte ^= 1 << bit;
+                let place = sent.bytes.start + index;
+                self.account
+                    .note(unit.number, place..place + 1, Fate::Flipped { bit });
+            }
+        }
+        data
+    }
+
     /// What of a piece the losses leave: its ranges within the unit, and its bytes.
-    fn survivors(&mut self, unit: u64, sent: &Sent, data: &[u8]) -> (Vec<Range<usize>>, Vec<u8>) {
-        let causes = self.losses(sent);
+    fn survivors(
+        &mut self,
+        unit: u64,
+        sent: &Sent,
+        causes: &[Option<Cause>],
+        data: &[u8],
+    ) -> (Vec<Range<usize>>, Vec<u8>) {
         let mut runs = Vec::new();
         let mut bytes = Vec::with_capacity(data.len());
         let mut start = 0;
@@ -327,19 +350,16 @@ impl Impairment {
         (runs, bytes)
     }
 
-    fn flip_bits(&mut self, unit: u64, runs: &[Range<usize>], bytes: &mut [u8]) {
-        for hit in self.bit_errors.hits(8 * bytes.len() as u64) {
-            let (index, bit) = ((hit / 8) as usize, (hit % 8) as u8);
-            let place = runs.iter().cloned().flatten().nth(index);
-            if let (Some(byte), Some(place)) = (bytes.get_mut(index), place) {
-                *byte ^= 1 << bit;
-                self.account
-                    .note(unit, place..place + 1, Fate::Flipped { bit });
-            }
-        }
-    }
-
     fn lose(&mut self, unit: u64, bytes: Range<usize>, cause: Cause) {
         self.account.note(unit, bytes, Fate::Lost(cause));
     }
+}
+
+/// Those of a unit's hits, each with `per_byte` places in a byte, that fall into a piece, counted from its beginning.
+fn within(hits: &[u64], piece: &Range<usize>, per_byte: u64) -> impl Iterator<Item = u64> {
+    let (start, end) = (piece.start as u64 * per_byte, piece.end as u64 * per_byte);
+    let from = hits.partition_point(|hit| *hit < start);
+    let to = hits.partition_point(|hit| *hit < end);
+    let hits = hits.get(from..to).unwrap_or_default();
+    hits.iter().map(move |hit| hit - start)
 }

@@ -11,8 +11,9 @@
 //!         ▸ slot ▸ cut ▸ delivered            an outage loses what is on the way and what is offered meanwhile
 //! ```
 //! What is offered at once is a *unit*: a datagram, or one write to a stream. A datagram is lost, repeated and overtaken whole; a
-//! stream keeps its order and loses bytes. Every stage has a sequence of random numbers of its own, so that a changed value
-//! shifts nothing else. A log says what became of every byte, a [`FrameLedger`] what that means for the frames.
+//! stream keeps its order and loses bytes. Every stage has a sequence of random numbers of its own and draws for every unit and
+//! byte that is offered, whatever became of it before, so that a changed value shifts nothing else. A log says what became of
+//! every byte, a [`FrameLedger`] what that means for the frames.
 //!
 //! # Sources
 //! docs/impairment.md, with the formulas and the origin of the profiles' values.
@@ -20,6 +21,7 @@
 mod account;
 mod bundled;
 mod burst_loss;
+mod chances;
 mod checks;
 mod copies;
 mod damage;

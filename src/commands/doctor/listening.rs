@@ -140,10 +140,16 @@ fn baud_of(url: &LinkUrl) -> u32 {
     baud.map_or(0, |option| url.integer(option))
 }
 
-/// The same port at another speed; `None` for a path that cannot be written in a link.
+/// The same port with the same options at another speed; `None` for a path that cannot be written in a link.
 fn at_speed(url: &LinkUrl, baud: u32) -> Option<LinkUrl> {
     let path = url.path().to_str()?;
-    let other = LinkUrl::parse(&format!("serial:{path}?baud={baud}")).ok()?;
+    let others = url.transport().options().iter().filter_map(|option| {
+        let value = url.option_text(option);
+        let is_written = option.name != "baud" && value != option.kind.default_text();
+        is_written.then(|| format!("&{}={value}", option.name))
+    });
+    let others: String = others.collect();
+    let other = LinkUrl::parse(&format!("serial:{path}?baud={baud}{others}")).ok()?;
     (other.path() == url.path()).then_some(other)
 }
 

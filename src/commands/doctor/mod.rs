@@ -1,7 +1,7 @@
 //! `posebridge doctor`: says why a robot cannot be heard, and what to do about it.
 //!
 //! Each check looks at one cause and gives verdicts; a new check is a file and a line in [`CHECKS`]. Checks look, they
-//! change nothing: they send no byte, and what they open they close. Where the system is read from stands in
+//! change nothing: they send no byte, what they open they close, and a serial line gets its settings back. Where the system is read from stands in
 //! [`Roots`], so that tests look at a made-up computer. docs/doctor.md is the manual.
 
 pub mod bluetooth;

@@ -1,6 +1,8 @@
-//! Opens a link once, without waiting for it to come up later.
+//! Opens a link once, without waiting for it to come up later, and leaves a serial line as it was.
 
-use posebridge_link::{HostTimer, LinkUrl, OpenError, Port, PortConfig, PortEvent, Role};
+use posebridge_link::{
+    HostTimer, LineSettings, LinkUrl, OpenError, Port, PortConfig, PortEvent, PortTuning, Role,
+};
 use posebridge_telemetry::LinkId;
 
 use super::Verdict;
@@ -22,7 +24,11 @@ pub(super) async fn open(url: &LinkUrl, role: Role, timer: HostTimer) -> Opened 
         url: url.clone(),
         role,
     };
-    let mut port = Port::new(config, timer);
+    let tuning = PortTuning {
+        line_settings: LineSettings::PutBack,
+        ..PortTuning::default()
+    };
+    let mut port = Port::tuned(config, tuning, timer);
     if let Err(error) = port.open_first().await {
         return Opened::Refused(error);
     }

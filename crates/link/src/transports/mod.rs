@@ -65,8 +65,12 @@ pub(crate) const RATE: OptionHelp = OptionHelp {
 /// Where Linux tells of its devices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceDirectories {
-    /// udev's links to serial ports, which keep their names whatever number the device gets.
+    /// udev's links to serial ports, named by vendor, model and serial number.
     pub serial_by_id: PathBuf,
+    /// udev's links to serial ports, named by the socket in which they are plugged.
+    pub serial_by_path: PathBuf,
+    /// The terminals of the system, a directory for each, with what is behind it.
+    pub tty_class: PathBuf,
     /// The settings of USB serial adapters, a directory for each.
     pub usb_serial: PathBuf,
 }
@@ -75,9 +79,21 @@ impl Default for DeviceDirectories {
     fn default() -> Self {
         Self {
             serial_by_id: "/dev/serial/by-id".into(),
+            serial_by_path: "/dev/serial/by-path".into(),
+            tty_class: "/sys/class/tty".into(),
             usb_serial: "/sys/bus/usb-serial/devices".into(),
         }
     }
+}
+
+/// What becomes of the settings of a serial line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LineSettings {
+    /// They are made fit for a station, and stay so: the adapter's latency is shortened, and closing does not drop DTR.
+    #[default]
+    Keep,
+    /// Only what reading needs is set, and everything is put back when the link is closed.
+    PutBack,
 }
 
 /// Who calls whom.
@@ -109,6 +125,8 @@ pub struct OpenRequest {
     pub timer: HostTimer,
     /// Where the system tells of its devices.
     pub directories: DeviceDirectories,
+    /// What becomes of the settings of a serial line.
+    pub line_settings: LineSettings,
     /// What the last connection said of itself: [`Connection::stable_path`].
     pub stable_path: Option<PathBuf>,
 }

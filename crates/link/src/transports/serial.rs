@@ -22,8 +22,12 @@ use crate::connection::Connection;
 use crate::error::{FileKind, OpenError};
 use crate::stream::{ByteStream, StreamConnection, StreamLabel};
 use crate::transports::serial_device::{is_pattern, matches, stable_name};
-use crate::transports::serial_line::{Latency, keep_dtr_on_close, open_settings, shorten_latency};
-use crate::transports::{DeviceDirectories, OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Transport};
+use crate::transports::serial_line::{
+    Latency, PutBack, keep_dtr_on_close, open_settings, shorten_latency,
+};
+use crate::transports::{
+    DeviceDirectories, LineSettings, OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Transport,
+};
 use crate::url::{OptionHelp, OptionKind, TargetKind};
 
 /// The speed of the line. 115200 is what MAVLink boards and their radios are set to in the factory; the range is that
@@ -96,12 +100,15 @@ struct Attempt {
     /// `None` leaves it alone.
     dtr: Option<bool>,
     directories: DeviceDirectories,
+    settings: LineSettings,
     stable_path: Option<PathBuf>,
 }
 
 /// A line that was opened.
 struct Opened {
     port: TTYPort,
+    /// Dropped after the port: its settings go back when nobody uses them any more.
+    put_back: Option<PutBack>,
     /// The path by which it was opened.
     path: PathBuf,
     stable_path: Option<PathBuf>,
@@ -120,6 +127,7 @@ async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
             _ => None,
         },
         directories: request.directories,
+        settings: request.line_settings,
         stable_path: request.stable_path,
     };
     let opened = tokio::task::spawn_blocking(move || attempt.run())
@@ -129,10 +137,12 @@ async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let stream =
         SerialStream::try_from(opened.port).map_err(|error| name_error(&opened.path, error))?;
     label.stable_path = opened.stable_path;
-    let connection = StreamConnection::new(stream, label, request.timer, QUEUE_BYTES);
-    Ok(Box::new(
-        connection.with_line_rate(f64::from(baud) / BITS_PER_BYTE),
-    ))
+    let connection = StreamConnection::new(stream, label, request.timer, QUEUE_BYTES)
+        .with_line_rate(f64::from(baud) / BITS_PER_BYTE);
+    Ok(match opened.put_back {
+        Some(put_back) => Box::new(connection.closing_with(Box::new(put_back))),
+        None => Box::new(connection),
+    })
 }
 
 impl Opened {
@@ -172,7 +182,14 @@ impl Attempt {
 
     fn open_device(&self, path: &Path) -> Result<Opened, OpenError> {
         let device = check_device(path)?;
-        let settings = open_settings(&device).map_err(|error| errno_error(path, error))?;
+        let line = open_settings(&device).map_err(|error| errno_error(path, error))?;
+        let put_back = match self.settings {
+            LineSettings::Keep => None,
+            LineSettings::PutBack => {
+                let line = line.try_clone().map_err(|error| io_error(path, error))?;
+                Some(PutBack::new(line).map_err(|error| io_error(path, error))?)
+            }
+        };
         let mut builder =
             serialport::new(device.to_string_lossy(), self.baud).timeout(Duration::ZERO);
         if let Some(level) = self.dtr {
@@ -188,16 +205,24 @@ impl Attempt {
             port.set_exclusive(false)
                 .map_err(|error| name_error(path, error))?;
         }
-        keep_dtr_on_close(&settings).map_err(|error| errno_error(path, error))?;
+        let latency = match self.settings {
+            LineSettings::Keep => {
+                keep_dtr_on_close(&line).map_err(|error| errno_error(path, error))?;
+                shorten_latency(&device, &self.directories.usb_serial)
+            }
+            // Not looked at, and nothing to tell.
+            LineSettings::PutBack => Latency::NoTimer,
+        };
         discard_stale_input(&mut port).map_err(|error| name_error(path, error))?;
         Ok(Opened {
             port,
+            put_back,
             path: path.to_owned(),
             stable_path: self
                 .stable_path
                 .clone()
-                .or_else(|| stable_name(&self.path, &self.directories.serial_by_id)),
-            latency: shorten_latency(&device, &self.directories.usb_serial),
+                .or_else(|| stable_name(&self.path, &self.directories)),
+            latency,
         })
     }
 }

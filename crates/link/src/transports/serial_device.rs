@@ -1,14 +1,25 @@
 //! Which device a serial link means: patterns, and udev's names that outlive a replug.
 //!
 //! A device that is pulled while a program has it open comes back under another number (ttyUSB0 as ttyUSB1). udev also
-//! links it under a name made of vendor, model and serial number in `/dev/serial/by-id`, which comes back with it. So a
-//! link that names such a device by its number remembers that name and is opened by it from then on. A path with `*` or
-//! `?` is a pattern for any of several devices and is matched anew for each attempt. It opens nothing.
+//! links it under two names that do not change: one in `/dev/serial/by-id` made of vendor, model and serial number, and one
+//! in `/dev/serial/by-path` made of the USB socket. So a link that names such a device by its number remembers one of them
+//! and is opened by it from then on.
+//!
+//! Many adapters have no serial number (CH340), or all the same one (CP2102 leave the factory with 0001). Two of those
+//! share one name in `by-id`, and udev lets it lead to the other one when the first is pulled. So that name is taken only
+//! where the adapter has a serial number that no other one here has, and else that of the socket.
+//!
+//! A path with `*` or `?` is a pattern for any of several devices and is matched anew for each attempt. It opens nothing.
+//!
+//! # Sources
+//! systemd, rules.d/60-serial.rules: how udev makes both names.
 
 use std::ffi::OsStr;
 use std::fs;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Component, Path, PathBuf};
+
+use crate::transports::DeviceDirectories;
 
 /// Beginnings of the device names that the kernel numbers in the order of plugging in: USB adapters and USB devices.
 const NUMBERED: &[&str] = &["ttyUSB", "ttyACM"];
@@ -16,21 +27,75 @@ const NUMBERED: &[&str] = &["ttyUSB", "ttyACM"];
 /// Most devices that one pattern may match: more than a computer has; guards against `/*/*/*`.
 const MAX_MATCHES: usize = 256;
 
-/// The link in `by_id` that leads to `path`, if `path` is the plain name of a device that is numbered by the order of
-/// plugging in; the first in sorted order if there are several.
-pub(super) fn stable_name(path: &Path, by_id: &Path) -> Option<PathBuf> {
+/// A name of the device at `path` that leads to it and to no other one when it comes back, if `path` is the plain name of a
+/// device that is numbered by the order of plugging in.
+pub(super) fn stable_name(path: &Path, directories: &DeviceDirectories) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?;
     if !NUMBERED.iter().any(|kind| name.starts_with(kind)) {
         return None;
     }
     let device = path.canonicalize().ok()?;
-    let mut links: Vec<_> = fs::read_dir(by_id)
+    let by_id = Adapter::is_the_only_one(name, &directories.tty_class)
+        .then(|| link_to(&device, &directories.serial_by_id))
+        .flatten();
+    by_id.or_else(|| link_to(&device, &directories.serial_by_path))
+}
+
+/// The link in `directory` that leads to `device`; the first in sorted order if there are several.
+fn link_to(device: &Path, directory: &Path) -> Option<PathBuf> {
+    let links = fs::read_dir(directory)
         .ok()?
-        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter_map(|entry| Some(entry.ok()?.path()));
+    links
         .filter(|link| link.canonicalize().is_ok_and(|target| target == device))
-        .collect();
-    links.sort_unstable();
-    links.into_iter().next()
+        .min()
+}
+
+/// A USB device behind a serial port, as sysfs tells of it.
+struct Adapter {
+    /// Its directory, which names the socket.
+    place: PathBuf,
+    vendor: String,
+    product: String,
+    serial: String,
+}
+
+impl Adapter {
+    /// The device behind the port `name`, if it is on USB and has a serial number.
+    fn of(name: &OsStr, tty_class: &Path) -> Option<Self> {
+        let interface = tty_class.join(name).join("device").canonicalize().ok()?;
+        let place = interface
+            .ancestors()
+            .find(|place| place.join("idVendor").exists())?;
+        let says = |file: &str| {
+            let text = fs::read_to_string(place.join(file)).ok()?;
+            Some(text.trim().to_owned()).filter(|text| !text.is_empty())
+        };
+        Some(Self {
+            vendor: says("idVendor")?,
+            product: says("idProduct")?,
+            serial: says("serial")?,
+            place: place.to_owned(),
+        })
+    }
+
+    /// True if the adapter behind the port `name` has a serial number, and no other one that is plugged in has the same.
+    fn is_the_only_one(name: &str, tty_class: &Path) -> bool {
+        let Some(own) = Self::of(OsStr::new(name), tty_class) else {
+            return false;
+        };
+        let is_twin = |other: &Self| {
+            (&other.vendor, &other.product, &other.serial)
+                == (&own.vendor, &own.product, &own.serial)
+                && other.place != own.place
+        };
+        fs::read_dir(tty_class).is_ok_and(|ports| {
+            let names = ports.filter_map(|entry| Some(entry.ok()?.file_name()));
+            !names
+                .filter_map(|name| Self::of(&name, tty_class))
+                .any(|other| is_twin(&other))
+        })
+    }
 }
 
 /// True if `path` is to be read as a pattern: it holds a wildcard, and nothing stands there under this very name.
@@ -186,22 +251,112 @@ mod tests {
         assert!(!is_pattern(Path::new("/dev/ttyUSB0")));
     }
 
+    /// A computer in a folder, with the ports that are plugged in.
+    struct Computer {
+        root: tempfile::TempDir,
+        directories: DeviceDirectories,
+    }
+
+    impl Computer {
+        fn new() -> Self {
+            let root = tempfile::tempdir().expect("a temporary directory");
+            let directories = DeviceDirectories {
+                serial_by_id: root.path().join("by-id"),
+                serial_by_path: root.path().join("by-path"),
+                tty_class: root.path().join("tty"),
+                ..DeviceDirectories::default()
+            };
+            Self { root, directories }
+        }
+
+        fn port(&self, name: &str) -> PathBuf {
+            self.root.path().join(name)
+        }
+
+        /// Plugs an adapter into a socket; both of udev's links then lead to it.
+        fn plug(&self, name: &str, socket: &str, serial: Option<&str>) {
+            fs::write(self.port(name), "").expect("own directory");
+            let usb = self.root.path().join("usb").join(socket);
+            let interface = usb.join("1.0");
+            fs::create_dir_all(&interface).expect("own directory");
+            let ids = [("idVendor", "10c4\n"), ("idProduct", "ea60\n")];
+            for (file, says) in ids
+                .into_iter()
+                .chain(serial.map(|serial| ("serial", serial)))
+            {
+                fs::write(usb.join(file), says).expect("own directory");
+            }
+            let class = self.directories.tty_class.join(name);
+            fs::create_dir_all(&class).expect("own directory");
+            symlink(&interface, class.join("device")).expect("a free name");
+            let id = format!("usb-CP2102_{}", serial.unwrap_or("bridge").trim());
+            for (directory, link) in [
+                (&self.directories.serial_by_id, id.as_str()),
+                (&self.directories.serial_by_path, socket),
+            ] {
+                fs::create_dir_all(directory).expect("own directory");
+                drop(fs::remove_file(directory.join(link)));
+                symlink(self.port(name), directory.join(link)).expect("a free name");
+            }
+        }
+
+        fn stable(&self, name: &str) -> Option<PathBuf> {
+            let stable = stable_name(&self.port(name), &self.directories)?;
+            let relative = stable.strip_prefix(self.root.path());
+            Some(relative.expect("in the folder").to_owned())
+        }
+    }
+
+    #[test]
+    fn only_a_serial_number_of_its_own_names_an_adapter_and_else_its_socket_does() {
+        let computer = Computer::new();
+        computer.plug("ttyUSB0", "socket-1", Some("A7\n"));
+        let by_serial = PathBuf::from("by-id/usb-CP2102_A7");
+        assert_eq!(computer.stable("ttyUSB0"), Some(by_serial.clone()));
+        computer.plug("ttyUSB1", "socket-2", Some("0001\n"));
+        assert_eq!(
+            computer.stable("ttyUSB1"),
+            Some("by-id/usb-CP2102_0001".into())
+        );
+        // Another one with the same number takes the name over.
+        computer.plug("ttyUSB2", "socket-3", Some("0001\n"));
+        for (name, socket) in [("ttyUSB1", "socket-2"), ("ttyUSB2", "socket-3")] {
+            let by_socket = PathBuf::from("by-path").join(socket);
+            assert_eq!(computer.stable(name), Some(by_socket));
+        }
+        for serial in [None, Some("\n")] {
+            computer.plug("ttyUSB3", "socket-4", serial);
+            let by_socket = PathBuf::from("by-path/socket-4");
+            assert_eq!(computer.stable("ttyUSB3"), Some(by_socket));
+            fs::remove_dir_all(computer.directories.tty_class.join("ttyUSB3"))
+                .expect("own directory");
+        }
+        assert_eq!(computer.stable("ttyUSB0"), Some(by_serial));
+    }
+
+    #[test]
+    fn two_ports_of_one_adapter_are_no_twins() {
+        let computer = Computer::new();
+        computer.plug("ttyUSB0", "socket-1", Some("A7"));
+        computer.plug("ttyUSB1", "socket-1", Some("A7"));
+        assert!(Adapter::is_the_only_one(
+            "ttyUSB0",
+            &computer.directories.tty_class
+        ));
+    }
+
     #[test]
     fn only_numbered_devices_have_a_better_name() {
-        let root = tempfile::tempdir().expect("a temporary directory");
-        let (device, by_id) = (root.path().join("ttyACM3"), root.path().join("by-id"));
-        fs::write(&device, "").expect("own directory");
-        assert_eq!(stable_name(&device, &by_id), None);
-        fs::create_dir(&by_id).expect("own directory");
+        let computer = Computer::new();
+        let by_id = &computer.directories.serial_by_id;
+        fs::write(computer.port("ttyACM3"), "").expect("own directory");
+        assert_eq!(computer.stable("ttyACM3"), None, "no directory at all");
+        computer.plug("ttyACM3", "socket-1", Some("A7"));
         symlink("/dev/null", by_id.join("usb-0_other")).expect("a free name");
-        assert_eq!(stable_name(&device, &by_id), None);
-        symlink("../ttyACM3", by_id.join("usb-b-if01")).expect("a free name");
-        symlink("../ttyACM3", by_id.join("usb-a-if00")).expect("a free name");
-        assert_eq!(stable_name(&device, &by_id), Some(by_id.join("usb-a-if00")));
-        assert_eq!(stable_name(&by_id.join("usb-b-if01"), &by_id), None);
-        let uart = root.path().join("ttyS0");
-        fs::write(&uart, "").expect("own directory");
-        symlink(&uart, by_id.join("usb-c-if00")).expect("a free name");
-        assert_eq!(stable_name(&uart, &by_id), None);
+        symlink("../ttyACM3", by_id.join("usb-A-if00")).expect("a free name");
+        assert_eq!(computer.stable("ttyACM3"), Some("by-id/usb-A-if00".into()));
+        assert_eq!(computer.stable("by-id/usb-A-if00"), None);
+        computer.plug("ttyS0", "socket-2", Some("A8"));
+        assert_eq!(computer.stable("ttyS0"), None);
     }
 }

@@ -5,16 +5,20 @@
 //! closed, unless HUPCL is cleared (termios(3)). So HUPCL is cleared always: the first open after plugging in resets the
 //! board once, every later one leaves it alone, those of other programs included.
 //!
+//! Whoever only listens for a moment leaves nothing behind: [`PutBack`] restores what it found.
+//!
 //! FTDI adapters collect received bytes for up to 16 ms; their driver offers that time as a file. The other way to ask for
 //! it, ASYNC_LOW_LATENCY by TIOCSSERIAL, has no safe interface, and for these adapters does the same.
 
 use std::fs;
+use std::io;
 use std::os::fd::OwnedFd;
 use std::path::Path;
 
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
 use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
+use rustix::termios::{OptionalActions, Termios};
 
 /// What the adapter's latency timer is set to, in milliseconds: its smallest value (FTDI application note AN232B-04,
 /// section 3.3).
@@ -38,6 +42,36 @@ pub(super) fn keep_dtr_on_close(line: &OwnedFd) -> nix::Result<()> {
     let mut settings = tcgetattr(line)?;
     settings.control_flags.remove(ControlFlags::HUPCL);
     tcsetattr(line, SetArg::TCSANOW, &settings)
+}
+
+/// The settings of a line as they were, put back on drop.
+///
+/// Read and written with their speed as a number (Linux, TCGETS2): termios(3) of the C library has names for the usual
+/// speeds only, and serialport sets every speed as a number.
+pub(super) struct PutBack {
+    line: OwnedFd,
+    found: Termios,
+}
+
+impl PutBack {
+    /// Remembers the settings of a line, to which `line` is a descriptor of its own.
+    ///
+    /// # Errors
+    /// They cannot be read.
+    pub(super) fn new(line: OwnedFd) -> io::Result<Self> {
+        let found = rustix::termios::tcgetattr(&line)?;
+        Ok(Self { line, found })
+    }
+}
+
+impl Drop for PutBack {
+    fn drop(&mut self) {
+        let put_back = rustix::termios::tcsetattr(&self.line, OptionalActions::Now, &self.found);
+        if let Err(error) = put_back {
+            // A device that was pulled has nothing to put back.
+            tracing::debug!(%error, "the settings of a line were not put back");
+        }
+    }
 }
 
 /// What became of an adapter's latency timer.

@@ -1,15 +1,19 @@
 //! The listening side of TCP: every client is a byte source of its own, and hears what is sent to all.
 //!
-//! Clients come and go without the link going down; only the loss of the listening socket itself is a loss. A slow
-//! client has a queue of its own and delays nobody.
+//! Clients come and go without the link going down; only the loss of the listening socket itself is a loss. Where the
+//! system cannot give us another client (no descriptor left, no memory, a network that is away), those that are there stay,
+//! and new ones wait in the system's own queue for a moment. A slow client has a queue of its own and delays nobody.
 
 use std::io;
 use std::net::SocketAddr;
+use std::pin::Pin;
 use std::task::{Context, Poll};
 
+use nix::errno::Errno;
 use tokio::net::{TcpListener, TcpStream};
+use tokio::time::Sleep;
 
-use posebridge_telemetry::{Audience, HostClock, PeerId, Stamp};
+use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
 
 use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 use crate::error::{LinkLoss, OpenError};
@@ -21,6 +25,10 @@ use crate::transports::{OpenRequest, QUEUE_BYTES, bind_error, listening_detail, 
 /// Most clients at a time: a class of robots with a few onlookers each. Those beyond it are turned away.
 const MAX_CLIENTS: usize = 256;
 
+/// How long nobody is welcomed after the system has failed to give us a client: a failure that lasts, as a full table of
+/// descriptors does, must not keep the loop busy.
+const PAUSE: Span = Span::from_millis(500);
+
 /// A listening socket with its clients.
 pub(super) struct TcpServer {
     listener: TcpListener,
@@ -31,6 +39,10 @@ pub(super) struct TcpServer {
     next_peer: u32,
     /// The client that is asked first, so that a talkative one does not silence the others.
     turn: usize,
+    /// The end of the pause after a failure.
+    pause: Option<Pin<Box<Sleep>>>,
+    /// Whether the last client could not be had; told once.
+    is_short: bool,
 }
 
 impl TcpServer {
@@ -50,6 +62,8 @@ impl TcpServer {
                         clients: Vec::new(),
                         next_peer: 0,
                         turn: 0,
+                        pause: None,
+                        is_short: false,
                     }));
                 }
                 Err(error) => failure = Some(bind_error(address, error)),
@@ -63,14 +77,33 @@ impl TcpServer {
 
     fn accept(&mut self, cx: &mut Context<'_>) -> Result<(), LinkLoss> {
         loop {
+            if let Some(pause) = &mut self.pause {
+                if pause.as_mut().poll(cx).is_pending() {
+                    return Ok(());
+                }
+                self.pause = None;
+            }
             match self.listener.poll_accept(cx) {
                 Poll::Pending => return Ok(()),
-                Poll::Ready(Ok((stream, from))) => self.welcome(stream, from),
+                Poll::Ready(Ok((stream, from))) => {
+                    self.is_short = false;
+                    self.welcome(stream, from);
+                }
                 // The client left before it was greeted; that is its own business.
                 Poll::Ready(Err(error)) if error.kind() == io::ErrorKind::ConnectionAborted => {}
-                Poll::Ready(Err(error)) => return Err(error.into()),
+                Poll::Ready(Err(error)) if is_loss(&error) => return Err(error.into()),
+                Poll::Ready(Err(error)) => self.pause_after(&error),
             }
         }
+    }
+
+    fn pause_after(&mut self, error: &io::Error) {
+        if !self.is_short {
+            self.is_short = true;
+            tracing::warn!(at = %self.address, %error, clients = self.clients.len(), "no further client can be had");
+        }
+        let end = self.timer.instant(self.timer.now() + PAUSE);
+        self.pause = Some(Box::pin(tokio::time::sleep_until(end)));
     }
 
     fn welcome(&mut self, stream: TcpStream, from: SocketAddr) {
@@ -137,6 +170,10 @@ impl Connection for TcpServer {
         Some(self.address)
     }
 
+    fn is_listening(&self) -> bool {
+        true
+    }
+
     fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
         for client in &mut self.clients {
             client.send(out, counters);
@@ -174,4 +211,14 @@ impl Connection for TcpServer {
         }
         all
     }
+}
+
+/// Whether an error of accept(2) says that the listening socket is of no further use. All others concern one client, the
+/// network or what the system has to give.
+fn is_loss(error: &io::Error) -> bool {
+    let code = error.raw_os_error().map(Errno::from_raw);
+    matches!(
+        code,
+        Some(Errno::EBADF | Errno::EINVAL | Errno::ENOTSOCK | Errno::EOPNOTSUPP)
+    )
 }

@@ -9,7 +9,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::ops::Bound;
 use std::task::{Context, Poll, Waker};
 
@@ -22,10 +22,12 @@ use crate::error::{LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
 use crate::transports::udp_peers::Peers;
-use crate::transports::udp_socket::{buffer_warning, enlarge_receive_buffer, split_off};
+use crate::transports::udp_socket::{
+    bind_first, buffer_warning, call_first, enlarge_receive_buffer, split_off,
+};
 use crate::transports::{
-    OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, bind_error, listening_detail,
-    resolve, with_deadline,
+    OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, listening_detail, resolve,
+    with_deadline,
 };
 use crate::url::{OptionHelp, OptionKind, TargetKind};
 
@@ -35,6 +37,9 @@ const DRAIN_LIMIT: usize = 64;
 const LOUD_DRAIN_LIMIT: usize = 16;
 /// Most loud peers with a socket of their own; further ones stay with the others.
 const MAX_LOUD: usize = 64;
+/// How long nobody is set apart after an attempt has failed: without a descriptor left each datagram of a loud peer would
+/// cost another attempt.
+const APART_PAUSE: Span = Span::from_millis(1_000);
 /// Largest UDP datagram.
 const DATAGRAM_BYTES: usize = 65_535;
 
@@ -78,28 +83,24 @@ impl Transport for Udp {
 
 async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let (host, port) = request.url.host_and_port();
-    let target = resolve(host, port).await?.into_iter().next();
-    let target = target.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
+    let targets = resolve(host, port).await?;
     // "Every interface" is no place to send to.
-    let is_unspecific = host.is_empty() || target.ip().is_unspecified();
-    let is_listening = is_unspecific || request.role == Role::Listen;
-    let local = if is_listening {
-        target
-    } else if target.is_ipv6() {
-        SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0))
+    let is_unspecific = |target: &SocketAddr| target.ip().is_unspecified();
+    let is_listening = host.is_empty()
+        || request.role == Role::Listen
+        || targets.first().is_some_and(is_unspecific);
+    let (socket, target) = if is_listening {
+        bind_first(&targets)?
     } else {
-        SocketAddr::from(([0, 0, 0, 0], 0))
+        call_first(&targets)?
     };
-    let socket = UdpSocket::bind(local)
-        .await
-        .map_err(|error| bind_error(local, error))?;
+    let local_address = socket.local_addr().unwrap_or(target);
     // The reactor learns that the socket takes data; without it the very first frame would wait for another wake-up.
     socket.writable().await.map_err(|source| OpenError::Io {
-        what: local.to_string(),
+        what: local_address.to_string(),
         source,
     })?;
     let granted_bytes = enlarge_receive_buffer(&socket);
-    let local_address = socket.local_addr().unwrap_or(local);
     let idle = Span::from_millis(1_000 * i64::from(request.url.integer(&IDLE)));
     let mut detail = if is_listening {
         listening_detail(&request.url, local_address)
@@ -112,9 +113,11 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     Ok(Box::new(UdpConnection {
         socket,
         local_address,
+        is_listening,
         detail,
         timer: request.timer,
         loud: Vec::new(),
+        next_apart: Stamp::ZERO,
         peers: Peers::new((!is_listening).then_some(target), idle),
         queue: SendQueue::new(QUEUE_BYTES),
         meter: CapacityMeter::default(),
@@ -164,7 +167,10 @@ struct Loud {
 struct UdpConnection {
     socket: UdpSocket,
     loud: Vec<Loud>,
+    /// When a loud peer may be set apart again.
+    next_apart: Stamp<HostClock>,
     local_address: SocketAddr,
+    is_listening: bool,
     detail: String,
     timer: HostTimer,
     peers: Peers,
@@ -233,7 +239,8 @@ impl UdpConnection {
     /// Gives a loud peer a socket of its own, if it has none and there is one to have.
     fn set_apart(&mut self, address: SocketAddr) {
         let has_one = self.loud.iter().any(|loud| loud.address == address);
-        if has_one || self.loud.len() >= MAX_LOUD {
+        let now = self.timer.now();
+        if has_one || self.loud.len() >= MAX_LOUD || now < self.next_apart {
             return;
         }
         match split_off(&self.socket, self.local_address, address) {
@@ -245,7 +252,10 @@ impl UdpConnection {
                     is_next: false,
                 });
             }
-            Err(error) => tracing::debug!(peer = %address, %error, "a loud peer stays"),
+            Err(error) => {
+                self.next_apart = now + APART_PAUSE;
+                tracing::debug!(peer = %address, %error, "a loud peer stays");
+            }
         }
     }
 
@@ -311,6 +321,10 @@ impl Connection for UdpConnection {
 
     fn local_address(&self) -> Option<SocketAddr> {
         Some(self.local_address)
+    }
+
+    fn is_listening(&self) -> bool {
+        self.is_listening
     }
 
     fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {

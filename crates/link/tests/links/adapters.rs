@@ -1,34 +1,126 @@
-//! USB adapters: found again under another number, picked by a pattern, closed without a reset of the board.
+//! Serial adapters on a made-up computer: which one is meant, and what becomes of the settings of its line.
 
 use std::os::unix::fs::symlink;
+use std::path::PathBuf;
 
 use crate::serial::Bench;
 use crate::support::{bytes, down, poll_once, port, up};
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
 use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
-use posebridge_link::{DeviceDirectories, LinkUrl, Port, PortConfig, PortTuning, Role};
+use posebridge_link::{
+    DeviceDirectories, LineSettings, LinkUrl, Port, PortConfig, PortTuning, Role,
+};
 use posebridge_telemetry::LinkId;
+use rustix::termios::{self, ControlModes, OptionalActions};
 
-/// A station on a computer whose udev links lie in the bench's directory.
-fn tuned(bench: &Bench, url: &str) -> Port {
+/// A computer whose devices are told of in the bench's directory.
+fn tuning(bench: &Bench) -> PortTuning {
+    let root = bench.directory.path();
+    PortTuning {
+        directories: DeviceDirectories {
+            serial_by_id: root.join("by-id"),
+            serial_by_path: root.join("by-path"),
+            tty_class: root.join("tty"),
+            usb_serial: root.join("usb-serial"),
+        },
+        ..PortTuning::default()
+    }
+}
+
+/// A station on such a computer.
+fn station_at(bench: &Bench, url: &str) -> Port {
+    tuned(bench, url, tuning(bench))
+}
+
+fn tuned(bench: &Bench, url: &str, tuning: PortTuning) -> Port {
     let config = PortConfig {
         id: LinkId(1),
         url: LinkUrl::parse(url).expect("the test's own link"),
         role: Role::Dial,
     };
-    let tuning = PortTuning {
-        directories: DeviceDirectories {
-            serial_by_id: bench.directory.path().join("by-id"),
-            usb_serial: bench.directory.path().join("usb-serial"),
-        },
-        ..PortTuning::default()
-    };
     Port::tuned(config, tuning, bench.timer)
 }
 
-/// An adapter that the system calls `name`: a pseudo-terminal, and udev's link to it.
-async fn adapter(bench: &Bench, name: &str, id: &str) -> Port {
+#[tokio::test(start_paused = true)]
+async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
+    let bench = Bench::new();
+    let _pty = bench.plugged_pty().await;
+    let number = bench.path().canonicalize().expect("a terminal");
+    let adapter = bench
+        .directory
+        .path()
+        .join("usb-serial")
+        .join(number.file_name().expect("a number"));
+    let latency_timer = adapter.join("latency_timer");
+    std::fs::create_dir_all(&adapter).expect("own directory");
+    std::fs::write(&latency_timer, "16\n").expect("own directory");
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
+    let line = nix::fcntl::open(&bench.path(), flags, Mode::empty()).expect("a foreign reader");
+    let settings = || termios::tcgetattr(&line).expect("a terminal");
+    let mut unlike = settings();
+    unlike.control_modes.insert(ControlModes::HUPCL);
+    // A usual speed of MIDI lines, for which termios has no name.
+    unlike.set_speed(31_250).expect("any speed");
+    termios::tcsetattr(&line, OptionalActions::Now, &unlike).expect("a terminal");
+    let before = format!("{:?}", settings());
+
+    let url = format!("serial:{}?baud=57600", bench.path().display());
+    let with = |line_settings| PortTuning {
+        line_settings,
+        ..tuning(&bench)
+    };
+    let mut guest = tuned(&bench, &url, with(LineSettings::PutBack));
+    up(&mut guest).await;
+    assert_eq!(settings().output_speed(), 57_600);
+    drop(guest);
+    assert_eq!(format!("{:?}", settings()), before);
+    assert_eq!(settings().output_speed(), 31_250);
+    let says = || std::fs::read_to_string(&latency_timer).expect("it is there");
+    assert_eq!(says(), "16\n");
+
+    let mut station = tuned(&bench, &url, with(LineSettings::Keep));
+    assert!(up(&mut station).await.contains("latency timer 1 ms"));
+    drop(station);
+    assert!(!settings().control_modes.contains(ControlModes::HUPCL));
+    assert_eq!(says(), "1");
+}
+
+/// Where an adapter is plugged in, and what it says of itself.
+struct Plug {
+    socket: &'static str,
+    /// udev's name for its kind, with its serial number if it has one.
+    id: &'static str,
+    serial: Option<&'static str>,
+}
+
+/// What udev and the kernel say of an adapter that is called `name`.
+fn tell(bench: &Bench, name: &str, plug: &Plug) {
+    let root = bench.directory.path();
+    let usb = root.join("usb").join(plug.socket);
+    let class = root.join("tty").join(name);
+    drop(std::fs::remove_dir_all(&class));
+    drop(std::fs::remove_dir_all(&usb));
+    let write = |path: PathBuf, says: &str| std::fs::write(path, says).expect("own directory");
+    for directory in [&usb.join("1.0"), &class] {
+        std::fs::create_dir_all(directory).expect("own directory");
+    }
+    write(usb.join("idVendor"), "1a86\n");
+    write(usb.join("idProduct"), "7523\n");
+    if let Some(serial) = plug.serial {
+        write(usb.join("serial"), serial);
+    }
+    symlink(usb.join("1.0"), class.join("device")).expect("a free name");
+    for (directory, link) in [("by-id", plug.id), ("by-path", plug.socket)] {
+        let directory = root.join(directory);
+        std::fs::create_dir_all(&directory).expect("own directory");
+        drop(std::fs::remove_file(directory.join(link)));
+        symlink(root.join(name), directory.join(link)).expect("a free name");
+    }
+}
+
+/// An adapter that the system calls `name`: a pseudo-terminal, and what is said of it.
+async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Port {
     let device = bench.directory.path().join(name);
     let mut pty = port(
         &format!("pty:{}", device.display()),
@@ -36,10 +128,7 @@ async fn adapter(bench: &Bench, name: &str, id: &str) -> Port {
         bench.timer,
     );
     up(&mut pty).await;
-    let by_id = bench.directory.path().join("by-id");
-    std::fs::create_dir_all(&by_id).expect("own directory");
-    drop(std::fs::remove_file(by_id.join(id)));
-    symlink(&device, by_id.join(id)).expect("a free name");
+    tell(bench, name, plug);
     pty
 }
 
@@ -47,8 +136,13 @@ async fn adapter(bench: &Bench, name: &str, id: &str) -> Port {
 async fn an_adapter_that_comes_back_under_another_number_is_found() {
     let bench = Bench::new();
     let shown = bench.directory.path().display().to_string();
-    let mine = adapter(&bench, "ttyUSB0", "usb-mine-if00").await;
-    let mut station = tuned(&bench, &format!("serial:{shown}/ttyUSB0"));
+    let plug = Plug {
+        socket: "socket-1",
+        id: "usb-mine-if00",
+        serial: Some("mine"),
+    };
+    let mine = adapter(&bench, "ttyUSB0", &plug).await;
+    let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
     assert_eq!(
         up(&mut station).await,
         format!("{shown}/ttyUSB0 ({shown}/by-id/usb-mine-if00) at 115200 baud")
@@ -56,14 +150,23 @@ async fn an_adapter_that_comes_back_under_another_number_is_found() {
     drop(mine);
     down(&mut station).await;
     // Somebody else's adapter takes the number; ours comes back as the next one.
-    let mut other = adapter(&bench, "ttyUSB0", "usb-other-if00").await;
+    let theirs = Plug {
+        socket: "socket-2",
+        id: "usb-other-if00",
+        serial: Some("other"),
+    };
+    let mut other = adapter(&bench, "ttyUSB0", &theirs).await;
     std::fs::remove_file(bench.directory.path().join("by-id/usb-mine-if00")).expect("our link");
     let (reason, _) = down(&mut station).await;
     assert_eq!(
         reason,
         format!("{shown}/by-id/usb-mine-if00 is not there: plug the device in or check the name")
     );
-    let mut mine = adapter(&bench, "ttyUSB1", "usb-mine-if00").await;
+    let elsewhere = Plug {
+        socket: "socket-3",
+        ..plug
+    };
+    let mut mine = adapter(&bench, "ttyUSB1", &elsewhere).await;
     let detail = up(&mut station).await;
     assert_eq!(
         detail,
@@ -76,30 +179,73 @@ async fn an_adapter_that_comes_back_under_another_number_is_found() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn of_two_adapters_of_one_name_the_other_one_is_left_alone() {
+    let bench = Bench::new();
+    let shown = bench.directory.path().display().to_string();
+    let kind = "usb-1a86_USB_Serial-if00-port0";
+    let plug = |socket| Plug {
+        socket,
+        id: kind,
+        serial: None,
+    };
+    let mut other = adapter(&bench, "ttyUSB1", &plug("socket-2")).await;
+    // The name of the kind leads to the one that came last.
+    let mine = adapter(&bench, "ttyUSB0", &plug("socket-1")).await;
+    let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
+    up(&mut station).await;
+    drop(mine);
+    down(&mut station).await;
+    let by_id = bench.directory.path().join("by-id").join(kind);
+    std::fs::remove_file(&by_id).expect("our link");
+    symlink(bench.directory.path().join("ttyUSB1"), &by_id).expect("a free name");
+    std::fs::remove_file(bench.directory.path().join("by-path/socket-1")).expect("our link");
+    let (reason, _) = down(&mut station).await;
+    assert_eq!(
+        reason,
+        format!("{shown}/by-path/socket-1 is not there: plug the device in or check the name")
+    );
+    let mut mine = adapter(&bench, "ttyUSB2", &plug("socket-1")).await;
+    assert_eq!(
+        up(&mut station).await,
+        format!("{shown}/by-path/socket-1 at 115200 baud")
+    );
+    other.send(b"other");
+    assert_eq!(poll_once(&mut other).await, None);
+    mine.send(b"mine");
+    assert_eq!(poll_once(&mut mine).await, None);
+    assert_eq!(bytes(&mut station, 4).await, b"mine");
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     let bench = Bench::new();
     let shown = bench.directory.path().display().to_string();
     let pattern = format!("serial:{shown}/ttyACM*");
-    let mut first = tuned(&bench, &pattern);
+    let mut first = station_at(&bench, &pattern);
     first.open_first().await.expect("a device may come");
     let (reason, _) = down(&mut first).await;
     assert_eq!(
         reason,
         format!("{shown}/ttyACM* is not there: plug the device in or check the name")
     );
-    let _b = adapter(&bench, "ttyACM1", "usb-b").await;
-    let a = adapter(&bench, "ttyACM0", "usb-a").await;
+    let board = |id| Plug {
+        socket: id,
+        id,
+        serial: Some(id),
+    };
+    let _b = adapter(&bench, "ttyACM1", &board("usb-b")).await;
+    let a = adapter(&bench, "ttyACM0", &board("usb-a")).await;
     assert_eq!(
         up(&mut first).await,
         format!("{shown}/ttyACM0 at 115200 baud")
     );
     // One question mark is part of the name, the other begins the options.
-    let mut second = tuned(&bench, &format!("serial:{shown}/ttyACM??baud=9600"));
+    let mut second = station_at(&bench, &format!("serial:{shown}/ttyACM??baud=9600"));
     assert_eq!(
         up(&mut second).await,
         format!("{shown}/ttyACM1 at 9600 baud")
     );
-    let mut third = tuned(&bench, &pattern);
+    let mut third = station_at(&bench, &pattern);
     let error = third.open_first().await.expect_err("both are taken");
     assert!(error.stops_start() && error.can_heal());
     let busy = format!("port {shown}/ttyACM0 is in use by another program");
@@ -108,7 +254,7 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     drop(a);
     down(&mut first).await;
     assert!(down(&mut first).await.0.contains("ttyACM1 is in use"));
-    let _c = adapter(&bench, "ttyACM7", "usb-c").await;
+    let _c = adapter(&bench, "ttyACM7", &board("usb-c")).await;
     assert_eq!(
         up(&mut first).await,
         format!("{shown}/ttyACM7 at 115200 baud")
@@ -127,7 +273,7 @@ async fn closing_a_port_does_not_drop_dtr_whatever_is_asked_for() {
         tcsetattr(&line, SetArg::TCSANOW, &settings).expect("a terminal");
         // A pseudo-terminal has no DTR; that is no reason to refuse it.
         let url = format!("serial:{}?dtr={dtr}", bench.path().display());
-        let mut station = tuned(&bench, &url);
+        let mut station = station_at(&bench, &url);
         up(&mut station).await;
         let settings = tcgetattr(&line).expect("a terminal");
         assert!(

@@ -353,6 +353,27 @@ async fn a_udp_link_to_every_interface_listens_even_if_it_is_to_dial() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_port_knows_whether_it_hears_whoever_calls_however_the_link_is_written() {
+    let timer = HostTimer::start();
+    let (_server, served) = listening("tcp://127.0.0.1:0", timer).await;
+    let dialled = format!("tcp://{served}");
+    for (url, role, expected) in [
+        ("udp://:0", Role::Dial, true),
+        ("udp://0.0.0.0:0", Role::Dial, true),
+        ("udp://[::]:0", Role::Dial, true),
+        ("udp://127.0.0.1:0", Role::Listen, true),
+        ("udp://127.0.0.1:9", Role::Dial, false),
+        ("tcp://127.0.0.1:0", Role::Listen, true),
+        (&dialled, Role::Dial, false),
+    ] {
+        let mut port = port(url, role, timer);
+        assert!(!port.is_listening(), "{url} is not open yet");
+        up(&mut port).await;
+        assert_eq!(port.is_listening(), expected, "{url}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn the_idle_time_of_a_udp_link_is_an_option() {
     let timer = HostTimer::start();
     let (mut station, address) = listening("udp://127.0.0.1:0?idle_s=2", timer).await;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use nix::sys::termios::{BaudRate, ControlFlags, SetArg, cfsetspeed, tcgetattr, tcsetattr};
 use posebridge_link::{Port, PortConfig, PortEvent};
 use posebridge_telemetry::LinkId;
 use tokio::io::AsyncWriteExt;
@@ -116,6 +117,25 @@ async fn a_line_at_another_speed_is_found_and_the_right_link_is_told() {
 }
 
 #[tokio::test]
+async fn the_other_options_stay_at_every_speed() {
+    let url = LinkUrl::parse("serial:///nowhere/ttyUSB0?dtr=off&baud=57600&rate=900").unwrap();
+    let mut tried = Vec::new();
+    let verdict = try_speeds(&url, async |url: &LinkUrl| {
+        tried.push(url.to_string());
+        let is_right = baud_of(url) == 9_600;
+        Ok(heard(if is_right { &FRAME } else { &[0x11; 50] }))
+    })
+    .await;
+    let expected = "serial:/nowhere/ttyUSB0?baud=9600&dtr=off&rate=900";
+    assert_eq!(tried.last().map(String::as_str), Some(expected));
+    assert!(
+        tried.iter().all(|link| link.contains("dtr=off")),
+        "{tried:?}"
+    );
+    assert_eq!(verdict.advice, format!("write the link as {expected}"));
+}
+
+#[tokio::test]
 async fn at_the_right_speed_no_other_is_tried() {
     let (verdict, tried) = try_line("serial:///nowhere/ttyUSB0?baud=57600", 57_600).await;
     assert_eq!(tried, [57_600]);
@@ -181,6 +201,21 @@ async fn on_a_pseudo_terminal_the_speed_does_not_matter() {
         "{verdict:?}"
     );
     assert!(verdict.what.contains("MAVLink 2"), "{verdict:?}");
+}
+
+#[tokio::test]
+async fn a_line_is_left_with_the_settings_that_it_had() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut port, link) = pseudo_terminal(&folder).await;
+    let line = fs::File::open(folder.path().join("brick.tty")).unwrap();
+    let mut settings = tcgetattr(&line).unwrap();
+    settings.control_flags.insert(ControlFlags::HUPCL);
+    cfsetspeed(&mut settings, BaudRate::B19200).unwrap();
+    tcsetattr(&line, SetArg::TCSANOW, &settings).unwrap();
+    let before = tcgetattr(&line).unwrap();
+    let verdict = listen_while_sending(&mut port, &format!("{link}?baud=57600"), &FRAME).await;
+    assert_eq!(verdict.status, Status::Ok, "{verdict:?}");
+    assert_eq!(tcgetattr(&line).unwrap(), before);
 }
 
 #[tokio::test(start_paused = true)]
