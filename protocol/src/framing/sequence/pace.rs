@@ -34,7 +34,9 @@ impl Pace {
     /// 0 of a sender that does not count by one, `None` if the silence was too long to tell.
     pub(super) fn sent(&self, elapsed_s: f64, advance: u8, received: u32) -> Option<u32> {
         let Some(per_s) = self.per_s else {
-            return Some(u32::from(advance));
+            // Nothing is known yet: half the circle or more is an old number.
+            let is_newer = f64::from(advance) <= HALF_CIRCLE;
+            return Some(if is_newer { u32::from(advance) } else { 0 });
         };
         let expected = per_s * elapsed_s;
         if expected * VARIATION > HALF_CIRCLE {

@@ -15,6 +15,8 @@ const LARGEST_ADVANCE: u8 = 128;
 const LARGEST_DELAY_S: f64 = 60.0;
 /// A stamp may lie so far behind the one before it: a datagram that was overtaken. Further back is a clock that began anew, s.
 const OVERTAKEN_S: f64 = 1.0;
+/// A message is overtaken by no more frames than this.
+const MOST_AHEAD: u8 = 64;
 /// So many frames without another stamp of the same message, and stamps are given up: it is not sent any more.
 const MOST_NOTED: u32 = 96;
 
@@ -181,10 +183,27 @@ impl Sender {
             Some(sent) => {
                 self.close((interval.from, sent), &interval.noted, interval.received);
                 self.pace.learn(sent, elapsed_s);
-                self.newest = Some(sequence);
                 self.interval = Some(Interval::new(sequence, dated));
+                self.newest = Some(sequence);
+                self.carry_over(&interval.noted, sent);
             }
             None => self.begin_anew(sequence, dated),
+        }
+    }
+
+    /// What overtook the message that closes an interval of `sent` frames belongs to the next one.
+    fn carry_over(&mut self, noted: &SequenceSet, sent: u32) {
+        let Some(interval) = &mut self.interval else {
+            return;
+        };
+        for ahead in 1..=MOST_AHEAD {
+            let sequence = interval.from.wrapping_add(ahead);
+            // Of an interval of nearly a turn the same number may be its own.
+            if noted.contains(sequence) && sent + u32::from(ahead) < 256 {
+                interval.noted.insert(sequence);
+                interval.received += 1;
+                self.newest = Some(sequence);
+            }
         }
     }
 
