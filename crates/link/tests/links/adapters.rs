@@ -2,6 +2,7 @@
 
 use std::os::unix::fs::symlink;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use crate::serial::Bench;
 use crate::support::{bytes, down, poll_once, port, up};
@@ -199,7 +200,8 @@ async fn of_two_adapters_of_one_name_the_other_one_is_left_alone() {
     std::fs::remove_file(&by_id).expect("our link");
     symlink(bench.directory.path().join("ttyUSB1"), &by_id).expect("a free name");
     std::fs::remove_file(bench.directory.path().join("by-path/socket-1")).expect("our link");
-    let (reason, _) = down(&mut station).await;
+    let again = tokio::time::timeout(Duration::from_secs(60), down(&mut station)).await;
+    let (reason, _) = again.expect("it opens the other one");
     assert_eq!(
         reason,
         format!("{shown}/by-path/socket-1 is not there: plug the device in or check the name")
