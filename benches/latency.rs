@@ -30,22 +30,44 @@ use posebridge_recording::container::Header;
 use posebridge_telemetry::{Address, EncoderTicks, LinkId, Stamp};
 use tokio_util::sync::CancellationToken;
 
-const ROUNDS: usize = 20;
-const EXCHANGES_PER_ROUND: usize = 500;
-/// Between two frames of a brick; the loop below keeps it, so that history and clock see a real telemetry rate.
-const PERIOD_MICROS: u32 = 1_000;
+/// How fast a brick talks, and for how long.
+#[derive(Clone, Copy)]
+struct Pace {
+    /// Between two of its frames. The exchange below keeps it, so that history, clock and caches see it.
+    period_micros: u32,
+    rounds: usize,
+    exchanges_per_round: usize,
+}
+
+/// 100 Hz is what the quickest weak bricks reach (EV3, Arduino-class); 1 kHz shows what a crowd on one link meets.
+const PACES: [Pace; 2] = [
+    Pace {
+        period_micros: 10_000,
+        rounds: 10,
+        exchanges_per_round: 100,
+    },
+    Pace {
+        period_micros: 1_000,
+        rounds: 20,
+        exchanges_per_round: 500,
+    },
+];
 /// PB_PLANAR_POSE with its envelope.
 const ESTIMATE_BYTES: usize = 64;
 
 fn main() {
+    PACES.into_iter().for_each(measure);
+}
+
+fn measure(pace: Pace) {
     let stop = CancellationToken::new();
     let many = start_echo(Threads::Many);
     let one = start_echo(Threads::One);
     let ground = GroundStation::new();
     let (station, thread) = start_station(stop.clone(), ground.address);
-    let mut brick = Brick::new(ground);
+    let mut brick = Brick::new(ground, pace);
     let [mut ours, mut bare, mut bare_one] = [const { Vec::new() }; 3];
-    for round in 0..=ROUNDS {
+    for round in 0..=pace.rounds {
         let station_round = brick.exchange_with(station, Answer::Estimate);
         let echo_round = brick.exchange_with(many, Answer::Anything);
         let one_round = brick.exchange_with(one, Answer::Anything);
@@ -58,14 +80,15 @@ fn main() {
     }
     stop.cancel();
     thread.join().expect("the station's thread ends");
+    println!("\na frame each {} us", pace.period_micros);
     report(&mut ours, &mut bare, &mut bare_one);
     println!(
         "{} exchanges each; {} datagrams reached the ground station",
-        ROUNDS * EXCHANGES_PER_ROUND,
+        ours.len(),
         brick.ground.heard
     );
     assert!(
-        brick.ground.heard >= ROUNDS * EXCHANGES_PER_ROUND,
+        brick.ground.heard >= ours.len(),
         "the ground station must be served as well"
     );
 }
@@ -138,6 +161,7 @@ impl GroundStation {
 }
 
 struct Brick {
+    pace: Pace,
     ground: GroundStation,
     socket: UdpSocket,
     encoder: Encoder,
@@ -146,12 +170,13 @@ struct Brick {
 }
 
 impl Brick {
-    fn new(ground: GroundStation) -> Self {
+    fn new(ground: GroundStation, pace: Pace) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
         socket
             .set_read_timeout(Some(Duration::from_secs(5)))
             .expect("a time limit");
         Self {
+            pace,
             ground,
             socket,
             encoder: Encoder::new(WireVersion::V2),
@@ -161,14 +186,14 @@ impl Brick {
     }
 
     fn exchange_with(&mut self, peer: SocketAddr, wanted: Answer) -> Vec<Duration> {
-        (0..EXCHANGES_PER_ROUND)
+        (0..self.pace.exchanges_per_round)
             .map(|_| self.exchange(peer, wanted))
             .collect()
     }
 
     fn exchange(&mut self, peer: SocketAddr, wanted: Answer) -> Duration {
         let round_began = Instant::now();
-        self.micros = self.micros.wrapping_add(PERIOD_MICROS);
+        self.micros = self.micros.wrapping_add(self.pace.period_micros);
         self.ticks += 1;
         let message = Message::WheelTicks(WheelTicks {
             stamp: WireStamp::Micros32(self.micros),
@@ -192,7 +217,8 @@ impl Brick {
             }
         };
         // Idle time, as on a real link: the station must be woken.
-        while round_began.elapsed() < Duration::from_micros(u64::from(PERIOD_MICROS)) {
+        let period = Duration::from_micros(u64::from(self.pace.period_micros));
+        while round_began.elapsed() < period {
             std::hint::spin_loop();
         }
         self.ground.read();
