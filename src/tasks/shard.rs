@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_link::{HostTimer, Outgoing, PortEvent, PortSet};
+use posebridge_link::{Alarm, HostTimer, Outgoing, PortEvent, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, Span, Stamp};
 use tokio_util::sync::CancellationToken;
@@ -54,13 +54,18 @@ impl Shard {
         let mut last_byte: Option<Stamp<HostClock>> = None;
         let mut finished: BTreeSet<LinkId> = BTreeSet::new();
         let mut states: BTreeMap<LinkId, LinkState> = BTreeMap::new();
-        loop {
+        let stopped = ending.stop.cancelled();
+        tokio::pin!(stopped);
+        let mut alarm = Alarm::new(self.timer);
+        while !ending.stop.is_cancelled() {
             let silent_at = ending
                 .silence
                 .and_then(|span| last_byte.map(|last| last + span));
             let end_at = [ending.at, silent_at].into_iter().flatten().min();
             let deadline = self.pipeline.deadline().into_iter().chain(end_at).min();
             let (now, input) = tokio::select! {
+                // What came goes first; the pipeline sees by its instant what is due, and the loop whether it has to end.
+                biased;
                 (link, event) = self.ports.next() => {
                     if matches!(event, PortEvent::Finished { .. }) {
                         finished.insert(link);
@@ -74,8 +79,8 @@ impl Shard {
                     }
                     (at, input)
                 }
-                () = sleep_until(self.timer, deadline) => (self.timer.now(), Input::Tick),
-                () = ending.stop.cancelled() => return,
+                () = alarm.reached(deadline) => (self.timer.now(), Input::Tick),
+                () = &mut stopped => return,
             };
             if end_at.is_some_and(|end| now >= end) {
                 return;
@@ -152,13 +157,6 @@ impl Shard {
             tracing::error!(error = format!("{error:#}"), "the recording ends here");
             self.recording_failure = Some(error);
         }
-    }
-}
-
-async fn sleep_until(timer: HostTimer, deadline: Option<Stamp<HostClock>>) {
-    match deadline {
-        Some(deadline) => timer.sleep_until(deadline).await,
-        None => std::future::pending().await,
     }
 }
 

@@ -3,10 +3,11 @@
 //! Everybody else is handed the stamps that come from here. It follows the runtime's clock, so a test that pauses the
 //! runtime pauses the session with it. It does not know brick or camera time.
 
+use std::pin::Pin;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use posebridge_telemetry::{HostClock, Stamp};
-use tokio::time::Instant;
+use tokio::time::{Instant, Sleep};
 
 /// A handle to the host's clock, zero at the start of the session. Copies tell the same time.
 #[derive(Clone, Copy, Debug)]
@@ -57,6 +58,45 @@ impl HostTimer {
     }
 }
 
+/// Wakes one task at deadlines that mostly stay where they are while inputs come.
+///
+/// To set a timer of the runtime and to take it back costs more than to handle a small input. So an alarm that is set for an earlier
+/// instant than the deadline stays set, rings once in vain, and is set anew then.
+#[derive(Debug)]
+pub struct Alarm {
+    timer: HostTimer,
+    sleep: Pin<Box<Sleep>>,
+    set_for: Option<Stamp<HostClock>>,
+}
+
+impl Alarm {
+    /// An alarm that is not set.
+    #[must_use]
+    pub fn new(timer: HostTimer) -> Self {
+        let sleep = Box::pin(tokio::time::sleep_until(timer.instant(Stamp::ZERO)));
+        Self {
+            timer,
+            sleep,
+            set_for: None,
+        }
+    }
+
+    /// Returns once the deadline is reached, never without one. Cancel safe.
+    pub async fn reached(&mut self, deadline: Option<Stamp<HostClock>>) {
+        let Some(deadline) = deadline else {
+            return std::future::pending().await;
+        };
+        while self.timer.now() < deadline {
+            if self.set_for.is_none_or(|set_for| set_for > deadline) {
+                self.sleep.as_mut().reset(self.timer.instant(deadline));
+                self.set_for = Some(deadline);
+            }
+            self.sleep.as_mut().await;
+            self.set_for = None;
+        }
+    }
+}
+
 #[expect(
     clippy::disallowed_methods,
     reason = "this module is the session clock that everybody else is handed"
@@ -90,6 +130,26 @@ mod tests {
             let late = timer.now() - wanted;
             assert!(late >= Span::ZERO, "woke {late:?} too early");
             assert!(late <= Span::from_millis(2), "woke {late:?} late");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_alarm_rings_at_its_deadline_whatever_it_was_set_for_before() {
+        let timer = HostTimer::start();
+        let mut alarm = Alarm::new(timer);
+        for (dropped_ms, wanted_ms) in [(500, 100), (200, 400), (900, 900), (1_000, 950)] {
+            let dropped = Stamp::from_millis(dropped_ms);
+            tokio::select! {
+                biased;
+                () = alarm.reached(Some(dropped)) => unreachable!("it is not time yet"),
+                () = std::future::ready(()) => {}
+            }
+            alarm.reached(Some(Stamp::from_millis(wanted_ms))).await;
+            let late = timer.now() - Stamp::from_millis(wanted_ms);
+            assert!(
+                late >= Span::ZERO && late <= Span::from_millis(2),
+                "{late:?}"
+            );
         }
     }
 

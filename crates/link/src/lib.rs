@@ -42,7 +42,7 @@ pub use backoff::Waits;
 pub use capacity::{Backlog, CapacityMeter};
 pub use connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
 pub use error::{LinkLoss, OpenError};
-pub use host_timer::HostTimer;
+pub use host_timer::{Alarm, HostTimer};
 pub use port::{Port, PortConfig, PortEvent, PortTuning};
 pub use port_set::PortSet;
 pub use transports::{

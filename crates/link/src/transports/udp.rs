@@ -210,10 +210,22 @@ impl UdpConnection {
             .note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
     }
 
-    /// Takes what the common socket holds, up to the limit; a single datagram where a robot may be waiting for the answer, since
-    /// to ask the system whether there is another would delay it.
-    fn drain(&mut self, limit: usize) {
-        for _ in 0..limit {
+    /// The first datagram after a pause. It goes past the inbox: whether there are others is asked when it has been answered.
+    fn take_first(&mut self) -> Option<Incoming> {
+        match self.socket.try_recv_from(&mut self.buffer) {
+            Ok((length, from)) => self.incoming(length, from),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => None,
+            Err(error) if is_about_one_peer(&error) => None,
+            Err(error) => {
+                self.loss = Some(error);
+                None
+            }
+        }
+    }
+
+    /// Takes what the common socket holds, up to the limit.
+    fn drain(&mut self) {
+        for _ in 0..DRAIN_LIMIT {
             match self.socket.try_recv_from(&mut self.buffer) {
                 Ok((length, from)) => {
                     self.deliver(length, from);
@@ -297,20 +309,23 @@ impl UdpConnection {
     }
 
     fn deliver(&mut self, length: usize, from: SocketAddr) {
+        if let Some(incoming) = self.incoming(length, from)
+            && let Incoming::Bytes { peer, .. } = incoming
+        {
+            self.inbox.push(peer, incoming);
+        }
+    }
+
+    /// What lies in the buffer; `None` for an empty datagram, which makes a peer known and says nothing else.
+    fn incoming(&mut self, length: usize, from: SocketAddr) -> Option<Incoming> {
         let arrival = self.timer.now();
         let peer = self.peers.heard(from, arrival);
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
-        // An empty datagram makes a peer known and says nothing else.
-        if !bytes.is_empty() {
-            self.inbox.push(
-                peer,
-                Incoming::Bytes {
-                    peer,
-                    arrival,
-                    bytes,
-                },
-            );
-        }
+        (!bytes.is_empty()).then_some(Incoming::Bytes {
+            peer,
+            arrival,
+            bytes,
+        })
     }
 }
 
@@ -359,9 +374,12 @@ impl Connection for UdpConnection {
             let common = self.socket.poll_recv_ready(cx);
             match common {
                 Poll::Ready(Ok(())) => {
-                    let limit = if self.was_idle { 1 } else { DRAIN_LIMIT };
-                    self.was_idle = false;
-                    self.drain(limit);
+                    if std::mem::take(&mut self.was_idle)
+                        && let Some(first) = self.take_first()
+                    {
+                        return Poll::Ready(Ok(first));
+                    }
+                    self.drain();
                 }
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
                 Poll::Pending => {}
