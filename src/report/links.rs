@@ -37,6 +37,7 @@ pub fn condition(report: &LinkReport) -> String {
         (health.unknown_ids, "unknown ids"),
         (health.refused_frames, "refused"),
         (health.duplicates, "came twice"),
+        (health.namesakes, "by another under our address"),
         (health.filtered, "filtered"),
         (health.forwarded, "passed on to it"),
         (health.thinned, "thinned"),

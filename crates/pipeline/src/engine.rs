@@ -254,12 +254,8 @@ impl Pipeline {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        if link.state == LinkState::Down && state == LinkState::Up && link.health.frames_in > 0 {
-            link.health.reconnects += 1;
-        }
-        link.state = state;
+        link.turn(state);
         if state == LinkState::Down {
-            link.restart();
             self.router.forget_link(id);
         }
         self.tell(Event::Link { link: id, state });
@@ -316,6 +312,9 @@ impl Pipeline {
             let ahead_nanos = (missed + 1).saturating_mul(HEALTH_PERIOD.as_nanos());
             self.next_health = Some(due + Span::from_nanos(ahead_nanos));
             for id in ids {
+                if let Some(link) = self.links.get_mut(&id) {
+                    link.peers.forget_idle(now);
+                }
                 self.tell_health(id);
             }
         }

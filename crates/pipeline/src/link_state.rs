@@ -35,6 +35,8 @@ pub(crate) struct Link {
     pub(crate) session: Session<HostClock>,
     pub(crate) publisher: Publisher,
     pub(crate) state: LinkState,
+    /// It has been up before.
+    was_up: bool,
     pub(crate) health: LinkHealth,
 }
 
@@ -55,13 +57,22 @@ impl Link {
             session: Session::new(session_config(pipeline), now),
             publisher: Publisher::new(&config.outputs),
             state: LinkState::Down,
+            was_up: false,
             health: LinkHealth::default(),
         }
     }
 
-    /// The link was lost: what was half received will never be completed.
-    pub(crate) fn restart(&mut self) {
-        self.peers.restart();
+    /// The link came up or was lost: then what was half received will never be completed.
+    pub(crate) fn turn(&mut self, state: LinkState) {
+        match (self.state, state) {
+            (LinkState::Down, LinkState::Up) => {
+                self.health.reconnects += u64::from(self.was_up);
+                self.was_up = true;
+            }
+            (_, LinkState::Down) => self.peers.restart(),
+            (LinkState::Up, LinkState::Up) => {}
+        }
+        self.state = state;
     }
 
     /// Appends a message of our own, signed if the link has a key, and returns its length; 0 if it cannot be sent there.

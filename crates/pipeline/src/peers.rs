@@ -1,23 +1,27 @@
 //! The peers of one link: each has a scanner and sequence numbers of its own.
 //!
 //! Where the link has a key, a frame that is refused for its signature is none of its sender's: it moves no sequence number
-//! and counts as missing when the next one comes, because nobody knows who has sent it.
+//! and counts as missing when the next one comes, because nobody knows who has sent it. The same holds for one that may come
+//! without a signature.
 //!
 //! Bytes of several peers must not mix in one scanner, and two robots behind one port may bear the same address. A peer that
 //! has been silent for long is forgotten; what it had counted stays counted.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_protocol::framing::{
     ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker,
 };
+use posebridge_protocol::routing::{Check, MOST_PEERS, ROUTE_LIFETIME};
 use posebridge_protocol::signing::LinkSigning;
 use posebridge_telemetry::{Address, HostClock, PeerId, Refusal, SourceHealth, Span, Stamp};
 
-/// Silence after which a peer is forgotten: three times as long as ports remember one, so that they decide.
-const IDLE: Span = Span::from_millis(30_000);
-/// Most peers of one link; the most silent goes first. As many as a UDP port remembers.
-const MOST_PEERS: usize = 4_096;
+/// Silence after which a peer is forgotten; nobody is reached by it any more.
+const IDLE: Span = ROUTE_LIFETIME;
+/// Where the port says how many peers there are, somebody else must have been heard since its last word but one: it tells each second.
+const PORT_NEWS: Span = Span::from_millis(2_000);
+/// Most senders of one link of which the health tells; those with the most frames. A class of robots has a few hundred.
+const MOST_SENDERS: usize = 1_024;
 /// So many are remembered over a loss of the link, those with the highest numbers: a link with one peer always calls it 0, and a
 /// link with several gives whoever returns a new number.
 const MOST_RESTING: usize = 16;
@@ -31,6 +35,8 @@ pub(crate) struct Peers {
     present: BTreeMap<PeerId, Peer>,
     /// The numbers of those that were there when the link was lost: one that comes back under its name goes on.
     resting: BTreeMap<PeerId, SequenceTracker>,
+    /// Whose bytes wait for more, by the instant at which they are given up.
+    waiting: BTreeSet<(Stamp<HostClock>, PeerId)>,
     /// What those that are gone had counted.
     gone: ScanCounters,
     gone_sources: BTreeMap<Address, SourceHealth>,
@@ -43,6 +49,23 @@ struct Peer {
     last_heard: Stamp<HostClock>,
 }
 
+/// What is known of the sender of a frame that is believed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Believed {
+    /// Whether he is who the frame says.
+    pub(crate) check: Check,
+    /// How many more of his frames are now known to be missing.
+    pub(crate) missing: u32,
+}
+
+impl Believed {
+    /// Of whom nothing is learnt, or nobody.
+    const UNKNOWN: Self = Self {
+        check: Check::Unverifiable,
+        missing: 0,
+    };
+}
+
 impl Peers {
     pub(crate) const fn new(config: ScannerConfig, signing: Option<LinkSigning>) -> Self {
         Self {
@@ -50,22 +73,22 @@ impl Peers {
             signing,
             present: BTreeMap::new(),
             resting: BTreeMap::new(),
+            waiting: BTreeSet::new(),
             gone: NOTHING,
             gone_sources: BTreeMap::new(),
         }
     }
 
-    /// Bytes of a peer; what is found in them goes to `sink`, with how many more frames of the sender are known to be missing, or
-    /// why it must not be believed.
+    /// Bytes of a peer; what is found in them goes to `sink`, with what is known of its sender or why it must not be believed.
     pub(crate) fn push(
         &mut self,
         now: Stamp<HostClock>,
         id: PeerId,
         bytes: &[u8],
-        sink: &mut impl FnMut(Scanned<'_>, Result<u32, Refusal>),
+        sink: &mut impl FnMut(Scanned<'_>, Result<Believed, Refusal>),
     ) {
-        if !self.present.contains_key(&id) {
-            self.make_room(now);
+        if self.present.len() >= MOST_PEERS && !self.present.contains_key(&id) {
+            self.forget_most_silent();
         }
         let resting = &mut self.resting;
         let peer = self.present.entry(id).or_insert_with(|| Peer {
@@ -74,26 +97,33 @@ impl Peers {
             last_heard: now,
         });
         peer.last_heard = now;
+        let waited = peer.scanner.deadline();
         let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
         peer.scanner.push(now, bytes, &mut |scanned| {
-            let verdict = judge(signing.as_mut(), now, &scanned)
-                .map(|()| newly_missing(now, sequences, &scanned));
+            let verdict = judge(signing.as_mut(), now, sequences, &scanned);
             sink(scanned, verdict);
         });
+        let waits = peer.scanner.deadline();
+        self.wait(id, waited, waits);
     }
 
-    /// Whether anybody but this peer was heard of late.
-    pub(crate) fn has_other_than(&self, id: PeerId) -> bool {
-        self.present.keys().any(|present| *present != id)
+    /// Whether anybody but this peer is there, as far as was heard of late. `told` is how many peers the port has told of; zero if
+    /// it has not.
+    pub(crate) fn has_other_than(&self, id: PeerId, now: Stamp<HostClock>, told: u32) -> bool {
+        // A peer that only listens was never heard, but the port knows of it; and of one that was replaced.
+        let recent = match told {
+            0 => IDLE,
+            1 => PORT_NEWS,
+            _ => return true,
+        };
+        let mut others = self.present.iter().filter(|(other, _)| **other != id);
+        others.any(|(_, peer)| now - peer.last_heard <= recent)
     }
 
     /// Peers whose waiting bytes are to be given up now.
     pub(crate) fn stalled(&self, now: Stamp<HostClock>) -> Vec<PeerId> {
-        self.present
-            .iter()
-            .filter(|(_, peer)| peer.scanner.deadline().is_some_and(|due| due <= now))
-            .map(|(id, _)| *id)
-            .collect()
+        let due = self.waiting.iter().take_while(|(due, _)| *due <= now);
+        due.map(|(_, id)| *id).collect()
     }
 
     /// Gives up what waits of a peer.
@@ -101,29 +131,38 @@ impl Peers {
         &mut self,
         now: Stamp<HostClock>,
         id: PeerId,
-        sink: &mut impl FnMut(Scanned<'_>, Result<u32, Refusal>),
+        sink: &mut impl FnMut(Scanned<'_>, Result<Believed, Refusal>),
     ) {
-        if let Some(peer) = self.present.get_mut(&id) {
-            let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
-            peer.scanner.tick(now, &mut |scanned| {
-                let verdict = judge(signing.as_mut(), now, &scanned)
-                    .map(|()| newly_missing(now, sequences, &scanned));
-                sink(scanned, verdict);
-            });
-        }
+        let Some(peer) = self.present.get_mut(&id) else {
+            return;
+        };
+        let waited = peer.scanner.deadline();
+        let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
+        peer.scanner.tick(now, &mut |scanned| {
+            let verdict = judge(signing.as_mut(), now, sequences, &scanned);
+            sink(scanned, verdict);
+        });
+        let waits = peer.scanner.deadline();
+        self.wait(id, waited, waits);
     }
 
     /// When [`Self::stalled`] has somebody next.
     pub(crate) fn deadline(&self) -> Option<Stamp<HostClock>> {
-        self.present
-            .values()
-            .filter_map(|peer| peer.scanner.deadline())
-            .min()
+        self.waiting.first().map(|(due, _)| *due)
+    }
+
+    /// Peers that have been silent for long are there no more.
+    pub(crate) fn forget_idle(&mut self, now: Stamp<HostClock>) {
+        let silent = self.present.iter();
+        let silent = silent.filter(|(_, peer)| now - peer.last_heard > IDLE);
+        let silent: Vec<PeerId> = silent.map(|(id, _)| *id).collect();
+        self.forget(&silent);
     }
 
     /// The link was lost: nothing that was half received goes on. What a sender says next still follows what it said last, so
     /// that what it sent meanwhile is known to be missing.
     pub(crate) fn restart(&mut self) {
+        self.waiting.clear();
         for (id, mut peer) in std::mem::take(&mut self.present) {
             self.gone = sum(self.gone, *peer.scanner.counters());
             peer.sequences.break_off();
@@ -149,25 +188,42 @@ impl Peers {
         for sequences in present.chain(self.resting.values()) {
             add_sources(&mut sources, sequences);
         }
+        keep_most_heard(&mut sources);
         sources.into_values().collect()
     }
 
-    fn make_room(&mut self, now: Stamp<HostClock>) {
-        let idle: Vec<PeerId> = self
-            .present
-            .iter()
-            .filter(|(_, peer)| now - peer.last_heard > IDLE)
-            .map(|(id, _)| *id)
-            .collect();
-        let most_silent = (self.present.len() - idle.len() >= MOST_PEERS)
-            .then(|| self.present.iter().min_by_key(|(_, peer)| peer.last_heard))
-            .flatten()
-            .map(|(id, _)| *id);
-        for id in idle.into_iter().chain(most_silent) {
-            if let Some(peer) = self.present.remove(&id) {
+    fn wait(
+        &mut self,
+        id: PeerId,
+        waited: Option<Stamp<HostClock>>,
+        waits: Option<Stamp<HostClock>>,
+    ) {
+        if waited != waits {
+            if let Some(due) = waited {
+                self.waiting.remove(&(due, id));
+            }
+            self.waiting.extend(waits.map(|due| (due, id)));
+        }
+    }
+
+    /// Makes room by a quarter at a time, so that a flood of invented peers does not cost a search for each.
+    fn forget_most_silent(&mut self) {
+        let peers = self.present.iter();
+        let mut by_silence: Vec<_> = peers.map(|(id, peer)| (peer.last_heard, *id)).collect();
+        by_silence.sort_unstable();
+        by_silence.truncate(MOST_PEERS / 4);
+        let silent: Vec<PeerId> = by_silence.into_iter().map(|(_, id)| id).collect();
+        self.forget(&silent);
+    }
+
+    fn forget(&mut self, ids: &[PeerId]) {
+        for id in ids {
+            if let Some(peer) = self.present.remove(id) {
+                self.wait(*id, peer.scanner.deadline(), None);
                 self.count_gone(&peer);
             }
         }
+        keep_most_heard(&mut self.gone_sources);
     }
 
     fn count_gone(&mut self, peer: &Peer) {
@@ -196,28 +252,44 @@ fn sum(a: ScanCounters, b: ScanCounters) -> ScanCounters {
     }
 }
 
-/// Whether a frame is to be believed; what is no frame needs no signature. Frames with unknown ids are signed like others.
+/// Whether a find is to be believed; what is no frame needs no signature. Frames with unknown ids are signed like others.
 fn judge(
     signing: Option<&mut LinkSigning>,
     now: Stamp<HostClock>,
-    scanned: &Scanned<'_>,
-) -> Result<(), Refusal> {
-    match (signing, scanned) {
-        (Some(signing), Scanned::Frame(frame) | Scanned::Unknown(frame)) => {
-            signing.judge(now, frame)
-        }
-        (None, _) | (_, Scanned::Defect(_)) => Ok(()),
-    }
-}
-
-fn newly_missing(
-    now: Stamp<HostClock>,
     sequences: &mut SequenceTracker,
     scanned: &Scanned<'_>,
-) -> u32 {
-    match scanned {
-        Scanned::Frame(frame) => sequences.take(frame, now),
-        Scanned::Unknown(_) | Scanned::Defect(_) => 0,
+) -> Result<Believed, Refusal> {
+    let (Scanned::Frame(frame) | Scanned::Unknown(frame)) = scanned else {
+        return Ok(Believed::UNKNOWN);
+    };
+    let is_vouched_for = match signing {
+        Some(signing) => {
+            signing.judge(now, frame)?;
+            signing.vouches_for(frame)
+        }
+        None => true,
+    };
+    if matches!(scanned, Scanned::Unknown(_)) || !is_vouched_for {
+        return Ok(Believed::UNKNOWN);
+    }
+    Ok(Believed {
+        check: Check::Verified,
+        missing: sequences.take(frame, now),
+    })
+}
+
+/// Of more senders than anybody has, those with the most frames stay: the others were invented, or damage.
+fn keep_most_heard(sources: &mut BTreeMap<Address, SourceHealth>) {
+    if sources.len() <= MOST_SENDERS {
+        return;
+    }
+    let mut by_frames: Vec<_> = sources
+        .values()
+        .map(|said| (said.frames, said.source))
+        .collect();
+    by_frames.sort_unstable();
+    for (_, source) in &by_frames[..by_frames.len() - MOST_SENDERS] {
+        sources.remove(source);
     }
 }
 

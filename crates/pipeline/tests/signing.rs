@@ -19,15 +19,17 @@ use events::{health, observed};
 use posebridge_pipeline::PipelineConfig;
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
-use posebridge_protocol::message::Message;
+use posebridge_protocol::message::{CommandLong, Message};
 use posebridge_protocol::signing::{
     Ending, Key, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Timestamp, Unsigned,
 };
 use posebridge_telemetry::{
-    Address, Defect, Event, HostClock, Output, Refusal, SourceHealth, Stamp,
+    Address, Defect, Event, HostClock, Input, LinkId, Output, PeerId, Priority, Refusal,
+    SourceHealth, Stamp,
 };
 use station::{LINK, Station, at};
 
+const GCS_LINK: LinkId = LinkId(5);
 /// Some instant in 2025.
 const DATE: Timestamp = Timestamp::from_units(34_000_000_000_000);
 
@@ -250,6 +252,62 @@ fn a_link_without_a_key_signs_nothing_and_believes_everybody() {
     assert!(station.sent().count() > 0);
     assert!(station.sent().all(|(_, bytes)| bytes[2] == 0));
     assert_eq!(station.pipeline.signing_memory(LINK, at(120)), None);
+}
+
+#[test]
+fn a_frame_that_may_come_unsigned_teaches_nothing_about_who_it_claims_to_be_from() {
+    let mut config = config();
+    config.links.push(station::link(GCS_LINK, vec![]));
+    let heartbeats = Unsigned::RefuseExcept(BTreeSet::from([0]));
+    config.links[0].signing.as_mut().unwrap().unsigned = heartbeats;
+    let mut station = Station::new(&config);
+    let mut brick = Brick::with_key(7);
+    station.bytes(at(10), &brick.say(at(10), &HEARTBEAT));
+    for number in 0..5_000_u16 {
+        let [system, component] = (number + 0x0200).to_be_bytes();
+        let unsigned = frame(Address::new(system, component), &HEARTBEAT);
+        station.bytes(at(20), &unsigned);
+    }
+    // In the robot's name, too, with a number far ahead.
+    let mut forger = Encoder::new(WireVersion::V2);
+    let mut unsigned = Vec::new();
+    for _ in 0..90 {
+        unsigned.clear();
+        forger.encode(BRICK, &HEARTBEAT, &mut unsigned);
+    }
+    station.bytes(at(30), &unsigned);
+    station.bytes(at(40), &brick.say(at(40), &ticks(5_000, 0, 0)));
+    assert_eq!(refusals(&station), []);
+    let mut reached = |target: Address| {
+        let command = Message::Command(CommandLong {
+            target,
+            command: 400,
+            params: [1.0; 7],
+        });
+        let seen = station.outputs.len();
+        let input = Input::Bytes {
+            link: GCS_LINK,
+            peer: PeerId::default(),
+            bytes: frame(Address::new(254, 190), &command),
+        };
+        station.give(at(50), input);
+        let sent = station.outputs[seen..].iter();
+        let links = sent.filter_map(|(_, output)| match output {
+            Output::Transmit {
+                link,
+                priority: Priority::Command,
+                ..
+            } => Some(*link),
+            _ => None,
+        });
+        links.collect::<Vec<_>>()
+    };
+    assert_eq!(reached(BRICK), [LINK]);
+    assert_eq!(reached(Address::new(2, 0)), []);
+    assert_eq!(reached(Address::new(9, 9)), []);
+    station.pass_until(at(1_000));
+    let (health, sources) = health(&station, LINK);
+    assert_eq!((health.frames_lost, sources.len()), (0, 1));
 }
 
 #[test]

@@ -186,7 +186,13 @@ pub enum Defect {
         /// Why.
         reason: Refusal,
     },
-    /// The stamp of a message was refused: the clock is not aligned yet, or it ran backwards.
+    /// A frame bears the station's own address, but the station has not sent it: somebody else has the same one, and neither hears
+    /// the other.
+    Namesake {
+        /// The message's id.
+        message_id: u32,
+    },
+    /// The stamp of a message was refused: the clock is not aligned yet, or it is from before a restart.
     Unaligned {
         /// Who sent it.
         source: Address,

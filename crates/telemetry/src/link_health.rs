@@ -62,6 +62,8 @@ pub struct LinkHealth {
     pub refused_frames: u64,
     /// Frames that came a second time, by another way, and were not used again.
     pub duplicates: u64,
+    /// Frames under the station's own address that it has not sent: somebody else has the same one.
+    pub namesakes: u64,
     /// Frames of others that were passed on to this link.
     pub forwarded: u64,
     /// Frames that this link's inward filter kept out.

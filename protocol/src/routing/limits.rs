@@ -17,7 +17,7 @@ const BURST: Span = Span::from_millis(250);
 /// A MAVLink 2 frame with signature.
 const LARGEST_FRAME: i64 = 280;
 /// Most senders whose intervals are kept.
-const MOST_SENDERS: usize = 4_096;
+const MOST_SENDERS: usize = super::MOST_PEERS;
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// Limits of one link. The default limits nothing.
@@ -25,7 +25,7 @@ const NANOS_PER_SEC: i64 = 1_000_000_000;
 pub struct RateLimits {
     /// Least time between two of a message of one sender, by message id.
     pub least_intervals: BTreeMap<u32, Span>,
-    /// Bytes per second to each peer; `None` for no budget.
+    /// Bytes per second; `None` for no budget. A frame for several peers of the link is paid for once, and each of them gets it.
     pub bytes_per_s: Option<u32>,
 }
 

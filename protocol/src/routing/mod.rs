@@ -21,6 +21,7 @@
 
 mod duplicates;
 mod limits;
+mod own_words;
 mod routes;
 mod rules;
 mod stamped;
@@ -36,10 +37,15 @@ pub use stamped::is_stamped;
 pub use targets::{Target, target_of};
 
 use self::duplicates::{DuplicateGuard, content_key, frame_key};
+use self::own_words::OwnWords;
 use self::routes::Routes;
 use crate::dialect::ids;
 use crate::framing::FrameRef;
 
+/// A way by which somebody was not heard for this long leads to him no more.
+pub const ROUTE_LIFETIME: Span = routes::LIFETIME;
+/// Most peers of a link that are told apart, and as many routes and senders: what a UDP port remembers.
+pub const MOST_PEERS: usize = 4_096;
 /// COMMAND_INT of common.xml.
 const COMMAND_INT: u32 = 75;
 /// COMMAND_CANCEL of common.xml.
@@ -54,12 +60,13 @@ pub struct Way {
     pub peer: PeerId,
 }
 
-/// Whether a frame's checksum could be verified.
+/// Whether a frame's sender is who its header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Check {
-    /// It was: the sender is who the header says.
+    /// He is: the checksum holds, and on a link with a key the signature.
     Verified,
-    /// It could not be, because the message is in no dialect: passed on, but nothing is learnt from it.
+    /// Nobody can tell: the message is in no dialect, so that its checksum cannot be verified, or it may come without the signature
+    /// that its link asks for. Passed on, but nothing is learnt from it.
     Unverifiable,
 }
 
@@ -73,6 +80,10 @@ pub enum Occurrence {
     /// It has, by a link that has nothing to do with this one: somewhere the links form a loop. It goes nowhere, but only who
     /// knows for whom he waits on which link can say whether it is news.
     Detour,
+    /// The station has said it itself: a link echoes, or it went round a loop. It goes nowhere and says nothing.
+    Echo,
+    /// It bears the station's address, but the station has not said it: somebody else has the same one. It goes nowhere.
+    Namesake,
 }
 
 /// What is to become of a frame.
@@ -101,6 +112,7 @@ pub struct Router {
     config: RouterConfig,
     routes: Routes,
     duplicates: DuplicateGuard,
+    own_words: OwnWords,
 }
 
 impl Router {
@@ -110,8 +122,14 @@ impl Router {
         Self {
             routes: Routes::default(),
             duplicates: DuplicateGuard::new(config.duplicate_window),
+            own_words: OwnWords::default(),
             config,
         }
+    }
+
+    /// The station itself says this frame, on whichever link.
+    pub fn say(&mut self, frame: &[u8]) {
+        self.own_words.say(frame);
     }
 
     /// Whether a link's inward filter lets a frame in: one that it does not is neither believed nor passed on.
@@ -125,7 +143,7 @@ impl Router {
 
     /// Takes note of a frame that was let in at `now` and decides where it goes.
     ///
-    /// What the station said itself goes nowhere and teaches nothing, however it comes back.
+    /// What bears the station's own address goes nowhere and teaches nothing, whoever has said it.
     pub fn route(
         &mut self,
         now: Stamp<HostClock>,
@@ -134,10 +152,13 @@ impl Router {
         check: Check,
     ) -> Routed {
         if frame.source == self.config.own {
-            return Routed {
-                occurrence: Occurrence::First,
-                to: Vec::new(),
+            let occurrence = if self.own_words.contain(frame.raw) {
+                Occurrence::Echo
+            } else {
+                Occurrence::Namesake
             };
+            let to = Vec::new();
+            return Routed { occurrence, to };
         }
         let occurrence = self.occurrence(now, from, frame);
         // By a detour nobody is to be reached: that would send commands around the loop. By a redundant link he is.
@@ -146,7 +167,10 @@ impl Router {
         }
         let to = match occurrence {
             Occurrence::First => self.destinations(now, from, frame),
-            Occurrence::Redundant | Occurrence::Detour => Vec::new(),
+            Occurrence::Redundant
+            | Occurrence::Detour
+            | Occurrence::Echo
+            | Occurrence::Namesake => Vec::new(),
         };
         Routed { occurrence, to }
     }

@@ -8,11 +8,13 @@ use posebridge_telemetry::{
 
 use super::Way;
 
-/// A way by which somebody was not heard for this long leads to him no more: thirty missed heartbeats, and the time after
-/// which a pipeline forgets a peer.
-const LIFETIME: Span = Span::from_millis(30_000);
-/// Most routes; the oldest goes first. As many as a link may have peers.
-const MOST_ROUTES: usize = 4_096;
+/// A way by which somebody was not heard for this long leads to him no more: thirty missed heartbeats.
+pub(super) const LIFETIME: Span = Span::from_millis(30_000);
+/// Most routes.
+const MOST_ROUTES: usize = super::MOST_PEERS;
+
+/// Behind one way no honest neighbourhood is larger than this: as many systems as eight bits name.
+const MANY_ROUTES: usize = 255;
 
 /// Routes that were learnt by listening.
 #[derive(Clone, Debug, Default)]
@@ -62,16 +64,35 @@ impl Routes {
             .collect()
     }
 
+    /// Whoever invents senders makes room for them: of the way with the most routes the older half goes, at once, so that a flood
+    /// costs no search per frame. If no way has many, the flood comes by invented ways, and the link with the most loses as much.
     fn make_room(&mut self, now: Stamp<HostClock>) {
         self.0.retain(|_, heard| now - *heard <= LIFETIME);
-        if self.0.len() >= MOST_ROUTES
-            && let Some(oldest) = self
-                .0
-                .iter()
-                .min_by_key(|(_, heard)| **heard)
-                .map(|(k, _)| *k)
-        {
-            self.0.remove(&oldest);
+        if self.0.len() < MOST_ROUTES {
+            return;
+        }
+        let (mut of_ways, mut of_links) = (BTreeMap::new(), BTreeMap::new());
+        for (_, way) in self.0.keys() {
+            *of_ways.entry(*way).or_insert(0_usize) += 1;
+            *of_links.entry(way.link).or_insert(0_usize) += 1;
+        }
+        let loudest_way = of_ways.into_iter().max_by_key(|(_, routes)| *routes);
+        let loudest_link = of_links.into_iter().max_by_key(|(_, routes)| *routes);
+        match (loudest_way, loudest_link) {
+            (Some((way, routes)), _) if routes >= MANY_ROUTES => {
+                self.forget_older_half(|found| found == way);
+            }
+            (_, Some((link, _))) => self.forget_older_half(|found| found.link == link),
+            _ => {}
+        }
+    }
+
+    fn forget_older_half(&mut self, is_one: impl Fn(Way) -> bool) {
+        let found = self.0.iter().filter(|((_, way), _)| is_one(*way));
+        let mut by_silence: Vec<_> = found.map(|(key, heard)| (*heard, *key)).collect();
+        by_silence.sort_unstable();
+        for (_, key) in by_silence.iter().take(by_silence.len().div_ceil(2)) {
+            self.0.remove(key);
         }
     }
 }
@@ -117,14 +138,39 @@ mod tests {
         assert!(ways.into_iter().eq([way(1, 7)]));
     }
 
+    fn sender(number: u32) -> Address {
+        Address::new((number / 256 % 256) as u8, (number % 256) as u8)
+    }
+
     #[test]
-    fn the_oldest_route_gives_way_when_there_are_too_many() {
+    fn who_invents_senders_pushes_out_his_own() {
         let mut routes = Routes::default();
-        for peer in 0..=MOST_ROUTES as u32 {
-            routes.learn(at(i64::from(peer)), Address::new(1, 1), way(0, peer));
+        let robot = Address::new(1, 1);
+        routes.learn(at(0), robot, way(0, 0));
+        routes.learn(at(0), robot, way(1, 0));
+        for number in 0..60_000 {
+            routes.learn(at(1), sender(number + 512), way(1, 7));
+            assert!(routes.0.len() <= MOST_ROUTES);
         }
-        let ways = routes.to_component(at(5_000), Address::new(1, 1));
-        assert_eq!(ways.len(), MOST_ROUTES);
-        assert!(!ways.contains(&way(0, 0)) && ways.contains(&way(0, 1)));
+        assert!(
+            routes
+                .to_component(at(2), robot)
+                .into_iter()
+                .eq([way(0, 0), way(1, 0)])
+        );
+        assert!(routes.0.len() > MOST_ROUTES / 4);
+        assert_eq!(routes.to_component(at(2), sender(60_511)).len(), 1);
+    }
+
+    #[test]
+    fn who_invents_ways_as_well_pushes_nobody_out_on_another_link() {
+        let mut routes = Routes::default();
+        let robot = Address::new(1, 1);
+        routes.learn(at(0), robot, way(0, 0));
+        for number in 0..60_000 {
+            routes.learn(at(1), sender(number + 512), way(1, number));
+            assert!(routes.0.len() <= MOST_ROUTES);
+        }
+        assert_eq!(routes.to_component(at(2), robot).len(), 1);
     }
 }

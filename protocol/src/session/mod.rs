@@ -140,6 +140,12 @@ impl<C: Clock> Session<C> {
         }
     }
 
+    /// Takes note that a known peer is alive, from a message at `now` that is not for this session.
+    pub fn heard(&mut self, now: Stamp<C>, from: Address) {
+        self.follow_clock(now);
+        self.peers.heard(now, from);
+    }
+
     /// Does what is due at `now`.
     pub fn tick(&mut self, now: Stamp<C>) {
         self.follow_clock(now);

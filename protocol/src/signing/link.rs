@@ -5,7 +5,7 @@ use posebridge_telemetry::{HostClock, Refusal, Stamp};
 use super::clock::Timestamp;
 use super::key::Key;
 use super::memory::Memory;
-use super::signature::Seal;
+use super::signature::{Seal, Signature};
 use super::verifier::{Unsigned, Verifier};
 use crate::framing::FrameRef;
 
@@ -78,6 +78,13 @@ impl LinkSigning {
             self.start = self.start.later(timestamp.since(clock));
         }
         Ok(())
+    }
+
+    /// Whether the sender of a frame that is believed is vouched for. Nobody vouches for a frame without a signature that came in
+    /// only because of its message id: everybody can send it, in anybody's name.
+    #[must_use]
+    pub fn vouches_for(&self, frame: &FrameRef<'_>) -> bool {
+        self.verifier.believes_everybody() || Signature::of(frame).is_some()
     }
 
     /// What must be known after a restart, as of `now`.

@@ -1,13 +1,14 @@
 //! The conversation beside the telemetry: what the sessions want done, and what they learn about clocks.
 
 use posebridge_protocol::message::Message;
+use posebridge_protocol::routing::Occurrence;
 use posebridge_protocol::session::SessionOutput;
 use posebridge_telemetry::{
     Address, Event, HostClock, LinkId, LinkState, Priority, RobotId, Stamp,
 };
 
 use super::Pipeline;
-use super::intake::Arrival;
+use super::intake::{Arrival, Arrived};
 use crate::clock::align::Alignment;
 use crate::clock::unwrap::Unwrapped;
 
@@ -20,6 +21,29 @@ pub(super) struct Exchange {
 }
 
 impl Pipeline {
+    /// Lets the session of a link hear a message, as far as that is what the link is for. `from` is its sender on the first link of
+    /// the group.
+    ///
+    /// A request that has come before was done then. What went round a loop is not said on this link; only the robot is always heard
+    /// on his own, because a copy may have been quicker. But answers are waited for where the question left, and so is a sign of life.
+    pub(super) fn converse(&mut self, arrival: Arrival, from: RobotId, arrived: &Arrived) {
+        let message = &arrived.message;
+        let is_heard = match arrived.occurrence {
+            Occurrence::First => true,
+            Occurrence::Detour if self.robot != Some(from) => is_answer(message),
+            Occurrence::Redundant | Occurrence::Detour => !is_request(message),
+            Occurrence::Echo | Occurrence::Namesake => return,
+        };
+        if let Some(link) = self.links.get_mut(&arrival.way.link) {
+            if is_heard {
+                link.session.handle(self.now, arrived.source, message);
+            } else {
+                link.session.heard(self.now, arrived.source);
+            }
+        }
+        self.drain_session(arrival);
+    }
+
     /// Does what the session of a link wants done after it took what came so, or time.
     pub(super) fn drain_session(&mut self, arrival: Arrival) {
         let id = arrival.way.link;
@@ -158,6 +182,22 @@ impl Pipeline {
         if let Some(link) = self.links.get_mut(&id) {
             link.session.peer_restarted(now, peer);
         }
+    }
+}
+
+/// Whether a message asks the station for something that must not be done twice.
+const fn is_request(message: &Message) -> bool {
+    matches!(
+        message,
+        Message::SetMessageInterval(_) | Message::Command(_)
+    )
+}
+
+/// Whether a message answers what the station asked on some link.
+const fn is_answer(message: &Message) -> bool {
+    match message {
+        Message::TimeSync(sync) => sync.answer_nanos != 0,
+        _ => matches!(message, Message::CommandAck(_)),
     }
 }
 

@@ -109,9 +109,10 @@ impl Pipeline {
             link.health.drops_out += 1;
             return;
         }
-        if stream.is_some() {
+        if stream.is_some() || priority == Priority::Command {
             link.limiter.charge(self.now, bytes.len());
         }
+        self.router.say(&bytes);
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
         self.outputs.push_back(Output::Transmit {

@@ -37,6 +37,8 @@ pub(super) struct Seen {
     filtered: u64,
     /// Frames that had come before by another way.
     duplicates: u64,
+    /// Frames under the station's own address that it has not said.
+    namesakes: u64,
     passed: Vec<Passed>,
 }
 
@@ -59,8 +61,8 @@ impl<'a> Passage<'a> {
         from: Way,
         link: &Link,
     ) -> Self {
-        // A peer that only listens was never heard, but the port knows of it.
-        let has_company = link.peers.has_other_than(from.peer) || link.health.port.peers > 1;
+        let told = link.health.port.peers;
+        let has_company = link.peers.has_other_than(from.peer, now, told);
         Self {
             router,
             now,
@@ -86,8 +88,10 @@ impl<'a> Passage<'a> {
             return None;
         }
         let mut routed = self.router.route(self.now, self.from, frame, check);
-        if routed.occurrence != Occurrence::First {
-            self.seen.duplicates += 1;
+        match routed.occurrence {
+            Occurrence::Redundant | Occurrence::Detour => self.seen.duplicates += 1,
+            Occurrence::Namesake => self.seen.namesakes += 1,
+            Occurrence::First | Occurrence::Echo => {}
         }
         if self.sharing == Sharing::Alone {
             routed.to.retain(|(link, _)| *link != self.from.link);
@@ -112,16 +116,21 @@ impl Pipeline {
         if let Some(link) = self.links.get_mut(&id) {
             link.health.filtered += seen.filtered;
             link.health.duplicates += seen.duplicates;
+            link.health.namesakes += seen.namesakes;
         }
         for frame in &seen.passed {
-            for (link, to) in &frame.to {
-                self.pass_on(now, (*link, *to), frame);
+            for of_link in frame.to.chunk_by(|one, next| one.0 == next.0) {
+                self.pass_on(now, of_link, frame);
             }
         }
     }
 
-    fn pass_on(&mut self, now: Stamp<HostClock>, (id, to): (LinkId, Audience), frame: &Passed) {
-        let Some(link) = self.links.get_mut(&id) else {
+    /// Sends a frame to whom it is for on one link; it is limited and paid for once, as if it were for all of them.
+    fn pass_on(&mut self, now: Stamp<HostClock>, to: &[(LinkId, Audience)], frame: &Passed) {
+        let Some((id, link)) = to
+            .first()
+            .and_then(|(id, _)| Some((*id, self.links.get_mut(id)?)))
+        else {
             return;
         };
         let is_foreign = link.speaks == WireVersion::V1 && frame.version == WireVersion::V2;
@@ -139,14 +148,16 @@ impl Pipeline {
             link.health.thinned += 1;
             return;
         }
-        link.health.bytes_out += length as u64;
-        link.health.frames_out += 1;
-        link.health.forwarded += 1;
-        self.passed_on.push_back(Output::Transmit {
-            link: id,
-            to,
-            priority: frame.priority,
-            bytes: frame.bytes.clone(),
-        });
+        for (_, to) in to {
+            link.health.bytes_out += length as u64;
+            link.health.frames_out += 1;
+            link.health.forwarded += 1;
+            self.passed_on.push_back(Output::Transmit {
+                link: id,
+                to: *to,
+                priority: frame.priority,
+                bytes: frame.bytes.clone(),
+            });
+        }
     }
 }

@@ -6,13 +6,14 @@
 use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{FrameRef, Scanned};
 use posebridge_protocol::message::Message;
-use posebridge_protocol::routing::{Check, Occurrence, Way};
+use posebridge_protocol::routing::{Occurrence, Way};
 use posebridge_telemetry::{
     Address, Defect, Event, HostClock, LinkId, Output, PeerId, Refusal, Stamp,
 };
 
 use super::Pipeline;
 use super::forward::Passage;
+use crate::peers::Believed;
 
 /// How something came.
 #[derive(Clone, Copy, Debug)]
@@ -63,7 +64,7 @@ impl Pipeline {
             events: Vec::new(),
         };
         let mut sink =
-            |scanned: Scanned<'_>, verdict: Result<u32, Refusal>| intake.take(scanned, verdict);
+            |scanned: Scanned<'_>, verdict: Result<_, Refusal>| intake.take(scanned, verdict);
         match bytes {
             Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
             None => link.peers.give_up(now, peer, &mut sink),
@@ -79,27 +80,32 @@ impl Pipeline {
 }
 
 impl Intake<'_> {
-    /// Takes one find, with how many frames of its sender are missing before it or why it must not be believed.
-    fn take(&mut self, scanned: Scanned<'_>, verdict: Result<u32, Refusal>) {
+    /// Takes one find, with what is known of its sender or why it must not be believed.
+    fn take(&mut self, scanned: Scanned<'_>, verdict: Result<Believed, Refusal>) {
         match (scanned, verdict) {
             (Scanned::Frame(frame) | Scanned::Unknown(frame), Err(reason)) => {
                 self.refused_frames += 1;
                 let source = frame.source;
                 self.tell(Defect::Refused { source, reason });
             }
-            (Scanned::Frame(frame), Ok(missing)) => {
+            (Scanned::Frame(frame), Ok(Believed { check, missing })) => {
                 if missing > 0 {
                     self.tell(Defect::Lost {
                         source: frame.source,
                         frames: missing,
                     });
                 }
-                if let Some(occurrence) = self.passage.take(&frame, Check::Verified) {
-                    self.read(&frame, occurrence);
+                match self.passage.take(&frame, check) {
+                    Some(Occurrence::Namesake) => self.tell(Defect::Namesake {
+                        message_id: frame.message_id,
+                    }),
+                    // What the station said itself is no news, least of all its own estimate.
+                    None | Some(Occurrence::Echo) => {}
+                    Some(occurrence) => self.read(&frame, occurrence),
                 }
             }
-            (Scanned::Unknown(frame), Ok(_)) => {
-                self.passage.take(&frame, Check::Unverifiable);
+            (Scanned::Unknown(frame), Ok(Believed { check, .. })) => {
+                self.passage.take(&frame, check);
             }
             (Scanned::Defect(defect), _) => self.tell(defect),
         }

@@ -28,17 +28,9 @@ impl Pipeline {
             occurrence,
             ref message,
         } = *arrived;
-        if source == self.config.own {
-            // A link that echoes: what the station said itself is no news, least of all its own estimate.
-            return;
-        }
-        let id = arrival.way.link;
-        if let Some(link) = self.links.get_mut(&id) {
-            link.session.handle(self.now, source, message);
-        }
-        self.drain_session(arrival);
         // Redundant links are one: the robot, its clock and its observations know only the first of them.
-        let id = self.router.first_of_group(id);
+        let id = self.router.first_of_group(arrival.way.link);
+        self.converse(arrival, robot_at(id, source), arrived);
         if occurrence == Occurrence::Redundant {
             self.note_copy(arrival, robot_at(id, source), message);
             return;
