@@ -308,9 +308,10 @@ fn a_delay_ms(text: &str) -> Result<f64, String> {
     number_within(text, 0.0..=10_000.0)
 }
 
-/// No crystal and no RC oscillator of a brick is further off than one per cent.
+/// As far off as the alignment allows.
 fn a_skew_ppm(text: &str) -> Result<f64, String> {
-    number_within(text, -10_000.0..=10_000.0)
+    let most_ppm = posebridge_pipeline::clock::LARGEST_SKEW * 1e6;
+    number_within(text, -most_ppm..=most_ppm)
 }
 
 fn number_within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, String> {

@@ -16,10 +16,46 @@ mod station;
 
 use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
 use posebridge_protocol::message::{Message, TimeSync};
-use posebridge_telemetry::{Address, Event, Input, LinkId, Output, PeerId, Span, Stamp};
+use posebridge_telemetry::{Address, Defect, Event, Input, LinkId, Output, PeerId, Span, Stamp};
 use station::{LINK, STATION, Station, at, config, link};
 
 const BESIDE: LinkId = LinkId(4);
+
+/// A minute of a brick whose clock runs so much faster than the host's, in per cent, and that answers each request at once: how
+/// often it was told that its clock makes no sense.
+fn told_of_a_clock_off_by(percent: i64) -> usize {
+    let mut station = Station::new(&config());
+    station.bytes(at(1), &frame(BRICK, &HEARTBEAT));
+    let mut seen = 0;
+    for k in 0..1_200_i64 {
+        let now = at(20 + k * 50);
+        station.pass_until(now);
+        let brick_ms = (k * 50) * (100 + percent) / 100 + 5_000;
+        let stamp = u32::try_from(brick_ms).expect("a minute");
+        let requests = time_requests(&station, seen);
+        seen = station.outputs.len();
+        station.bytes(now, &frame(BRICK, &ticks(stamp, 0, 0)));
+        for request_nanos in requests {
+            let answer = Message::TimeSync(TimeSync {
+                answer_nanos: brick_ms * 1_000_000,
+                request_nanos,
+                target: Some(STATION),
+            });
+            station.bytes(now, &frame(BRICK, &answer));
+        }
+    }
+    let unaligned = Defect::Unaligned { source: BRICK };
+    let is_told =
+        |event: &&Event| matches!(event, Event::Defect { defect, .. } if *defect == unaligned);
+    station.events().filter(is_told).count()
+}
+
+#[test]
+fn a_clock_that_cannot_be_aligned_is_told_of() {
+    assert_eq!(told_of_a_clock_off_by(0), 0);
+    assert_eq!(told_of_a_clock_off_by(1), 0);
+    assert!(told_of_a_clock_off_by(3) > 3);
+}
 
 /// Twenty seconds of a brick that answers on one link while another one talks, whose inputs are stamped so much later than those
 /// of the first that are handled after them. How many exchanges of time came of it, and how many peers were lost.

@@ -195,6 +195,21 @@ fn a_steady_clock_behind_a_bluetooth_link_is_known_to_a_tenth_of_a_millisecond()
 }
 
 #[test]
+fn a_resonator_that_is_one_per_cent_off_is_aligned_throughout() {
+    for skew_ppm in [9_000.0, -9_000.0, 10_000.0, -10_000.0] {
+        let truth = RemoteTime::new(1_234.5, 180.0, |_| skew_ppm * 1e-6);
+        let mut watched = Watched::new(&truth, 100.0);
+        for (k, trip) in bluetooth(4).round_trips(180.0).iter().enumerate() {
+            watched.exchange(trip);
+            let aligned = watched.aligner.host_at(watched.brick(trip.answered_s));
+            assert!(k < 2 || aligned.is_some(), "{skew_ppm} ppm, answer {k}");
+        }
+        promised(&format!("{skew_ppm} ppm"), watched.outcome);
+        assert!(watched.outcome.worst_s <= 0.1e-3, "{skew_ppm} ppm");
+    }
+}
+
+#[test]
 fn half_of_an_asymmetry_is_the_error_and_the_bounds_know() {
     for (name, forth_s, back_s) in [("forth", 0.030, 0.015), ("back", 0.015, 0.030)] {
         let truth = RemoteTime::new(1_234.5, 180.0, |_| 50e-6);

@@ -192,7 +192,8 @@ pub enum Defect {
         /// The message's id.
         message_id: u32,
     },
-    /// The stamp of a message was refused: the clock is not aligned yet, or it is from before a restart.
+    /// The stamp of a message was refused, because its clock is not aligned yet or it is from before a restart; or it contradicts what
+    /// was known of its clock so much that the alignment begins anew.
     Unaligned {
         /// Who sent it.
         source: Address,

@@ -25,8 +25,8 @@ impl Audience {
     }
 }
 
-/// What a frame is worth while a slow link backs up. A later variant goes before an earlier one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+/// What a frame is worth while a slow link backs up: of an earlier variant more is kept, and it is sent before a later one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Priority {
     /// Somebody waits for it and will not ask twice: it goes first and makes room for nothing. It is given up only when too
     /// many wait already, when the system refuses it, and when the connection breaks (docs/links.md).

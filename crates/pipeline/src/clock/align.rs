@@ -36,6 +36,8 @@ pub struct ClockAligner<C: Clock> {
     round_trip: Option<Span>,
     /// Greatest common divisor of all stamps: the step in which the remote counter advances, in microseconds.
     step_micros: u64,
+    /// What was known was contradicted and forgotten since somebody asked.
+    is_contradicted: bool,
 }
 
 /// What an exchange of time taught.
@@ -76,6 +78,7 @@ impl<C: Clock> Default for ClockAligner<C> {
             answers: 0,
             round_trip: None,
             step_micros: 0,
+            is_contradicted: false,
         }
     }
 }
@@ -167,6 +170,12 @@ impl<C: Clock> ClockAligner<C> {
         Some((remote, self.uncertainty_at(remote_s, offset_s)?))
     }
 
+    /// Whether no line fitted any more and all was forgotten, since this was asked last: the clock stepped, or its rate is further off
+    /// than [`LARGEST_SKEW`](super::LARGEST_SKEW).
+    pub fn take_contradiction(&mut self) -> bool {
+        std::mem::take(&mut self.is_contradicted)
+    }
+
     /// Round trip of the last exchange.
     #[must_use]
     pub fn round_trip(&self) -> Option<Span> {
@@ -195,6 +204,7 @@ impl<C: Clock> ClockAligner<C> {
             answers: self.answers,
             round_trip: self.round_trip,
             step_micros: self.step_micros,
+            is_contradicted: self.is_contradicted,
         }
     }
 
@@ -253,6 +263,7 @@ impl<C: Clock> ClockAligner<C> {
     /// The clock stepped without falling: all is forgotten but what came last.
     fn begin_anew(&mut self, remote: Stamp<C>, arrival: Stamp<HostClock>) {
         self.forget();
+        self.is_contradicted = true;
         self.bound_above(remote, arrival);
     }
 

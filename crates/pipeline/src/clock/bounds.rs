@@ -18,6 +18,7 @@
 
 use std::collections::VecDeque;
 
+use super::LARGEST_SKEW;
 use super::hull::{Bound, Hull, Side};
 
 /// Bounds older than this are forgotten, s. It balances what the delays' jitter leaves of the line's end, which falls with the window,
@@ -27,14 +28,17 @@ const WINDOW_S: f64 = 120.0;
 const BUCKET_S: f64 = 0.5;
 /// Bounds of one kind within the window, and one on each of its ends.
 const MOST_BOUNDS: usize = (WINDOW_S / BUCKET_S) as usize + 2;
-/// No clock of a brick is further off: resonators reach 2000 ppm and 10 ppm per degree.
-pub(super) const LARGEST_SKEW: f64 = 0.003;
+/// The steepest slope of the offset, host minus remote per remote second, for a clock that is slow by [`LARGEST_SKEW`].
+const LARGEST_SLOPE: f64 = LARGEST_SKEW / (1.0 - LARGEST_SKEW);
+/// A steeper slope than this is sought only if none up to here fits: few clocks are so far off, and the first exchanges on a jittery link
+/// fit many slopes. Resonators of bricks reach 2000 ppm and 10 ppm per degree.
+const USUAL_SLOPE: f64 = 0.003;
 /// How fast the rate of a clock may change, per second: 10 ppm per degree and 1.2 degrees per minute, a brick that was just switched on.
 const LARGEST_DRIFT_PER_S: f64 = 2e-7;
 /// Bounds may contradict each other by so much before the clock is taken to have stepped, s: a brick that reads its clock once per
 /// pass of its main loop answers with a reading as old as a pass.
 const CONTRADICTION_S: f64 = 0.020;
-/// Bisection steps on the slope: 2^-40 of 6000 ppm is far below a nanosecond over the window.
+/// Bisection steps on the slope: 2^-40 of two per cent is far below a nanosecond over the window.
 const BISECTIONS: u32 = 40;
 
 /// A tangent to the offset between the bounds, valid near the window's end.
@@ -150,14 +154,15 @@ impl ClockBounds {
             return None;
         }
         self.span_hulls(t_s, 0.0);
-        let straight = self.middle(t_s);
+        let mut middle = self.middle(t_s, USUAL_SLOPE);
+        if middle.room_s < 0.0 {
+            middle = self.middle(t_s, LARGEST_SLOPE);
+        }
         self.span_hulls(t_s, LARGEST_DRIFT_PER_S);
-        // On a link as quick as a cable a drift of minutes is larger than the room: then only a bent clock fits.
-        let middle = if straight.room_s >= 0.0 {
-            straight
-        } else {
-            self.middle(t_s)
-        };
+        if middle.room_s < 0.0 {
+            // On a link as quick as a cable a drift of minutes is larger than the room: then only a bent clock fits.
+            middle = self.middle(t_s, LARGEST_SLOPE);
+        }
         if middle.room_s < -CONTRADICTION_S {
             return None;
         }
@@ -171,7 +176,7 @@ impl ClockBounds {
         let (first, last) = (self.upper.front()?, self.upper.back()?);
         let (middle_s, half_s) = (0.5 * (first.t_s + last.t_s), 0.5 * (last.t_s - first.t_s));
         self.upper_hull.span(self.upper.iter().copied(), t_s, 0.0);
-        let slope = climb(-LARGEST_SKEW, LARGEST_SKEW, |slope| {
+        let slope = climb(-LARGEST_SLOPE, LARGEST_SLOPE, |slope| {
             self.upper_hull.at(slope, middle_s).1 < middle_s
         });
         self.slope = slope;
@@ -183,7 +188,7 @@ impl ClockBounds {
             slope,
             uncertainty_s: assumed_delay_s,
             // By so much a line can turn about its middle before an end leaves the assumed band.
-            slope_uncertainty: LARGEST_SKEW.min(assumed_delay_s / half_s),
+            slope_uncertainty: LARGEST_SLOPE.min(assumed_delay_s / half_s),
         })
     }
 
@@ -195,8 +200,8 @@ impl ClockBounds {
     }
 
     /// The line with the most room: the slope of the concave room is the distance in time between the two bounds that make it.
-    fn middle(&self, t_s: f64) -> Middle {
-        let slope = climb(-LARGEST_SKEW, LARGEST_SKEW, |slope| {
+    fn middle(&self, t_s: f64, steepest: f64) -> Middle {
+        let slope = climb(-steepest, steepest, |slope| {
             self.lower_hull.at(slope, t_s).1 > self.upper_hull.at(slope, t_s).1
         });
         let (upper_s, lower_s) = (
@@ -229,8 +234,8 @@ impl ClockBounds {
         let (upper, lower) = (&self.upper_hull, &self.lower_hull);
         // All slopes that leave room: from the best one outwards to where it vanishes.
         let leaves_room = |slope: f64| upper.at(slope, t_s).0 >= lower.at(slope, t_s).0;
-        let lowest = bisect(-LARGEST_SKEW, slope, leaves_room);
-        let highest = bisect(LARGEST_SKEW, slope, leaves_room);
+        let lowest = bisect(-LARGEST_SLOPE, slope, leaves_room);
+        let highest = bisect(LARGEST_SLOPE, slope, leaves_room);
         // U is concave and L convex in the slope.
         let at_highest = climb(lowest, highest, |slope| upper.at(slope, t_s).1 < t_s);
         let at_lowest = climb(lowest, highest, |slope| lower.at(slope, t_s).1 > t_s);

@@ -8,7 +8,7 @@
 //! ```text
 //! H(b) = b + o(b)              host instant of the remote instant b
 //! o'(b) = slope ± SLEW         until the line is reached, then slope
-//! H'(b) >= 1 - LARGEST_SKEW - SLEW > 0
+//! H'(b) >= 1 - LARGEST_SKEW - SLEW > 0      LARGEST_SKEW = 0.01
 //! ```
 //!
 //! Source: the slewing of the Network Time Protocol (RFC 5905, section 12), with a rate for bricks; docs/maths/clock.md, section 4.
@@ -128,7 +128,7 @@ mod tests {
     proptest! {
         #[test]
         fn converted_instants_keep_their_order_and_there_and_back_is_the_identity(
-            lines in proptest::collection::vec((-0.02..0.02_f64, -0.003..0.003_f64), LINES),
+            lines in proptest::collection::vec((-0.02..0.02_f64, -0.0101..0.0101_f64), LINES),
             remotes in proptest::collection::vec(-1.0..8.0_f64, 2..40),
         ) {
             let conversion = steered(&lines);
@@ -146,7 +146,7 @@ mod tests {
 
         #[test]
         fn a_new_line_changes_nothing_that_was(
-            lines in proptest::collection::vec((-0.02..0.02_f64, -0.003..0.003_f64), LINES),
+            lines in proptest::collection::vec((-0.02..0.02_f64, -0.0101..0.0101_f64), LINES),
             ago_s in 0.0..3.0_f64,
         ) {
             let mut conversion = steered(&lines);

@@ -13,3 +13,7 @@ pub mod unwrap;
 mod ways;
 
 pub use posebridge_protocol::routing::Way;
+
+/// No clock of a brick may be further off than this share of its rate. Crystals reach 50 ppm and ceramic resonators of cheap boards
+/// 5000; an RC oscillator is as good only where its user has calibrated it (ATmega328P datasheet, accuracy of the internal oscillator).
+pub const LARGEST_SKEW: f64 = 0.01;

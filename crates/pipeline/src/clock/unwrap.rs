@@ -14,18 +14,17 @@
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, Span, Stamp, clock::Clock};
 
-use super::Way;
 use super::ways::{Place, Ways};
+use super::{LARGEST_SKEW, Way};
 
 /// Period of a 32-bit microsecond counter.
 const PERIOD_MICROS: i64 = 1 << 32;
 /// A stamp this much older than the last one is no reordering: datagrams overtake each other by milliseconds. Shorter falls are
 /// refused by the estimator's history instead.
 const RESTART_BACK: Span = Span::from_millis(1_000);
-/// A clock that has run this much further than the host's is another clock: 2000 ppm need eight minutes for a second.
+/// A clock that has run this much further than the host's is another clock, besides the share of the time since that its rate explains
+/// ([`LARGEST_SKEW`]): 2000 ppm need eight minutes for a second.
 const RESTART_AHEAD: Span = Span::from_millis(1_000);
-/// And this share of the time since, for links that were silent for hours.
-const LARGEST_SKEW: f64 = 0.01;
 /// A clock that has run this much less than the host's stood still or began anew: no link holds a message for longer than TCP,
 /// whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
 const LONGEST_DELAY: Span = Span::from_millis(924_600);

@@ -129,6 +129,9 @@ impl Pipeline {
             peer_nanos,
         } = exchange;
         let (unwrapped, alignment) = self.brick_clock.exchanged(way, sent, at, peer_nanos);
+        if self.brick_clock.take_contradiction() {
+            self.tell_unaligned(way.link, robot.address);
+        }
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
             self.brick_restarted(robot);
         }
@@ -162,6 +165,9 @@ impl Pipeline {
         } = exchange;
         let clock = self.observers.entry((id, camera)).or_default();
         let (unwrapped, alignment) = clock.exchanged(way, sent, at, peer_nanos);
+        if clock.take_contradiction() {
+            self.tell_unaligned(way.link, camera);
+        }
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
             self.ask_time_again(id, camera);
         }

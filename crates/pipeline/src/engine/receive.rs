@@ -119,6 +119,9 @@ impl Pipeline {
                 return;
             }
         };
+        if self.brick_clock.take_contradiction() {
+            self.tell_unaligned(way.link, robot.address);
+        }
         let observed = self.whole_turn_rate(stamp, reading);
         let observation = Observation {
             sensor: reading.sensor,
@@ -185,6 +188,8 @@ impl Pipeline {
             return;
         };
         let on_host = clock.host_at(stamp);
+        // It is told below, because such a clock has no conversion.
+        clock.take_contradiction();
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
             self.ask_time_again(link, source);
         }
@@ -206,7 +211,7 @@ impl Pipeline {
         }
     }
 
-    fn tell_unaligned(&mut self, link: LinkId, source: Address) {
+    pub(super) fn tell_unaligned(&mut self, link: LinkId, source: Address) {
         let defect = Defect::Unaligned { source };
         self.tell(Event::Defect { link, defect });
     }
