@@ -181,7 +181,12 @@ impl Bench {
             3 => Check::Unverifiable,
             _ => Check::Verified,
         };
-        self.hear(way, bytes_of(source, message_id, &payload), check);
+        let bytes = bytes_of(source, message_id, &payload);
+        if source == STATION && who & 0x10 != 0 {
+            self.router.say(&bytes);
+            self.model.say(&frame_of(&bytes));
+        }
+        self.hear(way, bytes, check);
     }
 
     /// Bytes as they come from a link.

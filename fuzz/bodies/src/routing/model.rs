@@ -2,9 +2,9 @@
 //!
 //! Source: the model at the head of `protocol::routing`, and docs/routing.md.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_protocol::framing::FrameRef;
+use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::routing::{
     Check, Forward, LinkRules, Occurrence, Routed, RouterConfig, Target, Way, is_stamped, target_of,
 };
@@ -22,11 +22,26 @@ enum Mark {
     Content(u16, Address, u32, Vec<u8>),
 }
 
+/// By what the station knows its own words: checksum, sequence number, lowest byte of the message id.
+type OwnMark = ([u8; 2], u8, u8);
+
+fn own_mark(frame: &FrameRef<'_>) -> OwnMark {
+    let header = match frame.version {
+        WireVersion::V2 => 10,
+        WireVersion::V1 => 6,
+    };
+    let end = header + frame.payload.len();
+    let checksum = [frame.raw[end], frame.raw[end + 1]];
+    (checksum, frame.sequence, frame.message_id.to_le_bytes()[0])
+}
+
 /// Everything that was heard.
 pub(super) struct Model {
     config: RouterConfig,
     heard: BTreeMap<(Address, Way), Stamp<HostClock>>,
     noted: BTreeMap<Mark, (Stamp<HostClock>, Way)>,
+    /// What the station has said itself, by its marks.
+    said: BTreeSet<OwnMark>,
     /// More was heard than a router remembers: it may know less than this model.
     is_beyond: bool,
 }
@@ -37,6 +52,7 @@ impl Model {
             config,
             heard: BTreeMap::new(),
             noted: BTreeMap::new(),
+            said: BTreeSet::new(),
             is_beyond: false,
         }
     }
@@ -49,6 +65,10 @@ impl Model {
 
     pub(super) fn forget(&mut self, link: LinkId) {
         self.heard.retain(|(_, way), _| way.link != link);
+    }
+
+    pub(super) fn say(&mut self, frame: &FrameRef<'_>) {
+        self.said.insert(own_mark(frame));
     }
 
     pub(super) fn route(
@@ -77,7 +97,11 @@ impl Model {
         check: Check,
     ) -> Occurrence {
         if frame.source == self.config.own {
-            return Occurrence::First;
+            return if self.said.contains(&own_mark(frame)) {
+                Occurrence::Echo
+            } else {
+                Occurrence::Namesake
+            };
         }
         let mut marks = vec![Mark::Bytes(frame.raw.to_vec())];
         if let (Some(group), true) = (self.group(from.link), is_stamped(frame.message_id)) {
@@ -92,20 +116,23 @@ impl Model {
                 payload,
             ));
         }
-        let mut first = None;
+        let mut firsts = Vec::new();
         for mark in marks {
             let before = self.noted.get(&mark).copied();
             match before
                 .filter(|(at, way)| now - *at < self.config.duplicate_window && *way != from)
             {
-                Some((_, way)) => first = first.or(Some(way)),
+                Some((_, way)) => firsts.push(way),
                 None => drop(self.noted.insert(mark, (now, from))),
             }
         }
-        let occurrence = match first {
-            None => Occurrence::First,
-            Some(first) if self.is_one(first.link, from.link) => Occurrence::Redundant,
-            Some(_) => Occurrence::Detour,
+        let is_redundant = |first: &Way| self.is_one(first.link, from.link);
+        let occurrence = if firsts.is_empty() {
+            Occurrence::First
+        } else if firsts.iter().any(is_redundant) {
+            Occurrence::Redundant
+        } else {
+            Occurrence::Detour
         };
         if check == Check::Verified && occurrence != Occurrence::Detour {
             self.hear(now, frame.source, from);
