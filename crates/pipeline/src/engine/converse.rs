@@ -201,9 +201,10 @@ const fn is_request(message: &Message) -> bool {
 
 /// Whether a message answers what the station asked on some link.
 const fn is_answer(message: &Message) -> bool {
-    match message {
-        Message::TimeSync(sync) => sync.answer_nanos != 0,
-        _ => matches!(message, Message::CommandAck(_)),
+    if let Message::TimeSync(sync) = message {
+        sync.answer_nanos != 0
+    } else {
+        matches!(message, Message::CommandAck(_))
     }
 }
 

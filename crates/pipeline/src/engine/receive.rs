@@ -75,7 +75,7 @@ impl Pipeline {
                 }
             }
             StampedBy::Observer if from_robot => {
-                self.handle_relayed_reading(arrival, source, reading)
+                self.handle_relayed_reading(arrival, source, reading);
             }
             StampedBy::Observer => self.handle_observer_reading(arrival, id, source, reading),
         }
