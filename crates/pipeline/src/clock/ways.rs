@@ -178,3 +178,108 @@ fn judge(
         _ => (Place::Restarted, 0, Standing::Current),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{LinkId, PeerId};
+
+    const MILLI: i64 = 1_000;
+
+    const fn way(link: u16) -> Way {
+        Way {
+            link: LinkId(link),
+            peer: PeerId(0),
+        }
+    }
+
+    /// A stamp in ms by a way at an instant in ms; a restart is followed, as its caller must.
+    fn give(ways: &mut Ways, link: u16, stamp_ms: i64, arrival_ms: i64) -> Option<Place> {
+        let arrival = Stamp::from_millis(arrival_ms);
+        let stamp = WireStamp::Micros64((stamp_ms * MILLI) as u64);
+        let place = ways.place(way(link), stamp, arrival);
+        if matches!(place, None | Some(Place::Restarted)) {
+            ways.begin(way(link), stamp_ms * MILLI, arrival);
+        }
+        place
+    }
+
+    /// Two ways that have both spoken of a clock which shows a hundred seconds at host zero.
+    fn two_ways() -> Ways {
+        let mut ways = Ways::default();
+        assert_eq!(give(&mut ways, 0, 100_000, 0), None);
+        let micros = 100_010 * MILLI;
+        assert_eq!(give(&mut ways, 1, 100_010, 20), Some(Place::RunsOn(micros)));
+        ways
+    }
+
+    #[test]
+    fn a_fall_by_one_way_is_a_restart_and_by_two_it_is_none() {
+        let mut ways = two_ways();
+        give(&mut ways, 0, 105_000, 5_000);
+        let late = give(&mut ways, 1, 100_060, 5_010);
+        assert_eq!(late, Some(Place::RunsOn(100_060 * MILLI)));
+        let fallen = give(&mut ways, 0, 100_070, 5_020);
+        assert_eq!(fallen, Some(Place::Restarted));
+    }
+
+    #[test]
+    fn after_a_restart_the_other_way_is_outlived_until_it_falls_too() {
+        let mut ways = two_ways();
+        assert_eq!(give(&mut ways, 0, 50, 10_000), Some(Place::Restarted));
+        for (stamp_ms, place) in [
+            (100_100, Place::Outlived),
+            (109_900, Place::Outlived),
+            // Late, but of the new clock: it has fallen.
+            (40, Place::RunsOn(40 * MILLI)),
+            (200, Place::RunsOn(200 * MILLI)),
+        ] {
+            give(&mut ways, 0, 4_000, 13_950);
+            let found = give(&mut ways, 1, stamp_ms, 14_000);
+            assert_eq!(found, Some(place), "{stamp_ms} ms");
+        }
+    }
+
+    #[test]
+    fn an_old_clock_that_runs_on_past_its_end_has_not_ended() {
+        let mut ways = two_ways();
+        // Damage, after which the way is silent.
+        assert_eq!(give(&mut ways, 0, 900_000, 1_000), Some(Place::Restarted));
+        assert_eq!(give(&mut ways, 1, 101_000, 1_010), Some(Place::Outlived));
+        let before = give(&mut ways, 1, 101_900, 1_910);
+        assert_eq!(before, Some(Place::Outlived));
+        let mut instants = (2_000..8_000).step_by(50);
+        let end =
+            instants.find(|now| give(&mut ways, 1, 100_000 + now, *now) == Some(Place::Restarted));
+        assert!(end.is_some_and(|end| end <= 3_100), "{end:?}");
+    }
+
+    #[test]
+    fn a_way_that_was_never_heard_is_late_only_while_another_one_speaks() {
+        for (silence_ms, expected) in [
+            (2_000, Place::RunsOn(50 * MILLI)),
+            (2_001, Place::Restarted),
+        ] {
+            let mut ways = two_ways();
+            let found = give(&mut ways, 2, 50, 20 + silence_ms);
+            assert_eq!(found, Some(expected), "{silence_ms} ms");
+        }
+    }
+
+    #[test]
+    fn of_many_ways_the_one_that_was_silent_longest_is_forgotten() {
+        let mut ways = two_ways();
+        for link in 2..20 {
+            give(&mut ways, link, 100_100, 100);
+            give(
+                &mut ways,
+                0,
+                100_100 + i64::from(link),
+                100 + i64::from(link),
+            );
+        }
+        assert_eq!(ways.heard.len(), MOST_WAYS);
+        assert!(ways.heard.iter().any(|heard| heard.way == way(0)));
+        assert!(!ways.heard.iter().any(|heard| heard.way == way(1)));
+    }
+}
