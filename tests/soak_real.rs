@@ -33,26 +33,7 @@ const GROWTH: f64 = 0.05;
 const SHOWN: usize = 60;
 
 /// What `harsh` is to a stream, for datagrams.
-const HARSH_DATAGRAMS: &str = r#"
-kind = "datagram"
-
-[both]
-loss = 0.02
-burst_loss = { mean_good_s = 5.0, mean_bad_s = 0.3, loss_good = 0.0, loss_bad = 1.0 }
-bit_error_rate = 1e-4
-delay = { base_ms = 15.0, jitter_mean_ms = 15.0 }
-stalls = [
-    { probability = 0.01, from_ms = 50.0, to_ms = 500.0 },
-    { probability = 0.0005, from_ms = 2000.0, to_ms = 10000.0 },
-]
-duplicate = 0.01
-reorder = { probability = 0.01, from_ms = 1.0, to_ms = 50.0 }
-
-[disconnects]
-mean_up_s = 30.0
-down_from_s = 1.0
-down_to_s = 5.0
-"#;
+const HARSH_DATAGRAMS: &str = include_str!("data/harsh-datagrams.toml");
 
 /// The bricks' frames are none of each other's business.
 const STATION: &str = r#"
@@ -198,7 +179,10 @@ impl Scene {
                 let told = account(&table, link, source);
                 let made = [count("whole") + count("repeated"), count("missing_between")];
                 assert!(told[0] > 0, "link {link} {source}");
-                if told != made {
+                // Where an 8-bit number does not tell late from new, the sum may be off by those frames.
+                let sums = [told, made].map(|account| account.iter().sum::<u64>());
+                let undatable = count("undatable");
+                if told[0] != made[0] || sums[0].abs_diff(sums[1]) > undatable {
                     differences.push(format!("link {link} {source}: {told:?}, not {made:?}"));
                 }
             }

@@ -38,6 +38,29 @@ fn the_odometry_of_the_square_ends_decimetres_from_the_truth() {
 }
 
 #[test]
+fn a_world_without_history_drives_the_same_way_and_keeps_nothing() {
+    let mut with = Simulation::new(bundled("square"));
+    let mut without = Simulation::new(bundled("square")).without_history();
+    for _ in 0..5_000 {
+        with.step();
+        without.step();
+        loop {
+            let (one, other) = (with.poll(), without.poll());
+            assert_eq!(one, other);
+            if one.is_none() {
+                break;
+            }
+        }
+    }
+    assert!(with.truth().len() > 90 && with.camera_fixes().len() > 30);
+    // The instant at which it was made stands in the truth.
+    assert_eq!(
+        (without.truth().len(), without.camera_fixes().len()),
+        (1, 0)
+    );
+}
+
+#[test]
 fn without_errors_odometry_ends_within_two_counts_of_the_truth() {
     for name in ["square", "circle", "figure-eight", "straight"] {
         let run = driven(exact(bundled(name)));

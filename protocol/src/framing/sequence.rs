@@ -18,6 +18,7 @@
 //! # Sources
 //! Cumulative number of packets lost: RFC 3550, section 6.4.1 and appendix A.3.
 
+mod missing;
 mod pace;
 mod sender;
 mod sequence_set;

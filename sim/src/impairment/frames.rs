@@ -14,7 +14,9 @@ use serde::Serialize;
 use super::account::{Fate, LogEntry};
 
 /// Frames and units of which all is known are kept while they are among the newest so many: a copy may still arrive.
-const KEPT: usize = 256;
+const KEPT: usize = 2_048;
+/// Half the numbers of 8 bits.
+const HALF_CIRCLE: u64 = 128;
 /// Most entries that wait for the rest of a frame.
 const WAITING: usize = 65_536;
 
@@ -29,6 +31,9 @@ pub struct FrameCounts {
     pub lost: u64,
     /// Copies that arrived whole.
     pub repeated: u64,
+    /// Frames and copies that arrived whole after one that was sent more than 128 frames later: an 8-bit number does not tell them
+    /// from newer ones.
+    pub undatable: u64,
     /// Frames that are missing between the first and the newest that arrived whole: those of which a receiver can know.
     pub missing_between: u64,
 }
@@ -41,6 +46,14 @@ struct Account {
     first_whole: Option<u64>,
     /// Number of the newest.
     newest_whole: u64,
+}
+
+impl Account {
+    const fn tell_age(&mut self, number: u64) {
+        if number + HALF_CIRCLE < self.newest_whole {
+            self.counts.undatable += 1;
+        }
+    }
 }
 
 /// A frame on its way.
@@ -246,6 +259,7 @@ impl Travelling {
             return;
         }
         account.counts.whole += 1;
+        account.tell_age(self.number);
         let first = account.first_whole.get_or_insert(self.number);
         *first = (*first).min(self.number);
         account.newest_whole = account.newest_whole.max(self.number);
@@ -256,6 +270,7 @@ impl Travelling {
         self.copied += bytes;
         if !self.is_hurt && self.copied == self.place.end - self.place.start {
             account.counts.repeated += 1;
+            account.tell_age(self.number);
         }
     }
 }
@@ -325,8 +340,8 @@ mod tests {
             sent: 6,
             whole: 2,
             lost: 4,
-            repeated: 0,
             missing_between: 3,
+            ..FrameCounts::default()
         };
         assert_eq!(counts(&ledger), expected);
     }
@@ -340,6 +355,18 @@ mod tests {
             entry(0, 0..21, Fate::Repeated { at: AT }),
         ]);
         assert_eq!((counts(&ledger).whole, counts(&ledger).repeated), (1, 1));
+    }
+
+    #[test]
+    fn a_frame_that_comes_more_than_half_a_circle_late_cannot_be_dated() {
+        for (newer, expected) in [(128, 0), (129, 1)] {
+            let mut ledger = FrameLedger::new();
+            for unit in 0..=newer {
+                ledger.offer(AT, unit, &FRAME);
+            }
+            ledger.follow(&[arrived(newer, 0..21), arrived(0, 0..21)]);
+            assert_eq!(counts(&ledger).undatable, expected, "{newer} newer ones");
+        }
     }
 
     #[test]

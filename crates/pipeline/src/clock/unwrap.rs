@@ -19,9 +19,11 @@ use super::{LARGEST_SKEW, Way};
 
 /// Period of a 32-bit microsecond counter.
 const PERIOD_MICROS: i64 = 1 << 32;
-/// A stamp this much older than the last one is no reordering: datagrams overtake each other by milliseconds. Shorter falls are
-/// refused by the estimator's history instead.
+/// A stamp this much older than the last one is no reordering, unless a queue has just been let go ([`STRAGGLES`]): datagrams overtake
+/// each other by milliseconds. Shorter falls are refused by the estimator's history instead.
 const RESTART_BACK: Span = Span::from_millis(1_000);
+/// So long after a queue was let go a datagram may come that all of it has overtaken, and be as much older as the queue was long.
+const STRAGGLES: Span = Span::from_millis(1_000);
 /// A clock that has run this much further than the host's is another clock, besides the share of the time since that its rate explains
 /// ([`LARGEST_SKEW`]): 2000 ppm need eight minutes for a second.
 const RESTART_AHEAD: Span = Span::from_millis(1_000);
@@ -42,6 +44,10 @@ pub(super) struct Seen {
     pub(super) arrival: Stamp<HostClock>,
     /// By how much it came later than the quickest before it. Behind a queue the next may come at once, and be so much younger.
     held_back: Span,
+    /// How long the last queue was.
+    queue: Span,
+    /// When its first message came.
+    released: Stamp<HostClock>,
 }
 
 /// A stamp on the remote clock.
@@ -125,6 +131,8 @@ impl Seen {
             remote_micros,
             arrival,
             held_back: Span::ZERO,
+            queue: Span::ZERO,
+            released: arrival,
         }
     }
 
@@ -132,8 +140,13 @@ impl Seen {
     pub(super) fn believable(&self, arrival: Stamp<HostClock>) -> Believable {
         let (elapsed, skew) = self.elapsed(arrival);
         let expected_micros = self.remote_micros + micros(elapsed);
+        let straggling = if arrival - self.released <= STRAGGLES {
+            self.queue
+        } else {
+            Span::ZERO
+        };
         Believable {
-            earliest_micros: (self.remote_micros - micros(RESTART_BACK))
+            earliest_micros: (self.remote_micros - micros(RESTART_BACK + straggling))
                 .max(expected_micros - micros(skew + LONGEST_DELAY)),
             expected_micros,
             latest_micros: expected_micros + micros(skew + self.held_back + RESTART_AHEAD),
@@ -147,10 +160,18 @@ impl Seen {
         // A slow clock lags for ever without being held back: what its rate may explain neither counts nor is kept.
         let kept = (self.held_back - skew).max(Span::ZERO);
         let added = if lag > skew { lag } else { lag.min(Span::ZERO) };
+        let held_back = (kept + added).max(Span::ZERO).min(LONGEST_DELAY);
+        let (queue, released) = if held_back >= self.queue || arrival - self.released > STRAGGLES {
+            (held_back, arrival)
+        } else {
+            (self.queue, self.released)
+        };
         Self {
             remote_micros,
             arrival,
-            held_back: (kept + added).max(Span::ZERO).min(LONGEST_DELAY),
+            held_back,
+            queue,
+            released,
         }
     }
 
@@ -264,6 +285,26 @@ mod tests {
         assert_eq!(late, Unwrapped::Continued(Stamp::from_micros(89_990_000)));
         let fall = unwrapped(&mut unwrapper, WireStamp::Micros32(2_000_000), 4_000);
         assert_eq!(fall, Unwrapped::Restarted(Stamp::from_micros(2_000_000)));
+    }
+
+    #[test]
+    fn a_datagram_that_a_whole_queue_has_overtaken_is_late_and_later_a_fall_is_a_restart() {
+        let mut unwrapper = Unwrapper::default();
+        let mut stamp_at = |millis: u32, arrival_ms| {
+            unwrapped(&mut unwrapper, WireStamp::Millis32(millis), arrival_ms)
+        };
+        stamp_at(20_000, 20_000);
+        // The link stands still for six seconds, and then everything comes at once; one of it a little later.
+        for millis in (20_100..=26_000).step_by(50) {
+            let continued = Unwrapped::Continued(Stamp::from_millis(millis.into()));
+            assert_eq!(stamp_at(millis, 26_000), continued);
+        }
+        let late = Unwrapped::Continued(Stamp::from_millis(20_050));
+        assert_eq!(stamp_at(20_050, 26_900), late);
+        let runs_on = Unwrapped::Continued(Stamp::from_millis(27_000));
+        assert_eq!(stamp_at(27_000, 27_000), runs_on);
+        let fall = Unwrapped::Restarted(Stamp::from_millis(21_050));
+        assert_eq!(stamp_at(21_050, 27_050), fall);
     }
 
     #[test]

@@ -56,6 +56,14 @@ impl Pace {
         Some(sent)
     }
 
+    /// How many frames before the one with the stamp a frame was sent whose stamp lies `back_s` before it and whose number `behind`
+    /// modulo 256. `None` if it was sent after it: a camera's images may overtake each other.
+    pub(super) fn behind(&self, back_s: f64, behind: u8) -> Option<u64> {
+        let expected = self.per_s.unwrap_or(0.0) * back_s;
+        let turns = ((expected - f64::from(behind)) / 256.0).round();
+        (turns >= 0.0).then(|| u64::from(behind) + 256 * turns as u64)
+    }
+
     /// So many frames were sent in `elapsed_s`.
     pub(super) fn learn(&mut self, sent: u32, elapsed_s: f64) {
         self.gathered += f64::from(sent);

@@ -5,6 +5,7 @@
 
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
+use super::missing::Missing;
 use super::pace::Pace;
 use super::sequence_set::SequenceSet;
 use crate::message::WireStamp;
@@ -13,8 +14,11 @@ use crate::message::WireStamp;
 const LARGEST_ADVANCE: u8 = 128;
 /// The sender's clock and ours may disagree by so much over one interval, s: longer than any link holds a frame back.
 const LARGEST_DELAY_S: f64 = 60.0;
-/// A stamp may lie so far behind the one before it: a datagram that was overtaken. Further back is a clock that began anew, s.
-const OVERTAKEN_S: f64 = 1.0;
+/// A stamp may lie so far behind the one before it: a datagram that was overtaken by what a stall had held back with it. Further
+/// back is a clock that began anew, s.
+const OVERTAKEN_S: f64 = 15.0;
+/// So many stamps in a row that lie behind, of frames that were not missing, are those of a clock that began anew.
+const MOST_STRAYS: u32 = 8;
 /// A message is overtaken by no more frames than this.
 const MOST_AHEAD: u8 = 64;
 /// So many frames without another stamp of the same message, and stamps are given up: it is not sent any more.
@@ -53,7 +57,7 @@ impl Interval {
 }
 
 /// One sender.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Sender {
     /// The newest number; `None` before the first frame and after a break.
     newest: Option<u8>,
@@ -62,12 +66,32 @@ pub(super) struct Sender {
     lost: u64,
     /// What was last told of.
     told: u64,
-    /// Which of the last half circle are missing: they may still come.
-    missing: SequenceSet,
+    missing: Missing,
+    /// What follows a late frame with a stamp in its datagram: the number, and how many frames it lies behind.
+    beside: Option<(u8, u64)>,
+    /// Stamps in a row that lay behind for no reason.
+    strays: u32,
     /// An old frame that came last: a second one right behind it is no old frame but a sender that begins anew.
     stray: Option<u8>,
     interval: Option<Interval>,
     pace: Pace,
+}
+
+impl Default for Sender {
+    fn default() -> Self {
+        Self {
+            newest: None,
+            frames: 0,
+            lost: 0,
+            told: 0,
+            missing: Missing::new(),
+            beside: None,
+            strays: 0,
+            stray: None,
+            interval: None,
+            pace: Pace::default(),
+        }
+    }
 }
 
 impl Sender {
@@ -100,6 +124,12 @@ impl Sender {
     /// A frame without a stamp.
     pub(super) fn take(&mut self, sequence: u8) {
         self.frames += 1;
+        if let Some((number, behind)) = self.beside.take()
+            && number == sequence
+            && self.comes_late(number, behind)
+        {
+            return;
+        }
         self.follow(sequence);
         if self
             .interval
@@ -130,10 +160,40 @@ impl Sender {
             self.begin_anew(sequence, dated);
             return;
         }
-        self.take(sequence);
-        if elapsed_s > 0.0 {
-            self.settle(sequence, dated, elapsed_s);
+        let behind = interval.from.wrapping_sub(sequence);
+        match self.pace.behind(-elapsed_s, behind) {
+            Some(behind) if elapsed_s <= 0.0 => self.take_overtaken((sequence, dated), behind),
+            _ => {
+                self.take(sequence);
+                if elapsed_s > 0.0 {
+                    self.settle(sequence, dated, elapsed_s);
+                }
+            }
         }
+    }
+
+    /// A frame with a stamp that was sent so many frames before the one from which is counted.
+    fn take_overtaken(&mut self, (sequence, dated): (u8, Dated), behind: u64) {
+        self.frames += 1;
+        if self.comes_late(sequence, behind) {
+            return;
+        }
+        self.strays += 1;
+        if self.strays > MOST_STRAYS {
+            self.begin_anew(sequence, dated);
+        }
+    }
+
+    /// Takes a frame off the losses, if it is missing.
+    fn comes_late(&mut self, sequence: u8, behind: u64) -> bool {
+        let was_missing = self.missing.comes_late(behind);
+        if was_missing {
+            self.lost = self.lost.saturating_sub(1);
+            self.beside = behind
+                .checked_sub(1)
+                .map(|behind| (sequence.wrapping_add(1), behind));
+        }
+        was_missing
     }
 
     /// What the number says by itself.
@@ -152,24 +212,28 @@ impl Sender {
                 self.newest = Some(sequence);
             }
         } else if is_newer {
-            let mut came = SequenceSet::default();
-            came.insert(sequence);
-            self.close((newest, u32::from(advance)), &came, 1);
+            for _ in 1..advance {
+                self.missing.stayed_away();
+            }
+            self.missing.came();
+            self.lost += u64::from(advance - 1);
             self.newest = Some(sequence);
             self.stray = None;
         } else {
-            self.take_old(sequence);
+            self.take_old(newest, sequence);
         }
     }
 
     /// A number from behind.
-    fn take_old(&mut self, sequence: u8) {
-        if self.missing.contains(sequence) {
-            self.missing.remove(sequence);
+    fn take_old(&mut self, newest: u8, sequence: u8) {
+        if self
+            .missing
+            .comes_late(u64::from(newest.wrapping_sub(sequence)))
+        {
             self.lost = self.lost.saturating_sub(1);
         } else if self.stray.replace(sequence) == Some(sequence.wrapping_sub(1)) {
             self.newest = Some(sequence);
-            self.missing = SequenceSet::default();
+            self.missing = Missing::new();
         }
     }
 
@@ -183,6 +247,7 @@ impl Sender {
             Some(sent) => {
                 self.close((interval.from, sent), &interval.noted, interval.received);
                 self.pace.learn(sent, elapsed_s);
+                self.strays = 0;
                 self.interval = Some(Interval::new(sequence, dated));
                 self.newest = Some(sequence);
                 self.carry_over(&interval.noted, sent);
@@ -210,26 +275,23 @@ impl Sender {
     /// Closes the account of the `sent` frames behind number `from`.
     fn close(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
         let Some(sent) = u8::try_from(sent).ok() else {
-            self.missing = SequenceSet::default();
+            // Which of them came cannot be told, and none of them is waited for.
+            self.missing = Missing::new();
             self.lost += u64::from(sent.saturating_sub(received));
             return;
         };
-        let ahead = |sequence: u8| sequence.wrapping_sub(from);
-        let late = noted
-            .shared_with(&self.missing)
-            .filter(|sequence| ahead(*sequence) == 0 || ahead(*sequence) > sent);
-        for sequence in late.collect::<Vec<u8>>() {
-            self.missing.remove(sequence);
-            self.lost = self.lost.saturating_sub(1);
+        for sequence in noted.iter() {
+            let ahead = sequence.wrapping_sub(from);
+            let behind = from.wrapping_sub(sequence);
+            if ahead > sent && behind < LARGEST_ADVANCE && self.missing.comes_late(behind.into()) {
+                self.lost = self.lost.saturating_sub(1);
+            }
         }
         for step in 1..=sent {
-            let sequence = from.wrapping_add(step);
-            // What is half a circle behind comes no more.
-            self.missing.remove(sequence.wrapping_add(LARGEST_ADVANCE));
-            if noted.contains(sequence) {
-                self.missing.remove(sequence);
+            if noted.contains(from.wrapping_add(step)) {
+                self.missing.came();
             } else {
-                self.missing.insert(sequence);
+                self.missing.stayed_away();
                 self.lost += 1;
             }
         }
@@ -238,8 +300,9 @@ impl Sender {
     /// Nobody knows what was sent before this message.
     fn begin_anew(&mut self, sequence: u8, dated: Dated) {
         self.newest = Some(sequence);
-        self.missing = SequenceSet::default();
+        self.missing = Missing::new();
         self.stray = None;
+        self.strays = 0;
         self.interval = Some(Interval::new(sequence, dated));
         self.told = self.told.min(self.lost);
     }
@@ -248,7 +311,7 @@ impl Sender {
     fn give_up_stamps(&mut self) {
         if let Some(interval) = self.interval.take() {
             self.lost += u64::from(interval.gaps);
-            self.missing = SequenceSet::default();
+            self.missing = Missing::new();
         }
     }
 }

@@ -9,18 +9,13 @@ impl SequenceSet {
         self.0[word(sequence)] |= bit(sequence);
     }
 
-    pub(super) const fn remove(&mut self, sequence: u8) {
-        self.0[word(sequence)] &= !bit(sequence);
-    }
-
     pub(super) const fn contains(&self, sequence: u8) -> bool {
         self.0[word(sequence)] & bit(sequence) != 0
     }
 
-    /// What is in both, beginning with the smallest number.
-    pub(super) fn shared_with(&self, other: &Self) -> impl Iterator<Item = u8> {
-        let both = Self(std::array::from_fn(|index| self.0[index] & other.0[index]));
-        (0..=u8::MAX).filter(move |sequence| both.contains(*sequence))
+    /// Its numbers, the smallest first.
+    pub(super) fn iter(&self) -> impl Iterator<Item = u8> {
+        (0..=u8::MAX).filter(|sequence| self.contains(*sequence))
     }
 }
 

@@ -144,6 +144,24 @@ fn late_frames_and_copies_of_a_sender_with_stamps_count_once() {
 }
 
 #[test]
+fn a_datagram_that_a_stall_s_whole_burst_overtakes_is_late_and_no_restart() {
+    let mut robot = Robot::new();
+    robot.talk(5_000);
+    let held_back = [robot.ticks(), robot.heartbeat()];
+    let sent_ms = robot.now_ms;
+    robot.talk(7_000);
+    robot.lose(200);
+    assert_eq!(lost(&robot.tracker), 2, "those that are held back");
+    robot.arrival = Some(Stamp::ZERO + Span::from_millis(robot.now_ms));
+    for frame in held_back {
+        robot.hear_at(&(sent_ms, frame));
+    }
+    robot.arrival = None;
+    robot.talk(1_000);
+    assert_eq!(lost(&robot.tracker), robot.lost);
+}
+
+#[test]
 fn after_the_stamps_have_ceased_the_numbers_have_to_do() {
     let mut robot = Robot::new();
     robot.talk(5_000);

@@ -1,0 +1,62 @@
+//! Which of a sender's latest frames are missing: they may still come.
+
+/// So many of the latest frames are remembered: at 100 per second what a stall of twenty seconds holds back.
+const WINDOW: u64 = 2_048;
+
+/// The latest frames by their unwrapped numbers, a bit for each that is missing.
+#[derive(Clone, Debug)]
+pub(super) struct Missing {
+    bits: [u64; (WINDOW / 64) as usize],
+    /// The newest frame.
+    newest: u64,
+}
+
+impl Missing {
+    /// Nothing is missing before the first frame.
+    pub(super) const fn new() -> Self {
+        Self {
+            bits: [0; (WINDOW / 64) as usize],
+            newest: 0,
+        }
+    }
+
+    /// The next frame has come.
+    pub(super) const fn came(&mut self) {
+        self.newest += 1;
+        self.remove(self.newest);
+    }
+
+    /// The next frame has not come.
+    pub(super) const fn stayed_away(&mut self) {
+        self.newest += 1;
+        self.insert(self.newest);
+    }
+
+    /// The frame that lies so many before the newest has come after all; false if it was not missing, or nobody knows.
+    pub(super) fn comes_late(&mut self, behind: u64) -> bool {
+        let Some(number) = self.newest.checked_sub(behind) else {
+            return false;
+        };
+        let was_missing = behind < WINDOW && self.bits[word(number)] & bit(number) != 0;
+        if was_missing {
+            self.remove(number);
+        }
+        was_missing
+    }
+
+    const fn insert(&mut self, number: u64) {
+        self.bits[word(number)] |= bit(number);
+    }
+
+    const fn remove(&mut self, number: u64) {
+        self.bits[word(number)] &= !bit(number);
+    }
+}
+
+const fn word(number: u64) -> usize {
+    (number % WINDOW / 64) as usize
+}
+
+const fn bit(number: u64) -> u64 {
+    1 << (number % 64)
+}
