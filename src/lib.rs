@@ -11,6 +11,8 @@ pub mod data;
 pub mod learned;
 pub mod link_profile;
 pub mod link_target;
+pub mod parallel;
+pub mod progress;
 pub mod report;
 pub mod score;
 pub mod signing;

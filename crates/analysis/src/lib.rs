@@ -22,6 +22,7 @@
 pub mod accuracy;
 pub mod clocks;
 pub mod figures;
+mod markup;
 pub mod metrics;
 pub mod report;
 pub mod smoothed;

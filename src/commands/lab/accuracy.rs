@@ -5,7 +5,6 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
-use indicatif::{ProgressBar, ProgressStyle};
 use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
 use posebridge_analysis::report::{ScoreRow, bound_line, score_table};
 use posebridge_link::HostTimer;
@@ -18,7 +17,7 @@ use super::accuracy_runs::{Planned, Scored, Scores, score_all};
 use crate::cli::LabAccuracyArgs;
 use crate::commands::{Failure, Stage};
 use crate::stderr::say;
-use crate::stdout;
+use crate::{progress, stdout};
 
 /// The picture's file.
 const PICTURE: &str = "lab-accuracy.svg";
@@ -34,7 +33,7 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     let planned = planned(args).at_start()?;
     let folder = folder(args).at_start()?;
     let runs: u64 = planned.iter().map(|planned| u64::from(planned.runs)).sum();
-    let bar = ProgressBar::new(runs).with_style(bar_style().at_start()?);
+    let bar = progress::bar(runs, "runs").at_start()?;
     let scored = score_all(planned, &estimators, &timer, || bar.inc(1));
     bar.finish_and_clear();
     let picture = folder.join(PICTURE);
@@ -56,11 +55,6 @@ fn bounds_took(scored: &[Scored]) -> Span {
     scored
         .iter()
         .fold(Span::ZERO, |sum, scored| sum + scored.bound_took)
-}
-
-fn bar_style() -> Result<ProgressStyle> {
-    let template = "{bar:40} {pos}/{len} runs, {eta} left";
-    Ok(ProgressStyle::with_template(template)?)
 }
 
 fn estimators(args: &LabAccuracyArgs) -> Result<Vec<Estimator>> {

@@ -3,11 +3,6 @@
 //! Each job draws one drive and runs every estimator over it. Jobs end in any order; their scores are added up in the order of
 //! the runs, so that the result does not depend on the number of cores, to the last bit.
 
-use std::num::NonZeroUsize;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread;
-
 use posebridge_analysis::TimedPose;
 use posebridge_analysis::accuracy::{Arrival, BoundSum, KnownDrive, Score};
 use posebridge_estimator::offline::OfflineError;
@@ -17,6 +12,7 @@ use posebridge_telemetry::Span;
 
 use super::bounds::Bounded;
 use super::{Estimator, Verdict};
+use crate::parallel::run_all;
 
 /// A scenario with its name and how often it is driven.
 pub(super) struct Planned {
@@ -59,67 +55,24 @@ struct Job {
     run: u32,
 }
 
-/// Scores that wait to be added up; a worker that is far ahead waits rather than pile them up.
-const SCORES_UNDER_WAY: usize = 64;
-
 /// Runs every estimator over every run; `ended` is called once for each run.
 pub(super) fn score_all(
     planned: Vec<Planned>,
     estimators: &[Estimator],
     timer: &HostTimer,
-    mut ended: impl FnMut(),
+    ended: impl FnMut(),
 ) -> Vec<Scored> {
     let jobs: Vec<Job> = planned
         .iter()
         .enumerate()
         .flat_map(|(scenario, planned)| (0..planned.runs).map(move |run| Job { scenario, run }))
         .collect();
-    let mut by_job: Vec<Option<Driven>> = jobs.iter().map(|_| None).collect();
-    let next = AtomicUsize::new(0);
-    let workers = thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    thread::scope(|scope| {
-        let (sender, receiver) = sync_channel(SCORES_UNDER_WAY);
-        for _ in 0..workers.min(jobs.len()) {
-            let sender = sender.clone();
-            let (jobs, planned, next) = (&jobs, &planned, &next);
-            scope.spawn(move || {
-                work(jobs, next, &sender, |job| {
-                    Some(drive(
-                        planned.get(job.scenario)?,
-                        job.run,
-                        estimators,
-                        timer,
-                    ))
-                });
-            });
-        }
-        drop(sender);
-        for (index, driven) in receiver {
-            if let Some(slot) = by_job.get_mut(index) {
-                *slot = Some(driven);
-            }
-            ended();
-        }
-    });
+    let run = |job: &Job| {
+        let planned = planned.get(job.scenario)?;
+        Some(drive(planned, job.run, estimators, timer))
+    };
+    let by_job = run_all(&jobs, run, ended);
     added_up(planned, estimators.len(), &jobs, by_job)
-}
-
-/// Takes jobs until there is none, or until nobody listens.
-fn work(
-    jobs: &[Job],
-    next: &AtomicUsize,
-    sender: &SyncSender<(usize, Driven)>,
-    run: impl Fn(&Job) -> Option<Driven>,
-) {
-    loop {
-        let index = next.fetch_add(1, Ordering::Relaxed);
-        let Some(driven) = jobs.get(index).and_then(&run) else {
-            return;
-        };
-        if sender.send((index, driven)).is_err() {
-            return;
-        }
-    }
 }
 
 /// Draws one drive and runs everything over it.

@@ -3,14 +3,9 @@
 //! One part holds every way to align two clocks over links of known delays, the other drives the same lap over link profiles with
 //! more loss, delay and clock skew. docs/lab-links.md says what is measured.
 
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::sync_channel;
-use std::thread;
 
 use anyhow::{Context, Result};
-use indicatif::{ProgressBar, ProgressStyle};
 use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
 use posebridge_sim::impairment::{LinkProfile, PROFILES};
 
@@ -19,9 +14,9 @@ use super::links_pose::{Case, Circumstance, PoseRow, drive, summarise};
 use super::links_report as report;
 use crate::cli::LabLinksArgs;
 use crate::commands::{Failure, Stage};
-use crate::link_profile;
+use crate::parallel::run_all;
 use crate::stderr::say;
-use crate::stdout;
+use crate::{link_profile, progress, stdout};
 
 /// The picture's file.
 const PICTURE: &str = "lab-links.svg";
@@ -98,40 +93,21 @@ fn pose_rows(cases: &[Case], runs: u32) -> Result<Vec<PoseRow>> {
     let jobs: Vec<(usize, u32)> = (0..cases.len())
         .flat_map(|case| (0..runs).map(move |run| (case, run)))
         .collect();
-    let bar = ProgressBar::new(jobs.len() as u64).with_style(ProgressStyle::with_template(
-        "{bar:40} {pos}/{len} laps, {eta} left",
-    )?);
-    let next = AtomicUsize::new(0);
-    let workers = thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let (sender, receiver) = sync_channel(workers);
+    let bar = progress::bar(jobs.len() as u64, "laps")?;
+    let run = |&(case, run): &(usize, u32)| cases.get(case).map(|case| drive(case, run));
+    let laps = run_all(&jobs, run, || bar.inc(1));
     let mut driven: Vec<Vec<_>> = cases.iter().map(|_| Vec::new()).collect();
-    thread::scope(|scope| {
-        for _ in 0..workers {
-            let (sender, next, jobs) = (sender.clone(), &next, &jobs);
-            scope.spawn(move || {
-                while let Some(&(case, run)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let result = cases.get(case).map(|case| drive(case, run));
-                    if sender.send((case, run, result)).is_err() {
-                        return;
-                    }
-                }
-            });
+    for ((case, _), lap) in jobs.iter().zip(laps) {
+        if let (Some(list), Some(lap)) = (driven.get_mut(*case), lap) {
+            list.push(lap);
         }
-        drop(sender);
-        for (case, run, result) in receiver {
-            bar.inc(1);
-            if let (Some(list), Some(result)) = (driven.get_mut(case), result) {
-                list.push((run, result));
-            }
-        }
-    });
+    }
     bar.finish_and_clear();
     cases
         .iter()
         .zip(driven)
-        .map(|(case, mut laps)| {
-            laps.sort_by_key(|(run, _)| *run);
-            let laps: Result<Vec<_>> = laps.into_iter().map(|(_, lap)| lap).collect();
+        .map(|(case, laps)| {
+            let laps: Result<Vec<_>> = laps.into_iter().collect();
             Ok(summarise(case, &laps?))
         })
         .collect()

@@ -9,6 +9,7 @@ pub mod links;
 mod links_clock;
 mod links_pose;
 mod links_report;
+pub mod outcome;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
 

@@ -49,7 +49,7 @@ pub(super) fn close(mut svg: Svg, height_px: f64, dropped: usize) -> String {
     svg.finish()
 }
 
-fn shortened(title: &str) -> String {
+pub(super) fn shortened(title: &str) -> String {
     if title.chars().count() <= TITLE_CHARACTERS {
         return title.to_owned();
     }

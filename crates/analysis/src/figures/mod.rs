@@ -14,6 +14,7 @@ mod layers;
 mod legend;
 mod palette;
 mod panel;
+pub mod plot;
 mod svg;
 mod thin;
 pub mod track;
@@ -24,6 +25,7 @@ use crate::track::Track;
 
 pub use accuracy::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
 pub use ellipse::Ellipse;
+pub use plot::{Axes, Curve, Plot, Shape, plot};
 
 /// Coordinates beyond this are left out, in metres: no arena is wider, and a diverged filter must not hide the rest.
 pub const FARTHEST_DRAWN_M: f64 = 1e6;

@@ -3,9 +3,11 @@
 //! Shapes in pixels, y downward, hundredths of a pixel. Text is escaped; a shape with a coordinate that is not finite is
 //! not written, so that no viewer ever meets a "NaN". It knows nothing of metres, panels or runs.
 //!
-//! Source: W3C, Scalable Vector Graphics 1.1 (second edition); characters as in XML 1.0, section 2.2.
+//! Source: W3C, Scalable Vector Graphics 1.1 (second edition).
 
 use std::fmt;
+
+use crate::markup::Escaped;
 
 /// A point of the picture, in pixels from the top left.
 pub(super) type Px = (f64, f64);
@@ -245,37 +247,9 @@ impl fmt::Display for Points<'_> {
     }
 }
 
-/// Text in which markup is harmless and characters that XML forbids are replaced.
-struct Escaped<'a>(&'a str);
-
-impl fmt::Display for Escaped<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for character in self.0.chars() {
-            match character {
-                '&' => f.write_str("&amp;")?,
-                '<' => f.write_str("&lt;")?,
-                '>' => f.write_str("&gt;")?,
-                '"' => f.write_str("&quot;")?,
-                '\t' | '\n' | '\r' => f.write_str(" ")?,
-                '\u{0}'..='\u{1f}' | '\u{fffe}' | '\u{ffff}' => f.write_str("\u{fffd}")?,
-                other => write!(f, "{other}")?,
-            }
-        }
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn markup_and_forbidden_characters_in_a_text_are_harmless() {
-        assert_eq!(
-            Escaped("a<b> & \"c\"\u{1}\nd").to_string(),
-            "a&lt;b&gt; &amp; &quot;c&quot;\u{fffd} d"
-        );
-    }
 
     #[test]
     fn a_shape_that_is_not_finite_is_not_written() {

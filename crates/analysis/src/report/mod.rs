@@ -5,6 +5,7 @@
 
 pub(crate) mod accuracy;
 mod cells;
+pub mod page;
 mod replay;
 mod run;
 mod smooth;

@@ -1,0 +1,314 @@
+//! Curves over common axes, with a legend: the figure of an experiment that is not about one drive.
+//!
+//! One picture holds one or more panels below each other. Values that are not finite split a curve and are counted.
+
+use super::legend::{Entry, Mark};
+use super::palette::{
+    BLACK, BLUE, BLUISH_GREEN, FAINT_INK, FILL_OPACITY, INK, ORANGE, REDDISH_PURPLE, SKY_BLUE,
+    VERMILLION,
+};
+use super::panel::{Panel, Range, round_ticks};
+use super::svg::{Anchor, Px, Rect, Stroke, Svg, TextStyle};
+use super::thin::thin_path;
+use super::{FARTHEST_DRAWN_M, canvas, legend};
+
+/// Room above the first panel, for the title.
+const TOP_PX: f64 = 66.0;
+/// Room below each panel, for its ticks and the name of its axis.
+const FOOT_PX: f64 = 62.0;
+const PANEL_WIDTH_PX: f64 = 590.0;
+/// Room above and below the highest and the lowest value, as a share of what they span.
+const MARGIN: f64 = 0.05;
+/// Ticks along an axis.
+const X_TICKS: f64 = 8.0;
+const Y_TICKS: f64 = 6.0;
+
+/// Strokes, discs and fills of the curves in their order; a later curve begins anew.
+const STROKES: [Stroke; 7] = [
+    Stroke::solid(BLACK, 2.0),
+    Stroke::dashed(VERMILLION, 1.6, "9 2.5"),
+    Stroke::solid(BLUE, 1.6),
+    Stroke::dashed(BLUISH_GREEN, 1.6, "5 3"),
+    Stroke::dashed(ORANGE, 1.8, "3 2.5"),
+    Stroke::solid(REDDISH_PURPLE, 1.6),
+    Stroke::solid(SKY_BLUE, 1.6),
+];
+const COLORS: [&str; 7] = [
+    BLACK,
+    VERMILLION,
+    BLUE,
+    BLUISH_GREEN,
+    ORANGE,
+    REDDISH_PURPLE,
+    SKY_BLUE,
+];
+
+/// A picture of one or more panels.
+#[derive(Clone, Debug, Default)]
+pub struct Plot {
+    /// For people; any text.
+    pub title: String,
+    /// A line below the title: the figures that count.
+    pub key_figures: String,
+    /// From top to bottom.
+    pub axes: Vec<Axes>,
+}
+
+/// One panel.
+#[derive(Clone, Debug, Default)]
+pub struct Axes {
+    /// With the unit, as in `time [s]`.
+    pub x_name: String,
+    /// With the unit.
+    pub y_name: String,
+    /// Height in pixels.
+    pub height_px: f64,
+    /// Whether it is a map: a unit is then as long in x as in y.
+    pub is_map: bool,
+    /// Later ones are drawn over earlier ones.
+    pub curves: Vec<Curve>,
+}
+
+/// Something that is drawn.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// For the legend.
+    pub name: String,
+    /// How it is drawn.
+    pub shape: Shape,
+}
+
+/// How a curve is drawn; all in the units of the axes.
+#[derive(Clone, Debug)]
+pub enum Shape {
+    /// A line through the points.
+    Line(Vec<(f64, f64)>),
+    /// A disc at each point.
+    Dots(Vec<(f64, f64)>),
+    /// An area between two values at each place: x, lower, upper.
+    Band(Vec<(f64, f64, f64)>),
+    /// A line across the panel at this height.
+    Level(f64),
+}
+
+/// Draws it; returns a whole SVG document.
+#[must_use]
+pub fn plot(plot: &Plot) -> String {
+    let heights = plot.axes.iter().map(|axes| axes.height_px + FOOT_PX);
+    let height_px = TOP_PX + heights.sum::<f64>();
+    let mut svg = Svg::new(canvas::WIDTH_PX, height_px, &plot.title);
+    draw_titles(&mut svg, plot);
+    let mut top = TOP_PX;
+    let mut dropped = 0;
+    for axes in &plot.axes {
+        let area = Rect {
+            left: canvas::LEFT_PX,
+            top,
+            width: PANEL_WIDTH_PX,
+            height: axes.height_px,
+        };
+        dropped += draw_axes(&mut svg, area, axes);
+        top += axes.height_px + FOOT_PX;
+    }
+    canvas::close(svg, height_px, dropped)
+}
+
+fn draw_titles(svg: &mut Svg, plot: &Plot) {
+    let heading = TextStyle {
+        size_px: 19.0,
+        color: INK,
+        anchor: Anchor::Start,
+        weight: 700,
+    };
+    let line = TextStyle {
+        size_px: 13.5,
+        color: FAINT_INK,
+        weight: 400,
+        ..heading
+    };
+    svg.text(
+        (canvas::LEFT_PX, 28.0),
+        &heading,
+        &canvas::shortened(&plot.title),
+    );
+    svg.text((canvas::LEFT_PX, 50.0), &line, &plot.key_figures);
+}
+
+/// Draws one panel with its legend; returns how many values were left out.
+fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
+    let panel = panel_of(area, axes);
+    panel.draw_grid(
+        svg,
+        &round_ticks(panel.x, X_TICKS),
+        &round_ticks(panel.y, Y_TICKS),
+    );
+    let mut dropped = 0;
+    svg.clipped(&area, "curves", |svg| {
+        for (index, curve) in axes.curves.iter().enumerate() {
+            dropped += draw_curve(svg, &panel, index % STROKES.len(), &curve.shape);
+        }
+    });
+    panel.draw_border(svg);
+    panel.draw_names(svg, &axes.x_name, &axes.y_name);
+    let entries: Vec<Entry> = axes
+        .curves
+        .iter()
+        .enumerate()
+        .map(|(index, curve)| Entry::new(mark(index % STROKES.len(), &curve.shape), &curve.name))
+        .collect();
+    legend::draw(svg, (area.right() + 22.0, area.top), &entries);
+    dropped
+}
+
+fn panel_of(area: Rect, axes: &Axes) -> Panel {
+    let corners: Vec<(f64, f64)> = axes.curves.iter().flat_map(corners).collect();
+    let unit = Range {
+        low: 0.0,
+        high: 1.0,
+    };
+    let drawn = |value: &f64| value.is_finite() && value.abs() <= FARTHEST_DRAWN_M;
+    let x = Range::of(corners.iter().map(|(x, _)| *x).filter(drawn)).unwrap_or(unit);
+    let y = Range::of(corners.iter().map(|(_, y)| *y).filter(drawn)).unwrap_or(unit);
+    if axes.is_map {
+        return Panel::equal_scale(area, x, y);
+    }
+    Panel {
+        area,
+        x: opened(x, 0.0),
+        y: opened(y, MARGIN),
+    }
+}
+
+/// The range with a margin; one without extent is opened by its own size, or by one.
+fn opened(range: Range, margin: f64) -> Range {
+    let middle = f64::midpoint(range.low, range.high);
+    if range.extent() > 0.0 {
+        return Range::around(middle, range.extent() * (1.0 + 2.0 * margin));
+    }
+    Range::around(middle, if middle == 0.0 { 1.0 } else { middle.abs() })
+}
+
+/// Every point that the panel has to hold. A level has no place along x and takes none.
+fn corners(curve: &Curve) -> Vec<(f64, f64)> {
+    match &curve.shape {
+        Shape::Line(points) | Shape::Dots(points) => points.clone(),
+        Shape::Band(places) => places
+            .iter()
+            .flat_map(|(x, low, high)| [(*x, *low), (*x, *high)])
+            .collect(),
+        Shape::Level(y) => vec![(f64::NAN, *y)],
+    }
+}
+
+fn draw_curve(svg: &mut Svg, panel: &Panel, color: usize, shape: &Shape) -> usize {
+    let stroke = &STROKES[color];
+    let can_draw = |(x, y): &(f64, f64)| x.abs() <= FARTHEST_DRAWN_M && y.abs() <= FARTHEST_DRAWN_M;
+    let place = |points: &[(f64, f64)]| -> Vec<Px> {
+        points.iter().map(|(x, y)| panel.place(*x, *y)).collect()
+    };
+    match shape {
+        Shape::Line(points) => {
+            for part in points.split(|point| !can_draw(point)) {
+                svg.polyline(&thin_path(&place(part)), stroke);
+            }
+            points.iter().filter(|point| !can_draw(point)).count()
+        }
+        Shape::Dots(points) => {
+            for point in points.iter().filter(|point| can_draw(point)) {
+                svg.disc(panel.place(point.0, point.1), 2.6, COLORS[color], None);
+            }
+            points.iter().filter(|point| !can_draw(point)).count()
+        }
+        Shape::Band(places) => {
+            let is_drawn =
+                |(x, low, high): &(f64, f64, f64)| can_draw(&(*x, *low)) && can_draw(&(*x, *high));
+            for part in places.split(|place| !is_drawn(place)) {
+                let lower = part.iter().map(|(x, low, _)| panel.place(*x, *low));
+                let upper = part.iter().rev().map(|(x, _, high)| panel.place(*x, *high));
+                let outline: Vec<Px> = lower.chain(upper).collect();
+                svg.polygon(&outline, COLORS[color], FILL_OPACITY, None);
+            }
+            places.iter().filter(|place| !is_drawn(place)).count()
+        }
+        Shape::Level(y) => {
+            let ends = [(panel.x.low, *y), (panel.x.high, *y)];
+            svg.polyline(&place(&ends), stroke);
+            usize::from(!can_draw(&(0.0, *y)))
+        }
+    }
+}
+
+const fn mark(color: usize, shape: &Shape) -> Mark {
+    match shape {
+        Shape::Line(_) | Shape::Level(_) => Mark::Line(&STROKES[color]),
+        Shape::Dots(_) => Mark::Disc(COLORS[color]),
+        Shape::Band(_) => Mark::Area(&STROKES[color], COLORS[color]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(curves: Vec<(&str, Shape)>) -> Plot {
+        let curves = curves.into_iter().map(|(name, shape)| Curve {
+            name: name.to_owned(),
+            shape,
+        });
+        Plot {
+            title: "t".to_owned(),
+            key_figures: String::new(),
+            axes: vec![Axes {
+                x_name: "time [s]".to_owned(),
+                y_name: "value".to_owned(),
+                height_px: 200.0,
+                is_map: false,
+                curves: curves.collect(),
+            }],
+        }
+    }
+
+    #[test]
+    fn every_shape_is_drawn_once_with_its_name() {
+        let svg = plot(&of(vec![
+            ("measured", Shape::Dots(vec![(0.0, 1.0), (1.0, 2.0)])),
+            ("fitted", Shape::Line(vec![(0.0, 1.0), (1.0, 2.0)])),
+            (
+                "2 sigma",
+                Shape::Band(vec![(0.0, 0.5, 1.5), (1.0, 1.5, 2.5)]),
+            ),
+            ("final", Shape::Level(3.0)),
+        ]));
+        let count = |needle: &str| svg.matches(needle).count();
+        // Two of the data and one of the legend.
+        assert_eq!(count("<circle"), 3);
+        assert_eq!(count("<polygon"), 2);
+        for name in ["measured", "fitted", "2 sigma", "final"] {
+            assert_eq!(count(&format!(">{name}</text>")), 1, "{name}");
+        }
+        assert!(!svg.contains("left out"));
+    }
+
+    #[test]
+    fn what_is_not_finite_splits_a_line_and_is_counted() {
+        let points = [1.0, 2.0, f64::NAN, 4.0, f64::INFINITY, 1e300, 7.0, 8.0];
+        let line = (0..).map(f64::from).zip(points).collect();
+        let svg = plot(&of(vec![("a", Shape::Line(line))]));
+        assert!(svg.contains("left out: 3 values"), "{svg}");
+        let curves = svg.split("id=\"curves\"").nth(1).unwrap();
+        let curves = curves.split("</g>").next().unwrap();
+        assert_eq!(curves.matches("<polyline").count(), 2);
+    }
+
+    #[test]
+    fn nothing_and_a_single_value_still_have_axes() {
+        for shape in [
+            Shape::Line(Vec::new()),
+            Shape::Level(0.0),
+            Shape::Dots(vec![(5.0, 5.0)]),
+        ] {
+            let svg = plot(&of(vec![("a", shape)]));
+            assert!(!svg.contains("NaN") && svg.contains("time [s]"));
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! What an experiment of the lab leaves behind: a page, its pictures, and numbers for people or programs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use posebridge_analysis::report::page::{Page, Part};
+
+use crate::commands::{Failure, Stage};
+use crate::stderr::say;
+use crate::stdout;
+
+/// The flags that every experiment has.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct OutputArgs {
+    /// Folder for the page and the pictures, instead of the current one.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print one JSON object instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The result of an experiment.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The experiment, as its command calls it; names the files.
+    pub name: &'static str,
+    /// The page; its pictures are written beside it as well, as `lab-<name>-<n>.svg`, counted from 1.
+    pub page: Page,
+    /// Tables for the terminal, with a line feed at the end.
+    pub text: String,
+    /// The same for programs.
+    pub json: serde_json::Value,
+}
+
+impl OutputArgs {
+    /// Makes the folder, before minutes are spent on what could not be kept.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn folder(&self) -> Result<PathBuf, Failure> {
+        let folder = self.out.clone().unwrap_or_else(|| PathBuf::from("."));
+        std::fs::create_dir_all(&folder)
+            .with_context(|| format!("making the folder `{}`", folder.display()))
+            .at_start()?;
+        Ok(folder)
+    }
+
+    /// Writes the files into `folder`, prints the numbers, and says where the page is.
+    ///
+    /// # Errors
+    /// Something cannot be written.
+    pub fn deliver(&self, folder: &Path, outcome: &Outcome) -> Result<(), Failure> {
+        let pictures = outcome.page.parts.iter().filter_map(|part| {
+            let Part::Figure { svg, .. } = part else {
+                return None;
+            };
+            Some(svg)
+        });
+        for (index, svg) in pictures.enumerate() {
+            let name = format!("lab-{}-{}.svg", outcome.name, index + 1);
+            write(&folder.join(name), svg)?;
+        }
+        let page = folder.join(format!("lab-{}.html", outcome.name));
+        write(&page, &outcome.page.html())?;
+        let text = if self.json {
+            format!("{:#}\n", outcome.json)
+        } else {
+            outcome.text.clone()
+        };
+        stdout::print(&text).while_running()?;
+        say(&format!("page: {}", page.display()));
+        Ok(())
+    }
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(path, text)
+        .with_context(|| format!("writing `{}`", path.display()))
+        .while_running()
+}
