@@ -8,6 +8,7 @@ use posebridge_sim::impairment::PROFILES;
 use posebridge_sim::montecarlo::SCENARIOS;
 
 use crate::commands::lab::Estimator;
+use crate::commands::lab::outcome::OutputArgs;
 use crate::commands::relay::RelayEnds;
 use crate::config::Setting;
 
@@ -262,12 +263,14 @@ pub struct LabArgs {
 pub enum LabExperiment {
     /// Run every estimator over the Monte-Carlo scenarios: errors, and whether the claimed ones are right.
     ///
-    /// Prints one table per scenario and writes the picture lab-accuracy.svg.
+    /// Prints one table per scenario and writes the page lab-accuracy.html with its picture.
+    /// docs/lab-accuracy.md describes --json.
     #[command(after_long_help = accuracy_help())]
     Accuracy(LabAccuracyArgs),
     /// Align clocks and drive laps over links that delay, lose and damage, in virtual time.
     ///
-    /// Prints a table of the clocks and one of the poses, and writes the picture lab-links.svg.
+    /// Prints a table of the clocks and one of the poses, and writes the page lab-links.html with its picture.
+    /// docs/lab-links.md describes --json.
     Links(LabLinksArgs),
 }
 
@@ -292,12 +295,9 @@ pub struct LabLinksArgs {
     /// Seed of the first lap.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Folder for the picture, instead of the current one.
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Print one JSON object (docs/lab-links.md) instead of tables.
-    #[arg(long)]
-    pub json: bool,
+    /// What to leave.
+    #[command(flatten)]
+    pub output: OutputArgs,
 }
 
 fn a_probability(text: &str) -> Result<f64, String> {
@@ -344,12 +344,9 @@ pub struct LabAccuracyArgs {
     /// Base seed, instead of each scenario's.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Folder for the picture, instead of the current one.
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Print one JSON object (docs/lab-accuracy.md) instead of tables.
-    #[arg(long)]
-    pub json: bool,
+    /// What to leave.
+    #[command(flatten)]
+    pub output: OutputArgs,
 }
 
 /// Flags of `key`.

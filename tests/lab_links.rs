@@ -50,6 +50,10 @@ fn the_tables_are_these() {
     insta::assert_snapshot!("tables", tables);
     let picture = std::fs::read_to_string(folder.path().join("lab-links.svg")).unwrap();
     assert!(picture.starts_with("<svg") && picture.contains("bluetooth-spp"));
+    let page = std::fs::read_to_string(folder.path().join("lab-links.html")).unwrap();
+    assert!(
+        page.contains("clock: error of the offset, ms") && page.contains("data:image/svg+xml,")
+    );
 }
 
 /// Every key with the kinds of its values, one line each.

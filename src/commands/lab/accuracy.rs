@@ -2,10 +2,11 @@
 //!
 //! Scenarios and their numbers are files (`config/scenarios/accuracy/`); docs/lab-accuracy.md says what they are for.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
+use posebridge_analysis::report::page::{Page, Part};
 use posebridge_analysis::report::{ScoreRow, bound_line, score_table};
 use posebridge_link::HostTimer;
 use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
@@ -14,13 +15,11 @@ use posebridge_telemetry::Span;
 use super::Estimator;
 use super::accuracy_json as json;
 use super::accuracy_runs::{Planned, Scored, Scores, score_all};
+use super::outcome::Outcome;
 use crate::cli::LabAccuracyArgs;
 use crate::commands::{Failure, Stage};
+use crate::progress;
 use crate::stderr::say;
-use crate::{progress, stdout};
-
-/// The picture's file.
-const PICTURE: &str = "lab-accuracy.svg";
 
 /// Runs the experiment.
 ///
@@ -31,22 +30,24 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     let started = timer.now();
     let estimators = estimators(args).at_start()?;
     let planned = planned(args).at_start()?;
-    let folder = folder(args).at_start()?;
+    let folder = args.output.folder()?;
     let runs: u64 = planned.iter().map(|planned| u64::from(planned.runs)).sum();
     let bar = progress::bar(runs, "runs").at_start()?;
     let scored = score_all(planned, &estimators, &timer, || bar.inc(1));
     bar.finish_and_clear();
-    let picture = folder.join(PICTURE);
-    std::fs::write(&picture, accuracy_chart(&chart(&scored, &estimators)))
-        .with_context(|| format!("writing `{}`", picture.display()))
-        .while_running()?;
-    print(args, &scored, &estimators).while_running()?;
+    let text = tables(&scored, &estimators);
+    let outcome = Outcome {
+        name: "accuracy",
+        page: page(&text, &chart(&scored, &estimators)),
+        json: json::object(&scored, &estimators).while_running()?,
+        text,
+    };
+    args.output.deliver(&folder, &outcome)?;
     say(&format!(
-        "{runs} runs with {} estimators in {:.1} s, bounds: {:.1} s of one core; picture: {}",
+        "{runs} runs with {} estimators in {:.1} s, bounds: {:.1} s of one core",
         estimators.len(),
         (timer.now() - started).as_secs_f64(),
-        bounds_took(&scored).as_secs_f64(),
-        picture.display()
+        bounds_took(&scored).as_secs_f64()
     ));
     Ok(())
 }
@@ -108,24 +109,28 @@ fn scenario(asked: String) -> Result<(String, Scenario)> {
     Ok((name, scenario))
 }
 
-/// Where the picture goes; made if it is not there, before minutes are spent on what could not be kept.
-fn folder(args: &LabAccuracyArgs) -> Result<PathBuf> {
-    let folder = args.out.clone().unwrap_or_else(|| PathBuf::from("."));
-    std::fs::create_dir_all(&folder)
-        .map_err(|error| anyhow!(error))
-        .with_context(|| format!("making the folder `{}`", folder.display()))?;
-    Ok(folder)
-}
-
-fn print(args: &LabAccuracyArgs, scored: &[Scored], estimators: &[Estimator]) -> Result<()> {
-    if args.json {
-        stdout::print(&(json::text(scored, estimators)? + "\n"))?;
-        return Ok(());
-    }
+fn tables(scored: &[Scored], estimators: &[Estimator]) -> String {
     let names = names(estimators);
     let tables: Vec<String> = scored.iter().map(|scored| table(scored, &names)).collect();
-    stdout::print(&tables.join("\n"))?;
-    Ok(())
+    tables.join("\n")
+}
+
+fn page(tables: &str, chart: &AccuracyChart) -> Page {
+    Page {
+        title: chart.title.clone(),
+        parts: vec![
+            Part::Text(
+                "Every estimator gets the same drives. rms is the error of its position, claimed what it says about itself; an ANEES of 1 is \
+                 an honest claim."
+                    .to_owned(),
+            ),
+            Part::Lines(tables.to_owned()),
+            Part::Figure {
+                svg: accuracy_chart(chart),
+                caption: "Errors (discs) and claims of the estimators, per scenario".to_owned(),
+            },
+        ],
+    }
 }
 
 fn table(scored: &Scored, names: &[String]) -> String {

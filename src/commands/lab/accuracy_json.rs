@@ -3,6 +3,7 @@
 use anyhow::Result;
 use posebridge_analysis::{ConsistencyBand, SourceTally};
 use serde::Serialize;
+use serde_json::Value;
 
 use super::Estimator;
 use super::accuracy_runs::{Scored, Scores};
@@ -59,11 +60,11 @@ struct SourceRow {
     consistency: &'static str,
 }
 
-/// The object as one line of text.
+/// The object.
 ///
 /// # Errors
 /// Never for finite figures; a figure that cannot be had is null.
-pub(super) fn text(scored: &[Scored], estimators: &[Estimator]) -> Result<String> {
+pub(super) fn object(scored: &[Scored], estimators: &[Estimator]) -> Result<Value> {
     let scenarios = scored.iter().map(|scored| ScenarioRow {
         name: &scored.planned.name,
         seed: scored.planned.scenario.seed,
@@ -79,7 +80,7 @@ pub(super) fn text(scored: &[Scored], estimators: &[Estimator]) -> Result<String
     let report = Report {
         scenarios: scenarios.collect(),
     };
-    Ok(serde_json::to_string(&report)?)
+    Ok(serde_json::to_value(&report)?)
 }
 
 fn estimator_row<'a>(estimator: &Estimator, scores: &'a Scores) -> EstimatorRow<'a> {

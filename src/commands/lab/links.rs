@@ -3,23 +3,21 @@
 //! One part holds every way to align two clocks over links of known delays, the other drives the same lap over link profiles with
 //! more loss, delay and clock skew. docs/lab-links.md says what is measured.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
+use posebridge_analysis::report::page::{Page, Part};
 use posebridge_sim::impairment::{LinkProfile, PROFILES};
 
-use super::links_clock::{self, CLOCK_SEEDS, LinkClockRow};
+use super::links_clock::{self, CLOCK_SEEDS};
 use super::links_pose::{Case, Circumstance, PoseRow, drive, summarise};
 use super::links_report as report;
+use super::outcome::Outcome;
 use crate::cli::LabLinksArgs;
 use crate::commands::{Failure, Stage};
 use crate::parallel::run_all;
-use crate::stderr::say;
-use crate::{link_profile, progress, stdout};
-
-/// The picture's file.
-const PICTURE: &str = "lab-links.svg";
+use crate::{link_profile, progress};
 
 /// Runs the experiment.
 ///
@@ -27,19 +25,35 @@ const PICTURE: &str = "lab-links.svg";
 /// A profile does not exist or makes no sense, or an output cannot be written.
 pub fn execute(args: &LabLinksArgs) -> Result<(), Failure> {
     let cases = cases(args).at_start()?;
-    let folder = args.out.clone().unwrap_or_else(|| PathBuf::from("."));
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("making the folder `{}`", folder.display()))
-        .at_start()?;
+    let folder = args.output.folder()?;
     let clock = links_clock::rows(&CLOCK_SEEDS);
     let pose = pose_rows(&cases, args.runs).while_running()?;
-    let picture = folder.join(PICTURE);
-    std::fs::write(&picture, accuracy_chart(&chart(&pose)))
-        .with_context(|| format!("writing `{}`", picture.display()))
-        .while_running()?;
-    print(args, &clock, &pose).while_running()?;
-    say(&format!("picture: {}", picture.display()));
-    Ok(())
+    let text = report::tables(&clock, &pose);
+    let outcome = Outcome {
+        name: "links",
+        page: page(&text, &pose),
+        json: report::json(&clock, &pose).while_running()?,
+        text,
+    };
+    args.output.deliver(&folder, &outcome)
+}
+
+fn page(tables: &str, pose: &[PoseRow]) -> Page {
+    Page {
+        title: "What links do to clocks and poses".to_owned(),
+        parts: vec![
+            Part::Text(
+                "Every way to align two clocks gets the same exchanges over links of known delays; then the same lap is driven over each \
+                 link profile, steered by the estimate. All of it in virtual time."
+                    .to_owned(),
+            ),
+            Part::Lines(tables.to_owned()),
+            Part::Figure {
+                svg: accuracy_chart(&chart(pose)),
+                caption: "Position error of a lap over each link, for each circumstance".to_owned(),
+            },
+        ],
+    }
 }
 
 /// Every profile under every circumstance.
@@ -111,16 +125,6 @@ fn pose_rows(cases: &[Case], runs: u32) -> Result<Vec<PoseRow>> {
             Ok(summarise(case, &laps?))
         })
         .collect()
-}
-
-fn print(args: &LabLinksArgs, clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<()> {
-    let text = if args.json {
-        report::json(clock, pose)? + "\n"
-    } else {
-        report::tables(clock, pose)
-    };
-    stdout::print(&text)?;
-    Ok(())
 }
 
 /// One panel per circumstance, one mark per profile.

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use posebridge_analysis::report::NO_VALUE;
 use serde::Serialize;
+use serde_json::Value;
 
 use super::links_clock::LinkClockRow;
 use super::links_pose::{Circumstance, PoseRow};
@@ -27,8 +28,8 @@ struct JsonRow<'a> {
     outages: u64,
 }
 
-/// One object on one line.
-pub(super) fn json(clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<String> {
+/// One object.
+pub(super) fn json(clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<Value> {
     let pose = pose.iter().map(|row| JsonRow {
         profile: &row.profile,
         loss: row.circumstance.loss,
@@ -45,7 +46,7 @@ pub(super) fn json(clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<String> {
         clock,
         pose: pose.collect(),
     };
-    Ok(serde_json::to_string(&report)?)
+    Ok(serde_json::to_value(&report)?)
 }
 
 /// Both tables.

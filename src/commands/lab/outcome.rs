@@ -25,7 +25,8 @@ pub struct OutputArgs {
 pub struct Outcome {
     /// The experiment, as its command calls it; names the files.
     pub name: &'static str,
-    /// The page; its pictures are written beside it as well, as `lab-<name>-<n>.svg`, counted from 1.
+    /// The page; its pictures are written beside it as well, as `lab-<name>-<n>.svg`, counted from 1, or `lab-<name>.svg` if there is
+    /// one.
     pub page: Page,
     /// Tables for the terminal, with a line feed at the end.
     pub text: String,
@@ -51,20 +52,22 @@ impl OutputArgs {
     /// # Errors
     /// Something cannot be written.
     pub fn deliver(&self, folder: &Path, outcome: &Outcome) -> Result<(), Failure> {
-        let pictures = outcome.page.parts.iter().filter_map(|part| {
-            let Part::Figure { svg, .. } = part else {
-                return None;
+        let pictures: Vec<&String> = outcome.page.parts.iter().filter_map(picture).collect();
+        for (index, svg) in pictures.iter().enumerate() {
+            let number = if pictures.len() > 1 {
+                format!("-{}", index + 1)
+            } else {
+                String::new()
             };
-            Some(svg)
-        });
-        for (index, svg) in pictures.enumerate() {
-            let name = format!("lab-{}-{}.svg", outcome.name, index + 1);
-            write(&folder.join(name), svg)?;
+            write(
+                &folder.join(format!("lab-{}{number}.svg", outcome.name)),
+                svg,
+            )?;
         }
         let page = folder.join(format!("lab-{}.html", outcome.name));
         write(&page, &outcome.page.html())?;
         let text = if self.json {
-            format!("{:#}\n", outcome.json)
+            format!("{}\n", outcome.json)
         } else {
             outcome.text.clone()
         };
@@ -72,6 +75,13 @@ impl OutputArgs {
         say(&format!("page: {}", page.display()));
         Ok(())
     }
+}
+
+const fn picture(part: &Part) -> Option<&String> {
+    let Part::Figure { svg, .. } = part else {
+        return None;
+    };
+    Some(svg)
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Failure> {
