@@ -179,6 +179,7 @@ impl Pipeline {
         for (link, seen) in std::mem::take(&mut self.passages) {
             self.finish_passage(now, link, &seen);
         }
+        self.router.settle(now);
         self.pass_time(now);
         // What waited of a peer that fell silent may have been news, too.
         self.publish_to_robot(now);

@@ -28,6 +28,8 @@ const MOST_KEYS: usize = 16_384;
 /// For so many keys there is room from the start: what a brick has said in ten seconds comes at once after a stall, and a station's memory
 /// should not grow by it.
 const RESERVED_KEYS: usize = 2_048;
+/// So many keys may wait to be sorted in.
+const MOST_WAITING: usize = 64;
 /// FNV-1a: offset basis for 64 bits.
 const BASIS: u64 = 0xCBF2_9CE4_8422_2325;
 /// FNV-1a: prime for 64 bits.
@@ -75,13 +77,28 @@ fn hash(start: u64, bytes: &[u8]) -> u64 {
     bytes.iter().fold(start, step)
 }
 
+/// A frame that came.
+#[derive(Clone, Copy, Debug)]
+struct Note {
+    at: Stamp<HostClock>,
+    way: Way,
+}
+
 /// Frames of the last while.
+///
+/// To sort a key in takes longer than anything else that is done with a small frame, so that it waits until nobody waits for an answer
+/// ([`Self::settle`]); what is not sorted in yet is known all the same.
 #[derive(Clone, Debug)]
 pub(super) struct DuplicateGuard {
     window: Span,
-    noted: BTreeMap<Key, (Stamp<HostClock>, Way)>,
+    noted: BTreeMap<Key, Note>,
     /// Every note, oldest first; a key that was noted again stands here twice.
     order: VecDeque<(Stamp<HostClock>, Key)>,
+    /// Notes that are not sorted in, oldest first.
+    waiting: Vec<(Key, Note)>,
+    /// By which way the last note came, and when one came last by another way than the one before it.
+    last_way: Option<Way>,
+    last_change: Stamp<HostClock>,
 }
 
 impl DuplicateGuard {
@@ -90,29 +107,53 @@ impl DuplicateGuard {
             window,
             noted: BTreeMap::new(),
             order: VecDeque::with_capacity(RESERVED_KEYS),
+            waiting: Vec::with_capacity(MOST_WAITING),
+            last_way: None,
+            last_change: Stamp::ZERO,
         }
     }
 
     /// Notes a key that came by `way`, and returns by which other way it came first within the window.
     pub(super) fn note(&mut self, now: Stamp<HostClock>, way: Way, key: Key) -> Option<Way> {
-        self.forget_before(now);
-        if let Some((_, first)) = self.noted.get(&key)
-            && *first != way
-        {
-            return Some(*first);
+        if self.waiting.len() >= MOST_WAITING {
+            self.settle(now);
         }
-        self.noted.insert(key, (now, way));
-        self.order.push_back((now, key));
+        let first = self.noted_way(now, way, key).filter(|first| *first != way);
+        if first.is_some() {
+            return first;
+        }
+        if self.last_way.replace(way) != Some(way) {
+            self.last_change = now;
+        }
+        self.waiting.push((key, Note { at: now, way }));
         None
     }
 
-    fn forget_before(&mut self, now: Stamp<HostClock>) {
+    /// By which way a key came last within the window.
+    fn noted_way(&self, now: Stamp<HostClock>, way: Way, key: Key) -> Option<Way> {
+        // Of a single way's frames none is a repeat.
+        if self.last_way == Some(way) && now - self.last_change >= self.window {
+            return None;
+        }
+        let waiting = self.waiting.iter().rev().find(|(other, _)| *other == key);
+        let note = waiting
+            .map(|(_, note)| note)
+            .or_else(|| self.noted.get(&key))?;
+        (now - note.at < self.window).then_some(note.way)
+    }
+
+    /// Sorts in what waits, and forgets what is too old.
+    pub(super) fn settle(&mut self, now: Stamp<HostClock>) {
+        for (key, note) in self.waiting.drain(..) {
+            self.noted.insert(key, note);
+            self.order.push_back((note.at, key));
+        }
         while let Some((noted, key)) = self.order.front().copied() {
-            if now - noted < self.window && self.order.len() < MOST_KEYS {
+            if now - noted < self.window && self.order.len() <= MOST_KEYS {
                 break;
             }
             self.order.pop_front();
-            if self.noted.get(&key).is_some_and(|(last, _)| *last == noted) {
+            if self.noted.get(&key).is_some_and(|last| last.at == noted) {
                 self.noted.remove(&key);
             }
         }
@@ -160,6 +201,32 @@ mod tests {
     }
 
     #[test]
+    fn when_keys_are_sorted_in_makes_no_difference() {
+        // Two ways that bring much of the same, at times one alone for longer than the window.
+        let brought = (0..40_000_u64).map(|i| {
+            let is_alone = (i / 5_000).is_multiple_of(2);
+            let way = way(if is_alone { 0 } else { (i * 7 % 3) as u16 % 2 });
+            (at(i as i64), way, Key::Frame(i * 31 % 997))
+        });
+        let run = |settles_every: usize| -> Vec<Option<Way>> {
+            let mut guard = DuplicateGuard::new(WINDOW);
+            let steps = brought.clone().enumerate();
+            steps
+                .map(|(index, (now, way, key))| {
+                    if index.is_multiple_of(settles_every) {
+                        guard.settle(now);
+                    }
+                    guard.note(now, way, key)
+                })
+                .collect()
+        };
+        let at_once = run(1);
+        assert!(at_once.iter().flatten().count() > 1_000);
+        assert_eq!(run(50), at_once);
+        assert_eq!(run(usize::MAX), at_once);
+    }
+
+    #[test]
     fn no_window_knows_nothing_again_and_the_memory_is_bounded() {
         let mut off = DuplicateGuard::new(Span::ZERO);
         assert_eq!(off.note(at(0), way(0), Key::Frame(1)), None);
@@ -169,6 +236,7 @@ mod tests {
             guard.note(at(0), way(0), Key::Frame(key));
         }
         assert!(guard.noted.len() <= MOST_KEYS && guard.order.len() <= MOST_KEYS);
+        assert!(guard.waiting.len() <= MOST_WAITING);
         assert_eq!(guard.note(at(0), way(1), Key::Frame(0)), None);
         assert_eq!(guard.note(at(0), way(1), Key::Frame(99_999)), Some(way(0)));
     }

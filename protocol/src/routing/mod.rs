@@ -175,6 +175,11 @@ impl Router {
         Routed { occurrence, to }
     }
 
+    /// Does what nobody waits for; best called when an input's answers have left.
+    pub fn settle(&mut self, now: Stamp<HostClock>) {
+        self.duplicates.settle(now);
+    }
+
     /// Forgets who was heard on a link, because it was lost.
     pub fn forget_link(&mut self, link: LinkId) {
         self.routes.forget_link(link);

@@ -2,24 +2,33 @@
 
 use std::collections::VecDeque;
 
-/// So many elements at the end are looked at one by one before the queue is halved: readings of the last tenths of a second.
-const LOOKED_AT: usize = 8;
-
 /// How many elements from the front belong before: `belongs` holds for them and for no later one, as in
-/// [`VecDeque::partition_point`], but sought from the back.
+/// [`VecDeque::partition_point`], but sought from the back in steps that double: what lies there was touched last and is quick to reach.
 #[must_use]
 pub fn count_before<T>(queue: &VecDeque<T>, belongs: impl Fn(&T) -> bool) -> usize {
+    // All from here on do not belong.
     let mut end = queue.len();
-    for element in queue.iter().rev().take(LOOKED_AT) {
-        if belongs(element) {
-            return end;
+    let mut step = 1;
+    // All before here belong.
+    let mut start = loop {
+        let Some(index) = end.checked_sub(step) else {
+            break 0;
+        };
+        if queue.get(index).is_some_and(&belongs) {
+            break index + 1;
         }
-        end -= 1;
+        end = index;
+        step *= 2;
+    };
+    while start < end {
+        let middle = usize::midpoint(start, end);
+        if queue.get(middle).is_some_and(&belongs) {
+            start = middle + 1;
+        } else {
+            end = middle;
+        }
     }
-    if end == 0 {
-        return 0;
-    }
-    queue.partition_point(belongs)
+    start
 }
 
 #[cfg(test)]

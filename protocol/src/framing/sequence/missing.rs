@@ -32,14 +32,20 @@ impl Missing {
         self.insert(self.newest);
     }
 
-    /// The frame that lies so many before the newest has come after all; false if it was not missing, or nobody knows.
-    pub(super) fn comes_late(&mut self, behind: u64) -> bool {
-        let Some(number) = self.newest.checked_sub(behind) else {
+    /// Whether the frame that lies so many before the newest is missing; false if nobody knows.
+    pub(super) const fn contains(&self, behind: u64) -> bool {
+        if behind >= WINDOW || behind > self.newest {
             return false;
-        };
-        let was_missing = behind < WINDOW && self.bits[word(number)] & bit(number) != 0;
+        }
+        let number = self.newest - behind;
+        self.bits[word(number)] & bit(number) != 0
+    }
+
+    /// The frame that lies so many before the newest has come after all; false if it was not missing, or nobody knows.
+    pub(super) const fn comes_late(&mut self, behind: u64) -> bool {
+        let was_missing = self.contains(behind);
         if was_missing {
-            self.remove(number);
+            self.remove(self.newest - behind);
         }
         was_missing
     }

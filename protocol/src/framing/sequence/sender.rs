@@ -42,6 +42,8 @@ struct Interval {
     received: u32,
     /// What the numbers alone say is missing.
     gaps: u32,
+    /// Frames noted that were missing before: they came late.
+    late: u32,
 }
 
 impl Interval {
@@ -52,6 +54,7 @@ impl Interval {
             noted: SequenceSet::default(),
             received: 0,
             gaps: 0,
+            late: 0,
         }
     }
 }
@@ -102,8 +105,10 @@ impl Sender {
 
     /// Frames that are missing.
     pub(super) fn lost(&self) -> u64 {
-        let gaps = self.interval.map_or(0, |interval| interval.gaps);
-        self.lost + u64::from(gaps)
+        let (gaps, late) = self
+            .interval
+            .map_or((0, 0), |interval| (interval.gaps, interval.late));
+        (self.lost + u64::from(gaps)).saturating_sub(u64::from(late))
     }
 
     /// How many more are missing than when it was last asked.
@@ -207,7 +212,10 @@ impl Sender {
         if let Some(interval) = &mut self.interval {
             interval.noted.insert(sequence);
             interval.received += 1;
-            if is_newer {
+            let behind = interval.from.wrapping_sub(sequence);
+            if !(1..=MOST_AHEAD).contains(&advance) && self.missing.contains(behind.into()) {
+                interval.late += 1;
+            } else if is_newer {
                 interval.gaps += u32::from(advance - 1);
                 self.newest = Some(sequence);
             }
@@ -275,9 +283,7 @@ impl Sender {
     /// Closes the account of the `sent` frames behind number `from`.
     fn close(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
         let Some(sent) = u8::try_from(sent).ok() else {
-            // Which of them came cannot be told, and none of them is waited for.
-            self.missing = Missing::new();
-            self.lost += u64::from(sent.saturating_sub(received));
+            self.close_long((from, sent), noted, received);
             return;
         };
         for sequence in noted.iter() {
@@ -295,6 +301,26 @@ impl Sender {
                 self.lost += 1;
             }
         }
+    }
+
+    /// Closes the account of more frames than there are numbers: those that came are held to lie at the nearer end.
+    fn close_long(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
+        let to = from.wrapping_add(sent as u8);
+        for step in 1..=sent {
+            let sequence = from.wrapping_add(step as u8);
+            let (ahead, behind) = (sequence.wrapping_sub(from), to.wrapping_sub(sequence));
+            let is_here = if ahead <= behind {
+                u32::from(ahead) == step
+            } else {
+                u32::from(behind) == sent - step
+            };
+            if is_here && noted.contains(sequence) {
+                self.missing.came();
+            } else {
+                self.missing.stayed_away();
+            }
+        }
+        self.lost += u64::from(sent.saturating_sub(received));
     }
 
     /// Nobody knows what was sent before this message.

@@ -162,6 +162,35 @@ fn a_datagram_that_a_stall_s_whole_burst_overtakes_is_late_and_no_restart() {
 }
 
 #[test]
+fn what_was_held_back_before_a_silence_of_more_than_a_turn_is_late_too() {
+    let mut robot = Robot::new();
+    robot.talk(5_000);
+    let held_back = [robot.ticks(), robot.heartbeat()];
+    let sent_ms = robot.now_ms;
+    robot.lose(9_000);
+    robot.talk(1_000);
+    assert_eq!(lost(&robot.tracker), robot.lost + 2);
+    for frame in held_back {
+        robot.hear_at(&(sent_ms, frame));
+    }
+    assert_eq!(lost(&robot.tracker), robot.lost);
+    robot.talk(1_000);
+    assert_eq!(lost(&robot.tracker), robot.lost);
+}
+
+#[test]
+fn a_late_frame_is_taken_off_before_the_next_stamp_comes() {
+    let mut robot = Robot::new();
+    robot.talk(5_000);
+    let held_back = robot.heartbeat();
+    let sent_ms = robot.now_ms;
+    robot.talk(1_000);
+    assert_eq!(lost(&robot.tracker), 1);
+    robot.hear_at(&(sent_ms, held_back));
+    assert_eq!(lost(&robot.tracker), 0);
+}
+
+#[test]
 fn after_the_stamps_have_ceased_the_numbers_have_to_do() {
     let mut robot = Robot::new();
     robot.talk(5_000);
