@@ -5,7 +5,7 @@
 //!
 //! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/maths/paper1.md; docs/lab/nxt-square.md.
 
-mod compass;
+mod changes;
 mod figures;
 mod matched;
 mod methods;
@@ -15,7 +15,7 @@ mod score;
 mod table;
 mod text;
 
-pub use compass::add as add_compass;
+pub use changes::{add_compass, add_jitter, feel_in_its_interval, make_reference_late};
 pub use figures::{Example, Seen};
 pub use matched::{MatchedSpeeds, MatchedWheels, SpeedMatrices, State, Wheel, WheelMatrices};
 pub use methods::{Method, corrected, outlook, printed, swapped};

@@ -34,7 +34,7 @@ pub const COLUMNS: [&str; 15] = [
 ];
 
 /// More rows than this are no lap: fourteen hours at 20 Hz.
-pub const MOST_ROWS: usize = 1_000_000;
+pub(super) const MOST_ROWS: usize = 1_000_000;
 /// No sensor of a robot says more than this in any of our units.
 const LARGEST: f64 = 1e9;
 

@@ -67,9 +67,16 @@ pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {
             fill(row, &arrival.observation.observed, &drive);
         }
     }
-    let seed = scenario.seed.wrapping_mul(0x9e37_79b9).wrapping_add(u64::from(run));
-    add_compass(&mut table, seed);
+    add_compass(&mut table, seed_of(scenario, run));
     table
+}
+
+/// For what the drives themselves do not draw.
+fn seed_of(scenario: &Scenario, run: u32) -> u64 {
+    scenario
+        .seed
+        .wrapping_mul(0x9e37_79b9)
+        .wrapping_add(u64::from(run))
 }
 
 fn row(drive: &Drive, step: usize) -> SensorRow {
@@ -139,7 +146,7 @@ pub(super) struct Series {
     /// What runs.
     pub(super) methods: Vec<Method>,
     /// What is done to each table before.
-    pub(super) adjust: fn(&mut SensorTable),
+    pub(super) adjust: fn(&mut SensorTable, u64),
 }
 
 /// The errors of every method over every drive of every series; `ended` is called after each drive.
@@ -155,7 +162,7 @@ pub(super) fn all_errors(
     let run = |&(index, run): &(usize, u32)| {
         let series = series.get(index)?;
         let mut table = table(&series.scenario, run);
-        (series.adjust)(&mut table);
+        (series.adjust)(&mut table, seed_of(&series.scenario, run));
         Some(errors_of(&table, &series.base, &series.methods, camera_every))
     };
     let mut by_series: Vec<Vec<Vec<Errors>>> = series.iter().map(|_| Vec::new()).collect();

@@ -155,7 +155,7 @@ fn simulated(args: &LabNxtSquareArgs) -> Result<Report> {
         base: told(&scenario),
         scenario: scenario.clone(),
         methods: every_method(),
-        adjust: |_| {},
+        adjust: |_, _| {},
     }];
     series.extend(VARIATIONS.iter().map(|variation| variation.series(&scenario)));
     let bar = progress::bar(u64::from(args.runs) * series.len() as u64, "drives")?;

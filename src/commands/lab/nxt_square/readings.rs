@@ -2,7 +2,8 @@
 //!
 //! Nothing is tuned for one filter: each reading changes the world or what is compared, for all of them alike.
 
-use posebridge_analysis::square::{Method, Metric, SensorTable, printed, swapped};
+use posebridge_analysis::square::*;
+#[allow(unused)] use posebridge_analysis::square::{Method, Metric, SensorTable, printed, swapped};
 use posebridge_sim::montecarlo::{Course, Scenario};
 
 use super::drives::{Series, told};
@@ -13,13 +14,13 @@ pub(super) struct Variation {
     pub(super) note: &'static str,
     pub(super) metric: Metric,
     alter: fn(&mut Scenario),
-    adjust: fn(&mut SensorTable),
+    adjust: fn(&mut SensorTable, u64),
     methods: fn() -> Vec<Method>,
 }
 
 const fn as_it_is(_scenario: &mut Scenario) {}
 
-const fn untouched(_table: &mut SensorTable) {}
+const fn untouched(_table: &mut SensorTable, _seed: u64) {}
 
 impl Variation {
     const fn of(name: &'static str, note: &'static str) -> Self {
@@ -43,7 +44,7 @@ impl Variation {
         self
     }
 
-    const fn on_table(mut self, adjust: fn(&mut SensorTable)) -> Self {
+    const fn on_table(mut self, adjust: fn(&mut SensorTable, u64)) -> Self {
         self.adjust = adjust;
         self
     }
@@ -119,41 +120,66 @@ fn good_gyro(scenario: &mut Scenario) {
     scenario.gyro.bias_walk_deg_per_s_sqrt_s = 0.001;
 }
 
-/// An accelerometer tells the change of speed over the interval that ends with its reading; the paper's equation 20 uses the reading
-/// of the row before. Here each row gets the reading of the next one.
-fn in_its_interval(table: &mut SensorTable) {
-    let mut next = None;
-    for row in table.rows.iter_mut().rev() {
-        next = std::mem::replace(&mut row.accelerations_m_per_s2, next);
+
+fn late<const N: usize>(t: &mut SensorTable, _: u64) { make_reference_late(t, N); }
+fn jitter(t: &mut SensorTable, seed: u64) { add_jitter(t, [1.5, 2.5], seed); }
+fn jitter_interval(t: &mut SensorTable, seed: u64) { add_jitter(t, [1.5, 2.5], seed); feel_in_its_interval(t); }
+fn ramps<const N: u32>(scenario: &mut Scenario) {
+    laps(scenario, |laps| laps.ramp_steps = N);
+}
+fn ramps_felt<const N: u32>(scenario: &mut Scenario) {
+    laps(scenario, |laps| laps.ramp_steps = N);
+    if let Some(accelerometer) = &mut scenario.accelerometer {
+        accelerometer.sigma_m_per_s2 = 0.01;
     }
 }
+fn felt(scenario: &mut Scenario) {
+    if let Some(accelerometer) = &mut scenario.accelerometer {
+        accelerometer.sigma_m_per_s2 = 0.01;
+    }
+}
+fn good_gyro_felt(scenario: &mut Scenario) { good_gyro(scenario); felt(scenario);  scenario.errors.radius_difference_sigma = 0.001; scenario.errors.radius_scale_sigma=0.001; scenario.errors.track_scale_sigma=0.005;  }
+fn exact_good(s: &mut Scenario) { good_gyro(s); exact_robot(s); }
+fn exact_good_felt(s: &mut Scenario) { good_gyro(s); exact_robot(s); felt(s); }
 
 /// All that were tried.
 pub(super) const VARIATIONS: &[Variation] = &[
-    Variation::of("end", "e").by(Metric::End),
-    Variation::of("heading", "e").by(Metric::Heading),
-    Variation::of("v", "e").by(Metric::Forward),
-    Variation::of("w", "e").by(Metric::Turn),
-    Variation::of("swapped", "e").with(swapped),
-    Variation::of("swapped v", "e").with(swapped).by(Metric::Forward),
-    Variation::of("swapped w", "e").with(swapped).by(Metric::Turn),
-    Variation::of("uncalibrated", "e").in_world(uncalibrated),
-    Variation::of("uncalibrated rest", "e").in_world(uncalibrated_and_long_rest),
-    Variation::of("uncalibrated, heading", "e").in_world(uncalibrated_and_long_rest).by(Metric::Heading),
-    Variation::of("good gyro", "e").in_world(good_gyro),
-    Variation::of("exact", "e").in_world(exact_robot),
-    Variation::of("coarse", "e").in_world(coarse_counts),
-    Variation::of("coarse w", "e").in_world(coarse_counts).by(Metric::Turn),
-    Variation::of("coarse v", "e").in_world(coarse_counts).by(Metric::Forward),
-    Variation::of("slippery", "e").in_world(slippery),
-    Variation::of("gentle v", "e").in_world(gentle).by(Metric::Forward),
-    Variation::of("gentle w", "e").in_world(gentle).by(Metric::Turn),
-    Variation::of("gentle felt v", "e").in_world(gentle_and_felt).by(Metric::Forward),
-    Variation::of("gentle felt w", "e").in_world(gentle_and_felt).by(Metric::Turn),
-    Variation::of("gentle felt swapped v", "e").in_world(gentle_and_felt).by(Metric::Forward).with(swapped),
-    Variation::of("gentle felt swapped w", "e").in_world(gentle_and_felt).by(Metric::Turn).with(swapped),
-    Variation::of("interval v", "e").on_table(in_its_interval).by(Metric::Forward),
-    Variation::of("interval w", "e").on_table(in_its_interval).by(Metric::Turn),
-    Variation::of("interval gentle swapped v", "e").on_table(in_its_interval).in_world(gentle_and_felt).by(Metric::Forward).with(swapped),
-    Variation::of("interval", "e").on_table(in_its_interval),
+    Variation::of("late 1", "e").on_table(late::<1>),
+    Variation::of("late 2", "e").on_table(late::<2>),
+    Variation::of("late 3", "e").on_table(late::<3>),
+    Variation::of("late 4", "e").on_table(late::<4>),
+    Variation::of("late 6", "e").on_table(late::<6>),
+    Variation::of("late 10", "e").on_table(late::<10>),
+    Variation::of("late 3, good gyro uncal", "e").on_table(late::<3>).in_world(good_gyro),
+    Variation::of("late 6, good gyro uncal", "e").on_table(late::<6>).in_world(good_gyro),
+    Variation::of("late 4, good gyro felt", "e").on_table(late::<4>).in_world(good_gyro_felt),
+    Variation::of("late 6, good gyro felt", "e").on_table(late::<6>).in_world(good_gyro_felt),
+    Variation::of("late 10, good gyro felt", "e").on_table(late::<10>).in_world(good_gyro_felt),
+    Variation::of("late 3, exact good", "e").on_table(late::<3>).in_world(exact_good),
+    Variation::of("late 6, exact good", "e").on_table(late::<6>).in_world(exact_good),
+    Variation::of("late 3, exact good felt", "e").on_table(late::<3>).in_world(exact_good_felt),
+    Variation::of("late 6, exact good felt", "e").on_table(late::<6>).in_world(exact_good_felt),
+    Variation::of("late 3, exact", "e").on_table(late::<3>).in_world(exact_robot),
+    Variation::of("late 6, heading", "e").on_table(late::<6>).by(Metric::Heading),
+    Variation::of("late 6, heading exact good", "e").on_table(late::<6>).by(Metric::Heading).in_world(exact_good),
+    Variation::of("late 6, v", "e").on_table(late::<6>).by(Metric::Forward),
+    Variation::of("late 6, w", "e").on_table(late::<6>).by(Metric::Turn),
+    Variation::of("jitter", "e").on_table(jitter),
+    Variation::of("jitter exact good", "e").on_table(jitter).in_world(exact_good),
+    Variation::of("jitter exact good felt", "e").on_table(jitter).in_world(exact_good_felt),
+    Variation::of("jitter heading exact good felt", "e").on_table(jitter).in_world(exact_good_felt).by(Metric::Heading),
+    Variation::of("jitter v", "e").on_table(jitter).by(Metric::Forward),
+    Variation::of("jitter w", "e").on_table(jitter).by(Metric::Turn),
+    Variation::of("jitter 20 v", "e").on_table(jitter).by(Metric::Forward).in_world(ramps::<20>),
+    Variation::of("jitter 40 v", "e").on_table(jitter).by(Metric::Forward).in_world(ramps::<40>),
+    Variation::of("jitter 60 v", "e").on_table(jitter).by(Metric::Forward).in_world(ramps::<60>),
+    Variation::of("jitter 60 w", "e").on_table(jitter).by(Metric::Turn).in_world(ramps::<60>),
+    Variation::of("jitter felt 40 v sw", "e").on_table(jitter).by(Metric::Forward).in_world(ramps_felt::<40>).with(swapped),
+    Variation::of("jitter felt 60 v sw", "e").on_table(jitter).by(Metric::Forward).in_world(ramps_felt::<60>).with(swapped),
+    Variation::of("jitter felt 20 v sw", "e").on_table(jitter).by(Metric::Forward).in_world(ramps_felt::<20>).with(swapped),
+    Variation::of("jitter int felt 40 v sw", "e").on_table(jitter_interval).by(Metric::Forward).in_world(ramps_felt::<40>).with(swapped),
+    Variation::of("jitter felt 20 w", "e").on_table(jitter).by(Metric::Turn).in_world(ramps_felt::<20>),
+    Variation::of("jitter felt 40 w", "e").on_table(jitter).by(Metric::Turn).in_world(ramps_felt::<40>),
+    Variation::of("jitter felt 20 w sw", "e").on_table(jitter).by(Metric::Turn).in_world(ramps_felt::<20>).with(swapped),
+    Variation::of("jitter felt 40 w sw", "e").on_table(jitter).by(Metric::Turn).in_world(ramps_felt::<40>).with(swapped),
 ];
