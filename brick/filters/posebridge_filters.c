@@ -16,13 +16,19 @@ enum { X, Y, H, V, W, S, C, G, B }; /* rows of the state */
 
 static pb_real squared(pb_real value) { return value * value; }
 
-static int finite_reading(const pb_reading *r)
+/* A number that is not finite makes the sum so, too. */
+static int finite_senses(const pb_reading *r)
 {
-    /* A number that is not finite makes the sum so, too. */
-    pb_real sum = r->dt_s + r->left_rad + r->right_rad;
+    pb_real sum = 0;
     if (r->present & PB_ACCELERATIONS) sum += r->left_m_s2 + r->right_m_s2;
     if (r->present & PB_GYRO) sum += r->gyro_rad_s;
-    return isfinite(sum) && r->dt_s > 0 && r->dt_s <= (pb_real)PB_LONGEST_STEP_S;
+    return isfinite(sum);
+}
+
+static int finite_reading(const pb_reading *r)
+{
+    pb_real sum = r->dt_s + r->left_rad + r->right_rad;
+    return isfinite(sum) && finite_senses(r) && r->dt_s > 0 && r->dt_s <= (pb_real)PB_LONGEST_STEP_S;
 }
 
 static int finite_state(const pb_state *s)
@@ -178,6 +184,13 @@ static void scalar_step(pb_real *x, pb_real *p, pb_real change, pb_real q, pb_re
     *p *= 1 - k;
 }
 
+int pb_speed_kf_begin(pb_speed_kf *filter, const pb_robot *robot, const pb_reading *first)
+{
+    if (!finite_senses(first)) return 0;
+    feel(robot, first, &filter->a_m_s2, &filter->alpha_rad_s2);
+    return 1;
+}
+
 int pb_speed_kf_step(pb_speed_kf *filter, const pb_robot *robot, const pb_reading *r)
 {
     pb_speed_kf next = *filter;
@@ -306,6 +319,21 @@ static void ekf5_use(pb_ekf5 *f, int row, pb_real seen, pb_real r)
     }
 }
 
+/* The integral of the gyro begins at the filter's own heading. */
+static void ekf5_begin_gyro(pb_ekf5 *f)
+{
+    f->gyro_begun = 1;
+    f->gyro_heading_rad = f->state.heading_rad;
+}
+
+int pb_ekf5_begin(pb_ekf5 *filter, const pb_robot *robot, const pb_reading *first)
+{
+    if (!finite_senses(first)) return 0;
+    feel(robot, first, &filter->a_m_s2, &filter->alpha_rad_s2);
+    if (first->present & PB_GYRO) ekf5_begin_gyro(filter);
+    return 1;
+}
+
 int pb_ekf5_step(pb_ekf5 *filter, const pb_robot *robot, const pb_reading *r)
 {
     pb_ekf5 next = *filter;
@@ -323,8 +351,7 @@ int pb_ekf5_step(pb_ekf5 *filter, const pb_robot *robot, const pb_reading *r)
             next.gyro_heading_rad += (r->gyro_rad_s - next.gyro_bias_rad_s) * r->dt_s;
             ekf5_use(&next, H, next.gyro_heading_rad, next.matrices.r[2]);
         } else {
-            next.gyro_begun = 1;
-            next.gyro_heading_rad = next.state.heading_rad;
+            ekf5_begin_gyro(&next);
         }
     }
     if (!finite_state(&next.state)) return 0;
@@ -489,6 +516,21 @@ static void ekf9_use(pb_ekf9 *f, int row, int second, pb_real seen, pb_real r)
     }
 }
 
+static void ekf9_begin_gyro(pb_ekf9 *f)
+{
+    f->gyro_begun = 1;
+    f->gyro_heading_rad = f->x[H];
+    begin_heading(f, G, 0);
+}
+
+int pb_ekf9_begin(pb_ekf9 *filter, const pb_robot *robot, const pb_reading *first)
+{
+    if (!finite_senses(first)) return 0;
+    feel(robot, first, &filter->a_m_s2, &filter->alpha_rad_s2);
+    if (first->present & PB_GYRO) ekf9_begin_gyro(filter);
+    return 1;
+}
+
 int pb_ekf9_step(pb_ekf9 *filter, const pb_robot *robot, const pb_reading *r)
 {
     pb_ekf9 next = *filter;
@@ -509,9 +551,7 @@ int pb_ekf9_step(pb_ekf9 *filter, const pb_robot *robot, const pb_reading *r)
             next.gyro_heading_rad += r->gyro_rad_s * r->dt_s;
             ekf9_use(&next, H, G, next.gyro_heading_rad, PB_INTEGRAL_VARIANCE);
         } else {
-            next.gyro_begun = 1;
-            next.gyro_heading_rad = next.x[H];
-            begin_heading(&next, G, 0);
+            ekf9_begin_gyro(&next);
         }
     }
     next.state.x_m = next.x[X];

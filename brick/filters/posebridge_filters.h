@@ -8,7 +8,8 @@
  *   pb_ekf9         the last one with the errors of its integrals as states: what is wrong in it, put right
  *
  * Units are SI and radians; the wheels' filter works in degrees, as in print. Left is counter-clockwise. Headings count on over full turns.
- * A step takes what the sensors say since the step before. It returns 0 and changes nothing when a number is not finite, when the
+ * A step takes what the sensors say since the step before. The first reading of all is the base: there the begin function takes what is
+ * felt, and the step functions go on from there. Each returns 0 and changes nothing when a number is not finite, when the
  * interval is not between 0 and PB_LONGEST_STEP_S, or when the result would not be finite; else 1.
  *
  * Compile with -DPB_REAL=float for a brick without double precision.
@@ -96,6 +97,7 @@ pb_speed_matrices pb_speed_printed(void); /* equation 23, from centimetres and d
 /* From the robot: rounding of two counts, and accelerometers with this noise. */
 pb_speed_matrices pb_speed_corrected(const pb_robot *robot, pb_real accelerometer_m_s2);
 void pb_speed_kf_init(pb_speed_kf *filter, const pb_speed_matrices *matrices, const pb_state *start);
+int pb_speed_kf_begin(pb_speed_kf *filter, const pb_robot *robot, const pb_reading *first);
 int pb_speed_kf_step(pb_speed_kf *filter, const pb_robot *robot, const pb_reading *reading);
 
 /* ---- five states --------------------------------------------------------------------------------------------------------- */
@@ -119,6 +121,7 @@ pb_ekf5_matrices pb_ekf5_printed(void); /* equations 25 and 26: q_v = 3, q_w = 1
 pb_ekf5_matrices pb_ekf5_swapped(void); /* equation 24: q_v = 1, q_w = 3 */
 /* The start is known to these standard deviations, m and rad. */
 void pb_ekf5_init(pb_ekf5 *filter, const pb_ekf5_matrices *matrices, const pb_state *start, const pb_real sigma[2]);
+int pb_ekf5_begin(pb_ekf5 *filter, const pb_robot *robot, const pb_reading *first);
 int pb_ekf5_step(pb_ekf5 *filter, const pb_robot *robot, const pb_reading *reading);
 
 /* ---- nine states --------------------------------------------------------------------------------------------------------- */
@@ -142,6 +145,7 @@ typedef struct {
 } pb_ekf9;
 
 void pb_ekf9_init(pb_ekf9 *filter, const pb_robot *robot, const pb_noise *noise, const pb_state *start, const pb_real sigma[2]);
+int pb_ekf9_begin(pb_ekf9 *filter, const pb_robot *robot, const pb_reading *first);
 int pb_ekf9_step(pb_ekf9 *filter, const pb_robot *robot, const pb_reading *reading);
 
 #endif

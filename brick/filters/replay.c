@@ -162,6 +162,14 @@ static int step(const pb_robot *robot, const pb_reading *reading)
     return used & pb_ekf9_step(&nine, robot, reading);
 }
 
+/* The first row is the base: the wheels turn from there. */
+static int base(const pb_robot *robot, const pb_reading *first)
+{
+    int used = 1, i;
+    for (i = 0; i < 2; i++) used &= pb_speed_kf_begin(&speeds[i], robot, first) & pb_ekf5_begin(&five[i], robot, first);
+    return used & pb_ekf9_begin(&nine, robot, first);
+}
+
 static void print_state(const char *name, const pb_state *s)
 {
     printf(",%s,%.17g,%.17g,%.17g,%.17g,%.17g", name, (double)s->x_m, (double)s->y_m, (double)s->heading_rad, (double)s->forward_m_s, (double)s->turn_rad_s);
@@ -237,11 +245,11 @@ int main(int argc, char **argv)
             reading.left_m_s2 = (pb_real)value[ACCEL_LEFT];
             reading.right_m_s2 = (pb_real)value[ACCEL_RIGHT];
         }
-        /* The first row is the base: differences are taken before they are rounded to the filters' precision. */
+        /* Differences are taken before they are rounded to the filters' precision. */
         reading.dt_s = (pb_real)(value[TIME] - before[TIME]);
         reading.left_rad = (pb_real)((value[LEFT] - before[LEFT]) * set.tick_rad);
         reading.right_rad = (pb_real)((value[RIGHT] - before[RIGHT]) * set.tick_rad);
-        if (has_base && !step(&robot, &reading)) return fail("a filter refused the row of time", cells[place[TIME]]);
+        if (!(has_base ? step(&robot, &reading) : base(&robot, &reading))) return fail("a filter refused the row of time", cells[place[TIME]]);
         has_base = 1;
         for (i = TIME; i <= RIGHT; i++) before[i] = value[i];
         print_beliefs(value[TIME]);

@@ -21,9 +21,6 @@ pub struct Example {
     pub paths: Vec<(&'static str, Vec<State>)>,
 }
 
-/// A point of the reference, in m.
-pub type Seen = (f64, f64);
-
 fn line(name: &str, points: Vec<(f64, f64)>) -> Curve {
     Curve {
         name: name.to_owned(),
@@ -78,8 +75,14 @@ impl Example {
             });
             vec![
                 line("differences of counts", counted),
-                line("wheel-kf, printed", self.over_time(|row| Some(printed[row][side].rate))),
-                line("wheel-kf, own R and Q", self.over_time(|row| Some(own[row][side].rate))),
+                line(
+                    "wheel-kf, printed",
+                    self.over_time(|row| Some(printed[row][side].rate)),
+                ),
+                line(
+                    "wheel-kf, own R and Q",
+                    self.over_time(|row| Some(own[row][side].rate)),
+                ),
             ]
         };
         let angle = |side: usize| {
@@ -87,9 +90,15 @@ impl Example {
         };
         let angles = vec![
             line("left, counted", angle(0)),
-            line("left, wheel-kf", self.over_time(|row| Some(printed[row][0].phi))),
+            line(
+                "left, wheel-kf",
+                self.over_time(|row| Some(printed[row][0].phi)),
+            ),
             line("right, counted", angle(1)),
-            line("right, wheel-kf", self.over_time(|row| Some(printed[row][1].phi))),
+            line(
+                "right, wheel-kf",
+                self.over_time(|row| Some(printed[row][1].phi)),
+            ),
         ];
         figure(
             "Wheel positions and speeds",
@@ -110,10 +119,14 @@ impl Example {
                 .iter()
                 .map(|name| {
                     let path = self.path(name);
-                    line(name, self.over_time(|row| Some(path.get(row)?[state] * factor)))
+                    line(
+                        name,
+                        self.over_time(|row| Some(path.get(row)?[state] * factor)),
+                    )
                 })
                 .collect();
-            let true_ones = self.over_time(|row| Some(true_speeds(&self.table, row)?[truth] * factor));
+            let true_ones =
+                self.over_time(|row| Some(true_speeds(&self.table, row)?[truth] * factor));
             if !true_ones.is_empty() {
                 curves.push(line("truth", true_ones));
             }
@@ -132,7 +145,7 @@ impl Example {
     /// Figure 7: the tracks of some methods with the reference.
     #[must_use]
     pub fn track_figure(&self, title: &str, names: &[&str]) -> String {
-        let seen: Vec<Seen> = (1..self.table.rows.len())
+        let seen: Vec<(f64, f64)> = (1..self.table.rows.len())
             .filter_map(|row| self.table.reference(row, self.camera_every))
             .map(|seen| (seen.x_m, seen.y_m))
             .collect();

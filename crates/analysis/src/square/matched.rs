@@ -14,11 +14,11 @@
 //! Paper 1 (Valera et al.), equations 13 to 23. White acceleration as process noise: Bar-Shalom, Li and Kirubarajan (2001),
 //! section 6.2.2. Rounding as noise: a count is uniform within its tick, variance tick²/12.
 
+use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::paper1::{INTERVAL_S, UNITS};
 use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
 use posebridge_estimator::models::planar_speeds::Acceleration;
 use posebridge_estimator::models::se2::{BodyStep, StepRule, displace};
-use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::DriveGeometry;
 
 /// The matrices of the filter of a wheel, in degrees; Q is that of one interval of 0.05 s.
@@ -98,7 +98,10 @@ impl SpeedMatrices {
             (count_m_per_s / b_m).powi(2) / 3.0,
         ];
         Self {
-            process: [felt_m_per_s.powi(2) / 2.0, 2.0 * (felt_m_per_s / b_m).powi(2)],
+            process: [
+                felt_m_per_s.powi(2) / 2.0,
+                2.0 * (felt_m_per_s / b_m).powi(2),
+            ],
             variances,
             start: variances,
         }
@@ -202,7 +205,8 @@ impl MatchedWheels {
         };
         let before = self.wheels.map(|wheel| wheel.phi);
         let wheels = self.wheels.iter_mut().zip(self.matrices.variances);
-        for ((wheel, variance), turned) in wheels.zip([0, 1].map(|i: usize| turned_rad[i] - base[i]))
+        for ((wheel, variance), turned) in
+            wheels.zip([0, 1].map(|i: usize| turned_rad[i] - base[i]))
         {
             wheel.predict(dt_s, &self.matrices.process);
             wheel.update(turned.to_degrees(), variance);
@@ -259,7 +263,8 @@ impl MatchedSpeeds {
             let body = body_step(travel, &self.geometry);
             let seen = [body.forward_m / dt_s, body.turn_rad / dt_s];
             for (row, seen) in seen.into_iter().enumerate() {
-                let gain = self.variances[row] / (self.variances[row] + self.matrices.variances[row]);
+                let gain =
+                    self.variances[row] / (self.variances[row] + self.matrices.variances[row]);
                 self.state[3 + row] += gain * (seen - self.state[3 + row]);
                 self.variances[row] *= 1.0 - gain;
             }
@@ -283,5 +288,122 @@ impl MatchedSpeeds {
         for (variance, process) in self.variances.iter_mut().zip(self.matrices.process) {
             *variance += process * dt_s / INTERVAL_S;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_estimator::{Params, StartPose, filter_named};
+    use posebridge_telemetry::{
+        Calibration, Heading, Meters, Pose, Radians, SensorNoise, quantities::wrap_rad,
+    };
+
+    use crate::square::table::{Sense, SensorRow, SensorTable};
+
+    fn config() -> FilterConfig {
+        FilterConfig {
+            geometry: DriveGeometry {
+                left_wheel_radius: Meters(0.0279),
+                right_wheel_radius: Meters(0.0282),
+                track_width: Meters(0.112),
+                tick: Radians(1.0_f64.to_radians()),
+            },
+            noise: SensorNoise {
+                accelerometer_m_per_s2: 0.05,
+                ..SensorNoise::EXACT
+            },
+            start: Some(StartPose {
+                pose: Pose::new(Meters(1.0), Meters(-2.0), Heading::from_rad(0.4)),
+                position_sigma_m: 1e-3,
+                heading_sigma_rad: 1e-3,
+            }),
+            params: Params::default(),
+            calibration: Calibration::default(),
+            world: std::sync::Arc::default(),
+        }
+    }
+
+    /// A winding drive of 20 s at uneven intervals.
+    fn table() -> SensorTable {
+        let rows = (0..400).map(|index: u32| {
+            let time_s = 0.05 * f64::from(index) + 0.012 * f64::from(index * 7 % 5);
+            let wheel = |phase: f64| (300.0 * time_s + 200.0 * (time_s + phase).sin()).floor();
+            SensorRow {
+                time_s,
+                encoders: [wheel(0.0), wheel(1.0)],
+                gyro_deg_per_s: None,
+                accelerations_m_per_s2: Some([0.1 * time_s.cos(), -0.1 * time_s.sin()]),
+                camera: None,
+                compass_deg: None,
+                truth: None,
+            }
+        });
+        SensorTable {
+            rows: rows.collect(),
+            ..SensorTable::default()
+        }
+    }
+
+    /// Follows the table with a row of the table of filters and with a recursion of this file.
+    fn agree(filter: &str, mut step: impl FnMut(f64, [f64; 2], Option<[f64; 2]>) -> State) {
+        let config = config();
+        let mut known = (filter_named(filter).unwrap().build)(&config);
+        let table = table();
+        let tick_rad = config.geometry.tick.0;
+        let mut before_s = table.rows[0].time_s;
+        for row in &table.rows {
+            for observation in row.observations(tick_rad, &[Sense::Wheels, Sense::Accelerometers]) {
+                known.observe(&observation);
+            }
+            let estimate = known.estimate_at(row.stamp()).unwrap();
+            let turned = row.encoders.map(|count| count * tick_rad);
+            let state = step(row.time_s - before_s, turned, row.accelerations_m_per_s2);
+            before_s = row.time_s;
+            let differences = [
+                estimate.pose.x.0 - state[0],
+                estimate.pose.y.0 - state[1],
+                wrap_rad(estimate.pose.heading.rad() - state[2]),
+                estimate.forward_speed.0 - state[3],
+                estimate.turn_rate.0 - state[4],
+            ];
+            for difference in differences {
+                assert!(
+                    difference.abs() < 1e-9,
+                    "{filter} at {} s: {difference}",
+                    row.time_s
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn with_the_printed_numbers_they_are_the_filters_of_the_table() {
+        let start = [1.0, -2.0, 0.4];
+        let geometry = config().geometry;
+        let mut wheels = MatchedWheels::new(WheelMatrices::PRINTED, geometry, start);
+        agree("wheel-kf", |dt_s, turned, _| wheels.step(dt_s, turned));
+        let mut speeds = MatchedSpeeds::new(SpeedMatrices::printed(), geometry, start);
+        agree("velocity-kf", |dt_s, turned, felt| {
+            speeds.step(dt_s, turned, felt)
+        });
+    }
+
+    #[test]
+    fn matrices_of_the_robot_are_those_computed_by_hand() {
+        let mut config = config();
+        config.geometry.left_wheel_radius = Meters(0.028);
+        config.geometry.right_wheel_radius = Meters(0.028);
+        let wheels = WheelMatrices::of_robot(&config);
+        assert!((wheels.variances[0] - 1.0 / 12.0).abs() < 1e-12);
+        // 1 m/s per root second on a radius of 28 mm: 2046.28 degrees/s.
+        assert!((wheels.process[2] - 2_046.28_f64.powi(2) * 0.05).abs() < 1.0);
+        let speeds = SpeedMatrices::of_robot(&config);
+        // One count in 50 ms is 9.7738 mm/s; over the track 0.08727 rad/s.
+        assert!((speeds.variances[0] - 9.7738e-3_f64.powi(2) / 12.0).abs() < 1e-9);
+        assert!((speeds.variances[1] - 0.087_266_f64.powi(2) / 3.0).abs() < 1e-7);
+        // 2.5 mm/s from one accelerometer: half of that variance for both, twice over the track for the turn.
+        assert!((speeds.process[0] - 3.125e-6).abs() < 1e-12);
+        assert!((speeds.process[1] - 2.0 * (2.5e-3_f64 / 0.112).powi(2)).abs() < 1e-12);
     }
 }

@@ -3,7 +3,6 @@
 use posebridge_estimator::filters::ekf5::{self, Fixes, SpeedOrder};
 use posebridge_estimator::{Filter, FilterConfig, FilterEntry, filter_named};
 
-
 use super::matched::{MatchedSpeeds, MatchedWheels, SpeedMatrices, State, WheelMatrices};
 use super::table::{Sense, SensorRow, SensorTable};
 
@@ -164,11 +163,7 @@ impl Method {
 
     fn follower(&self, config: &FilterConfig) -> Follower {
         let start = config.start.map_or([0.0; 3], |start| {
-            [
-                start.pose.x.0,
-                start.pose.y.0,
-                start.pose.heading.rad(),
-            ]
+            [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()]
         });
         let geometry = config.geometry;
         match self.kind {

@@ -6,6 +6,7 @@
 //! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/maths/paper1.md; docs/lab/nxt-square.md.
 
 mod changes;
+mod faults;
 mod figures;
 mod matched;
 mod methods;
@@ -16,14 +17,15 @@ mod table;
 mod text;
 
 pub use changes::{add_compass, add_jitter, feel_in_its_interval, make_reference_late};
-pub use figures::{Example, Seen};
+pub use faults::{COLUMNS, MOST_ROWS, TextError};
+pub use figures::Example;
 pub use matched::{MatchedSpeeds, MatchedWheels, SpeedMatrices, State, Wheel, WheelMatrices};
 pub use methods::{Method, corrected, outlook, printed, swapped};
 pub use noise::{Record, Spread, stop, straight};
 pub use page::{Chain, Reading, Report};
 pub use score::{Errors, Metric, Order, OrderStep, errors, order, true_speeds};
 pub use table::{EncoderUnit, SeenPose, Sense, SensorRow, SensorTable};
-pub use text::{COLUMNS, TextError, parse, write};
+pub use text::{parse, write};
 
 use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_telemetry::{Heading, Known, Meters, Pose};
@@ -59,7 +61,9 @@ fn start(table: &SensorTable, base: &FilterConfig) -> StartPose {
             ..exact
         };
     }
-    let placed = first.and_then(|row| row.camera).filter(|seen| seen.theta_deg.is_some());
+    let placed = first
+        .and_then(|row| row.camera)
+        .filter(|seen| seen.theta_deg.is_some());
     if let Some(seen) = placed {
         return StartPose {
             pose: seen.pose(),

@@ -99,7 +99,9 @@ fn is_straight(table: &SensorTable, row: usize, geometry: &DriveGeometry) -> boo
     let (forward_m, turn_rad) = driven(table, before, after, geometry);
     let count_m = table.unit.in_rad(geometry) * geometry.left_wheel_radius.0;
     let moves = forward_m.abs() > 2.0 * WINDOW as f64 * count_m;
-    moves && turn_rad.abs() <= MOST_TURN_RAD_PER_M * forward_m.abs() + count_m / geometry.track_width.0
+    moves
+        && turn_rad.abs()
+            <= MOST_TURN_RAD_PER_M * forward_m.abs() + count_m / geometry.track_width.0
 }
 
 fn driven(
@@ -134,7 +136,8 @@ fn record(
     let all = |pick: &dyn Fn(&SensorRow) -> Option<f64>| -> Vec<Option<f64>> {
         rows.iter().map(pick).collect()
     };
-    let counter = |wheel: usize| about_line(&times, &all(&|row| Some(row.encoders[wheel] * unit_deg)));
+    let counter =
+        |wheel: usize| about_line(&times, &all(&|row| Some(row.encoders[wheel] * unit_deg)));
     let speeds: Vec<(f64, f64)> = rows
         .windows(2)
         .map(|pair| {
@@ -205,7 +208,10 @@ fn about_line(times: &[f64], values: &[Option<f64>]) -> Option<Spread> {
     let n = points.len() as f64;
     let middle_s = points.iter().map(|(time, _)| time).sum::<f64>() / n;
     let mean = points.iter().map(|(_, value)| value).sum::<f64>() / n;
-    let spread: f64 = points.iter().map(|(time, _)| (time - middle_s).powi(2)).sum();
+    let spread: f64 = points
+        .iter()
+        .map(|(time, _)| (time - middle_s).powi(2))
+        .sum();
     let shared: f64 = points
         .iter()
         .map(|(time, value)| (time - middle_s) * (value - mean))
@@ -263,7 +269,10 @@ mod tests {
         let gyro = rest.gyro.unwrap();
         assert!((gyro.mean - 1.0).abs() < 0.05 && (gyro.variance - 1.0).abs() < 0.05);
         let straight = straight(&drive(), &GEOMETRY).unwrap();
-        assert!(straight.from > 40 && straight.from + straight.rows < 121, "{straight:?}");
+        assert!(
+            straight.from > 40 && straight.from + straight.rows < 121,
+            "{straight:?}"
+        );
         let [left, right] = straight.counters.unwrap();
         assert!((left.variance - 1.0 / 12.0).abs() < 0.02, "{left:?}");
         assert!((left.mean - 20.317 / 0.05).abs() < 1.0);

@@ -1,5 +1,8 @@
 //! The page of the experiment, and the same as text for a terminal.
 
+use posebridge_estimator::FilterConfig;
+use posebridge_estimator::filters::paper1::DEGREE;
+
 use super::figures::Example;
 use super::matched::{SpeedMatrices, WheelMatrices};
 use super::noise::{Record, Spread};
@@ -51,6 +54,68 @@ pub struct Report {
     /// The drive of the pictures.
     pub example: Example,
 }
+
+/// A line of the table of R.
+struct NoiseRow {
+    name: &'static str,
+    /// The paper's number.
+    printed: Option<f64>,
+    /// What follows from the resolution of the counts alone.
+    rounding: Option<fn(&FilterConfig) -> f64>,
+    pick: fn(&Record) -> Option<Spread>,
+}
+
+const fn noise_row(
+    name: &'static str,
+    printed: Option<f64>,
+    pick: fn(&Record) -> Option<Spread>,
+) -> NoiseRow {
+    NoiseRow {
+        name,
+        printed,
+        rounding: None,
+        pick,
+    }
+}
+
+impl NoiseRow {
+    const fn rounded(mut self, rounding: fn(&FilterConfig) -> f64) -> Self {
+        self.rounding = Some(rounding);
+        self
+    }
+}
+
+/// A square metre, in square centimetres.
+const CM2_PER_M2: f64 = 1e4;
+/// A square radian, in square degrees.
+const DEG2_PER_RAD2: f64 = 1.0 / (DEGREE * DEGREE);
+
+/// The paper's R, equations 19, 23 and 26, and the sensors behind them.
+const NOISE_ROWS: [NoiseRow; 9] = [
+    noise_row("left counter [deg^2]", Some(1.5), |record| {
+        Some(record.counters?[0])
+    })
+    .rounded(|config| WheelMatrices::of_robot(config).variances[0]),
+    noise_row("right counter [deg^2]", Some(2.5), |record| {
+        Some(record.counters?[1])
+    })
+    .rounded(|config| WheelMatrices::of_robot(config).variances[1]),
+    noise_row("v by counters [(cm/s)^2]", Some(5.1), |record| {
+        record.forward
+    })
+    .rounded(|config| SpeedMatrices::of_robot(config).variances[0] * CM2_PER_M2),
+    noise_row("w by counters [(deg/s)^2]", Some(1.938), |record| {
+        record.turn
+    })
+    .rounded(|config| SpeedMatrices::of_robot(config).variances[1] * DEG2_PER_RAD2),
+    noise_row("th_enc [deg^2]", Some(0.938), |record| record.wheel_heading),
+    noise_row("th_gyro [deg^2]", Some(0.332), |record| record.gyro_heading),
+    noise_row("gyro [(deg/s)^2]", None, |record| record.gyro),
+    noise_row("accelerometer left [(m/s^2)^2]", None, |record| {
+        Some(record.accelerometers?[0])
+    }),
+    noise_row("camera x [cm^2]", None, |record| Some(record.camera?[0])),
+];
 
 impl Chain {
     /// Whether the order holds.
@@ -114,7 +179,10 @@ impl Report {
         let mut rows: Vec<Vec<String>> = Vec::new();
         for chain in self.chains.iter().chain([&self.outlook]) {
             for (method, name) in chain.names.iter().enumerate() {
-                if rows.iter().any(|row| row.first().is_some_and(|known| known == name)) {
+                if rows
+                    .iter()
+                    .any(|row| row.first().is_some_and(|known| known == name))
+                {
                     continue;
                 }
                 let cell = |metric, factor: f64, digits: usize| {
@@ -181,55 +249,52 @@ impl Report {
     }
 
     fn noise_parts(&self) -> Vec<Part> {
-        let wheels = WheelMatrices::of_robot(&self.example.config);
-        let speeds = SpeedMatrices::of_robot(&self.example.config);
-        let cm2 = 1e4;
-        let deg2 = 1f64.to_degrees().powi(2);
-        type Pick = fn(&Record) -> Option<Spread>;
-        let rows: [(&str, &str, Option<f64>, Pick); 9] = [
-            ("left counter [deg^2]", "1.5", Some(wheels.variances[0]), |r| r.counters.map(|both| both[0])),
-            ("right counter [deg^2]", "2.5", Some(wheels.variances[1]), |r| r.counters.map(|both| both[1])),
-            ("v by counters [(cm/s)^2]", "5.1", Some(speeds.variances[0] * cm2), |r| r.forward),
-            ("w by counters [(deg/s)^2]", "1.938", Some(speeds.variances[1] * deg2), |r| r.turn),
-            ("th_enc [deg^2]", "0.938", None, |r| r.wheel_heading),
-            ("th_gyro [deg^2]", "0.332", None, |r| r.gyro_heading),
-            ("gyro [(deg/s)^2]", NO_VALUE, None, |r| r.gyro),
-            ("accelerometer left [(m/s^2)^2]", NO_VALUE, None, |r| r.accelerometers.map(|both| both[0])),
-            ("camera x [cm^2]", NO_VALUE, None, |r| r.camera.map(|both| both[0])),
-        ];
-        let variance = |record: &Option<Record>, pick: Pick| {
-            let spread = record.as_ref().and_then(pick);
-            spread.map_or(NO_VALUE.to_owned(), |spread| format!("{:.4}", spread.variance))
-        };
-        let rows = rows.map(|(name, printed, rounding, pick)| {
-            vec![
-                name.to_owned(),
-                printed.to_owned(),
-                rounding.map_or(NO_VALUE.to_owned(), |value| format!("{value:.4}")),
-                variance(&self.stop, pick),
-                variance(&self.straight, pick),
-            ]
-        });
-        let length = |record: &Option<Record>| record.map_or(0, |record| record.rows);
+        let length = |record: Option<&Record>| record.map_or(0, |record| record.rows);
         vec![
             Part::Heading("R from a stop and from a straight run".to_owned()),
             Part::Text(format!(
                 "The stop has {} rows, the straight run {}. At rest a counter stands still, so its R comes out as zero: only the straight run \
-                 shows the rounding, a twelfth of a tick squared. Camera x on the straight run is the motion itself and no noise.",
-                length(&self.stop),
-                length(&self.straight)
+                 shows the rounding, a twelfth of a tick squared. Gyro and accelerometers are taken from the stop: on the straight run the robot \
+                 steers, and camera x is the motion itself.",
+                length(self.stop.as_ref()),
+                length(self.straight.as_ref())
             )),
             Part::table(
                 &["R of", "paper", "rounding", "stop", "straight run"],
-                rows.to_vec(),
+                NOISE_ROWS.iter().map(|row| self.noise_row(row)).collect(),
             ),
+        ]
+    }
+
+    fn noise_row(&self, row: &NoiseRow) -> Vec<String> {
+        let number = |value: Option<f64>, digits: usize| {
+            value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.digits$}"))
+        };
+        let variance = |record: &Option<Record>| {
+            let spread = record.as_ref().and_then(row.pick);
+            number(spread.map(|spread| spread.variance), 4)
+        };
+        let config = &self.example.config;
+        let rounding = row.rounding.map(|rounding| rounding(config));
+        vec![
+            row.name.to_owned(),
+            number(row.printed, 3),
+            number(rounding, 4),
+            variance(&self.stop),
+            variance(&self.straight),
         ]
     }
 
     fn pictures(&self) -> Vec<Part> {
         let example = &self.example;
-        let chain: Vec<&str> = self.chains.first().map_or(Vec::new(), |chain| chain.names.clone());
-        let own: Vec<&str> = self.chains.get(1).map_or(Vec::new(), |chain| chain.names.clone());
+        let chain: Vec<&str> = self
+            .chains
+            .first()
+            .map_or(Vec::new(), |chain| chain.names.clone());
+        let own: Vec<&str> = self
+            .chains
+            .get(1)
+            .map_or(Vec::new(), |chain| chain.names.clone());
         let figure = |svg, caption: &str| Part::Figure {
             svg,
             caption: caption.to_owned(),
@@ -245,7 +310,7 @@ impl Report {
             ),
             figure(
                 example.track_figure("Tracks, the paper's matrices", &chain),
-                "Figure 7: the first three lie on each other; only the gyro makes a difference.",
+                "Figure 7: raw encoders and wheel-kf lie on each other, velocity-kf adds what its accelerometers add, ekf5 leans on the gyro.",
             ),
             figure(
                 example.track_figure("Tracks, matrices that follow from the sensors", &own),
@@ -283,10 +348,12 @@ fn order_parts(chain: &Chain) -> Vec<Part> {
 }
 
 fn order_row(step: &OrderStep) -> Vec<String> {
-    let [ratio, interval] = step.ratio.map_or([NO_VALUE.to_owned(), NO_VALUE.to_owned()], |ratio| {
-        let [mean, low, high] = ratio;
-        [format!("{mean:.3}"), format!("{low:.3} to {high:.3}")]
-    });
+    let [ratio, interval] =
+        step.ratio
+            .map_or([NO_VALUE.to_owned(), NO_VALUE.to_owned()], |ratio| {
+                let [mean, low, high] = ratio;
+                [format!("{mean:.3}"), format!("{low:.3} to {high:.3}")]
+            });
     vec![
         format!("{} > {}", step.worse, step.better),
         percent(step.share()),
@@ -310,7 +377,7 @@ fn as_text(part: &Part) -> String {
     match part {
         Part::Heading(text) => format!("\n{text}\n"),
         Part::Text(text) | Part::Lines(text) => format!("{text}\n"),
-        Part::List(points) => points.iter().map(|point| format!("- {point}\n")).collect(),
+        Part::List(points) => format!("- {}\n", points.join("\n- ")),
         Part::Table { header, rows } => aligned(header, rows),
         Part::Figure { .. } => String::new(),
     }

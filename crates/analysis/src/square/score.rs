@@ -170,7 +170,7 @@ impl OrderStep {
             _ if self.drives > 1 && self.share() >= 0.95 => "holds",
             Some((true, _)) => "on average only",
             Some((_, true)) => "the other way round",
-            _ => "a coin",
+            _ => "no difference on average",
         }
     }
 }
@@ -260,19 +260,22 @@ mod tests {
     use crate::square::table::{SeenPose, SensorRow};
 
     fn table(truth: &[(f64, f64, f64)]) -> SensorTable {
-        let rows = truth.iter().enumerate().map(|(index, (x, y, theta))| SensorRow {
-            time_s: 0.1 * index as f64,
-            encoders: [0.0; 2],
-            gyro_deg_per_s: None,
-            accelerations_m_per_s2: None,
-            camera: None,
-            compass_deg: None,
-            truth: Some(SeenPose {
-                x_m: *x,
-                y_m: *y,
-                theta_deg: Some(*theta),
-            }),
-        });
+        let rows = truth
+            .iter()
+            .enumerate()
+            .map(|(index, (x, y, theta))| SensorRow {
+                time_s: 0.1 * index as f64,
+                encoders: [0.0; 2],
+                gyro_deg_per_s: None,
+                accelerations_m_per_s2: None,
+                camera: None,
+                compass_deg: None,
+                truth: Some(SeenPose {
+                    x_m: *x,
+                    y_m: *y,
+                    theta_deg: Some(*theta),
+                }),
+            });
         SensorTable {
             rows: rows.collect(),
             ..SensorTable::default()
@@ -317,7 +320,7 @@ mod tests {
         assert_eq!((order.steps[0].holds, order.steps[1].holds), (2, 2));
         // (3/2 3/2 1/2)^(1/3)
         assert!((order.steps[0].ratio.unwrap()[0] - 1.125_f64.cbrt()).abs() < 1e-12);
-        assert_eq!(order.steps[0].in_words(), "a coin");
+        assert_eq!(order.steps[0].in_words(), "no difference on average");
     }
 
     #[test]

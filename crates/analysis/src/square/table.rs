@@ -4,9 +4,11 @@
 //! Units are those of the file and of the paper's brick (counts, degrees); they become SI in [`SensorTable::observations`].
 
 use posebridge_telemetry::{
-    Arena, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, Observation, Observed,
-    Point2, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, Observation,
+    Observed, Point2, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
 };
+
+const NANOS_PER_S: f64 = 1e9;
 
 /// In what the encoders' columns count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -84,6 +86,50 @@ pub enum Sense {
 }
 
 impl SensorRow {
+    /// A row in which no sensor has said anything yet.
+    #[must_use]
+    pub fn silent(stamp: Stamp<BrickClock>) -> Self {
+        Self {
+            time_s: stamp.as_nanos() as f64 / NANOS_PER_S,
+            encoders: [0.0; 2],
+            gyro_deg_per_s: None,
+            accelerations_m_per_s2: None,
+            camera: None,
+            compass_deg: None,
+            truth: None,
+        }
+    }
+
+    /// Writes down what a sensor said, the opposite of [`SensorRow::observations`]; kinds that have no column are left out. A
+    /// counter is a whole number of `unit_rad`.
+    pub fn hear(&mut self, observed: &Observed, unit_rad: f64) {
+        match observed {
+            Observed::WheelAngles { left, right } => {
+                self.encoders = [left, right].map(|angle| (angle.0 / unit_rad).round());
+            }
+            Observed::TurnRate(rate) => self.gyro_deg_per_s = Some(rate.0.to_degrees()),
+            Observed::WheelAccelerations { left, right } => {
+                self.accelerations_m_per_s2 = Some([left.0, right.0]);
+            }
+            Observed::Fix(fix) => {
+                self.camera = Some(SeenPose {
+                    x_m: fix.position.x.0,
+                    y_m: fix.position.y.0,
+                    theta_deg: fix.heading.map(|heading| heading.rad().to_degrees()),
+                });
+            }
+            Observed::CompassHeading(heading) => {
+                self.compass_deg = Some(heading.rad().to_degrees());
+            }
+            Observed::OdometerPose(_)
+            | Observed::BodyVelocity { .. }
+            | Observed::Landmark { .. }
+            | Observed::BeaconRange { .. }
+            | Observed::WallRange(_)
+            | Observed::Temperature(_) => {}
+        }
+    }
+
     /// What the sensors among `senses` said, wheels first. `unit_rad` is one of the table's encoder unit, in rad.
     pub fn observations(
         &self,
@@ -105,7 +151,7 @@ impl SensorRow {
 
     /// The row's instant.
     #[must_use]
-    pub fn stamp(&self) -> Stamp<posebridge_telemetry::BrickClock> {
+    pub fn stamp(&self) -> Stamp<BrickClock> {
         Stamp::from_nanos(Span::from_secs_f64(self.time_s).as_nanos())
     }
 
@@ -134,6 +180,16 @@ impl SensorRow {
 }
 
 impl SeenPose {
+    /// A pose as it stands in a table.
+    #[must_use]
+    pub fn of(pose: Pose<Arena>) -> Self {
+        Self {
+            x_m: pose.x.0,
+            y_m: pose.y.0,
+            theta_deg: Some(pose.heading.rad().to_degrees()),
+        }
+    }
+
     /// The same as a pose of the arena; a heading that was not seen is zero.
     #[must_use]
     pub fn pose(&self) -> Pose<Arena> {
@@ -166,7 +222,7 @@ impl SensorTable {
         &self.rows[..count]
     }
 
-    /// Without the reference and the images that are only looked at every `every`-th row: what is left is what a filter may use.
+    /// Whether the filters that use a camera are given the image of this row: that of every `every`-th one, and not the first.
     #[must_use]
     pub fn uses_camera(row: usize, every: usize) -> bool {
         row > 0 && row.is_multiple_of(every)
@@ -187,5 +243,76 @@ impl SensorTable {
     #[must_use]
     pub fn has_truth(&self) -> bool {
         self.rows.first().is_some_and(|row| row.truth.is_some())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_heard_is_said_again() {
+        let stamp = Stamp::from_nanos(1_050_000_000);
+        let tick_rad = 1.0_f64.to_radians();
+        let said = [
+            Observed::WheelAngles {
+                left: Radians(3.0 * tick_rad),
+                right: Radians(-4.0 * tick_rad),
+            },
+            Observed::WheelAccelerations {
+                left: MetersPerSecondSquared(0.1),
+                right: MetersPerSecondSquared(-0.2),
+            },
+            Observed::TurnRate(RadiansPerSecond(2.0_f64.to_radians())),
+        ];
+        let mut row = SensorRow::silent(stamp);
+        for observed in &said {
+            row.hear(observed, tick_rad);
+        }
+        row.hear(&Observed::WallRange(Meters(1.0)), tick_rad);
+        assert_eq!((row.time_s, row.encoders), (1.05, [3.0, -4.0]));
+        let all = [
+            Sense::Wheels,
+            Sense::Accelerometers,
+            Sense::Gyro,
+            Sense::Camera,
+        ];
+        let again: Vec<Observation> = row.observations(tick_rad, &all).collect();
+        assert_eq!(again.len(), 3, "the camera said nothing");
+        for (observation, observed) in again.iter().zip(said) {
+            assert_eq!((observation.stamp, observation.observed), (stamp, observed));
+        }
+    }
+
+    #[test]
+    fn an_image_either_helps_or_judges() {
+        let seen = SeenPose {
+            x_m: 1.0,
+            y_m: 2.0,
+            theta_deg: None,
+        };
+        let rows = (0..9).map(|step| {
+            let mut row = SensorRow::silent(Stamp::from_nanos(50_000_000 * step));
+            row.camera = Some(seen);
+            row
+        });
+        let table = SensorTable {
+            rows: rows.collect(),
+            ..SensorTable::default()
+        };
+        let helps: Vec<usize> = (0..9)
+            .filter(|row| SensorTable::uses_camera(*row, 4))
+            .collect();
+        let judges: Vec<usize> = (0..9)
+            .filter(|row| table.reference(*row, 4).is_some())
+            .collect();
+        assert_eq!((helps, judges), (vec![4, 8], vec![1, 2, 3, 5, 6, 7]));
+        let mut known = table;
+        known.rows[0].truth = Some(seen);
+        known.rows[4].truth = Some(seen);
+        let judges: Vec<usize> = (0..9)
+            .filter(|row| known.reference(*row, 4).is_some())
+            .collect();
+        assert_eq!(judges, [4], "the truth alone judges where there is one");
     }
 }

@@ -12,118 +12,8 @@
 
 use std::fmt::Write as _;
 
+use super::faults::{COLUMNS, LARGEST, MOST_ROWS, TextError};
 use super::table::{EncoderUnit, SeenPose, SensorRow, SensorTable};
-
-/// Every column that may stand in a file.
-pub const COLUMNS: [&str; 15] = [
-    "time_s",
-    "left_counts",
-    "right_counts",
-    "left_deg",
-    "right_deg",
-    "gyro_deg_per_s",
-    "accel_left_m_per_s2",
-    "accel_right_m_per_s2",
-    "camera_x_m",
-    "camera_y_m",
-    "camera_theta_deg",
-    "compass_deg",
-    "truth_x_m",
-    "truth_y_m",
-    "truth_theta_deg",
-];
-
-/// More rows than this are no lap: fourteen hours at 20 Hz.
-pub(super) const MOST_ROWS: usize = 1_000_000;
-/// No sensor of a robot says more than this in any of our units.
-const LARGEST: f64 = 1e9;
-
-/// Why a text is no table; lines and columns count from 1.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum TextError {
-    /// There is no line with the names of the columns.
-    #[error("there is no line with the names of the columns; begin with time_s,left_counts,right_counts")]
-    NoHeader,
-    /// A column is called as none is.
-    #[error("line {line}: no column is called `{name}`; there are {}", COLUMNS.join(", "))]
-    UnknownColumn {
-        /// The line.
-        line: usize,
-        /// The name.
-        name: String,
-    },
-    /// A column stands there twice.
-    #[error("line {line}: the column `{name}` stands there twice")]
-    RepeatedColumn {
-        /// The line.
-        line: usize,
-        /// The name.
-        name: String,
-    },
-    /// A column is needed.
-    #[error("line {line}: there is no column `{name}`; {advice}")]
-    MissingColumn {
-        /// The line.
-        line: usize,
-        /// The name.
-        name: &'static str,
-        /// What to do.
-        advice: &'static str,
-    },
-    /// A row is longer or shorter than the header.
-    #[error("line {line} has {found} cells, the header has {expected}; leave a cell empty where a sensor said nothing")]
-    Cells {
-        /// The line.
-        line: usize,
-        /// Cells in it.
-        found: usize,
-        /// Cells in the header.
-        expected: usize,
-    },
-    /// A cell is no number that a sensor can say.
-    #[error("line {line}, column `{column}`: `{text}` is not a finite number of sensible size")]
-    Number {
-        /// The line.
-        line: usize,
-        /// The column.
-        column: &'static str,
-        /// What stands there.
-        text: String,
-    },
-    /// A cell that must hold a number is empty.
-    #[error("line {line}, column `{column}`: a number is needed in every row, because {reason}")]
-    Empty {
-        /// The line.
-        line: usize,
-        /// The column.
-        column: &'static str,
-        /// Why.
-        reason: &'static str,
-    },
-    /// Time does not run forwards.
-    #[error("line {line}, column `time_s`: {time_s} s does not come after {before_s} s; sort the rows and drop repeated ones")]
-    Time {
-        /// The line.
-        line: usize,
-        /// What stands there, s.
-        time_s: f64,
-        /// The row before, s.
-        before_s: f64,
-    },
-    /// Too few rows to be a drive.
-    #[error("there are {rows} rows; a drive has at least 2")]
-    TooFew {
-        /// How many.
-        rows: usize,
-    },
-    /// More rows than can be a drive.
-    #[error("line {line}: more than {MOST_ROWS} rows; cut the file")]
-    TooMany {
-        /// The line.
-        line: usize,
-    },
-}
 
 /// Reads a table.
 ///
@@ -258,7 +148,10 @@ impl Layout {
     fn check(&self, line: usize) -> Result<EncoderUnit, TextError> {
         let missing = |name, advice| Err(TextError::MissingColumn { line, name, advice });
         if !self.has("time_s") {
-            return missing("time_s", "the filters need the time of each row, in seconds");
+            return missing(
+                "time_s",
+                "the filters need the time of each row, in seconds",
+            );
         }
         for (one, other) in [
             ("accel_left_m_per_s2", "accel_right_m_per_s2"),
@@ -282,7 +175,10 @@ impl Layout {
         };
         for name in wanted {
             if !self.has(name) {
-                return missing(name, "both wheels are needed, both in counts or both in degrees");
+                return missing(
+                    name,
+                    "both wheels are needed, both in counts or both in degrees",
+                );
             }
         }
         Ok(unit)
@@ -300,7 +196,7 @@ impl Layout {
         let at = Cells {
             layout: self,
             line,
-            cells,
+            said: cells,
         };
         let reason = "wheels and time are what every filter lives on";
         let [left, right] = match self.unit {
@@ -345,7 +241,7 @@ impl Layout {
 struct Cells<'a> {
     layout: &'a Layout,
     line: usize,
-    cells: Vec<&'a str>,
+    said: Vec<&'a str>,
 }
 
 impl Cells<'_> {
@@ -353,7 +249,7 @@ impl Cells<'_> {
     fn number(&self, name: &'static str) -> Result<Option<f64>, TextError> {
         let index = COLUMNS.iter().position(|column| *column == name);
         let place = index.and_then(|index| self.layout.places[index]);
-        let Some(text) = place.and_then(|place| self.cells.get(place)) else {
+        let Some(text) = place.and_then(|place| self.said.get(place)) else {
             return Ok(None);
         };
         if text.is_empty() {
@@ -428,29 +324,69 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_is_named_with_line_and_column() {
-        let header = "time_s,left_counts,right_counts,camera_x_m,camera_y_m\n";
+    fn every_fault_of_the_header_is_named_with_its_line() {
         let cases = [
             ("", "no line with the names"),
-            ("time_s,left_counts,right\n", "line 1: no column is called `right`"),
-            ("time_s,time_s\n", "line 1: the column `time_s` stands there twice"),
-            ("left_deg,right_deg\n", "line 1: there is no column `time_s`"),
-            ("time_s,left_counts\n", "line 1: there is no column `right_counts`"),
-            ("time_s,left_deg,right_counts\n", "line 1: there is no column `right_deg`"),
-            ("time_s,left_deg,right_deg,camera_y_m\n", "line 1: there is no column `camera_x_m`"),
-            ("time_s,left_deg,right_deg\n0,1\n", "line 2 has 2 cells, the header has 3"),
+            (
+                "time_s,left_counts,right\n",
+                "line 1: no column is called `right`",
+            ),
+            (
+                "time_s,time_s\n",
+                "line 1: the column `time_s` stands there twice",
+            ),
+            (
+                "left_deg,right_deg\n",
+                "line 1: there is no column `time_s`",
+            ),
+            (
+                "time_s,left_counts\n",
+                "line 1: there is no column `right_counts`",
+            ),
+            (
+                "time_s,left_deg,right_counts\n",
+                "line 1: there is no column `right_deg`",
+            ),
+            (
+                "time_s,left_deg,right_deg,camera_y_m\n",
+                "line 1: there is no column `camera_x_m`",
+            ),
+            (
+                "time_s,left_deg,right_deg\n0,1\n",
+                "line 2 has 2 cells, the header has 3",
+            ),
         ];
         for (text, expected) in cases {
             let said = parse(text).unwrap_err().to_string();
             assert!(said.contains(expected), "{text}: {said}");
         }
+    }
+
+    #[test]
+    fn every_fault_of_a_row_is_named_with_line_and_column() {
+        let header = "time_s,left_counts,right_counts,camera_x_m,camera_y_m\n";
         let rows = [
-            ("0,1,1,,\n0,2,2,,\n", "line 3, column `time_s`: 0 s does not come after 0 s"),
-            ("0,1,1,,\nnan,2,2,,\n", "line 3, column `time_s`: `nan` is not"),
+            (
+                "0,1,1,,\n0,2,2,,\n",
+                "line 3, column `time_s`: 0 s does not come after 0 s",
+            ),
+            (
+                "0,1,1,,\nnan,2,2,,\n",
+                "line 3, column `time_s`: `nan` is not",
+            ),
             ("0,1,inf,,\n", "line 2, column `right_counts`: `inf` is not"),
-            ("0,1,1e10,,\n", "line 2, column `right_counts`: `1e10` is not"),
-            ("0,,1,,\n", "line 2, column `left_counts`: a number is needed"),
-            ("0,1,1,0.5,\n", "line 2, column `camera_y_m`: a number is needed"),
+            (
+                "0,1,1e10,,\n",
+                "line 2, column `right_counts`: `1e10` is not",
+            ),
+            (
+                "0,,1,,\n",
+                "line 2, column `left_counts`: a number is needed",
+            ),
+            (
+                "0,1,1,0.5,\n",
+                "line 2, column `camera_y_m`: a number is needed",
+            ),
             ("0,1,1,,\n", "there are 1 rows"),
         ];
         for (text, expected) in rows {

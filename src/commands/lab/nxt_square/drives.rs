@@ -4,8 +4,8 @@ use posebridge_analysis::square::{
     Errors, Method, SeenPose, SensorRow, SensorTable, add_compass, errors, prepared,
 };
 use posebridge_estimator::{FilterConfig, Params};
-use posebridge_sim::montecarlo::{Camera, CameraSees, Drive, Scenario, ScenarioError};
-use posebridge_telemetry::{Calibration, Observed};
+use posebridge_sim::montecarlo::{Camera, CameraSees, Scenario, ScenarioError};
+use posebridge_telemetry::Calibration;
 
 use crate::parallel::run_all;
 
@@ -58,13 +58,22 @@ pub(super) fn told(scenario: &Scenario) -> FilterConfig {
 /// One drive as its brick would have logged it.
 pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {
     let drive = scenario.drive(run);
+    let tick_rad = drive.told.geometry.tick.0;
+    let rows = drive
+        .truth
+        .iter()
+        .enumerate()
+        .map(|(step, truth)| SensorRow {
+            truth: Some(SeenPose::of(*truth)),
+            ..SensorRow::silent(drive.stamp(step))
+        });
     let mut table = SensorTable {
-        rows: (0..drive.truth.len()).map(|step| row(&drive, step)).collect(),
+        rows: rows.collect(),
         ..SensorTable::default()
     };
     for arrival in &drive.arrivals {
         if let Some(row) = table.rows.get_mut(arrival.step) {
-            fill(row, &arrival.observation.observed, &drive);
+            row.hear(&arrival.observation.observed, tick_rad);
         }
     }
     add_compass(&mut table, seed_of(scenario, run));
@@ -79,50 +88,6 @@ fn seed_of(scenario: &Scenario, run: u32) -> u64 {
         .wrapping_add(u64::from(run))
 }
 
-fn row(drive: &Drive, step: usize) -> SensorRow {
-    let truth = drive.truth.get(step).map(|pose| SeenPose {
-        x_m: pose.x.0,
-        y_m: pose.y.0,
-        theta_deg: Some(pose.heading.rad().to_degrees()),
-    });
-    SensorRow {
-        time_s: drive.stamp(step).as_nanos() as f64 / 1e9,
-        encoders: [0.0; 2],
-        gyro_deg_per_s: None,
-        accelerations_m_per_s2: None,
-        camera: None,
-        compass_deg: None,
-        truth,
-    }
-}
-
-fn fill(row: &mut SensorRow, observed: &Observed, drive: &Drive) {
-    match observed {
-        Observed::WheelAngles { left, right } => {
-            let tick_rad = drive.told.geometry.tick.0;
-            row.encoders = [left, right].map(|angle| (angle.0 / tick_rad).round());
-        }
-        Observed::TurnRate(rate) => row.gyro_deg_per_s = Some(rate.0.to_degrees()),
-        Observed::WheelAccelerations { left, right } => {
-            row.accelerations_m_per_s2 = Some([left.0, right.0]);
-        }
-        Observed::Fix(fix) => {
-            row.camera = Some(SeenPose {
-                x_m: fix.position.x.0,
-                y_m: fix.position.y.0,
-                theta_deg: fix.heading.map(|heading| heading.rad().to_degrees()),
-            });
-        }
-        Observed::OdometerPose(_)
-        | Observed::BodyVelocity { .. }
-        | Observed::Landmark { .. }
-        | Observed::BeaconRange { .. }
-        | Observed::WallRange(_)
-        | Observed::CompassHeading(_)
-        | Observed::Temperature(_) => {}
-    }
-}
-
 /// Methods over one table.
 pub(super) fn errors_of(
     table: &SensorTable,
@@ -133,7 +98,13 @@ pub(super) fn errors_of(
     let config = prepared(table, base);
     methods
         .iter()
-        .map(|method| errors(table, &method.follow(table, &config, camera_every), camera_every))
+        .map(|method| {
+            errors(
+                table,
+                &method.follow(table, &config, camera_every),
+                camera_every,
+            )
+        })
         .collect()
 }
 
@@ -163,7 +134,12 @@ pub(super) fn all_errors(
         let series = series.get(index)?;
         let mut table = table(&series.scenario, run);
         (series.adjust)(&mut table, seed_of(&series.scenario, run));
-        Some(errors_of(&table, &series.base, &series.methods, camera_every))
+        Some(errors_of(
+            &table,
+            &series.base,
+            &series.methods,
+            camera_every,
+        ))
     };
     let mut by_series: Vec<Vec<Vec<Errors>>> = series.iter().map(|_| Vec::new()).collect();
     for ((index, _), errors) in jobs.iter().zip(run_all(&jobs, run, ended)) {

@@ -1,6 +1,8 @@
 //! `lab nxt-square --json`: one object, documented in docs/lab/nxt-square.md. The same drives give the same text.
 
-use posebridge_analysis::square::{Chain, Errors, Metric, Order, OrderStep, Record, Report, Spread};
+use posebridge_analysis::square::{
+    Chain, Errors, Metric, Order, OrderStep, Record, Report, Spread,
+};
 use serde_json::{Value, json};
 
 /// The object.
@@ -80,7 +82,8 @@ fn order(order: &Order) -> Value {
 
 fn record(record: &Record) -> Value {
     let variance = |spread: &Option<Spread>| spread.map(|spread| spread.variance);
-    let both = |spreads: &Option<[Spread; 2]>| spreads.map(|both| both.map(|spread| spread.variance));
+    let both =
+        |spreads: &Option<[Spread; 2]>| spreads.map(|both| both.map(|spread| spread.variance));
     json!({
         "from_row": record.from,
         "rows": record.rows,

@@ -6,7 +6,7 @@ mod drives;
 mod json;
 mod readings;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use posebridge_analysis::square::{
@@ -17,7 +17,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_sim::montecarlo::Scenario;
 
 use self::drives::{Series, all_errors, errors_of, scenario, table, told};
-use self::readings::VARIATIONS;
+use self::readings::{VARIATIONS, untouched};
 use super::outcome::{Outcome, OutputArgs};
 use crate::commands::{Failure, Stage};
 use crate::config::RobotProfile;
@@ -55,17 +55,14 @@ pub struct LabNxtSquareArgs {
 /// # Errors
 /// The data, the robot or the folder cannot be read or made; or the results cannot be written.
 pub fn execute(args: &LabNxtSquareArgs) -> Result<(), Failure> {
-    let report = match &args.data {
-        Some(_) => {
-            let report = of_data(args).at_start()?;
-            (args.output.folder()?, report)
-        }
-        None => {
-            let folder = args.output.folder()?;
-            (folder, simulated(args).while_running()?)
-        }
+    // Data that cannot be used leave no folder behind.
+    let of_data = args.data.as_ref().map(|path| of_data(args, path));
+    let of_data = of_data.transpose().at_start()?;
+    let folder = args.output.folder()?;
+    let report = match of_data {
+        Some(report) => report,
+        None => simulated(args).while_running()?,
     };
-    let (folder, report) = report;
     let outcome = Outcome {
         name: "nxt-square",
         page: report.page(),
@@ -91,7 +88,9 @@ fn chains(runs: &[Vec<Errors>]) -> (Vec<Chain>, Chain) {
     let mut all: Vec<Chain> = Vec::new();
     for (setting, methods) in groups() {
         let to = from + methods.len();
-        let runs = runs.iter().filter_map(|run| Some(run.get(from..to)?.to_vec()));
+        let runs = runs
+            .iter()
+            .filter_map(|run| Some(run.get(from..to)?.to_vec()));
         all.push(Chain {
             setting,
             names: methods.iter().map(|method| method.name).collect(),
@@ -108,7 +107,10 @@ fn chains(runs: &[Vec<Errors>]) -> (Vec<Chain>, Chain) {
 }
 
 fn every_method() -> Vec<Method> {
-    groups().into_iter().flat_map(|(_, methods)| methods).collect()
+    groups()
+        .into_iter()
+        .flat_map(|(_, methods)| methods)
+        .collect()
 }
 
 fn example(table: SensorTable, base: &FilterConfig, camera_every: usize) -> Example {
@@ -155,9 +157,13 @@ fn simulated(args: &LabNxtSquareArgs) -> Result<Report> {
         base: told(&scenario),
         scenario: scenario.clone(),
         methods: every_method(),
-        adjust: |_, _| {},
+        adjust: untouched,
     }];
-    series.extend(VARIATIONS.iter().map(|variation| variation.series(&scenario)));
+    series.extend(
+        VARIATIONS
+            .iter()
+            .map(|variation| variation.series(&scenario)),
+    );
     let bar = progress::bar(u64::from(args.runs) * series.len() as u64, "drives")?;
     let mut errors = all_errors(&series, args.runs, camera_every, || bar.inc(1)).into_iter();
     bar.finish_and_clear();
@@ -176,12 +182,15 @@ fn simulated(args: &LabNxtSquareArgs) -> Result<Report> {
         "{} simulated drives of one lap, scenario paper-square, seed {}, 50 ms; all figures against the true pose",
         args.runs, args.seed
     );
-    let command = format!("posebridge lab nxt-square --runs {} --seed {}", args.runs, args.seed);
+    let command = format!(
+        "posebridge lab nxt-square --runs {} --seed {}",
+        args.runs, args.seed
+    );
     let example = example(table(&scenario, 0), &told(&scenario), camera_every);
     Ok(report(source, command, &runs, readings.collect(), example))
 }
 
-fn export(path: &PathBuf, scenario: &Scenario, seed: u64) -> Result<()> {
+fn export(path: &Path, scenario: &Scenario, seed: u64) -> Result<()> {
     let remark = format!(
         "posebridge lab nxt-square, scenario paper-square, seed {seed}, first drive\nwheel radius 0.028 m, track width 0.112 m, one count is one degree"
     );
@@ -191,10 +200,9 @@ fn export(path: &PathBuf, scenario: &Scenario, seed: u64) -> Result<()> {
     Ok(())
 }
 
-fn of_data(args: &LabNxtSquareArgs) -> Result<Report> {
-    let path = args.data.clone().unwrap_or_default();
+fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<Report> {
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(&path)
+    let text = std::fs::read_to_string(path)
         .with_context(|| format!("reading the sensor data `{name}`"))?;
     let table = parse(&text).with_context(|| format!("sensor data `{name}`"))?;
     let base = base_of(args)?;
