@@ -252,7 +252,7 @@ fn exported(folder: &Path) -> PathBuf {
     folder.join("drive.csv")
 }
 
-/// A winding drive at intervals of 30 to 78 ms.
+/// A winding drive at intervals of 18 to 78 ms.
 fn uneven(folder: &Path) -> PathBuf {
     let rows = (0..600).map(|index: u32| {
         let time_s = 0.054 * f64::from(index) + 0.012 * f64::from(index * 7 % 5);

@@ -167,7 +167,8 @@ impl OrderStep {
     pub fn in_words(&self) -> &'static str {
         let significant = |ratio: [f64; 3]| (ratio[1] > 1.0, ratio[2] < 1.0);
         match self.ratio.map(significant) {
-            _ if self.drives > 1 && self.share() >= 0.95 => "holds",
+            _ if self.drives < 2 => "one drive",
+            _ if self.share() >= 0.95 => "holds",
             Some((true, _)) => "on average only",
             Some((_, true)) => "the other way round",
             _ => "no difference on average",
@@ -321,6 +322,14 @@ mod tests {
         // (3/2 3/2 1/2)^(1/3)
         assert!((order.steps[0].ratio.unwrap()[0] - 1.125_f64.cbrt()).abs() < 1e-12);
         assert_eq!(order.steps[0].in_words(), "no difference on average");
+        let verdict = |pairs: &[[f64; 2]]| step("a", "b", pairs).in_words();
+        assert_eq!(verdict(&[[2.0, 1.0]]), "one drive");
+        assert_eq!(verdict(&[[2.0, 1.0], [3.0, 2.0]]), "holds");
+        assert_eq!(
+            verdict(&[[2.0, 1.0], [2.1, 1.0], [0.9, 1.0], [2.0, 1.0], [2.0, 1.0]]),
+            "on average only"
+        );
+        assert_eq!(verdict(&[[1.0, 2.0], [1.0, 2.1]]), "the other way round");
     }
 
     #[test]
