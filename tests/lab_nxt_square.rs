@@ -157,15 +157,13 @@ fn recorded(folder: &Path) -> String {
             .collect()
     };
     let (encoders, camera) = (read("encoders.csv"), read("camera.csv"));
-    let mut text = "time_s,left_counts,right_counts,camera_x_m,camera_y_m\n".to_owned();
-    for (index, row) in encoders.iter().enumerate() {
-        // Of two records with one stamp the later counts.
-        if encoders
-            .get(index + 1)
-            .is_some_and(|next| next[0] == row[0])
-        {
-            continue;
-        }
+    let header = "time_s,left_counts,right_counts,camera_x_m,camera_y_m".to_owned();
+    // Of two records with one stamp the later counts.
+    let kept = encoders
+        .iter()
+        .enumerate()
+        .filter(|(index, row)| encoders.get(index + 1).is_none_or(|next| next[0] != row[0]));
+    let lines = kept.map(|(_, row)| {
         let off_ms = |image: &&Vec<f64>| (image[0] - row[0]).abs();
         let nearest = camera
             .iter()
@@ -176,9 +174,10 @@ fn recorded(folder: &Path) -> String {
         } else {
             ",".to_owned()
         };
-        text += &format!("{},{},{},{place}\n", row[0] / 1e3, row[1], row[2]);
-    }
-    text
+        format!("{},{},{},{place}", row[0] / 1e3, row[1], row[2])
+    });
+    let lines: Vec<String> = [header].into_iter().chain(lines).collect();
+    lines.join("\n")
 }
 
 /// Encoders alone cannot be bettered by a filter of encoders: on the recording they agree to a millimetre, and a camera helps.
