@@ -36,7 +36,7 @@ pub struct LabNxtSquareArgs {
     /// Take exported sensor data (docs/lab/nxt-square.md has the columns) instead of simulated drives.
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["runs", "seed", "export"])]
     pub data: Option<PathBuf>,
-    /// The robot of the data, instead of the simulated one: a file with a [robot] table, as config/robots/nxt-56mm.toml.
+    /// The robot of the data, instead of the simulated one: a robot profile, as config/robots/nxt-56mm.toml.
     #[arg(long, value_name = "FILE.toml", requires = "data")]
     pub robot: Option<PathBuf>,
     /// Of so many rows one gives its camera image to the filters that use a camera; the others only judge.
