@@ -272,6 +272,8 @@ pub enum LabExperiment {
     /// Prints a table of the clocks and one of the poses, and writes the page lab-links.html with its picture.
     /// docs/lab-links.md describes --json.
     Links(LabLinksArgs),
+    /// Run the filters of paper 1 on its square, or on exported sensor data: errors, order, R, figures.
+    NxtSquare(crate::commands::lab::nxt_square::LabNxtSquareArgs),
 }
 
 /// Flags of `lab links`.

@@ -26,6 +26,7 @@ mod markup;
 pub mod metrics;
 pub mod report;
 pub mod smoothed;
+pub mod square;
 pub mod track;
 
 pub use figures::{FIGURES, Figure, FixMark, RunLayers};

@@ -9,6 +9,7 @@ pub mod links;
 mod links_clock;
 mod links_pose;
 mod links_report;
+pub mod nxt_square;
 pub mod outcome;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
@@ -24,5 +25,6 @@ pub fn execute(args: &LabArgs) -> Result<(), Failure> {
     match &args.experiment {
         LabExperiment::Accuracy(args) => accuracy::execute(args),
         LabExperiment::Links(args) => links::execute(args),
+        LabExperiment::NxtSquare(args) => nxt_square::execute(args),
     }
 }

@@ -1,0 +1,344 @@
+//! How far a path is from the truth, and in how many drives one method is worse than another.
+//!
+//! # Model
+//! ```text
+//! e_k     distance of (x, y) to the reference after row k; heading the short way; speeds against central differences of the truth
+//! rms     sqrt(mean(e_k^2)) over the rows that have a reference
+//! order   method i is worse than method i + 1 in a drive when its rms is larger there; equal ones are not worse
+//! p       two-sided sign test: the probability that a tossed coin is as uneven, drives without a tie
+//! ratio   exp of the mean of ln(rms_i / rms_(i+1)) over the drives, and its 95 % interval by the normal quantile 1.96
+//! ```
+//! Source: W. J. Conover, Practical Nonparametric Statistics (1999), section 3.4, for the sign test.
+
+use posebridge_telemetry::quantities::wrap_rad;
+
+use super::matched::State;
+use super::table::SensorTable;
+
+/// Two-sided 95 % quantile of the standard normal distribution.
+const NORMAL_95: f64 = 1.959_963_984_540_054;
+
+/// What an error is an error of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Metric {
+    /// Position over the whole drive, rms, m.
+    Position,
+    /// Position after the last row, m.
+    End,
+    /// Heading over the whole drive, rms, rad.
+    Heading,
+    /// Forward speed, rms, m/s.
+    Forward,
+    /// Turn rate, rms, rad/s.
+    Turn,
+}
+
+impl Metric {
+    /// Its name, with the unit of the figures.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position rms",
+            Self::End => "position at the end",
+            Self::Heading => "heading rms",
+            Self::Forward => "forward speed rms",
+            Self::Turn => "turn rate rms",
+        }
+    }
+}
+
+/// The errors of one method over one drive; `None` where nothing could be compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Errors {
+    /// See [`Metric::Position`].
+    pub position_m: Option<f64>,
+    /// See [`Metric::End`].
+    pub end_m: Option<f64>,
+    /// See [`Metric::Heading`].
+    pub heading_rad: Option<f64>,
+    /// See [`Metric::Forward`].
+    pub forward_m_per_s: Option<f64>,
+    /// See [`Metric::Turn`].
+    pub turn_rad_per_s: Option<f64>,
+}
+
+impl Errors {
+    /// The one that a metric is about.
+    #[must_use]
+    pub const fn of(&self, metric: Metric) -> Option<f64> {
+        match metric {
+            Metric::Position => self.position_m,
+            Metric::End => self.end_m,
+            Metric::Heading => self.heading_rad,
+            Metric::Forward => self.forward_m_per_s,
+            Metric::Turn => self.turn_rad_per_s,
+        }
+    }
+}
+
+/// A root mean square while it is summed.
+#[derive(Clone, Copy, Default)]
+struct Squares {
+    sum: f64,
+    count: u64,
+}
+
+impl Squares {
+    fn add(&mut self, square: f64) {
+        if square.is_finite() {
+            self.sum += square;
+            self.count += 1;
+        }
+    }
+
+    fn root(self) -> Option<f64> {
+        (self.count > 0).then(|| (self.sum / self.count as f64).sqrt())
+    }
+}
+
+/// The errors of a path that followed a table.
+#[must_use]
+pub fn errors(table: &SensorTable, path: &[State], camera_every: usize) -> Errors {
+    let [mut position, mut heading, mut forward, mut turn] = [Squares::default(); 4];
+    let mut end_m = None;
+    for (row, state) in path.iter().enumerate() {
+        let Some(seen) = table.reference(row, camera_every) else {
+            continue;
+        };
+        let square_m2 = (state[0] - seen.x_m).powi(2) + (state[1] - seen.y_m).powi(2);
+        position.add(square_m2);
+        end_m = Some(square_m2.sqrt()).filter(|end_m| end_m.is_finite());
+        if let Some(theta_deg) = seen.theta_deg {
+            heading.add(wrap_rad(state[2] - theta_deg.to_radians()).powi(2));
+        }
+        if let Some([v, w]) = true_speeds(table, row) {
+            forward.add((state[3] - v).powi(2));
+            turn.add((state[4] - w).powi(2));
+        }
+    }
+    Errors {
+        position_m: position.root(),
+        end_m,
+        heading_rad: heading.root(),
+        forward_m_per_s: forward.root(),
+        turn_rad_per_s: turn.root(),
+    }
+}
+
+/// v and w at a row, by central differences of the true poses beside it.
+#[must_use]
+pub fn true_speeds(table: &SensorTable, row: usize) -> Option<[f64; 2]> {
+    let before = table.rows.get(row.checked_sub(1)?)?;
+    let after = table.rows.get(row + 1)?;
+    let (from, to, at) = (before.truth?, after.truth?, table.rows.get(row)?.truth?);
+    let dt_s = after.time_s - before.time_s;
+    let (sin, cos) = at.theta_deg?.to_radians().sin_cos();
+    let forward_m = (to.x_m - from.x_m) * cos + (to.y_m - from.y_m) * sin;
+    let turned_rad = wrap_rad((to.theta_deg? - from.theta_deg?).to_radians());
+    Some([forward_m / dt_s, turned_rad / dt_s])
+}
+
+/// One step of an order: is a method worse than the one that follows it?
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrderStep {
+    /// The one that should be worse.
+    pub worse: &'static str,
+    /// The one that should be better.
+    pub better: &'static str,
+    /// In how many drives it is.
+    pub holds: u64,
+    /// Of how many.
+    pub drives: u64,
+    /// The sign test's p.
+    pub sign_p: f64,
+    /// Geometric mean of the ratio of the errors, worse over better, with its 95 % interval; `None` below two drives.
+    pub ratio: Option<[f64; 3]>,
+}
+
+impl OrderStep {
+    /// The share of drives in which it holds.
+    #[must_use]
+    pub fn share(&self) -> f64 {
+        self.holds as f64 / self.drives.max(1) as f64
+    }
+
+    /// What the figures say, in words.
+    #[must_use]
+    pub fn in_words(&self) -> &'static str {
+        let significant = |ratio: [f64; 3]| (ratio[1] > 1.0, ratio[2] < 1.0);
+        match self.ratio.map(significant) {
+            _ if self.drives < 2 => "one drive",
+            _ if self.share() >= 0.95 => "holds",
+            Some((true, _)) => "on average only",
+            Some((_, true)) => "the other way round",
+            _ => "no difference on average",
+        }
+    }
+}
+
+/// Whether an order holds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Order {
+    /// Its steps.
+    pub steps: Vec<OrderStep>,
+    /// In how many drives all of them hold together.
+    pub all_hold: u64,
+    /// Of how many.
+    pub drives: u64,
+}
+
+/// Compares methods that stand in the promised order, from the worst to the best. `runs` has the errors of all methods, in the
+/// same order, for each drive; a drive in which one has none is left out.
+#[must_use]
+pub fn order(names: &[&'static str], runs: &[Vec<Errors>], metric: Metric) -> Order {
+    let figures: Vec<Vec<f64>> = runs
+        .iter()
+        .filter_map(|run| run.iter().map(|errors| errors.of(metric)).collect())
+        .collect();
+    let steps = names.windows(2).enumerate();
+    let steps = steps.filter_map(|(index, pair)| {
+        let [worse, better] = pair else { return None };
+        let pairs: Vec<[f64; 2]> = figures
+            .iter()
+            .filter_map(|run| Some([*run.get(index)?, *run.get(index + 1)?]))
+            .collect();
+        Some(step(worse, better, &pairs))
+    });
+    let falls = |run: &&Vec<f64>| run.windows(2).all(|pair| pair[0] > pair[1]);
+    Order {
+        steps: steps.collect(),
+        all_hold: figures.iter().filter(falls).count() as u64,
+        drives: figures.len() as u64,
+    }
+}
+
+fn step(worse: &'static str, better: &'static str, pairs: &[[f64; 2]]) -> OrderStep {
+    let holds = pairs.iter().filter(|[one, other]| one > other).count() as u64;
+    let fails = pairs.iter().filter(|[one, other]| one < other).count() as u64;
+    let logs: Vec<f64> = pairs
+        .iter()
+        .map(|[one, other]| (one / other).ln())
+        .filter(|log| log.is_finite())
+        .collect();
+    OrderStep {
+        worse,
+        better,
+        holds,
+        drives: pairs.len() as u64,
+        sign_p: sign_test(holds, fails),
+        ratio: geometric_mean(&logs),
+    }
+}
+
+fn geometric_mean(logs: &[f64]) -> Option<[f64; 3]> {
+    if logs.len() < 2 {
+        return None;
+    }
+    let n = logs.len() as f64;
+    let mean = logs.iter().sum::<f64>() / n;
+    let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let half = NORMAL_95 * (variance / n).sqrt();
+    Some([mean, mean - half, mean + half].map(f64::exp))
+}
+
+/// The probability that a tossed coin falls as unevenly as this, or more so.
+fn sign_test(one: u64, other: u64) -> f64 {
+    let n = one + other;
+    let fewer = one.min(other);
+    // ln of n over k, from one k to the next; in logarithms because 2^-n is no number for a large n.
+    let mut log_choose = 0.0;
+    let mut tail = 0.0;
+    for k in 0..=fewer {
+        tail += (log_choose - n as f64 * std::f64::consts::LN_2).exp();
+        log_choose += ((n - k) as f64).ln() - ((k + 1) as f64).ln();
+    }
+    f64::min(2.0 * tail, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::square::table::{SeenPose, SensorRow};
+
+    fn table(truth: &[(f64, f64, f64)]) -> SensorTable {
+        let rows = truth
+            .iter()
+            .enumerate()
+            .map(|(index, (x, y, theta))| SensorRow {
+                time_s: 0.1 * index as f64,
+                encoders: [0.0; 2],
+                gyro_deg_per_s: None,
+                accelerations_m_per_s2: None,
+                camera: None,
+                compass_deg: None,
+                truth: Some(SeenPose {
+                    x_m: *x,
+                    y_m: *y,
+                    theta_deg: Some(*theta),
+                }),
+            });
+        SensorTable {
+            rows: rows.collect(),
+            ..SensorTable::default()
+        }
+    }
+
+    #[test]
+    fn errors_are_those_computed_by_hand() {
+        // Northwards at 1 m/s, turning at 100 degrees/s.
+        let table = table(&[(0.0, 0.0, 80.0), (0.0, 0.1, 90.0), (0.0, 0.2, 100.0)]);
+        let path = [
+            [9.0; 5],
+            [0.3, 0.5, 92.0_f64.to_radians(), 1.5, 0.0],
+            [0.0, 0.2, -258.0_f64.to_radians(), 9.0, 9.0],
+        ];
+        let errors = errors(&table, &path, 10);
+        assert!((errors.position_m.unwrap() - f64::sqrt(0.125)).abs() < 1e-12);
+        assert!(errors.end_m.unwrap() < 1e-12);
+        assert!((errors.heading_rad.unwrap() - 2.0_f64.to_radians()).abs() < 1e-12);
+        assert!((errors.forward_m_per_s.unwrap() - 0.5).abs() < 1e-12);
+        assert!((errors.turn_rad_per_s.unwrap() - 100.0_f64.to_radians()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_order_counts_drives_and_ties_do_not_hold() {
+        let run = |a, b, c| {
+            [a, b, c]
+                .map(|m| Errors {
+                    position_m: Some(m),
+                    ..Errors::default()
+                })
+                .to_vec()
+        };
+        let runs = [
+            run(3.0, 2.0, 1.0),
+            run(3.0, 2.0, 2.0),
+            run(1.0, 2.0, 1.0),
+            vec![Errors::default(); 3],
+        ];
+        let order = order(&["a", "b", "c"], &runs, Metric::Position);
+        assert_eq!((order.all_hold, order.drives), (1, 3));
+        assert_eq!((order.steps[0].holds, order.steps[1].holds), (2, 2));
+        // (3/2 3/2 1/2)^(1/3)
+        assert!((order.steps[0].ratio.unwrap()[0] - 1.125_f64.cbrt()).abs() < 1e-12);
+        assert_eq!(order.steps[0].in_words(), "no difference on average");
+        let verdict = |pairs: &[[f64; 2]]| step("a", "b", pairs).in_words();
+        assert_eq!(verdict(&[[2.0, 1.0]]), "one drive");
+        assert_eq!(verdict(&[[2.0, 1.0], [3.0, 2.0]]), "holds");
+        assert_eq!(
+            verdict(&[[2.0, 1.0], [2.1, 1.0], [0.9, 1.0], [2.0, 1.0], [2.0, 1.0]]),
+            "on average only"
+        );
+        assert_eq!(verdict(&[[1.0, 2.0], [1.0, 2.1]]), "the other way round");
+    }
+
+    #[test]
+    fn the_sign_test_agrees_with_binomials_by_hand() {
+        // 2 (1 + 10) / 2^10, and the whole of it.
+        assert!((sign_test(1, 9) - 22.0 / 1024.0).abs() < 1e-12);
+        assert!((sign_test(9, 1) - 22.0 / 1024.0).abs() < 1e-12);
+        assert_eq!(sign_test(5, 5), 1.0);
+        assert_eq!(sign_test(0, 0), 1.0);
+        assert!(sign_test(0, 5_000) == 0.0, "too little for a number");
+    }
+}

@@ -1,0 +1,318 @@
+//! One table of sensor readings: what a brick logged, or a simulated one would have.
+//!
+//! Both ways into the experiment go through it, so that a drive that is exported and read back is the same drive to the last bit.
+//! Units are those of the file and of the paper's brick (counts, degrees); they become SI in [`SensorTable::observations`].
+
+use posebridge_telemetry::{
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, Observation,
+    Observed, Point2, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+};
+
+const NANOS_PER_S: f64 = 1e9;
+
+/// In what the encoders' columns count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EncoderUnit {
+    /// Counts of the robot's encoders.
+    #[default]
+    Counts,
+    /// Degrees of wheel rotation.
+    Degrees,
+}
+
+impl EncoderUnit {
+    /// One of it, in radians of wheel rotation.
+    #[must_use]
+    pub fn in_rad(self, geometry: &DriveGeometry) -> f64 {
+        match self {
+            Self::Counts => geometry.tick.0,
+            Self::Degrees => 1.0_f64.to_radians(),
+        }
+    }
+}
+
+/// A pose as somebody outside saw it, or as it was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenPose {
+    /// x in the arena, m.
+    pub x_m: f64,
+    /// y in the arena, m.
+    pub y_m: f64,
+    /// Heading against the arena's x axis, counter-clockwise, degrees; none if it was not seen.
+    pub theta_deg: Option<f64>,
+}
+
+/// What the sensors said at one instant; `None` where a sensor said nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorRow {
+    /// Since any zero, in seconds.
+    pub time_s: f64,
+    /// Rotation of the left and of the right wheel since the counters were zeroed, forward positive, in the table's unit.
+    pub encoders: [f64; 2],
+    /// Mean turn rate since the row before, bias included, counter-clockwise positive, degrees/s.
+    pub gyro_deg_per_s: Option<f64>,
+    /// Forward acceleration at the left and at the right wheel, m/s².
+    pub accelerations_m_per_s2: Option<[f64; 2]>,
+    /// What the camera above saw.
+    pub camera: Option<SeenPose>,
+    /// Heading by the compass, as [`SeenPose::theta_deg`].
+    pub compass_deg: Option<f64>,
+    /// The true pose, where it is known.
+    pub truth: Option<SeenPose>,
+}
+
+/// Rows in the order of time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SensorTable {
+    /// In what the encoders count.
+    pub unit: EncoderUnit,
+    /// The rows; each is later than the one before.
+    pub rows: Vec<SensorRow>,
+}
+
+/// A sensor of which not every method makes use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sense {
+    /// The encoders of both wheels.
+    Wheels,
+    /// The gyro.
+    Gyro,
+    /// The accelerometers at both wheels.
+    Accelerometers,
+    /// The camera above.
+    Camera,
+    /// The compass.
+    Compass,
+}
+
+impl SensorRow {
+    /// A row in which no sensor has said anything yet.
+    #[must_use]
+    pub fn silent(stamp: Stamp<BrickClock>) -> Self {
+        Self {
+            time_s: stamp.as_nanos() as f64 / NANOS_PER_S,
+            encoders: [0.0; 2],
+            gyro_deg_per_s: None,
+            accelerations_m_per_s2: None,
+            camera: None,
+            compass_deg: None,
+            truth: None,
+        }
+    }
+
+    /// Writes down what a sensor said, the opposite of [`SensorRow::observations`]; kinds that have no column are left out. A
+    /// counter is a whole number of `unit_rad`.
+    pub fn hear(&mut self, observed: &Observed, unit_rad: f64) {
+        match observed {
+            Observed::WheelAngles { left, right } => {
+                self.encoders = [left, right].map(|angle| (angle.0 / unit_rad).round());
+            }
+            Observed::TurnRate(rate) => self.gyro_deg_per_s = Some(rate.0.to_degrees()),
+            Observed::WheelAccelerations { left, right } => {
+                self.accelerations_m_per_s2 = Some([left.0, right.0]);
+            }
+            Observed::Fix(fix) => {
+                self.camera = Some(SeenPose {
+                    x_m: fix.position.x.0,
+                    y_m: fix.position.y.0,
+                    theta_deg: fix.heading.map(|heading| heading.rad().to_degrees()),
+                });
+            }
+            Observed::CompassHeading(heading) => {
+                self.compass_deg = Some(heading.rad().to_degrees());
+            }
+            Observed::OdometerPose(_)
+            | Observed::BodyVelocity { .. }
+            | Observed::Landmark { .. }
+            | Observed::BeaconRange { .. }
+            | Observed::WallRange(_)
+            | Observed::Temperature(_) => {}
+        }
+    }
+
+    /// What the sensors among `senses` said, wheels first. `unit_rad` is one of the table's encoder unit, in rad.
+    pub fn observations(
+        &self,
+        unit_rad: f64,
+        senses: &[Sense],
+    ) -> impl Iterator<Item = Observation> {
+        let stamp = self.stamp();
+        let said = senses.iter().filter_map(move |sense| {
+            let (sensor, observed) = self.said(*sense, unit_rad)?;
+            Some(Observation {
+                sensor,
+                stamp,
+                stamp_sigma: Span::ZERO,
+                observed,
+            })
+        });
+        said.collect::<Vec<_>>().into_iter()
+    }
+
+    /// The row's instant.
+    #[must_use]
+    pub fn stamp(&self) -> Stamp<BrickClock> {
+        Stamp::from_nanos(Span::from_secs_f64(self.time_s).as_nanos())
+    }
+
+    fn said(&self, sense: Sense, unit_rad: f64) -> Option<(SensorId, Observed)> {
+        match sense {
+            Sense::Wheels => {
+                let [left, right] = self.encoders.map(|count| Radians(count * unit_rad));
+                Some((SensorId::WHEELS, Observed::WheelAngles { left, right }))
+            }
+            Sense::Gyro => {
+                let rate = RadiansPerSecond(self.gyro_deg_per_s?.to_radians());
+                Some((SensorId::GYRO, Observed::TurnRate(rate)))
+            }
+            Sense::Accelerometers => {
+                let [left, right] = self.accelerations_m_per_s2?.map(MetersPerSecondSquared);
+                let observed = Observed::WheelAccelerations { left, right };
+                Some((SensorId::ACCELEROMETER, observed))
+            }
+            Sense::Camera => Some((SensorId::CAMERA, Observed::Fix(self.camera?.fix()))),
+            Sense::Compass => {
+                let heading = Heading::from_rad(self.compass_deg?.to_radians());
+                Some((SensorId::COMPASS, Observed::CompassHeading(heading)))
+            }
+        }
+    }
+}
+
+impl SeenPose {
+    /// A pose as it stands in a table.
+    #[must_use]
+    pub fn of(pose: Pose<Arena>) -> Self {
+        Self {
+            x_m: pose.x.0,
+            y_m: pose.y.0,
+            theta_deg: Some(pose.heading.rad().to_degrees()),
+        }
+    }
+
+    /// The same as a pose of the arena; a heading that was not seen is zero.
+    #[must_use]
+    pub fn pose(&self) -> Pose<Arena> {
+        let heading = Heading::from_rad(self.theta_deg.unwrap_or(0.0).to_radians());
+        Pose::new(Meters(self.x_m), Meters(self.y_m), heading)
+    }
+
+    fn fix(&self) -> Fix {
+        Fix {
+            position: Point2::<Arena>::new(Meters(self.x_m), Meters(self.y_m)),
+            heading: self
+                .theta_deg
+                .map(|theta_deg| Heading::from_rad(theta_deg.to_radians())),
+            covariance: None,
+            tag_in_body: Point2::ORIGIN,
+            reset_counter: 0,
+        }
+    }
+}
+
+impl SensorTable {
+    /// The rows from the first one on until a wheel counts: the stop-and-record test that a drive begins with.
+    #[must_use]
+    pub fn at_rest(&self) -> &[SensorRow] {
+        let Some(first) = self.rows.first() else {
+            return &self.rows;
+        };
+        let still = |row: &&SensorRow| row.encoders == first.encoders;
+        let count = self.rows.iter().take_while(still).count();
+        &self.rows[..count]
+    }
+
+    /// Whether the filters that use a camera are given the image of this row: that of every `every`-th one, and not the first.
+    #[must_use]
+    pub fn uses_camera(row: usize, every: usize) -> bool {
+        row > 0 && row.is_multiple_of(every)
+    }
+
+    /// What a filter is judged by in this row: the truth, or, where there is none in the whole table, an image that no filter was
+    /// given. The first row is where all begin.
+    #[must_use]
+    pub fn reference(&self, row: usize, every: usize) -> Option<SeenPose> {
+        let known = self.rows.get(row).filter(|_| row > 0)?;
+        if self.has_truth() {
+            return known.truth;
+        }
+        known.camera.filter(|_| !Self::uses_camera(row, every))
+    }
+
+    /// Whether the true pose is known anywhere.
+    #[must_use]
+    pub fn has_truth(&self) -> bool {
+        self.rows.first().is_some_and(|row| row.truth.is_some())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_heard_is_said_again() {
+        let stamp = Stamp::from_nanos(1_050_000_000);
+        let tick_rad = 1.0_f64.to_radians();
+        let said = [
+            Observed::WheelAngles {
+                left: Radians(3.0 * tick_rad),
+                right: Radians(-4.0 * tick_rad),
+            },
+            Observed::WheelAccelerations {
+                left: MetersPerSecondSquared(0.1),
+                right: MetersPerSecondSquared(-0.2),
+            },
+            Observed::TurnRate(RadiansPerSecond(2.0_f64.to_radians())),
+        ];
+        let mut row = SensorRow::silent(stamp);
+        for observed in &said {
+            row.hear(observed, tick_rad);
+        }
+        row.hear(&Observed::WallRange(Meters(1.0)), tick_rad);
+        assert_eq!((row.time_s, row.encoders), (1.05, [3.0, -4.0]));
+        let all = [
+            Sense::Wheels,
+            Sense::Accelerometers,
+            Sense::Gyro,
+            Sense::Camera,
+        ];
+        let again: Vec<Observation> = row.observations(tick_rad, &all).collect();
+        assert_eq!(again.len(), 3, "the camera said nothing");
+        for (observation, observed) in again.iter().zip(said) {
+            assert_eq!((observation.stamp, observation.observed), (stamp, observed));
+        }
+    }
+
+    #[test]
+    fn an_image_either_helps_or_judges() {
+        let seen = SeenPose {
+            x_m: 1.0,
+            y_m: 2.0,
+            theta_deg: None,
+        };
+        let rows = (0..9).map(|step| {
+            let mut row = SensorRow::silent(Stamp::from_nanos(50_000_000 * step));
+            row.camera = Some(seen);
+            row
+        });
+        let table = SensorTable {
+            rows: rows.collect(),
+            ..SensorTable::default()
+        };
+        let helps: Vec<usize> = (0..9)
+            .filter(|row| SensorTable::uses_camera(*row, 4))
+            .collect();
+        let judges: Vec<usize> = (0..9)
+            .filter(|row| table.reference(*row, 4).is_some())
+            .collect();
+        assert_eq!((helps, judges), (vec![4, 8], vec![1, 2, 3, 5, 6, 7]));
+        let mut known = table;
+        known.rows[0].truth = Some(seen);
+        known.rows[4].truth = Some(seen);
+        let judges: Vec<usize> = (0..9)
+            .filter(|row| known.reference(*row, 4).is_some())
+            .collect();
+        assert_eq!(judges, [4], "the truth alone judges where there is one");
+    }
+}
