@@ -269,6 +269,8 @@ pub enum LabExperiment {
     ///
     /// Prints a table of the clocks and one of the poses, and writes the picture lab-links.svg.
     Links(LabLinksArgs),
+    /// Tell what a slow thermometer will show in the end, simulated or recorded, and how it is identified (docs/lab/thermometer.md).
+    Thermometer(crate::commands::lab::thermometer::LabThermometerArgs),
 }
 
 /// Flags of `lab links`.

@@ -10,6 +10,7 @@ mod links_clock;
 mod links_pose;
 mod links_report;
 pub mod outcome;
+pub mod thermometer;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
 
@@ -24,5 +25,6 @@ pub fn execute(args: &LabArgs) -> Result<(), Failure> {
     match &args.experiment {
         LabExperiment::Accuracy(args) => accuracy::execute(args),
         LabExperiment::Links(args) => links::execute(args),
+        LabExperiment::Thermometer(args) => thermometer::execute(args),
     }
 }

@@ -2,12 +2,12 @@
 //!
 //! # Model
 //! Each run i gives ln tau_ij and shares with variances of their own, v_ij. The next run of the same kind is drawn from the same
-//! population. Its mean and spread are learned from n runs and a prior spread that weighs as much as one run:
+//! population. Its mean and spread are learned from n runs and a prior spread that weighs as much as three runs:
 //! ```text
-//! m_j = mean of ln tau_ij      s_j^2 = (s_0^2 + sum over i of (ln tau_ij - m_j)^2) / n                                 (9)
-//! ln tau_j of the next run     Student's t, nu = n, mean m_j, q_j^2 = s_j^2 (1 + 1/n) + mean of v_ij / n              (10)
+//! m_j = mean of ln tau_ij      s_j^2 = (3 s_0^2 + sum over i of (ln tau_ij - m_j)^2) / (n + 2)                         (9)
+//! ln tau_j of the next run     Student's t, nu = n + 2, mean m_j, q_j^2 = s_j^2 (1 + 1/n) + mean of v_ij / n          (10)
 //! ```
-//! That is the predictive distribution of a Gaussian population whose variance has an inverse gamma prior with one degree of freedom.
+//! That is the predictive distribution of a Gaussian population whose variance has an inverse gamma prior of three degrees of freedom.
 //! Its heavy tails let the data overrule what was expected; its peak holds as long as they do not.
 //!
 //! Runs that differ by no more than their own sigmas may also be one and the same; then both are kept, and the samples of the next run decide
@@ -58,7 +58,7 @@ pub enum Likeness {
     /// Sensors of one kind, or one sensor in surroundings that differ: equations (9) and (10).
     #[default]
     SameKind,
-    /// The very same dynamics: what differs is what the identification did not find out.
+    /// The very same dynamics for a step the same way: what differs is what the identification did not find out.
     SameDynamics,
 }
 
@@ -219,12 +219,14 @@ impl Kind {
         let same = (is_own && values.agree()).then(|| values.same()).flatten();
         let count = runs.len() as f64;
         let squares = runs.iter().map(|run| run.model_share.powi(2));
-        let dynamics = match self.likeness {
-            Likeness::SameKind => values.of_kind(spread, self.order)?,
-            Likeness::SameDynamics => values.same()?,
+        let is_known = is_own && self.likeness == Likeness::SameDynamics;
+        let dynamics = if is_known {
+            values.same()?
+        } else {
+            values.of_kind(spread, self.order)?
         };
         Some(Expectation {
-            same: same.filter(|_| self.likeness == Likeness::SameKind),
+            same: same.filter(|_| !is_known),
             dynamics,
             model_share: (squares.sum::<f64>() / count).sqrt(),
             held_s: runs.iter().map(|run| run.held_s).sum::<f64>() / count,
@@ -244,9 +246,14 @@ impl Values {
         let rows = 2 * order - 1;
         let own = |run: &Candidate| {
             let covariance = &run.fit.covariance;
-            covariance.view((row::LAGS, row::LAGS), (rows, rows)).into_owned()
+            covariance
+                .view((row::LAGS, row::LAGS), (rows, rows))
+                .into_owned()
         };
-        let each: Vec<_> = runs.iter().map(|run| (rows_of(run, rows), own(run))).collect();
+        let each: Vec<_> = runs
+            .iter()
+            .map(|run| (rows_of(run, rows), own(run)))
+            .collect();
         let sum: DVector<f64> = each.iter().map(|(value, _)| value).sum();
         Self {
             mean: sum / runs.len() as f64,
@@ -286,8 +293,15 @@ impl Values {
         let count = self.each.len() as f64;
         let freedom = PRIOR_FREEDOM + count - 1.0;
         let variances = (0..self.mean.len()).map(|i| {
-            let spread = if i < order { ln_lag_spread } else { SHARE_SPREAD };
-            let off = self.each.iter().map(|(value, _)| (value[i] - self.mean[i]).powi(2));
+            let spread = if i < order {
+                ln_lag_spread
+            } else {
+                SHARE_SPREAD
+            };
+            let off = self
+                .each
+                .iter()
+                .map(|(value, _)| (value[i] - self.mean[i]).powi(2));
             let scatter: f64 = off.sum();
             (PRIOR_FREEDOM * spread * spread + scatter) / freedom * (1.0 + 1.0 / count)
         });

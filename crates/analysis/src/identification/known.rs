@@ -56,9 +56,9 @@ fn stacked(
     for (sensor, sample) in samples {
         let row = model.row_of(*sensor)?;
         let since = model.transition(sample.at_s - first.at_s);
-        rows.extend((0..columns).map(|column| {
-            (0..ROWS).map(|k| row[k] * since[(k, column)]).sum::<f64>()
-        }));
+        rows.extend(
+            (0..columns).map(|column| (0..ROWS).map(|k| row[k] * since[(k, column)]).sum::<f64>()),
+        );
         values.push(sample.value);
     }
     let matrix = DMatrix::from_row_slice(values.len(), columns, &rows);

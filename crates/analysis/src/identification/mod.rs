@@ -15,6 +15,7 @@
 //! | known dynamics: block and recursive least squares | [`known`] |
 //! | when a series has settled | [`settling`] |
 //! | a sensor whose truth is known | [`simulated`] |
+//! | the experiment of the lab, section by section | [`lesson`] |
 //!
 //! ```
 //! use posebridge_analysis::identification::{Sample, StepOptions, identify_step};
@@ -37,6 +38,7 @@
 pub mod fit;
 pub mod kind;
 pub mod known;
+pub mod lesson;
 pub mod onset;
 pub mod prediction;
 pub mod settling;

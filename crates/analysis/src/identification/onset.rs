@@ -106,10 +106,9 @@ impl Sums {
 fn steepest(sums: &Sums, sigma: f64) -> Option<(usize, usize)> {
     let mut width = 1;
     while 4 * width <= sums.count() {
-        let leap_at =
-            |k: usize| (sums.mean(k, k + width) - sums.mean(k - width, k)).abs();
-        let place = (width..=sums.count() - width)
-            .max_by(|a, b| leap_at(*a).total_cmp(&leap_at(*b)))?;
+        let leap_at = |k: usize| (sums.mean(k, k + width) - sums.mean(k - width, k)).abs();
+        let place =
+            (width..=sums.count() - width).max_by(|a, b| leap_at(*a).total_cmp(&leap_at(*b)))?;
         if leap_at(place) > STEEP_SIGMAS * sigma * (2.0 / width as f64).sqrt() {
             return Some((place, width));
         }

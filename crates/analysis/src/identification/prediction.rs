@@ -155,25 +155,27 @@ impl Running {
         expectation: &Expectation,
     ) -> Option<Self> {
         let latest = so_far.last()?;
-        let members = bank(expectation).into_iter().map(|(dynamics, slowest, cost)| {
-            let prior = Prior {
-                onset: Belief {
-                    mean: detected.onset_s,
-                    sigma: detected.onset_sigma_s,
-                },
-                dynamics,
-                slowest,
-                end: None,
-            };
-            let unit = prior.expected(0.0, 1.0);
-            let gone = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
-            let step = (latest.value - detected.start) / gone.max(LEAST_GONE);
-            Member {
-                cost,
-                guess: prior.expected(detected.start, step),
-                prior,
-            }
-        });
+        let members = bank(expectation)
+            .into_iter()
+            .map(|(dynamics, slowest, cost)| {
+                let prior = Prior {
+                    onset: Belief {
+                        mean: detected.onset_s,
+                        sigma: detected.onset_sigma_s,
+                    },
+                    dynamics,
+                    slowest,
+                    end: None,
+                };
+                let unit = prior.expected(0.0, 1.0);
+                let gone = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
+                let step = (latest.value - detected.start) / gone.max(LEAST_GONE);
+                Member {
+                    cost,
+                    guess: prior.expected(detected.start, step),
+                    prior,
+                }
+            });
         Some(Self {
             noise: Noise {
                 sigma,
@@ -203,7 +205,10 @@ impl Running {
                 Some((member.cost + found.cost - found.ln_room()?, found))
             })
             .collect();
-        let least = fits.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
+        let least = fits
+            .iter()
+            .map(|(cost, _)| *cost)
+            .fold(f64::INFINITY, f64::min);
         let weights: Vec<f64> = fits.iter().map(|(cost, _)| (least - cost).exp()).collect();
         let sum: f64 = weights.iter().sum();
         let members = || weights.iter().zip(fits.iter().map(|(_, found)| found));

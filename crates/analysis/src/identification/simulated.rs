@@ -129,6 +129,10 @@ mod tests {
         let run = |seed| sensor.run(seed, 200, step(20.0, 4.0, 10.0));
         assert_eq!(run(3), run(3));
         assert_ne!(run(3), run(4));
-        assert!(run(3).iter().all(|sample| (sample.value / 0.0625).fract() == 0.0));
+        assert!(
+            run(3)
+                .iter()
+                .all(|sample| (sample.value / 0.0625).fract() == 0.0)
+        );
     }
 }

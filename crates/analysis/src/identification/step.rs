@@ -178,7 +178,9 @@ pub enum StepError {
         value: f64,
     },
     /// Nothing moves.
-    #[error("no step: of {samples} usable samples no part moves by more than the noise of {sigma} explains")]
+    #[error(
+        "no step: of {samples} usable samples no part moves by more than the noise of {sigma} explains"
+    )]
     NoStep {
         /// Usable samples.
         samples: usize,
