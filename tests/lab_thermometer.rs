@@ -3,7 +3,8 @@
 //! The recordings of real sensors are read where POSEBRIDGE_DATA says they are; without it recordings of simulated ones stand in.
 #![expect(
     clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
+    clippy::print_stdout,
+    reason = "helpers outside #[test] stop where the set-up is broken, and show the figures that they check"
 )]
 
 mod support;

@@ -4,11 +4,12 @@
     reason = "helpers outside #[test] stop where the set-up is broken"
 )]
 
-use posebridge_analysis::identification::fit::{Belief, Dynamics, MAX_ORDER, Noise, Prior, fit};
+use posebridge_analysis::identification::fit::{Noise, fit};
 use posebridge_analysis::identification::kind::{Expectation, Likeness};
 use posebridge_analysis::identification::prediction::{
     Prediction, predict_as_expected, predict_once,
 };
+use posebridge_analysis::identification::prior::{Belief, Dynamics, MAX_ORDER, Prior};
 use posebridge_analysis::identification::simulated::{SimulatedSensor, step};
 use posebridge_analysis::identification::{
     IdentifiedStep, Kind, Lag, Order, Sample, StepError, StepOptions, StepResponse, Way,

@@ -25,21 +25,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::Sample;
-use super::step_response::{Lag, StepResponse};
-
-/// The most exponentials that a response may have.
-pub const MAX_ORDER: usize = 3;
-/// Rows of the parameters that every response has.
-pub mod row {
-    /// y_0.
-    pub const START: usize = 0;
-    /// D.
-    pub const STEP: usize = 1;
-    /// t_0.
-    pub const ONSET: usize = 2;
-    /// The first ln tau; the others and the shares follow.
-    pub const LAGS: usize = 3;
-}
+use super::prior::{MAX_ORDER, Prior, response_of, row};
+use super::step_response::StepResponse;
 
 /// How far samples may lie from the model, equation (4).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,149 +52,6 @@ impl Noise {
 
     fn variance(&self, left: f64) -> f64 {
         self.sigma * self.sigma + self.held_samples * (self.model_share * left).powi(2)
-    }
-}
-
-/// What is believed of one number beforehand: a Gaussian.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Belief {
-    /// Its mean.
-    pub mean: f64,
-    /// Its standard deviation; positive.
-    pub sigma: f64,
-}
-
-impl Belief {
-    fn cost(&self, value: f64) -> f64 {
-        0.5 * ((value - self.mean) / self.sigma).powi(2)
-    }
-
-    fn weight(&self) -> f64 {
-        (self.sigma * self.sigma).recip()
-    }
-}
-
-/// What is believed of the lags and the shares beforehand, equation (5).
-#[derive(Clone, Debug, PartialEq)]
-pub struct Dynamics {
-    order: usize,
-    mean: DVector<f64>,
-    covariance: DMatrix<f64>,
-    inverse: DMatrix<f64>,
-    freedom: f64,
-}
-
-impl Dynamics {
-    /// m in the order ln tau_1 .. ln tau_n (tau in seconds), s_1 .. s_(n-1), with S and nu (positive, or infinite for a Gaussian).
-    ///
-    /// `None` if the rows are not those of an order of 1 to [`MAX_ORDER`], or if S is not positive definite.
-    #[must_use]
-    pub fn new(mean: DVector<f64>, covariance: DMatrix<f64>, freedom: f64) -> Option<Self> {
-        let order = mean.len().div_ceil(2);
-        let is_usable = mean.len() % 2 == 1
-            && order <= MAX_ORDER
-            && covariance.shape() == (mean.len(), mean.len())
-            && freedom > 0.0
-            && mean.iter().all(|value| value.is_finite());
-        if !is_usable {
-            return None;
-        }
-        Some(Self {
-            order,
-            inverse: covariance.clone().cholesky()?.inverse(),
-            mean,
-            covariance,
-            freedom,
-        })
-    }
-
-    /// Independent Gaussians.
-    #[must_use]
-    pub fn independent(ln_lags: &[Belief], shares: &[Belief]) -> Option<Self> {
-        let all: Vec<Belief> = ln_lags.iter().chain(shares).copied().collect();
-        let mean = all.iter().map(|belief| belief.mean);
-        let variances = all.iter().map(|belief| belief.sigma * belief.sigma);
-        Self::new(
-            DVector::from_iterator(all.len(), mean),
-            DMatrix::from_diagonal(&DVector::from_iterator(all.len(), variances)),
-            f64::INFINITY,
-        )
-    }
-
-    /// n, how many lags.
-    #[must_use]
-    pub const fn order(&self) -> usize {
-        self.order
-    }
-
-    /// m and the root of S for the slowest lag's ln tau.
-    #[must_use]
-    pub fn slowest(&self) -> Belief {
-        let row = self.order - 1;
-        Belief {
-            mean: self.mean[row],
-            sigma: self.covariance[(row, row)].sqrt(),
-        }
-    }
-
-    /// Half the logarithm of the determinant of S: how much room there is beforehand.
-    #[must_use]
-    pub fn ln_room(&self) -> f64 {
-        let cholesky = self.inverse.clone().cholesky();
-        cholesky.map_or(0.0, |factor| -factor.l().diagonal().map(f64::ln).sum())
-    }
-
-    /// The response that is most likely beforehand, with a start, a step and an onset.
-    #[must_use]
-    pub fn expected(&self, start: f64, step: f64, onset_s: f64) -> StepResponse {
-        let rows = self.mean.iter().copied();
-        response_of(
-            &[start, step, onset_s],
-            rows.clone().take(self.order),
-            rows.skip(self.order),
-        )
-    }
-
-    /// rho, its slope, and the weight of S^-1 in an equal parabola at this place.
-    fn cost_at(&self, at: &DVector<f64>) -> (f64, DVector<f64>, f64) {
-        let off = at.rows(row::LAGS, self.mean.len()) - &self.mean;
-        let pull = &self.inverse * &off;
-        let squares = off.dot(&pull);
-        if self.freedom.is_infinite() {
-            return (0.5 * squares, pull, 1.0);
-        }
-        let a = self.freedom + self.mean.len() as f64;
-        let weight = a / (a + squares);
-        (0.5 * a * (squares / a).ln_1p(), pull * weight, weight)
-    }
-}
-
-/// What is known before the samples are looked at.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Prior {
-    /// Of t_0, in seconds.
-    pub onset: Belief,
-    /// Of the lags and the shares.
-    pub dynamics: Dynamics,
-    /// More about the slowest lag's ln tau, for one member of a bank.
-    pub slowest: Option<Belief>,
-    /// u = y_0 + D, where the end of the step is known.
-    pub end: Option<Belief>,
-}
-
-impl Prior {
-    fn parameters(&self) -> usize {
-        row::LAGS + self.dynamics.mean.len()
-    }
-
-    /// The response that is most likely beforehand.
-    #[must_use]
-    pub fn expected(&self, start: f64, step: f64) -> StepResponse {
-        let mut response = self.dynamics.expected(start, step, self.onset.mean);
-        if let (Some(belief), Some(lag)) = (&self.slowest, response.lags.last_mut()) {
-            lag.time_constant_s = belief.mean.exp();
-        }
-        response
     }
 }
 
@@ -273,7 +117,7 @@ impl Fit {
 /// The samples are in the order of time. The guess has as many lags as the prior.
 #[must_use]
 pub fn fit(samples: &[Sample], noise: &Noise, prior: &Prior, guess: &StepResponse) -> Option<Fit> {
-    let order = prior.dynamics.order;
+    let order = prior.dynamics.order();
     if guess.lags.len() != order || noise.sigma.is_nan() || noise.sigma <= 0.0 {
         return None;
     }
@@ -357,7 +201,7 @@ impl Problem<'_> {
     }
 
     fn is_possible(&self, at: &DVector<f64>) -> bool {
-        let order = self.prior.dynamics.order;
+        let order = self.prior.dynamics.order();
         let ln_lags = at.rows(row::LAGS, order);
         ln_lags.iter().all(|ln_lag| ln_lag.abs() < LN_LAG_LIMIT)
     }
@@ -366,7 +210,7 @@ impl Problem<'_> {
     fn normal_equations(&self, at: &DVector<f64>) -> (DMatrix<f64>, DVector<f64>, f64) {
         let count = self.prior.parameters();
         let mut sums = Sums::default();
-        let constants = Constants::of(at, self.prior.dynamics.order);
+        let constants = Constants::of(at, self.prior.dynamics.order());
         for (sample, left) in self.samples.iter().zip(self.left) {
             let weight = 1.0 / self.noise.variance(*left);
             let (value, by) = constants.value_and_slopes(sample.at_s);
@@ -380,7 +224,7 @@ impl Problem<'_> {
             sums.add(count, &by, error, end.weight());
         }
         let (mut normal, mut slope, mut cost) = sums.full(count);
-        let order = self.prior.dynamics.order;
+        let order = self.prior.dynamics.order();
         let alone = [
             (row::ONSET, Some(self.prior.onset)),
             (row::LAGS + order - 1, self.prior.slowest),
@@ -398,7 +242,7 @@ impl Problem<'_> {
             slope[row::LAGS + i] -= pull[i];
             for j in 0..pull.len() {
                 normal[(row::LAGS + i, row::LAGS + j)] +=
-                    weight * self.prior.dynamics.inverse[(i, j)];
+                    weight * self.prior.dynamics.inverse()[(i, j)];
             }
         }
         let next_to_nothing = (NO_PRIOR_SIGMAS * self.noise.sigma).powi(-2);
@@ -424,8 +268,9 @@ impl Sums {
         for i in 0..count {
             let weighted = weight * by[i];
             self.slope[i] += weighted * error;
-            for j in i..count {
-                self.normal[i][j] += weighted * by[j];
+            let entries = self.normal[i].iter_mut().zip(by).take(count).skip(i);
+            for (entry, other) in entries {
+                *entry += weighted * other;
             }
         }
         self.cost += 0.5 * weight * error * error;
@@ -524,27 +369,4 @@ fn response_from(at: &DVector<f64>, order: usize) -> StepResponse {
     let first = [at[row::START], at[row::STEP], at[row::ONSET]];
     let rest = at.iter().copied().skip(row::LAGS);
     response_of(&first, rest.clone().take(order), rest.skip(order))
-}
-
-fn response_of(
-    first: &[f64; 3],
-    ln_lags: impl Iterator<Item = f64>,
-    shares: impl Iterator<Item = f64>,
-) -> StepResponse {
-    let mut rest = 1.0;
-    let mut shares = shares.map(Some).chain(std::iter::repeat(None));
-    let lags = ln_lags.map(|ln_lag| {
-        let share = shares.next().flatten().unwrap_or(rest);
-        rest -= share;
-        Lag {
-            time_constant_s: ln_lag.exp(),
-            share,
-        }
-    });
-    StepResponse {
-        lags: lags.collect(),
-        start: first[row::START],
-        step: first[row::STEP],
-        onset_s: first[row::ONSET],
-    }
 }

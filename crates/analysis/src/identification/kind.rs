@@ -24,8 +24,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::metrics::chi_square;
 
-use super::fit::{Belief, Dynamics, MAX_ORDER, row};
 use super::prediction::{Judged, judge, predict};
+use super::prior::{Belief, Dynamics, MAX_ORDER, row};
 use super::step::{Candidate, IdentifiedStep};
 
 /// s_0 of ln tau: time constants of one kind differ by a twentieth until the runs say otherwise.

@@ -8,7 +8,7 @@
 //! |---|---|
 //! | where in a recording the step is | [`onset`] |
 //! | the response as a sum of exponentials | [`step_response`] |
-//! | weighted least squares for its parameters, with a prior | [`fit`] |
+//! | weighted least squares for its parameters, with a prior | [`fit`], [`prior`] |
 //! | gain, delay, lags, their sigmas and the order of one run | [`step`](mod@step) |
 //! | several runs of one kind: what to expect of the next | [`kind`] |
 //! | the final value with bounds, from sample to sample | [`prediction`] |
@@ -41,6 +41,7 @@ pub mod known;
 pub mod lesson;
 pub mod onset;
 pub mod prediction;
+pub mod prior;
 pub mod settling;
 pub mod simulated;
 pub mod step;

@@ -183,13 +183,13 @@ impl Detector {
 
     /// Whether the last of these samples say that a step has begun; samples in the order of time.
     #[must_use]
-    pub fn look(&self, samples: &[Sample]) -> Option<Detected> {
+    pub fn look(self, samples: &[Sample]) -> Option<Detected> {
         Self::WIDTHS
             .into_iter()
             .find_map(|width| self.look_through(samples, width))
     }
 
-    fn look_through(&self, samples: &[Sample], width: usize) -> Option<Detected> {
+    fn look_through(self, samples: &[Sample], width: usize) -> Option<Detected> {
         let split = samples.len().checked_sub(width)?;
         let (past, window) = samples.split_at(split);
         let rest = past.get(past.len().saturating_sub(Self::REST_WIDTHS * width)..)?;

@@ -10,9 +10,10 @@
 //! At rest, before a step is seen, the reading is the quantity. Long after it, R is that of the noise alone for the latest samples and
 //! larger for the earlier ones, so that the reading is the quantity again: nothing switches.
 
-use super::fit::{Belief, Dynamics, Fit, Noise, Prior, fit};
+use super::fit::{Fit, Noise, fit};
 use super::kind::{Expectation, Kind, Way};
 use super::onset::{Detected, Detector};
+use super::prior::{Belief, Dynamics, Prior};
 use super::step::IdentifiedStep;
 use super::step_response::StepResponse;
 use super::{Sample, in_order};

@@ -12,8 +12,9 @@
 //! # Sources
 //! Schwarz (1978), (7); docs/lab/thermometer.md section 3.
 
-use super::fit::{Belief, Dynamics, Fit, MAX_ORDER, Noise, Prior, fit};
+use super::fit::{Fit, Noise, fit};
 use super::onset::{FoundStep, find_step};
+use super::prior::{Belief, Dynamics, MAX_ORDER, Prior};
 use super::step_response::{Lag, StepResponse};
 use super::{Sample, in_order};
 

@@ -244,6 +244,15 @@ pub(super) fn noise_gain(_seed: u64) -> Section {
         "reading_is_better_from_sample_at_sigma_half_k",
         crossing.map(|(count, _)| *count),
     );
+    section.picture = Some((
+        noise_picture(gains, offsets),
+        "A sensor with less noise moves the first curve down, and the crossing to the right."
+            .to_owned(),
+    ));
+    section
+}
+
+fn noise_picture(gains: Vec<(f64, f64)>, offsets: Vec<(f64, f64)>) -> Plot {
     let axes = Axes {
         x_name: "samples".to_owned(),
         y_name: "log10 of K, sigma of a sample 1 K".to_owned(),
@@ -254,17 +263,11 @@ pub(super) fn noise_gain(_seed: u64) -> Section {
             line("error of reading", offsets),
         ],
     };
-    let picture = Plot {
+    Plot {
         title: "Noise of the prediction against the error of the reading".to_owned(),
         key_figures: String::new(),
         axes: vec![axes],
-    };
-    section.picture = Some((
-        picture,
-        "A sensor with less noise moves the first curve down, and the crossing to the right."
-            .to_owned(),
-    ));
-    section
+    }
 }
 
 pub(super) fn several_sensors(seed: u64) -> Section {
