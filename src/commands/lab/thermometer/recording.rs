@@ -138,14 +138,14 @@ fn identified(robot_run: &RobotRun, descriptor: &Path) -> Result<RecordedRun> {
     let run = &robot_run.run;
     let samples = run.observations.iter().filter_map(|timed| {
         let observation = &timed.observation;
-        let is_thermometer = observation.sensor == SensorId::THERMOMETER;
-        match observation.observed {
-            Observed::Temperature(temperature) if is_thermometer => Some(Sample {
-                at_s: observation.stamp.as_secs_f64(),
-                value: temperature.0,
-            }),
-            _ => None,
-        }
+        let Observed::Temperature(temperature) = observation.observed else {
+            return None;
+        };
+        // A recording may hold further thermometers; the experiment is about the first.
+        (observation.sensor == SensorId::THERMOMETER).then_some(Sample {
+            at_s: observation.stamp.as_secs_f64(),
+            value: temperature.0,
+        })
     });
     let samples: Vec<Sample> = samples.collect();
     ensure!(
