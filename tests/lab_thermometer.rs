@@ -66,10 +66,11 @@ fn write_recording(folder: &Path) -> PathBuf {
         ("three", [(3.6, 0.35), (18.0, 0.65)]),
     ];
     let write = |name: &str, sensor: &SimulatedSensor, to: f64| {
-        let mut text = "t_s,celsius\n".to_owned();
-        for sample in sensor.run(7, 280, step(20.0, to, 20.0)) {
-            text += &format!("{},{}\n", sample.at_s, sample.value);
-        }
+        let samples = sensor.run(7, 280, step(20.0, to, 20.0));
+        let rows = samples
+            .iter()
+            .map(|sample| format!("{},{}\n", sample.at_s, sample.value));
+        let text = "t_s,celsius\n".to_owned() + &rows.collect::<String>();
         std::fs::write(folder.join(format!("{name}.csv")), text).unwrap();
     };
     for (index, (name, lags)) in lags.into_iter().enumerate() {
