@@ -274,6 +274,8 @@ pub enum LabExperiment {
     Links(LabLinksArgs),
     /// Run the filters of paper 1 on its square, or on exported sensor data: errors, order, R, figures.
     NxtSquare(crate::commands::lab::nxt_square::LabNxtSquareArgs),
+    /// Tell what a slow thermometer will show in the end, simulated or recorded, and how it is identified (docs/lab/thermometer.md).
+    Thermometer(crate::commands::lab::thermometer::LabThermometerArgs),
 }
 
 /// Flags of `lab links`.

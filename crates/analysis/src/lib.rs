@@ -22,6 +22,7 @@
 pub mod accuracy;
 pub mod clocks;
 pub mod figures;
+pub mod identification;
 mod markup;
 pub mod metrics;
 pub mod report;

@@ -11,6 +11,7 @@ mod links_pose;
 mod links_report;
 pub mod nxt_square;
 pub mod outcome;
+pub mod thermometer;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
 
@@ -26,5 +27,6 @@ pub fn execute(args: &LabArgs) -> Result<(), Failure> {
         LabExperiment::Accuracy(args) => accuracy::execute(args),
         LabExperiment::Links(args) => links::execute(args),
         LabExperiment::NxtSquare(args) => nxt_square::execute(args),
+        LabExperiment::Thermometer(args) => thermometer::execute(args),
     }
 }

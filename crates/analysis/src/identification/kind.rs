@@ -1,0 +1,329 @@
+//! What several identified sensors of one kind say about the next one.
+//!
+//! # Model
+//! Each run i gives ln tau_ij and shares with variances of their own, v_ij. The next run of the same kind is drawn from the same
+//! population. Its mean and spread are learned from n runs and a prior spread that weighs as much as three runs:
+//! ```text
+//! m_j = mean of ln tau_ij      s_j^2 = (3 s_0^2 + sum over i of (ln tau_ij - m_j)^2) / (n + 2)                         (9)
+//! ln tau_j of the next run     Student's t, nu = n + 2, mean m_j, q_j^2 = s_j^2 (1 + 1/n) + mean of v_ij / n          (10)
+//! ```
+//! That is the predictive distribution of a Gaussian population whose variance has an inverse gamma prior of three degrees of freedom.
+//! Its heavy tails let the data overrule what was expected; its peak holds as long as they do not.
+//!
+//! Runs that differ by no more than their own sigmas may also be one and the same; then both are kept, and the samples of the next run decide
+//! (prediction.rs). Where there are two runs or more, each is predicted by the others: the order by which they miss least is chosen, and
+//! if they miss by more than their sigmas allow, the sigmas of the next prediction are larger by as much.
+//!
+//! Up and down are identified apart. A step the other way, of which there is no run, is expected like those that there are, with a wider
+//! spread: heat goes into a body through another film than out of it.
+//!
+//! # Sources
+//! Gelman and others, Bayesian Data Analysis, third edition, sections 3.2 and 3.3; docs/lab/thermometer.md section 4.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::metrics::chi_square;
+
+use super::prediction::{Judged, judge, predict};
+use super::prior::{Belief, Dynamics, MAX_ORDER, row};
+use super::step::{Candidate, IdentifiedStep};
+
+/// s_0 of ln tau: time constants of one kind differ by a twentieth until the runs say otherwise.
+const LN_LAG_SPREAD: f64 = 0.05;
+/// s_0 of the shares.
+const SHARE_SPREAD: f64 = 0.02;
+/// s_0 of ln tau for a step the other way.
+const OTHER_WAY_LN_LAG_SPREAD: f64 = 0.2;
+
+/// Where a step leads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// The value rises: heating.
+    Up,
+    /// The value falls: cooling.
+    Down,
+}
+
+impl Way {
+    /// That of a step.
+    #[must_use]
+    pub fn of_step(step: f64) -> Self {
+        if step < 0.0 { Self::Down } else { Self::Up }
+    }
+}
+
+/// How much alike runs are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Likeness {
+    /// Sensors of one kind, or one sensor in surroundings that differ: equations (9) and (10).
+    #[default]
+    SameKind,
+    /// The very same dynamics for a step the same way: what differs is what the identification did not find out.
+    SameDynamics,
+}
+
+/// What is expected of the dynamics of a run before it is seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Expectation {
+    /// Of the lags and the shares, if the run is one of the kind.
+    pub dynamics: Dynamics,
+    /// The same, if its dynamics are those of the runs before, which have then not been told apart.
+    pub same: Option<Dynamics>,
+    /// delta: by which share of what is left of the transient the model errs.
+    pub model_share: f64,
+    /// How long such an error holds, in seconds.
+    pub held_s: f64,
+    /// By how much the sigmas of predictions are too small, as far as the runs before can tell; at least 1.
+    pub sigma_factor: f64,
+}
+
+impl Expectation {
+    /// Dynamics that are known for certain: time constants in seconds with their shares, which add up to one.
+    ///
+    /// `None` for time constants that are not positive, or for more lags than a response may have.
+    #[must_use]
+    pub fn known(lags: &[(f64, f64)]) -> Option<Self> {
+        let certain = |mean: f64| Belief {
+            mean,
+            sigma: CERTAIN,
+        };
+        let ln_lags: Vec<Belief> = lags.iter().map(|(tau_s, _)| certain(tau_s.ln())).collect();
+        let free = lags.len().saturating_sub(1);
+        let shares: Vec<Belief> = lags.iter().take(free).map(|(_, s)| certain(*s)).collect();
+        Some(Self {
+            dynamics: Dynamics::independent(&ln_lags, &shares)?,
+            same: None,
+            model_share: 0.0,
+            held_s: 0.0,
+            sigma_factor: 1.0,
+        })
+    }
+}
+
+/// A millionth is nothing beside any noise.
+const CERTAIN: f64 = 1e-6;
+
+/// What identified runs say about the next one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kind {
+    order: usize,
+    likeness: Likeness,
+    sigma_factor: f64,
+    up: Vec<Candidate>,
+    down: Vec<Candidate>,
+}
+
+/// Why runs make no kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum KindError {
+    /// There are no runs.
+    #[error("no identified run")]
+    NoRun,
+    /// No order was identified in all runs.
+    #[error("there is no order that all {runs} runs could be described by")]
+    NoCommonOrder {
+        /// How many runs.
+        runs: usize,
+    },
+}
+
+impl Kind {
+    /// Learns from identified runs. The order is the one by which the runs predict each other best; of a single run, its own.
+    ///
+    /// # Errors
+    /// There is no run, or no order that was tried on all.
+    pub fn of(runs: &[IdentifiedStep], likeness: Likeness) -> Result<Self, KindError> {
+        let first = runs.first().ok_or(KindError::NoRun)?;
+        let kinds: Vec<Self> = (1..=MAX_ORDER)
+            .filter(|order| *order == 1 || is_resolved_in_all(runs, *order))
+            .filter_map(|order| Self::of_order(runs, order, likeness))
+            .collect();
+        let none = KindError::NoCommonOrder { runs: runs.len() };
+        if runs.len() == 1 {
+            let own = kinds.into_iter().find(|kind| kind.order == first.order());
+            return own.ok_or(none);
+        }
+        let tried = kinds.into_iter().map(|kind| {
+            let judged = kind.judged_on_each_other(runs);
+            (judged, kind)
+        });
+        let best = tried.min_by(|(a, _), (b, _)| a.mean_miss.total_cmp(&b.mean_miss));
+        let (judged, mut kind) = best.ok_or(none)?;
+        kind.sigma_factor = judged.rms_sigmas.max(1.0);
+        Ok(kind)
+    }
+
+    /// Learns from identified runs by their descriptions of one order; `None` if one of them has none.
+    #[must_use]
+    pub fn of_order(runs: &[IdentifiedStep], order: usize, likeness: Likeness) -> Option<Self> {
+        let mut kind = Self {
+            order,
+            likeness,
+            sigma_factor: 1.0,
+            up: vec![],
+            down: vec![],
+        };
+        for run in runs {
+            let candidate = run.of_order(order)?.clone();
+            match Way::of_step(candidate.fit.response.step) {
+                Way::Up => kind.up.push(candidate),
+                Way::Down => kind.down.push(candidate),
+            }
+        }
+        (!runs.is_empty()).then_some(kind)
+    }
+
+    /// How many exponentials.
+    #[must_use]
+    pub const fn order(&self) -> usize {
+        self.order
+    }
+
+    /// Each run predicted by the others. What cannot be predicted misses by everything.
+    fn judged_on_each_other(&self, runs: &[IdentifiedStep]) -> Judged {
+        let each = (0..runs.len()).map(|judged| {
+            let others: Vec<IdentifiedStep> = runs
+                .iter()
+                .enumerate()
+                .filter(|(index, _)| *index != judged)
+                .map(|(_, run)| run.clone())
+                .collect();
+            let kind = Self::of_order(&others, self.order, self.likeness)?;
+            let run = runs.get(judged)?;
+            judge(&predict(&run.samples, run.sigma, &kind), run)
+        });
+        let each: Vec<Judged> = each.map(Option::unwrap_or_default).collect();
+        let count = each.len().max(1) as f64;
+        let squares: f64 = each.iter().map(|judged| judged.rms_sigmas.powi(2)).sum();
+        Judged {
+            mean_miss: each.iter().map(|judged| judged.mean_miss).sum::<f64>() / count,
+            rms_sigmas: (squares / count).sqrt(),
+        }
+    }
+
+    /// What is expected of a step this way.
+    #[must_use]
+    pub fn expectation(&self, way: Way) -> Option<Expectation> {
+        let (own, other) = match way {
+            Way::Up => (&self.up, &self.down),
+            Way::Down => (&self.down, &self.up),
+        };
+        let is_own = !own.is_empty();
+        let (runs, spread) = if is_own {
+            (own, LN_LAG_SPREAD)
+        } else {
+            (other, OTHER_WAY_LN_LAG_SPREAD)
+        };
+        let values = Values::of(runs, self.order);
+        let same = (is_own && values.agree()).then(|| values.same()).flatten();
+        let count = runs.len() as f64;
+        let squares = runs.iter().map(|run| run.model_share.powi(2));
+        let is_known = is_own && self.likeness == Likeness::SameDynamics;
+        let dynamics = if is_known {
+            values.same()?
+        } else {
+            values.of_kind(spread, self.order)?
+        };
+        Some(Expectation {
+            same: same.filter(|_| !is_known),
+            dynamics,
+            model_share: (squares.sum::<f64>() / count).sqrt(),
+            held_s: runs.iter().map(|run| run.held_s).sum::<f64>() / count,
+            sigma_factor: self.sigma_factor,
+        })
+    }
+}
+
+/// Lags and shares of several runs, each with what is known about it.
+struct Values {
+    each: Vec<(DVector<f64>, DMatrix<f64>)>,
+    mean: DVector<f64>,
+}
+
+impl Values {
+    fn of(runs: &[Candidate], order: usize) -> Self {
+        let rows = 2 * order - 1;
+        let own = |run: &Candidate| {
+            let covariance = &run.fit.covariance;
+            covariance
+                .view((row::LAGS, row::LAGS), (rows, rows))
+                .into_owned()
+        };
+        let each: Vec<_> = runs
+            .iter()
+            .map(|run| (rows_of(run, rows), own(run)))
+            .collect();
+        let sum: DVector<f64> = each.iter().map(|(value, _)| value).sum();
+        Self {
+            mean: sum / runs.len() as f64,
+            each,
+        }
+    }
+
+    /// Covariance of the mean by what each run does not know.
+    fn own(&self) -> DMatrix<f64> {
+        let sum: DMatrix<f64> = self.each.iter().map(|(_, own)| own).sum();
+        sum / (self.each.len() as f64).powi(2)
+    }
+
+    /// Whether the runs differ by no more than what they do not know about themselves, at a level of 5 %.
+    fn agree(&self) -> bool {
+        let squares: Option<f64> = self
+            .each
+            .iter()
+            .map(|(value, own)| {
+                let off = value - &self.mean;
+                Some(off.dot(&own.clone().cholesky()?.solve(&off)))
+            })
+            .sum();
+        let freedom = (self.each.len() - 1) * self.mean.len();
+        let Some(limit) = chi_square::quantile(0.95, freedom as u64) else {
+            return true;
+        };
+        squares.is_some_and(|squares| squares <= limit)
+    }
+
+    fn same(&self) -> Option<Dynamics> {
+        Dynamics::new(self.mean.clone(), self.own(), f64::INFINITY)
+    }
+
+    /// Equations (9) and (10).
+    fn of_kind(&self, ln_lag_spread: f64, order: usize) -> Option<Dynamics> {
+        let count = self.each.len() as f64;
+        let freedom = PRIOR_FREEDOM + count - 1.0;
+        let variances = (0..self.mean.len()).map(|i| {
+            let spread = if i < order {
+                ln_lag_spread
+            } else {
+                SHARE_SPREAD
+            };
+            let off = self
+                .each
+                .iter()
+                .map(|(value, _)| (value[i] - self.mean[i]).powi(2));
+            let scatter: f64 = off.sum();
+            (PRIOR_FREEDOM * spread * spread + scatter) / freedom * (1.0 + 1.0 / count)
+        });
+        let between = DVector::from_iterator(self.mean.len(), variances);
+        let covariance = self.own() + DMatrix::from_diagonal(&between);
+        Dynamics::new(self.mean.clone(), covariance, freedom)
+    }
+}
+
+/// The lags' ln tau and the free shares of a description.
+fn rows_of(run: &Candidate, rows: usize) -> DVector<f64> {
+    let lags = &run.fit.response.lags;
+    let ln_lags = lags.iter().map(|lag| lag.time_constant_s.ln());
+    let shares = lags.iter().map(|lag| lag.share);
+    DVector::from_iterator(rows, ln_lags.chain(shares).take(rows))
+}
+
+/// Degrees of freedom of the prior spread: it weighs as much as so many runs.
+const PRIOR_FREEDOM: f64 = 3.0;
+
+/// An order with a share that may be zero in one of the runs has lags that are anywhere.
+fn is_resolved_in_all(runs: &[IdentifiedStep], order: usize) -> bool {
+    let mut candidates = runs.iter().map(|run| run.of_order(order));
+    candidates.all(|candidate| candidate.is_some_and(IdentifiedStep::is_resolved))
+}

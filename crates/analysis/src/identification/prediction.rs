@@ -1,0 +1,323 @@
+//! What a sensor will show in the end, from sample to sample, when its dynamics are not quite known.
+//!
+//! Gets samples and what other runs say ([`Kind`], [`Expectation`]); at each sample it has used that sample and those before, and no
+//! later one. The onset is found on the way. The lags are estimated along with the quantity, starting from what is expected of them.
+//!
+//! # Model
+//! Equations (3) to (6) of [`super::fit`], over all samples so far. The bound is u plus and minus 1.96 of its sigma, which holds the
+//! noise, the lags, and the faults of the model.
+//!
+//! At rest, before a step is seen, the reading is the quantity. Long after it, R is that of the noise alone for the latest samples and
+//! larger for the earlier ones, so that the reading is the quantity again: nothing switches.
+
+use super::fit::{Fit, Noise, fit};
+use super::kind::{Expectation, Kind, Way};
+use super::onset::{Detected, Detector};
+use super::prior::{Belief, Dynamics, Prior};
+use super::step::IdentifiedStep;
+use super::step_response::StepResponse;
+use super::{Sample, in_order};
+
+/// The bound contains the final value with this probability.
+pub const BOUND_RATE: f64 = 0.95;
+/// The two-sided quantile of a Gaussian for it.
+pub const BOUND_SIGMAS: f64 = 1.959_964;
+
+/// What is believed of the final value at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prediction {
+    /// The instant of the latest sample, in seconds of the sensor's clock.
+    pub at_s: f64,
+    /// What the sensor will show in the end.
+    pub value: f64,
+    /// One standard deviation of it, with all that is not known about the dynamics.
+    pub sigma: f64,
+    /// Whether a step has been seen.
+    pub is_on_its_way: bool,
+}
+
+impl Prediction {
+    /// The bound: within it the final value is with probability [`BOUND_RATE`].
+    #[must_use]
+    pub fn bound(&self) -> (f64, f64) {
+        let half = BOUND_SIGMAS * self.sigma;
+        (self.value - half, self.value + half)
+    }
+}
+
+/// Predicts from sample to sample. `sigma` is the noise of a sample, in the sensor's unit.
+///
+/// There is a prediction for each of the first samples after the step was seen, and then for one sample in each fiftieth of the time since.
+/// Samples that are not finite or not later than the one before are left out. Empty for a noise that is not positive and finite.
+#[must_use]
+pub fn predict(samples: &[Sample], sigma: f64, kind: &Kind) -> Vec<Prediction> {
+    predict_by(samples, sigma, |way| kind.expectation(way))
+}
+
+/// The same for dynamics that are expected to be so whichever way the step leads.
+#[must_use]
+pub fn predict_as_expected(
+    samples: &[Sample],
+    sigma: f64,
+    expectation: &Expectation,
+) -> Vec<Prediction> {
+    predict_by(samples, sigma, |_| Some(expectation.clone()))
+}
+
+/// What is believed after the last of these samples; the same as the last of [`predict_as_expected`], at the cost of one fit.
+#[must_use]
+pub fn predict_once(
+    samples: &[Sample],
+    sigma: f64,
+    expectation: &Expectation,
+) -> Option<Prediction> {
+    let samples = in_order(samples);
+    let detector = Detector::new(sigma);
+    let seen = (1..=samples.len()).find_map(|k| detector.look(samples.get(..k)?).map(|d| (k, d)));
+    let (_, detected) = seen?;
+    let mut running = Running::new(&samples, sigma, &detected, expectation)?;
+    running.prediction(&samples)
+}
+
+/// After this many predictions for every sample they become sparser.
+const EVERY_SAMPLE: usize = 60;
+/// Then there is one in each such share of the samples since the onset.
+const SPARSE_SHARE: usize = 50;
+
+fn predict_by(
+    samples: &[Sample],
+    sigma: f64,
+    expect: impl Fn(Way) -> Option<Expectation>,
+) -> Vec<Prediction> {
+    let samples = in_order(samples);
+    if !(sigma > 0.0 && sigma.is_finite()) {
+        return Vec::new();
+    }
+    let detector = Detector::new(sigma);
+    let mut running: Option<Running> = None;
+    let mut seen_at = 0;
+    let mut next = 0;
+    let mut predictions = Vec::new();
+    for k in 1..=samples.len() {
+        let so_far = samples.get(..k).unwrap_or_default();
+        if running.is_none() {
+            running = detector.look(so_far).and_then(|detected| {
+                seen_at = k;
+                let way = Way::of_step(detected.direction);
+                Running::new(so_far, sigma, &detected, &expect(way)?)
+            });
+        }
+        match &mut running {
+            None => predictions.extend(at_rest(so_far, sigma)),
+            Some(running) => {
+                let since = k - seen_at;
+                if since >= next || k == samples.len() {
+                    predictions.extend(running.prediction(so_far));
+                    next = since + 1 + since.saturating_sub(EVERY_SAMPLE) / SPARSE_SHARE;
+                }
+            }
+        }
+    }
+    predictions
+}
+
+fn at_rest(so_far: &[Sample], sigma: f64) -> Option<Prediction> {
+    let latest = so_far.last()?;
+    Some(Prediction {
+        at_s: latest.at_s,
+        value: latest.value,
+        sigma,
+        is_on_its_way: false,
+    })
+}
+
+/// A step that is under way: a bank of models, one for each of several values of the slowest lag.
+struct Running {
+    noise: Noise,
+    held_s: f64,
+    sigma_factor: f64,
+    onset_s: f64,
+    members: Vec<Member>,
+}
+
+/// One model of the bank.
+struct Member {
+    prior: Prior,
+    /// Minus the logarithm of its weight beforehand, and of the room that it had.
+    cost: f64,
+    guess: StepResponse,
+}
+
+impl Running {
+    fn new(
+        so_far: &[Sample],
+        sigma: f64,
+        detected: &Detected,
+        expectation: &Expectation,
+    ) -> Option<Self> {
+        let latest = so_far.last()?;
+        let members = bank(expectation)
+            .into_iter()
+            .map(|(dynamics, slowest, cost)| {
+                let prior = Prior {
+                    onset: Belief {
+                        mean: detected.onset_s,
+                        sigma: detected.onset_sigma_s,
+                    },
+                    dynamics,
+                    slowest,
+                    end: None,
+                };
+                let unit = prior.expected(0.0, 1.0);
+                let gone = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
+                let step = (latest.value - detected.start) / gone.max(LEAST_GONE);
+                Member {
+                    cost,
+                    guess: prior.expected(detected.start, step),
+                    prior,
+                }
+            });
+        Some(Self {
+            noise: Noise {
+                sigma,
+                model_share: expectation.model_share,
+                held_samples: 1.0,
+            },
+            held_s: expectation.held_s,
+            sigma_factor: expectation.sigma_factor,
+            onset_s: detected.onset_s,
+            members: members.collect(),
+        })
+    }
+
+    /// Fits all samples so far by each member, and weighs them by how likely they make the samples.
+    fn prediction(&mut self, so_far: &[Sample]) -> Option<Prediction> {
+        let latest = so_far.last()?;
+        let since = so_far.iter().filter(|sample| sample.at_s > self.onset_s);
+        let distance_s = (latest.at_s - self.onset_s) / since.count().max(1) as f64;
+        self.noise.held_samples = (self.held_s / distance_s).clamp(1.0, MOST_HELD);
+        let fits: Vec<(f64, Fit)> = self
+            .members
+            .iter_mut()
+            .filter_map(|member| {
+                let found = fit(so_far, &self.noise, &member.prior, &member.guess)?;
+                member.guess = found.response.clone();
+                // Laplace: the probability of the samples is that at the best fit times the volume around it.
+                Some((member.cost + found.cost - found.ln_room()?, found))
+            })
+            .collect();
+        let least = fits
+            .iter()
+            .map(|(cost, _)| *cost)
+            .fold(f64::INFINITY, f64::min);
+        let weights: Vec<f64> = fits.iter().map(|(cost, _)| (least - cost).exp()).collect();
+        let sum: f64 = weights.iter().sum();
+        let members = || weights.iter().zip(fits.iter().map(|(_, found)| found));
+        let value = members()
+            .map(|(weight, found)| weight * found.response.final_value())
+            .sum::<f64>()
+            / sum;
+        let variance = members()
+            .map(|(weight, found)| {
+                let off = found.response.final_value() - value;
+                weight * (off * off + found.final_sigma().powi(2))
+            })
+            .sum::<f64>()
+            / sum;
+        let sigma = self.sigma_factor * variance.sqrt();
+        (value.is_finite() && sigma.is_finite()).then_some(Prediction {
+            at_s: latest.at_s,
+            value,
+            sigma,
+            is_on_its_way: true,
+        })
+    }
+}
+
+/// Dynamics, more about the slowest lag, and minus the logarithm of the weight beforehand.
+type MemberOf = (Dynamics, Option<Belief>, f64);
+
+/// The models of the bank: the dynamics of the runs before, and others of their kind. Neither is likelier beforehand.
+fn bank(expectation: &Expectation) -> Vec<MemberOf> {
+    let same = expectation.same.iter();
+    let same = same.map(|same| (same.clone(), None, same.ln_room()));
+    same.chain(nodes(&expectation.dynamics)).collect()
+}
+
+/// The values of the slowest lag that stand for a kind: Gaussians as wide as they are apart, which together are flat.
+fn nodes(dynamics: &Dynamics) -> Vec<MemberOf> {
+    let (slowest, ln_room) = (dynamics.slowest(), dynamics.ln_room());
+    if slowest.sigma < ONE_NODE_BELOW {
+        return vec![(dynamics.clone(), None, ln_room)];
+    }
+    let sigma = NODE_DISTANCE * slowest.sigma;
+    // A Gaussian's density times the distance of two.
+    let cost = ln_room + 0.5 * std::f64::consts::TAU.ln();
+    let node = |k| Belief {
+        mean: slowest.mean + sigma * f64::from(k),
+        sigma,
+    };
+    (-NODES..=NODES)
+        .map(|k| (dynamics.clone(), Some(node(k)), cost))
+        .collect()
+}
+
+/// Nodes to each side of the expected lag, and their distance in sigmas of what is expected.
+const NODES: i32 = 4;
+const NODE_DISTANCE: f64 = 0.7;
+/// A lag that is known better than to a thousandth needs no bank.
+const ONE_NODE_BELOW: f64 = 1e-3;
+
+/// A first guess takes no less than this share of the step for gone.
+const LEAST_GONE: f64 = 0.02;
+/// Errors that hold longer than so many samples are counted as if they did not.
+const MOST_HELD: f64 = 1e4;
+
+/// What predictions of a run were worth, from the onset until the sensor itself was within 2 % of the end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judged {
+    /// How far they were off, as a mean share of the step over time, none counted beyond one.
+    pub mean_miss: f64,
+    /// How far they were off, root mean square in their own sigmas.
+    pub rms_sigmas: f64,
+}
+
+impl Default for Judged {
+    /// Without any prediction.
+    fn default() -> Self {
+        Self {
+            mean_miss: 1.0,
+            rms_sigmas: 0.0,
+        }
+    }
+}
+
+/// Judges predictions by what the run showed in the end; `None` where none is in time.
+#[must_use]
+pub fn judge(predictions: &[Prediction], run: &IdentifiedStep) -> Option<Judged> {
+    let response = run.response();
+    let step = (run.end - response.start).abs();
+    let is_outside = |sample: &&Sample| (sample.value - run.end).abs() > SETTLED * step;
+    let until_s = run.samples.iter().rfind(is_outside)?.at_s;
+    let in_time = predictions
+        .windows(2)
+        .filter(|pair| pair[1].at_s > response.onset_s && pair[1].at_s <= until_s);
+    let (mut all_s, mut miss_s, mut squares, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for pair in in_time {
+        let (off, lasts_s) = ((pair[1].value - run.end).abs(), pair[1].at_s - pair[0].at_s);
+        all_s += lasts_s;
+        miss_s += lasts_s * (off / step).min(1.0);
+        if pair[1].is_on_its_way {
+            squares += (off / pair[1].sigma).powi(2);
+            count += 1.0;
+        }
+    }
+    let judged = Judged {
+        mean_miss: miss_s / all_s,
+        rms_sigmas: f64::sqrt(squares / f64::max(count, 1.0)),
+    };
+    judged.mean_miss.is_finite().then_some(judged)
+}
+
+/// Within this share of the step a sensor has settled.
+const SETTLED: f64 = 0.02;

@@ -1,0 +1,333 @@
+//! Identification of sensors and prediction of their end, on simulated sensors whose truth is known.
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+use posebridge_analysis::identification::fit::{Noise, fit};
+use posebridge_analysis::identification::kind::{Expectation, Likeness};
+use posebridge_analysis::identification::prediction::{
+    Prediction, predict_as_expected, predict_once,
+};
+use posebridge_analysis::identification::prior::{Belief, Dynamics, MAX_ORDER, Prior};
+use posebridge_analysis::identification::simulated::{SimulatedSensor, step};
+use posebridge_analysis::identification::{
+    IdentifiedStep, Kind, Lag, Order, Sample, StepError, StepOptions, StepResponse, Way,
+    identify_step, predict, settled_after_s,
+};
+
+const SIGMA: f64 = 0.05;
+const DIPPED_S: f64 = 20.0;
+
+fn sensor(lags: &[(f64, f64)]) -> SimulatedSensor {
+    SimulatedSensor {
+        lags: lags.to_vec(),
+        sigma: SIGMA,
+        last_digit: 0.0,
+        period_s: 0.5,
+    }
+}
+
+/// Dipped from one temperature into another; eight time constants of 15 s.
+fn dipped(lags: &[(f64, f64)], seed: u64, (before, after): (f64, f64)) -> Vec<Sample> {
+    sensor(lags).run(seed, 280, step(before, after, DIPPED_S))
+}
+
+fn identified(samples: &[Sample]) -> IdentifiedStep {
+    identify_step(samples, &StepOptions::with_sigma(SIGMA)).unwrap()
+}
+
+#[test]
+fn a_fit_without_noise_finds_the_response() {
+    let truth = StepResponse {
+        start: 20.0,
+        step: -16.0,
+        onset_s: 10.3,
+        lags: vec![
+            Lag {
+                time_constant_s: 3.0,
+                share: 0.35,
+            },
+            Lag {
+                time_constant_s: 15.0,
+                share: 0.65,
+            },
+        ],
+    };
+    let samples: Vec<Sample> = (0..400)
+        .map(|k| 0.25 * f64::from(k))
+        .map(|at_s| Sample {
+            at_s,
+            value: truth.value_at(at_s),
+        })
+        .collect();
+    let belief = |mean, sigma| Belief { mean, sigma };
+    let prior = Prior {
+        onset: belief(9.0, 100.0),
+        dynamics: Dynamics::independent(
+            &[belief(0.5, 100.0), belief(3.5, 100.0)],
+            &[belief(0.5, 100.0)],
+        )
+        .unwrap(),
+        slowest: None,
+        end: None,
+    };
+    let guess = prior.expected(19.0, -12.0);
+    let found = fit(&samples, &Noise::white(1e-3), &prior, &guess).unwrap();
+    let mut response = found.response;
+    // Nothing but the guess says which lag is which.
+    response
+        .lags
+        .sort_by(|a, b| a.time_constant_s.total_cmp(&b.time_constant_s));
+    for (name, found, expected) in [
+        ("start", response.start, truth.start),
+        ("step", response.step, truth.step),
+        ("onset", response.onset_s, truth.onset_s),
+        ("fast", response.lags[0].time_constant_s, 3.0),
+        ("slow", response.lags[1].time_constant_s, 15.0),
+        ("share", response.lags[0].share, 0.35),
+    ] {
+        assert!((found - expected).abs() < 1e-5, "{name}: {found}");
+    }
+}
+
+#[test]
+fn lags_and_their_order_are_found_within_their_sigmas() {
+    for (name, lags) in [
+        ("one", vec![(8.0, 1.0)]),
+        ("two", vec![(3.0, 0.35), (15.0, 0.65)]),
+    ] {
+        let (mut squares, mut count) = (0.0, 0.0);
+        for seed in 0..20 {
+            let found = identified(&dipped(&lags, seed, (20.0, 4.0)));
+            assert_eq!(found.order(), lags.len(), "{name}, seed {seed}");
+            for (lag, (tau_s, _)) in found.lags().iter().zip(&lags) {
+                let sigmas = (lag.time_constant_s - tau_s) / lag.time_constant_sigma_s;
+                squares += sigmas * sigmas;
+                count += 1.0;
+            }
+        }
+        // Chi-square over 20 or 40 values: four standard deviations are 1.3 and 0.9.
+        let mean: f64 = squares / count;
+        println!("{name} lags: mean squared error in sigmas {mean:.2}");
+        assert!((0.3..2.3).contains(&mean), "{name}: {mean}");
+    }
+}
+
+#[test]
+fn gain_and_delay_are_told_where_the_step_of_the_quantity_is() {
+    // The quantity steps by 8 at 20 s; the sensor shows twice that, 1.5 s later.
+    let samples: Vec<Sample> = sensor(&[(6.0, 1.0)]).run(5, 200, step(10.0, 26.0, DIPPED_S + 1.5));
+    let options = StepOptions {
+        onset_s: Some(DIPPED_S),
+        input_step: Some(8.0),
+        ..StepOptions::with_sigma(SIGMA)
+    };
+    let found = identify_step(&samples, &options).unwrap();
+    assert!((found.gain.unwrap() - 2.0).abs() < 0.01, "{:?}", found.gain);
+    let delay_s = found.delay_s.unwrap();
+    assert!((delay_s - 1.5).abs() < 0.1, "{delay_s}");
+    assert!((found.end - 26.0).abs() < 0.05);
+}
+
+#[test]
+fn a_known_end_makes_the_lags_of_a_short_recording_certain() {
+    let samples: Vec<Sample> = dipped(&[(8.0, 1.0)], 3, (20.0, 4.0))
+        .into_iter()
+        .filter(|sample| sample.at_s < DIPPED_S + 8.0)
+        .collect();
+    let with_end = |end| {
+        let options = StepOptions {
+            end,
+            order: Order::Fixed(1),
+            ..StepOptions::with_sigma(SIGMA)
+        };
+        identify_step(&samples, &options).unwrap().lags()[0]
+    };
+    let (open, known) = (with_end(None), with_end(Some(4.0)));
+    assert!(known.time_constant_sigma_s < 0.5 * open.time_constant_sigma_s);
+    assert!((known.time_constant_s - 8.0).abs() < 4.0 * known.time_constant_sigma_s);
+}
+
+#[test]
+fn what_cannot_be_identified_is_refused_with_a_reason() {
+    let good = dipped(&[(8.0, 1.0)], 1, (20.0, 4.0));
+    let refused =
+        |samples: &[Sample], options: StepOptions| identify_step(samples, &options).unwrap_err();
+    let options = StepOptions::with_sigma(SIGMA);
+    assert!(matches!(
+        refused(&[], options),
+        StepError::NoStep { samples: 0, .. }
+    ));
+    let quiet: Vec<Sample> = good.iter().take(30).copied().collect();
+    assert!(matches!(
+        refused(&quiet, options),
+        StepError::NoStep { samples: 30, .. }
+    ));
+    for sigma in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        assert!(matches!(
+            refused(&good, StepOptions::with_sigma(sigma)),
+            StepError::Sigma { .. }
+        ));
+    }
+    for order in [0, MAX_ORDER + 1, usize::MAX] {
+        let options = StepOptions {
+            order: Order::Fixed(order),
+            ..options
+        };
+        assert_eq!(refused(&good, options), StepError::Order { order });
+    }
+    for input_step in [0.0, f64::NAN] {
+        let options = StepOptions {
+            input_step: Some(input_step),
+            ..options
+        };
+        assert!(matches!(refused(&good, options), StepError::Given { .. }));
+    }
+}
+
+#[test]
+fn damaged_samples_are_left_out() {
+    let good = dipped(&[(8.0, 1.0)], 1, (20.0, 4.0));
+    let mut damaged = good.clone();
+    let bad = |at_s, value| Sample { at_s, value };
+    damaged.insert(100, bad(50.1, f64::NAN));
+    damaged.insert(60, bad(f64::INFINITY, 4.0));
+    damaged.insert(50, bad(-1e300, 4.0));
+    damaged.insert(30, good[10]);
+    assert_eq!(identified(&damaged), identified(&good));
+    let huge: Vec<Sample> = good
+        .iter()
+        .map(|sample| bad(sample.at_s, 1e300 * sample.value))
+        .collect();
+    // Whatever comes of it, it is no panic.
+    let _outcome = identify_step(&huge, &StepOptions::with_sigma(SIGMA));
+}
+
+fn on_its_way(predictions: &[Prediction]) -> Vec<Prediction> {
+    predictions
+        .iter()
+        .filter(|p| p.is_on_its_way)
+        .copied()
+        .collect()
+}
+
+#[test]
+fn a_prediction_uses_no_later_sample() {
+    let samples = dipped(&[(8.0, 1.0)], 1, (20.0, 4.0));
+    let kind = Kind::of(
+        &[identified(&dipped(&[(8.5, 1.0)], 2, (22.0, 4.0)))],
+        Likeness::SameKind,
+    )
+    .unwrap();
+    let all = predict(&samples, SIGMA, &kind);
+    for count in [30, 50, 70] {
+        let part = predict(&samples[..count], SIGMA, &kind);
+        assert_eq!(part[..], all[..count]);
+    }
+}
+
+#[test]
+fn at_rest_the_reading_is_the_quantity_and_after_settling_again() {
+    let samples = dipped(&[(3.0, 0.35), (15.0, 0.65)], 1, (20.0, 4.0));
+    let expectation = Expectation::known(&[(3.0, 0.35), (15.0, 0.65)]).unwrap();
+    let all = predict_as_expected(&samples, SIGMA, &expectation);
+    assert_eq!(all[5].value, samples[5].value);
+    assert!(!all[5].is_on_its_way);
+    let last = all.last().unwrap();
+    assert!(
+        (last.value - 4.0).abs() < 0.02 && last.sigma < 0.02,
+        "{last:?}"
+    );
+    assert_eq!(
+        predict_once(&samples, SIGMA, &expectation)
+            .unwrap()
+            .is_on_its_way,
+        last.is_on_its_way
+    );
+    assert!(predict_as_expected(&samples, f64::NAN, &expectation).is_empty());
+}
+
+#[test]
+fn it_is_within_two_percent_of_the_step_long_before_the_sensor() {
+    let samples = dipped(&[(15.0, 1.0)], 4, (20.0, 4.0));
+    let expectation = Expectation::known(&[(15.0, 1.0)]).unwrap();
+    let predicted = on_its_way(&predict_as_expected(&samples, SIGMA, &expectation));
+    let settled =
+        |series: Vec<(f64, f64)>| settled_after_s(&series, DIPPED_S, (4.0, 0.02 * 16.0)).unwrap();
+    let predicted_s = settled(predicted.iter().map(|p| (p.at_s, p.value)).collect());
+    let shown_s = settled(samples.iter().map(|s| (s.at_s, s.value)).collect());
+    println!("within 2 %: predicted {predicted_s} s, shown {shown_s} s");
+    assert!(predicted_s < 0.25 * shown_s, "{predicted_s} {shown_s}");
+}
+
+#[test]
+fn a_kind_learns_from_its_runs_how_much_they_differ() {
+    let run = |tau_s, seed| identified(&dipped(&[(tau_s, 1.0)], seed, (20.0, 4.0)));
+    let slowest = |runs: &[IdentifiedStep], way| {
+        let kind = Kind::of_order(runs, 1, Likeness::SameKind).unwrap();
+        kind.expectation(way).unwrap().dynamics.slowest()
+    };
+    let alike = slowest(&[run(8.0, 1), run(8.0, 2)], Way::Down);
+    let unlike = slowest(&[run(6.5, 1), run(10.0, 2)], Way::Down);
+    assert!(
+        unlike.sigma > 2.0 * alike.sigma,
+        "{} {}",
+        unlike.sigma,
+        alike.sigma
+    );
+    assert!((unlike.mean.exp() - 65.0_f64.sqrt()).abs() < 0.1);
+    let other_way = slowest(&[run(8.0, 1), run(8.0, 2)], Way::Up);
+    assert!(other_way.sigma > 2.0 * alike.sigma);
+    assert_eq!(other_way.mean, alike.mean);
+    assert!(Kind::of(&[], Likeness::SameKind).is_err());
+}
+
+/// Sensors of one kind that differ from each other: each is predicted by the others, faster than it shows, and its bound holds.
+#[test]
+fn sensors_of_a_kind_predict_each_other() {
+    let lags = [
+        [(2.5, 0.30), (16.0, 0.70)],
+        [(3.0, 0.40), (14.0, 0.60)],
+        [(3.6, 0.35), (18.0, 0.65)],
+    ];
+    let ends = [(20.0, 4.0), (24.0, 3.0), (22.0, 5.0)];
+    let runs: Vec<IdentifiedStep> = (0..3)
+        .map(|k| identified(&dipped(&lags[k], k as u64, ends[k])))
+        .collect();
+    for judged in 0..3 {
+        let others: Vec<IdentifiedStep> = (0..3)
+            .filter(|k| *k != judged)
+            .map(|k| runs[k].clone())
+            .collect();
+        let kind = Kind::of(&others, Likeness::SameKind).unwrap();
+        assert_eq!(kind.order(), 2);
+        let run = &runs[judged];
+        let predicted = on_its_way(&predict(&run.samples, SIGMA, &kind));
+        let (before, after) = ends[judged];
+        let settled = |series: &[(f64, f64)], share: f64| {
+            settled_after_s(series, DIPPED_S, (after, share * (before - after))).unwrap()
+        };
+        let series: Vec<(f64, f64)> = predicted.iter().map(|p| (p.at_s, p.value)).collect();
+        let shown: Vec<(f64, f64)> = run.samples.iter().map(|s| (s.at_s, s.value)).collect();
+        for share in [0.1, 0.05, 0.02] {
+            let (predicted_s, shown_s) = (settled(&series, share), settled(&shown, share));
+            println!(
+                "sensor {judged}, {share}: predicted {predicted_s:.1} s, shown {shown_s:.1} s"
+            );
+            assert!(predicted_s < shown_s);
+        }
+        let inside = predicted
+            .iter()
+            .filter(|p| p.bound().0 <= after && after <= p.bound().1);
+        let rate = inside.count() as f64 / predicted.len() as f64;
+        println!("sensor {judged}: end within the bound {rate:.2}");
+        assert!(rate > 0.8, "{judged}: {rate}");
+    }
+}
+
+#[test]
+fn the_same_samples_give_the_same_to_the_last_bit() {
+    let samples = dipped(&[(3.0, 0.35), (15.0, 0.65)], 1, (20.0, 4.0));
+    assert_eq!(identified(&samples), identified(&samples));
+}
