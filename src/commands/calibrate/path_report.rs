@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use posebridge_analysis::calibration::free_path::{
-    Entry, ReckonedError, Standing, Unknown, Wiring, mean_error,
+    Entry, ReckonedError, Standing, Wiring, mean_error,
 };
 use posebridge_analysis::figures::plot::{Axes, Curve, Plot, Shape, plot};
 use posebridge_analysis::report::Table;
@@ -431,6 +431,5 @@ mod tests {
             );
         }
         assert_eq!(wiring_words(Wiring::AsGiven), None);
-        assert_eq!(Unknown::RadiusScale.key(), "radius_scale");
     }
 }

@@ -9,7 +9,7 @@ use posebridge_estimator::models::differential_drive::WheelTravel;
 use super::listing::{Listing, Row};
 
 /// How well a person puts a robot onto its start line, in radians.
-const PLACED_RAD: f64 = 0.1;
+const PLACED_RAD: f64 = 0.03;
 /// And onto its start point, in metres.
 const PLACED_M: f64 = 0.01;
 

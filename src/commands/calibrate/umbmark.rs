@@ -264,7 +264,7 @@ impl Told {
                 radius_difference.sigma
             ),
             format!(
-                "corners {:+.3} degrees, sides bent by {:+.3} degrees, squares of {:.2} m",
+                "each corner turns {:+.3} degrees too far, each side bends to the left by {:+.3} degrees, squares of {:.2} m",
                 -self.found.corner_rad.to_degrees(),
                 self.found.bend_rad.to_degrees(),
                 self.side_m

@@ -26,14 +26,10 @@ const STILL: f64 = 0.01;
 const ALIKE_SHARE: f64 = 0.1;
 
 /// The solution.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Fit {
     /// The unknowns.
     pub(super) values: Vec<f64>,
-    /// Sum of the squared residuals.
-    pub(super) cost: f64,
-    /// How many residuals there are.
-    pub(super) rows: usize,
     /// Their covariance.
     pub(super) covariance: Vec<Vec<f64>>,
 }
@@ -81,13 +77,7 @@ pub(super) fn fit(
         }
         if is_still {
             let covariance = robust_covariance(&values, steps, &residuals)?;
-            let rows = 2 * here.iter().map(Vec::len).sum::<usize>();
-            return Ok(Fit {
-                values,
-                cost,
-                rows,
-                covariance,
-            });
+            return Ok(Fit { values, covariance });
         }
     }
     Err(CalibrationError::Diverged)

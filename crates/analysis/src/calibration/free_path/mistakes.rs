@@ -6,7 +6,7 @@
 //! # Model
 //! ```text
 //! the drive is cut into pieces; each piece is laid onto its sights by the best turn and shift      (Umeyama 1991, without scale)
-//! ln L = -N/2 ln(sum |rest|^2 / N)      N places; equal and independent errors
+//! ln L = -n ln(sum |rest|^2)              n places of two numbers each, with equal and independent errors
 //! ```
 //! Laid on by its own turn and shift, a piece is blind to start, heading and drift, and so are the hypotheses. In exchange wheels
 //! that are exchanged look like wheels that both count backwards: the first moves against a known heading, the second along with it.
@@ -195,7 +195,7 @@ pub(super) fn sanity(prediction: &Prediction<'_>, paths: &[FreePath]) -> Option<
         found: found.hypothesis,
         described_rms_m: rms(described.square_m2),
         found_rms_m: rms(found.square_m2),
-        log_likelihood_gain: sights as f64 * (described.square_m2 / found.square_m2).sqrt().ln(),
+        log_likelihood_gain: sights as f64 * (described.square_m2 / found.square_m2).ln(),
         compared: all.len(),
     })
 }

@@ -4,7 +4,8 @@
 //! ```text
 //! 1. sanity      wheels exchanged? half the track? counts off by a factor? The likeliest description goes on.
 //! 2. length      e_m from the length of the way over short windows: no heading takes part in it
-//! 3. shape       e_b, e_d, tau, l_f, l_l and headings at the start by least squares over whitened innovations, e_m given
+//! 3. shape       e_b, e_d, tau, l_f, l_l and headings at the start by least squares over whitened innovations, e_m given; a heading
+//!                that is roughly known pulls by (th - th_0) / sigma
 //! ```
 //! The order matters. In one fit over everything a heading that was wrong by a degree at the start bends wheel size and track to
 //! make up for it; the length of the way does not know headings. What it finds is not the optimum of one likelihood but of two, each
@@ -24,6 +25,7 @@ mod predict;
 mod score;
 
 use posebridge_estimator::FilterConfig;
+use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Calibration, Known};
 
 use super::CalibrationError;
@@ -173,6 +175,8 @@ impl PathCalibration {
     }
 }
 
+/// Rounds over the second and the third step; the second changes by hundredths of its sigma.
+const ROUNDS: u32 = 3;
 /// An unknown blurs the track if it makes its sigma so many times larger.
 const BLURRED: f64 = 3.0;
 /// Something is told of an unknown if its sigma is below this share of the prior's.
@@ -200,10 +204,16 @@ pub fn calibrate_path(
     let hypothesis = sanity.as_ref().map_or(AS_GIVEN, |sanity| sanity.found);
     let paths: Vec<FreePath> = paths.iter().map(|path| path.under(&hypothesis)).collect();
     let mut shape = Shape::new(config, &paths, hypothesis.track_factor);
-    let length = shape.take_length();
-    let (fitted, standings) = shape.choose(length.is_none())?;
+    let mut length = shape.take_length();
+    let (mut chosen, mut standings) = shape.choose(length)?;
+    for _ in 1..ROUNDS {
+        // The second step knows the tag and the delay only by the third.
+        shape.adopt(&chosen);
+        length = shape.take_length();
+        (chosen, standings) = shape.choose(length)?;
+    }
     Ok(shape
-        .report(&fitted, standings, length)
+        .report(&chosen, standings, length)
         .with(sanity, before))
 }
 
@@ -225,12 +235,16 @@ fn enough(paths: &[FreePath]) -> Result<(), CalibrationError> {
     Ok(())
 }
 
-/// The third step: which unknowns are free, and what they are.
+/// The second and the third step: which unknowns are free, and what they are.
+#[derive(Clone)]
 struct Shape<'a> {
     config: &'a FilterConfig,
     paths: &'a [FreePath],
     base_track_m: f64,
+    /// As described, with the wheel size of the second step.
     numbers: RobotNumbers,
+    /// As the last round has found them: what the second step reckons with.
+    latest: RobotNumbers,
     radius_scale: Option<Known>,
     headings_rad: Vec<f64>,
     /// The runs whose heading is estimated.
@@ -274,6 +288,7 @@ impl<'a> Shape<'a> {
             config,
             paths,
             base_track_m: config.geometry.track_width.0 * track_factor,
+            latest: numbers,
             numbers,
             radius_scale: None,
             headings_rad: headings_rad.collect(),
@@ -283,11 +298,8 @@ impl<'a> Shape<'a> {
         }
     }
 
-    fn prediction(&self) -> Prediction<'a> {
-        Prediction {
-            numbers: self.numbers,
-            noise: &self.config.noise,
-        }
+    fn adopt(&mut self, chosen: &Chosen) {
+        (self.latest, _) = self.robot(&chosen.unknowns, &chosen.fit.values);
     }
 
     fn is_held(&self, unknown: Unknown) -> bool {
@@ -300,38 +312,34 @@ impl<'a> Shape<'a> {
         if self.is_held(Unknown::RadiusScale) {
             return None;
         }
-        let (factor, windows) = length_factor(&self.prediction(), self.paths)?;
-        let sigma = factor.sigma * (1.0 + prior.value);
+        let prediction = Prediction {
+            numbers: self.latest,
+            noise: &self.config.noise,
+        };
+        let (factor, windows) = length_factor(&prediction, self.paths)?;
+        let reckoned_with = 1.0 + self.latest.radius_scale;
+        let sigma = factor.sigma * reckoned_with;
         if sigma > prior.sigma {
             return None;
         }
-        let value = (1.0 + prior.value) * factor.value - 1.0;
+        let value = reckoned_with * factor.value - 1.0;
         self.numbers.radius_scale = value;
         self.radius_scale = Some(Known { value, sigma });
         Some(windows)
     }
 
     /// Adds one unknown after the other and keeps what the drives tell apart.
-    fn choose(&self, fit_radius: bool) -> Result<(Chosen, Vec<Standing>), CalibrationError> {
-        let mut free: Vec<Unknown> = Vec::new();
-        if fit_radius && !self.is_held(Unknown::RadiusScale) {
-            free.push(Unknown::RadiusScale);
-        }
-        if !self.is_held(Unknown::TrackScale) {
-            free.push(Unknown::TrackScale);
-        }
-        let mut chosen = self.fit(free)?;
+    fn choose(&self, length: Option<usize>) -> Result<(Chosen, Vec<Standing>), CalibrationError> {
+        let mut chosen = self.fit(Vec::new())?;
         let mut standings = Vec::new();
         for unknown in UNKNOWNS {
-            let standing = match unknown {
-                _ if self.is_held(unknown) => Standing::Held,
-                Unknown::RadiusScale | Unknown::TrackScale => Standing::Found,
-                Unknown::RadiusDifference
-                | Unknown::FixDelay
-                | Unknown::TagForward
-                | Unknown::TagLeft => self.try_with(unknown, &mut chosen),
-            };
-            standings.push(standing);
+            standings.push(if self.is_held(unknown) {
+                Standing::Held
+            } else if unknown == Unknown::RadiusScale && length.is_some() {
+                Standing::Found
+            } else {
+                self.try_with(unknown, &mut chosen)
+            });
         }
         Ok((chosen, standings))
     }
@@ -339,9 +347,14 @@ impl<'a> Shape<'a> {
     fn try_with(&self, unknown: Unknown, chosen: &mut Chosen) -> Standing {
         let mut free = chosen.unknowns.clone();
         free.push(unknown);
+        let is_basic = matches!(unknown, Unknown::RadiusScale | Unknown::TrackScale);
         // What cannot be solved with it cannot be told with it.
         let Ok(with) = self.fit(free) else {
-            return Standing::NotSeparable;
+            return if is_basic {
+                Standing::Unseen
+            } else {
+                Standing::NotSeparable
+            };
         };
         let prior = unknown.prior(&self.config.calibration);
         if with
@@ -378,12 +391,7 @@ impl<'a> Shape<'a> {
             .collect();
         if start.is_empty() {
             return Ok(Chosen {
-                fit: Fit {
-                    values: Vec::new(),
-                    cost: 0.0,
-                    rows: 0,
-                    covariance: Vec::new(),
-                },
+                fit: Fit::default(),
                 unknowns,
             });
         }
@@ -397,9 +405,16 @@ impl<'a> Shape<'a> {
             numbers,
             noise: &self.config.noise,
         };
-        let runs = self.paths.iter().zip(headings);
-        runs.map(|(path, heading)| prediction.innovations(path, heading))
-            .collect()
+        let mut all = Vec::with_capacity(self.paths.len());
+        for (run, (path, heading_rad)) in self.paths.iter().zip(headings).enumerate() {
+            let mut residuals = prediction.innovations(path, heading_rad);
+            if self.free_headings.contains(&run) {
+                let off_rad = wrap_rad(heading_rad - path.start.pose[2]);
+                residuals.push([off_rad / path.start.heading_sigma_rad, 0.0]);
+            }
+            all.push(residuals);
+        }
+        all
     }
 
     fn robot(&self, unknowns: &[Unknown], values: &[f64]) -> (RobotNumbers, Vec<f64>) {
@@ -421,15 +436,19 @@ impl<'a> Shape<'a> {
         length_windows: Option<usize>,
     ) -> PathCalibration {
         let (after, headings_rad) = self.robot(&chosen.unknowns, &chosen.fit.values);
+        let by_length = self.moved_by_length(chosen);
         let entries = UNKNOWNS.iter().zip(standings).map(|(unknown, standing)| {
             let before = unknown.prior(&self.config.calibration);
             let after = match unknown {
                 Unknown::RadiusScale => self.radius_scale.or(chosen.known(*unknown)),
-                Unknown::TrackScale => chosen.known(*unknown).map(|track| self.with_length(track)),
-                Unknown::RadiusDifference
+                Unknown::TrackScale
+                | Unknown::RadiusDifference
                 | Unknown::FixDelay
                 | Unknown::TagForward
-                | Unknown::TagLeft => chosen.known(*unknown),
+                | Unknown::TagLeft => chosen.known(*unknown).map(|found| Known {
+                    sigma: found.sigma.hypot(by_length(*unknown)),
+                    ..found
+                }),
             };
             Entry {
                 unknown: *unknown,
@@ -451,14 +470,23 @@ impl<'a> Shape<'a> {
         }
     }
 
-    /// A heading is the quotient of travel and track, so that the track is no better known than the wheels.
-    fn with_length(&self, track: Known) -> Known {
-        let by_radius = self.radius_scale.map_or(0.0, |radius| {
-            radius.sigma * (1.0 + track.value) / (1.0 + radius.value)
+    /// How far each unknown moves when the wheel size of the second step is wrong by its sigma.
+    fn moved_by_length(&self, chosen: &Chosen) -> impl Fn(Unknown) -> f64 {
+        let mut other = self.clone();
+        let moved = self.radius_scale.and_then(|radius| {
+            other.numbers.radius_scale += radius.sigma;
+            other.fit(chosen.unknowns.clone()).ok()
         });
-        Known {
-            sigma: track.sigma.hypot(by_radius),
-            ..track
+        let apart: Vec<(Unknown, f64)> = UNKNOWNS
+            .iter()
+            .filter_map(|unknown| {
+                let there = moved.as_ref()?.known(*unknown)?;
+                Some((*unknown, there.value - chosen.known(*unknown)?.value))
+            })
+            .collect();
+        move |unknown| {
+            let found = apart.iter().find(|(one, _)| *one == unknown);
+            found.map_or(0.0, |(_, apart)| *apart)
         }
     }
 }
