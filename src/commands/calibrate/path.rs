@@ -269,7 +269,7 @@ fn of_segments(args: &PathArgs, file: &std::path::Path) -> Result<Material> {
     for (entry, sigma) in [
         (&mut wide.radius_scale, 0.2),
         (&mut wide.radius_difference, 0.05),
-        (&mut wide.track_scale, 0.4),
+        (&mut wide.track_scale, 0.5),
     ] {
         if entry.sigma > 0.0 {
             entry.sigma = sigma;

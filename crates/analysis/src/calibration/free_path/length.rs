@@ -25,6 +25,8 @@ use super::predict::Prediction;
 const SHORTEST_SIGMAS: f64 = 20.0;
 /// And turns by no more than this, in radians.
 const MOST_TURN_RAD: f64 = 0.5;
+/// How many windows on count as neighbours.
+const NEIGHBOURS: usize = 3;
 /// Fewest windows whose scatter means something.
 const FEWEST_WINDOWS: usize = 3;
 
@@ -35,29 +37,51 @@ pub(super) fn length_factor(
     prediction: &Prediction<'_>,
     paths: &[FreePath],
 ) -> Option<(Known, usize)> {
-    let chords: Vec<Chord> = paths
-        .iter()
-        .flat_map(|path| chords(prediction, path))
-        .collect();
-    if chords.len() < FEWEST_WINDOWS {
+    let runs: Vec<Vec<Chord>> = paths.iter().map(|path| chords(prediction, path)).collect();
+    let chords = || runs.iter().flatten();
+    let count = chords().count();
+    if count < FEWEST_WINDOWS {
         return None;
     }
-    let square: f64 = chords.iter().map(|chord| chord.reckoned_m.powi(2)).sum();
+    let square: f64 = chords().map(|chord| chord.reckoned_m.powi(2)).sum();
     let factor = |most_m2: f64| {
-        let straightened = chords.iter().map(|chord| {
+        let straightened = chords().map(|chord| {
             let longer_m = 0.5 * chord.noise_m2.min(most_m2) / chord.seen_m;
             chord.reckoned_m * (chord.seen_m - longer_m)
         });
         straightened.sum::<f64>() / square
     };
     let raw = factor(0.0);
-    let apart = chords
-        .iter()
-        .map(|chord| (chord.seen_m - raw * chord.reckoned_m).powi(2));
-    let scatter_m2 = apart.sum::<f64>() / (chords.len() - 1) as f64;
+    let apart = chords().map(|chord| chord.apart_m(raw).powi(2));
+    let scatter_m2 = apart.sum::<f64>() / (count - 1) as f64;
     let value = factor(scatter_m2);
-    let sigma = (scatter_m2 / square).sqrt();
-    (value > 0.0 && value.is_finite()).then_some((Known { value, sigma }, chords.len()))
+    let sigma = runs
+        .iter()
+        .map(|run| spread_m4(run, raw))
+        .sum::<f64>()
+        .sqrt()
+        / square;
+    (value > 0.0 && value.is_finite()).then_some((Known { value, sigma }, count))
+}
+
+/// The variance of `sum (c_k - factor c0_k) c0_k` over one run.
+///
+/// Neighbours share a sight, whose noise makes one window longer and the other one shorter by as much, so that most of it is gone
+/// from the sum. The products of neighbours say how much, weighted as Newey and West (1987) do, which keeps the sum positive.
+fn spread_m4(run: &[Chord], factor: f64) -> f64 {
+    let scores: Vec<f64> = run
+        .iter()
+        .map(|chord| chord.reckoned_m * chord.apart_m(factor))
+        .collect();
+    let at_lag = |lag: usize| -> f64 {
+        let pairs = scores.iter().zip(scores.iter().skip(lag));
+        pairs.map(|(one, other)| one * other).sum()
+    };
+    let neighbours = (1..=NEIGHBOURS).map(|lag| {
+        let weight = 1.0 - lag as f64 / (NEIGHBOURS as f64 + 1.0);
+        2.0 * weight * at_lag(lag)
+    });
+    at_lag(0) + neighbours.sum::<f64>()
 }
 
 /// A window.
@@ -68,6 +92,12 @@ struct Chord {
     seen_m: f64,
     /// Variance of the distance by the described noise of both sights.
     noise_m2: f64,
+}
+
+impl Chord {
+    fn apart_m(&self, factor: f64) -> f64 {
+        self.seen_m - factor * self.reckoned_m
+    }
 }
 
 /// Reckoned and seen length of each window.

@@ -235,6 +235,25 @@ fn scored(prediction: &Prediction<'_>, paths: &[FreePath], hypothesis: Hypothesi
     }
 }
 
+/// Tracks that are tried, over the one of the prediction.
+const COARSE_FROM: f64 = 0.7;
+const COARSE_STEP: f64 = 0.01;
+const COARSE_STEPS: u32 = 70;
+
+/// The track under which pieces of the way fit best, over that of the prediction: where a descent may begin.
+///
+/// Over a long drive the heading is wrong by whole turns for a track that is off by a few percent, and a descent ends in one of many
+/// side minima. A piece is too short for that.
+pub(super) fn coarse_track_factor(prediction: &Prediction<'_>, paths: &[FreePath]) -> f64 {
+    let tried = (0..=COARSE_STEPS).map(|step| Hypothesis {
+        track_factor: COARSE_FROM + COARSE_STEP * f64::from(step),
+        ..AS_GIVEN
+    });
+    let scored = tried.map(|hypothesis| scored(prediction, paths, hypothesis));
+    let best = scored.min_by(|a, b| a.square_m2.total_cmp(&b.square_m2));
+    best.map_or(1.0, |best| best.hypothesis.track_factor)
+}
+
 /// One piece laid onto another.
 struct Laid {
     square_m2: f64,

@@ -37,7 +37,7 @@ pub use predict::RobotNumbers;
 pub use score::{ReckonedError, Reckoning, mean_error, reckon, starting_heading};
 
 use length::length_factor;
-use mistakes::{heading_of_start, sanity};
+use mistakes::{coarse_track_factor, heading_of_start, sanity};
 use predict::Prediction;
 
 /// What a drive may tell.
@@ -205,6 +205,7 @@ pub fn calibrate_path(
     let paths: Vec<FreePath> = paths.iter().map(|path| path.under(&hypothesis)).collect();
     let mut shape = Shape::new(config, &paths, hypothesis.track_factor);
     let mut length = shape.take_length();
+    shape.place_track();
     let (mut chosen, mut standings) = shape.choose(length)?;
     for _ in 1..ROUNDS {
         // The second step knows the tag and the delay only by the third.
@@ -246,6 +247,8 @@ struct Shape<'a> {
     /// As the last round has found them: what the second step reckons with.
     latest: RobotNumbers,
     radius_scale: Option<Known>,
+    /// Where the descent of the track begins.
+    first_track_scale: f64,
     headings_rad: Vec<f64>,
     /// The runs whose heading is estimated.
     free_headings: Vec<usize>,
@@ -291,11 +294,27 @@ impl<'a> Shape<'a> {
             latest: numbers,
             numbers,
             radius_scale: None,
+            first_track_scale: config.calibration.track_scale.value,
             headings_rad: headings_rad.collect(),
             free_headings: (0..paths.len())
                 .filter(|run| is_free(&paths[*run]))
                 .collect(),
         }
+    }
+
+    /// Finds a place from which the track can be descended to.
+    fn place_track(&mut self) {
+        if self.is_held(Unknown::TrackScale) {
+            return;
+        }
+        let prediction = Prediction {
+            numbers: self.numbers,
+            noise: &self.config.noise,
+        };
+        let factor = coarse_track_factor(&prediction, self.paths);
+        let track_m = self.numbers.track_width_m * factor;
+        self.first_track_scale = track_m / self.base_track_m - 1.0;
+        self.latest.track_width_m = track_m;
     }
 
     fn adopt(&mut self, chosen: &Chosen) {
@@ -376,8 +395,8 @@ impl<'a> Shape<'a> {
     fn fit(&self, unknowns: Vec<Unknown>) -> Result<Chosen, CalibrationError> {
         let start = unknowns.iter().map(|unknown| match unknown {
             Unknown::RadiusScale => self.numbers.radius_scale,
-            Unknown::TrackScale
-            | Unknown::RadiusDifference
+            Unknown::TrackScale => self.first_track_scale,
+            Unknown::RadiusDifference
             | Unknown::FixDelay
             | Unknown::TagForward
             | Unknown::TagLeft => unknown.prior(&self.config.calibration).value,
