@@ -3,7 +3,7 @@
 //! The formulae of [`umbmark`](super::umbmark) are of first order. With typed ends they are applied once, as the paper does; here the
 //! ends by odometry follow the numbers that were found, and what the first round left is the input of the next.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::Known;
@@ -18,8 +18,8 @@ use super::umbmark::{
 const MOST_ROUNDS: u32 = 12;
 /// Settled, when neither number moves by more.
 const SETTLED: f64 = 1e-7;
-/// A square turns by one turn, perhaps with one corner more at its end, in radians.
-const TURNS_RAD: [f64; 2] = [0.75 * TAU, 1.3 * TAU];
+/// A square turns by one turn, perhaps with one corner more at its end, by a description that is off by a fifth; in radians.
+const TURNS_RAD: [f64; 2] = [0.75 * TAU, 1.5 * TAU];
 
 /// What recorded squares say.
 #[derive(Clone, Debug, PartialEq)]
@@ -149,7 +149,7 @@ fn direction(path: &FreePath, numbers: &RobotNumbers) -> Result<Direction, Calib
         .map(|step| step.travel.right_m - step.travel.left_m);
     let turned_rad = turns.sum::<f64>() / numbers.track_width_m;
     let [least_rad, most_rad] = TURNS_RAD;
-    if !(least_rad..=most_rad + 0.1 * PI).contains(&turned_rad.abs()) {
+    if !(least_rad..=most_rad).contains(&turned_rad.abs()) {
         return Err(CalibrationError::Senseless {
             what: "the turn of a square by its wheels (rad; one lap to either side is 6.3)",
             value: turned_rad,

@@ -181,19 +181,17 @@ fn thinned(sights: impl IntoIterator<Item = Sight>) -> Vec<Sight> {
 }
 
 fn start_of(known: Option<StartPose>, first: Option<&Sight>) -> PathStart {
-    match known {
-        Some(start) => PathStart {
+    if let Some(start) = known {
+        return PathStart {
             pose: [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()],
             position_sigma_m: start.position_sigma_m,
             heading_sigma_rad: start.heading_sigma_rad,
-        },
-        None => {
-            let [x, y] = first.map_or([0.0; 2], |sight| sight.place_m);
-            PathStart {
-                pose: [x, y, 0.0],
-                position_sigma_m: UNKNOWN_POSITION_M,
-                heading_sigma_rad: UNKNOWN_HEADING_RAD,
-            }
-        }
+        };
+    }
+    let [x, y] = first.map_or([0.0; 2], |sight| sight.place_m);
+    PathStart {
+        pose: [x, y, 0.0],
+        position_sigma_m: UNKNOWN_POSITION_M,
+        heading_sigma_rad: UNKNOWN_HEADING_RAD,
     }
 }

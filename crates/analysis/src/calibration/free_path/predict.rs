@@ -91,7 +91,7 @@ impl Prediction<'_> {
     pub(super) fn innovations(&self, path: &FreePath, heading_rad: f64) -> Vec<[f64; 2]> {
         let mut white = Vec::with_capacity(path.sights.len());
         self.walk(path, heading_rad, Sights::Correct, |_, innovation| {
-            white.push(innovation)
+            white.push(innovation);
         });
         white
     }
@@ -100,7 +100,7 @@ impl Prediction<'_> {
     pub(super) fn reckoned(&self, path: &FreePath, heading_rad: f64) -> Vec<Reckoned> {
         let mut seen = Vec::with_capacity(path.sights.len());
         self.walk(path, heading_rad, Sights::OnlyCompare, |reckoned, _| {
-            seen.push(reckoned)
+            seen.push(reckoned);
         });
         seen
     }
