@@ -10,17 +10,14 @@
 
 mod support;
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 
 fn shared_data() -> Option<PathBuf> {
-    let data = std::env::var_os("POSEBRIDGE_DATA").map(PathBuf::from);
-    if data.is_none() {
-        println!("POSEBRIDGE_DATA is not set: only what is committed was looked at");
-    }
-    data
+    std::env::var_os("POSEBRIDGE_DATA").map(PathBuf::from)
 }
 
 fn recording(name: &str) -> PathBuf {
@@ -263,7 +260,7 @@ fn a_camera_is_calibrated_by_points_and_a_mistyped_one_is_named() {
     {
         let slip_m = if index == 4 { 0.1 } else { 0.0 };
         let (x_m, y_m) = (0.004 * f64::from(u) + slip_m, 0.004 * f64::from(v));
-        table += &format!("{u},{v},{x_m},{y_m}\n");
+        writeln!(table, "{u},{v},{x_m},{y_m}").unwrap();
     }
     std::fs::write(folder.path().join("points.csv"), table).unwrap();
     let found = calibrate(folder.path(), &["camera", "points.csv", "--save", "c.toml"]);

@@ -10,8 +10,8 @@ use std::sync::Arc;
 
 use posebridge_analysis::calibration::CalibrationError;
 use posebridge_analysis::calibration::free_path::{
-    AS_GIVEN, Entry, FreePath, PathCalibration, PathStart, Sight, Standing, Step, Unknown, Wiring,
-    calibrate_path, reckon,
+    AS_GIVEN, Entry, FreePath, PathCalibration, PathStart, Sanity, Sight, Standing, Step, Unknown,
+    Wiring, calibrate_path, reckon,
 };
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::{FilterConfig, Params, StartPose};
@@ -168,16 +168,11 @@ fn calibrated(config: &FilterConfig, paths: &[FreePath]) -> PathCalibration {
 
 #[test]
 fn every_number_is_found_within_its_sigma_over_many_drives() {
-    let mut squares = [0.0; 6];
     const DRIVES: u64 = 12;
+    let mut squares = [0.0; 6];
     for seed in 0..DRIVES {
         let found = calibrated(&config(), &[drive(&TRUTH, &BOTH_WAYS, 4, seed)]);
-        assert!(
-            found
-                .sanity
-                .as_ref()
-                .is_some_and(|sanity| sanity.is_sound())
-        );
+        assert!(found.sanity.as_ref().is_some_and(Sanity::is_sound));
         for (square, entry) in squares.iter_mut().zip(&found.entries) {
             assert_eq!(entry.standing, Standing::Found, "{entry:?}");
             let off = entry.after.value - truth_of(entry.unknown, &TRUTH);

@@ -139,32 +139,6 @@ fn outcome(name: &str, points: &[KnownPoint], found: &CameraFit) -> Outcome {
     for [a, b, c] in found.homography.rows {
         let _ = writeln!(text, "[{a:12.6e}, {b:12.6e}, {c:12.6e}]");
     }
-    let floor = points
-        .iter()
-        .map(|p| (p.floor_m[0], p.floor_m[1]))
-        .collect();
-    let seen = points.iter().map(|p| {
-        let [x, y] = found.homography.floor(p.seen);
-        (x, y)
-    });
-    let curve = |name: &str, points: Vec<(f64, f64)>| Curve {
-        name: name.to_owned(),
-        shape: Shape::Dots(points),
-    };
-    let picture = plot(&Plot {
-        title: format!("Camera by {name}"),
-        key_figures: format!("residuals {:.2} mm rms", 1e3 * found.rms_m),
-        axes: vec![Axes {
-            x_name: "x [m]".to_owned(),
-            y_name: "y [m]".to_owned(),
-            height_px: 420.0,
-            is_map: true,
-            curves: vec![
-                curve("by the tape", floor),
-                curve("by the camera", seen.collect()),
-            ],
-        }],
-    });
     Outcome {
         name: "calibrate-camera",
         page: Page {
@@ -172,7 +146,7 @@ fn outcome(name: &str, points: &[KnownPoint], found: &CameraFit) -> Outcome {
             parts: vec![
                 Part::Lines(text.clone()),
                 Part::Figure {
-                    svg: picture,
+                    svg: picture(name, points, found),
                     caption: "Known points by tape and by camera.".to_owned(),
                 },
             ],
@@ -187,6 +161,35 @@ fn outcome(name: &str, points: &[KnownPoint], found: &CameraFit) -> Outcome {
         }),
         text,
     }
+}
+
+fn picture(name: &str, points: &[KnownPoint], found: &CameraFit) -> String {
+    let floor = points
+        .iter()
+        .map(|p| (p.floor_m[0], p.floor_m[1]))
+        .collect();
+    let seen = points.iter().map(|p| {
+        let [x, y] = found.homography.floor(p.seen);
+        (x, y)
+    });
+    let curve = |name: &str, points: Vec<(f64, f64)>| Curve {
+        name: name.to_owned(),
+        shape: Shape::Dots(points),
+    };
+    plot(&Plot {
+        title: format!("Camera by {name}"),
+        key_figures: format!("residuals {:.2} mm rms", 1e3 * found.rms_m),
+        axes: vec![Axes {
+            x_name: "x [m]".to_owned(),
+            y_name: "y [m]".to_owned(),
+            height_px: 420.0,
+            is_map: true,
+            curves: vec![
+                curve("by the tape", floor),
+                curve("by the camera", seen.collect()),
+            ],
+        }],
+    })
 }
 
 fn metric_outcome(name: &str, found: &Similarity) -> Outcome {

@@ -16,6 +16,8 @@ use crate::commands::lab::outcome::Outcome;
 
 /// Runs that are drawn.
 const DRAWN: usize = 3;
+/// From here on the numbers do not explain the drive.
+const UNEXPLAINED: f64 = 100.0;
 /// Sigmas are about so rough: a description whose noise is this many times off deserves a word.
 const ROUGH: f64 = 4.0;
 
@@ -31,6 +33,19 @@ impl<'a> Report<'a> {
 
     /// What is wrong with the description, and what to change in which file.
     pub(super) fn findings(&self) -> Vec<String> {
+        let told = self.told;
+        let mut findings = Vec::new();
+        if told.found.consistency > UNEXPLAINED {
+            findings.push(format!(
+                "these numbers do not explain the drive: its innovations have {:.0} times the described variance. Do not use them; the wheels slipped, the noise is described far too small, or the drive is too long: choose a shorter one",
+                told.found.consistency
+            ));
+        }
+        findings.extend(self.mistakes());
+        findings
+    }
+
+    fn mistakes(&self) -> Vec<String> {
         let told = self.told;
         let mut findings = Vec::new();
         let Some(sanity) = &told.found.sanity else {

@@ -116,7 +116,7 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drive
         });
     }
     Ok(Drives {
-        recording: data.descriptor.name.clone(),
+        recording: data.descriptor.name,
         drives,
     })
 }

@@ -245,13 +245,19 @@ const COARSE_STEPS: u32 = 70;
 /// Over a long drive the heading is wrong by whole turns for a track that is off by a few percent, and a descent ends in one of many
 /// side minima. A piece is too short for that.
 pub(super) fn coarse_track_factor(prediction: &Prediction<'_>, paths: &[FreePath]) -> f64 {
-    let tried = (0..=COARSE_STEPS).map(|step| Hypothesis {
-        track_factor: COARSE_FROM + COARSE_STEP * f64::from(step),
-        ..AS_GIVEN
+    let factor = |step: u32| COARSE_FROM + COARSE_STEP * f64::from(step);
+    let scored = (0..=COARSE_STEPS).map(|step| {
+        let hypothesis = Hypothesis {
+            track_factor: factor(step),
+            ..AS_GIVEN
+        };
+        (step, scored(prediction, paths, hypothesis).square_m2)
     });
-    let scored = tried.map(|hypothesis| scored(prediction, paths, hypothesis));
-    let best = scored.min_by(|a, b| a.square_m2.total_cmp(&b.square_m2));
-    best.map_or(1.0, |best| best.hypothesis.track_factor)
+    match scored.min_by(|a, b| a.1.total_cmp(&b.1)) {
+        // At an end there is no minimum: the pieces do not tell.
+        None | Some((0 | COARSE_STEPS, _)) => 1.0,
+        Some((step, _)) => factor(step),
+    }
 }
 
 /// One piece laid onto another.
