@@ -44,6 +44,8 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Run an experiment that needs no robot.
     Lab(LabArgs),
+    /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibrate.md).
+    Calibrate(crate::commands::calibrate::CalibrateArgs),
     /// Make a key for signed links.
     Key(KeyArgs),
     /// Find out why a robot cannot be heard: ports, permissions, programs in the way, what a link carries.

@@ -1,5 +1,6 @@
 //! One file per subcommand; each module's documentation is its manual.
 
+pub mod calibrate;
 pub mod completions;
 pub mod config;
 pub mod doctor;
@@ -77,6 +78,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Relay(args) => relay::execute(&args),
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
+        Command::Calibrate(args) => calibrate::execute(&args),
         Command::Key(args) => key::execute(&args),
         Command::Doctor(args) => doctor::execute(&args),
         Command::Config(args) => config::execute(&args),

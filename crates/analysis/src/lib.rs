@@ -20,6 +20,7 @@
 //! ```
 
 pub mod accuracy;
+pub mod calibration;
 pub mod clocks;
 pub mod figures;
 pub mod identification;

@@ -1,0 +1,199 @@
+//! Drives for a calibration: the runs of a descriptor, or a recording of ours.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use posebridge_analysis::calibration::free_path::{Sight, seconds};
+use posebridge_estimator::FilterConfig;
+use posebridge_pipeline::Pipeline;
+use posebridge_recording::container::Reader;
+use posebridge_telemetry::{Observation, Observed, Output, Stamp};
+
+use crate::cli::DataFlags;
+use crate::collect::Collector;
+use crate::commands::{Failure, Stage};
+use crate::config::{self, RobotFile};
+use crate::data::{DataSet, tell_bad_rows};
+use crate::parallel::run_all;
+use crate::stderr::say;
+use crate::{progress, signing};
+
+/// What the robot is compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Against {
+    /// The fixes of the camera, also those that the descriptor withholds.
+    Fixes,
+    /// The recording's truth.
+    Truth,
+}
+
+/// One run with everything that was known of its robot.
+pub(super) struct Drive {
+    pub(super) name: String,
+    pub(super) robot: RobotFile,
+    pub(super) config: FilterConfig,
+    pub(super) observations: Vec<Observation>,
+    /// Where the robot was seen, and by what.
+    pub(super) sights: Vec<Sight>,
+    pub(super) against: Against,
+}
+
+/// Drives of one robot.
+pub(super) struct Drives {
+    /// The recording's name.
+    pub(super) recording: String,
+    pub(super) drives: Vec<Drive>,
+}
+
+/// Which sights are taken, and how good a truth is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Watch {
+    /// `None`: fixes if there are any.
+    pub(super) against: Option<Against>,
+    pub(super) truth_sigma_m: f64,
+}
+
+/// Loads the runs that the flags choose.
+///
+/// # Errors
+/// The recording cannot be read or makes no sense.
+pub(super) fn load(recording: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives, Failure> {
+    let is_descriptor = recording.extension().is_some_and(|end| end == "toml");
+    if is_descriptor {
+        let flags = DataFlags {
+            use_every: flags.use_every.or(Some(1)),
+            ..flags.clone()
+        };
+        return load_descriptor(recording, &flags, watch);
+    }
+    load_own(recording, flags).at_start()
+}
+
+fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives, Failure> {
+    let data = DataSet::open(path, flags).at_start()?;
+    let bar = progress::bar(data.runs.len() as u64, "runs read").at_start()?;
+    let loaded = run_all(&data.runs, |run| data.load(run, flags), || bar.inc(1));
+    bar.finish_and_clear();
+    let mut drives = Vec::new();
+    for loaded in loaded {
+        let loaded = loaded.at_start()?;
+        tell_bad_rows(&loaded);
+        let observations: Vec<Observation> = loaded
+            .run
+            .observations
+            .iter()
+            .map(|timed| timed.observation)
+            .collect();
+        let fixes = fix_sights(&observations, &loaded.filter_config);
+        let withheld = loaded.run.withheld.iter().map(|withheld| Sight {
+            at_s: seconds(withheld.stamp),
+            place_m: [withheld.fix.position.x.0, withheld.fix.position.y.0],
+            sigma_m: loaded.filter_config.noise.fix_position_m,
+            tag_m: [withheld.fix.tag_in_body.x.0, withheld.fix.tag_in_body.y.0],
+        });
+        let fixes: Vec<Sight> = fixes.into_iter().chain(withheld).collect();
+        let truth = loaded.run.truth.iter().map(|truth| Sight {
+            at_s: seconds(truth.stamp),
+            place_m: [truth.position.x.0, truth.position.y.0],
+            sigma_m: watch.truth_sigma_m,
+            tag_m: [0.0; 2],
+        });
+        let against = watch.against.unwrap_or(if fixes.is_empty() {
+            Against::Truth
+        } else {
+            Against::Fixes
+        });
+        drives.push(Drive {
+            name: loaded.run.name.clone(),
+            robot: loaded.robot,
+            config: loaded.filter_config,
+            sights: match against {
+                Against::Fixes => fixes,
+                Against::Truth => truth.collect(),
+            },
+            observations,
+            against,
+        });
+    }
+    Ok(Drives {
+        recording: data.descriptor.name,
+        drives,
+    })
+}
+
+/// A recording of ours: what its pipeline made of the bytes.
+fn load_own(path: &Path, flags: &DataFlags) -> Result<Drives> {
+    let name = path.display().to_string();
+    ensure!(
+        flags.run.is_none() && flags.use_every.is_none(),
+        "--run and --use-every choose from a descriptor's data, not from a recording of ours"
+    );
+    let bytes = std::fs::read(path).with_context(|| format!("reading the recording `{name}`"))?;
+    let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
+    let header = &reader.header().config_toml;
+    let config =
+        config::load_text("the recording's own configuration", header, &flags.settings)?.config;
+    let mut pipeline_config = config.pipeline()?;
+    signing::recall(&config, &[], &mut pipeline_config)?;
+    let mut pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
+    let mut collector = Collector::keeping_observations();
+    for item in &mut reader {
+        match item {
+            Ok((now, input)) => pipeline.handle(now, &input),
+            Err(error) => say(&format!("{name}: {error}; what is whole is used")),
+        }
+        while let Some(output) = pipeline.poll() {
+            if let Output::Event(event) = output {
+                collector.take(&event);
+            }
+        }
+    }
+    if collector.restarts > 0 {
+        bail!(
+            "`{name}`: the brick restarted {} time(s), its clock began anew; record a drive without a restart",
+            collector.restarts
+        );
+    }
+    let mut filter_config = config.filter_config()?;
+    filter_config.geometry = pipeline.geometry();
+    Ok(Drives {
+        recording: name.clone(),
+        drives: vec![Drive {
+            name,
+            robot: described(&config.robot, &filter_config),
+            sights: fix_sights(&collector.kept, &filter_config),
+            config: filter_config,
+            observations: collector.kept,
+            against: Against::Fixes,
+        }],
+    })
+}
+
+/// The robot with the geometry that its brick has described.
+fn described(robot: &RobotFile, config: &FilterConfig) -> RobotFile {
+    RobotFile {
+        left_wheel_radius_m: config.geometry.left_wheel_radius.0,
+        right_wheel_radius_m: config.geometry.right_wheel_radius.0,
+        track_width_m: config.geometry.track_width.0,
+        ticks_per_turn: std::f64::consts::TAU / config.geometry.tick.0,
+        ..robot.clone()
+    }
+}
+
+fn fix_sights(observations: &[Observation], config: &FilterConfig) -> Vec<Sight> {
+    let sights = observations.iter().filter_map(|observation| {
+        let Observed::Fix(fix) = observation.observed else {
+            return None;
+        };
+        let claimed = fix
+            .covariance
+            .map(|claimed| f64::midpoint(claimed.xx_m2, claimed.yy_m2).sqrt());
+        Some(Sight {
+            at_s: seconds(observation.stamp),
+            place_m: [fix.position.x.0, fix.position.y.0],
+            sigma_m: claimed.unwrap_or(config.noise.fix_position_m),
+            tag_m: [fix.tag_in_body.x.0, fix.tag_in_body.y.0],
+        })
+    });
+    sights.collect()
+}
