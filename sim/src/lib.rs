@@ -36,6 +36,7 @@ mod random;
 pub mod scenario;
 mod sensors;
 mod simulation;
+pub mod wall;
 mod wheels;
 mod world;
 
