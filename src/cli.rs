@@ -269,6 +269,10 @@ pub enum LabExperiment {
     ///
     /// Prints a table of the clocks and one of the poses, and writes the picture lab-links.svg.
     Links(LabLinksArgs),
+    /// Paper 3: identify a car before a wall, and stop it there by readings, lines and filters; or foretell a recording's readings.
+    Wall(crate::commands::lab::wall::LabWallArgs),
+    /// Paper 4: a square by wheels alone, and with accelerometers by the indirect filter, fed forward and back.
+    Indirect(crate::commands::lab::indirect::LabIndirectArgs),
 }
 
 /// Flags of `lab links`.

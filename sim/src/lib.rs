@@ -27,6 +27,7 @@ mod camera;
 mod checks;
 mod clock;
 mod firmware;
+pub mod frame_accelerometers;
 pub mod impairment;
 pub mod montecarlo;
 mod motor;

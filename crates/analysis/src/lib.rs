@@ -21,6 +21,7 @@
 
 pub mod accuracy;
 pub mod clocks;
+pub mod ends;
 pub mod figures;
 mod markup;
 pub mod metrics;

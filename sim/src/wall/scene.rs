@@ -123,6 +123,12 @@ pub struct ApproachSettings {
     /// The sum of the errors stays within this, either way, in metre-seconds.
     #[serde(deserialize_with = "checks::non_negative")]
     pub integral_most_m_s: f64,
+    /// By the error, of the controller that is tuned to the car, PWM per metre.
+    #[serde(deserialize_with = "checks::positive")]
+    pub tuned_kp_pwm_per_m: f64,
+    /// Largest PWM, either way, of the fast approaches.
+    #[serde(deserialize_with = "checks::positive")]
+    pub fast_pwm: f64,
 }
 
 /// The estimator on the other side of a link.

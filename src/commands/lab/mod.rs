@@ -5,11 +5,13 @@ mod accuracy_json;
 mod accuracy_runs;
 mod bounds;
 mod estimators;
+pub mod indirect;
 pub mod links;
 mod links_clock;
 mod links_pose;
 mod links_report;
 pub mod outcome;
+pub mod wall;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
 
@@ -24,5 +26,7 @@ pub fn execute(args: &LabArgs) -> Result<(), Failure> {
     match &args.experiment {
         LabExperiment::Accuracy(args) => accuracy::execute(args),
         LabExperiment::Links(args) => links::execute(args),
+        LabExperiment::Wall(args) => wall::execute(args),
+        LabExperiment::Indirect(args) => indirect::execute(args),
     }
 }

@@ -20,6 +20,7 @@ mod lines;
 mod log;
 mod plant;
 mod response;
+mod stops;
 mod validate;
 
 pub use believe::{Belief, Believer, Kalman, KalmanNoise, LastReading, LineThrough};
@@ -28,4 +29,5 @@ pub use foresee::{Foreseen, Score, foresee, score};
 pub use lines::{HandStep, SpeedAt, StepError, by_hand, differences, overlapping_lines};
 pub use log::{Said, WallEntry, WallLog};
 pub use plant::{Plant, PlantSearch};
+pub use stops::{NEAR_M, Paired, StopSummary, Stopped, paired, summarise_stops};
 pub use validate::{GateTrial, Validation, gate_trial, validate};
