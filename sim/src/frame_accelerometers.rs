@@ -5,10 +5,12 @@
 //!
 //! # Model
 //! ```text
-//! s_k, w_k   true mean speed and turn rate over step k      a_k = (s_(k+1) - s_(k-1)) / 2 dt      alpha_k alike
-//! left = a - b alpha / 2 + bias_l + sigma n      right = a + b alpha / 2 + bias_r + sigma n       b the nominal track
+//! s_k, w_k   true mean speed and turn rate over step k, both constant within it
+//! a_k = (s_(k+1) - s_k) / dt      alpha_k alike: the mean from the middle of step k to that of the next, stamped there
+//! left = a - b alpha / 2 + bias_l + sigma n      right = a + b alpha / 2 + bias_r + sigma n      b the nominal track
 //! ```
-//! The speed at the end of a step is taken as the mean of those before and after; what is felt over step k is its change.
+//! Half a step out of phase with the encoders the double sums are exactly the true way and turn: a drive's speed changes at the ends
+//! of its steps only.
 
 use posebridge_telemetry::{
     Arena, Meters, MetersPerSecondSquared, Observation, Observed, Pose, SensorId, Span,
@@ -50,24 +52,22 @@ impl FrameAccelerometers {
         let dt_s = drive.step.as_secs_f64();
         let mut noise = Stream::new(seed, &format!("frame accelerometers {run}"));
         let biases = [(); 2].map(|()| self.bias_sigma_m_per_s2 * noise.normal());
-        let rest = (0.0, 0.0);
-        let mut speeds = vec![rest];
+        let mut speeds = vec![(0.0, 0.0)];
         speeds.extend(drive.truth.windows(2).map(|pair| mean_speeds(pair, dt_s)));
-        speeds.push(rest);
-        let neighbours = speeds.windows(3).enumerate();
-        neighbours
-            .map(|(index, around)| {
-                let step = index + 1;
-                let forward = (around[2].0 - around[0].0) / (2.0 * dt_s);
-                let turn = (around[2].1 - around[0].1) / (2.0 * dt_s);
+        let half_a_step = Span::from_nanos(drive.step.as_nanos() / 2);
+        let changes = speeds.windows(2).enumerate();
+        changes
+            .map(|(step, pair)| {
+                let forward = (pair[1].0 - pair[0].0) / dt_s;
+                let turn = (pair[1].1 - pair[0].1) / dt_s;
                 let lever = 0.5 * self.spacing.0 * turn;
                 let [left, right] = [(forward - lever, biases[0]), (forward + lever, biases[1])]
                     .map(|(felt, bias)| felt + bias + self.sigma_m_per_s2 * noise.normal());
                 Arrival {
-                    step,
+                    step: step + 1,
                     observation: Observation {
                         sensor: SensorId::ACCELEROMETER,
-                        stamp: drive.stamp(step),
+                        stamp: drive.stamp(step) + half_a_step,
                         stamp_sigma: Span::ZERO,
                         observed: Observed::WheelAccelerations {
                             left: MetersPerSecondSquared(left),
@@ -135,9 +135,9 @@ mod tests {
         let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| {
             (way + 0.05 * v, turn + 0.05 * w)
         });
-        assert!(speed.abs() < 1e-3, "{speed}");
-        assert!((way - true_way).abs() < 2e-3, "{way} {true_way}");
-        assert!((turn - true_turn).abs() < 0.02, "{turn} {true_turn}");
+        assert!(speed.abs() < 1e-9, "{speed}");
+        assert!((way - true_way).abs() < 1e-9, "{way} {true_way}");
+        assert!((turn - true_turn).abs() < 1e-9, "{turn} {true_turn}");
         // Four sides, and four turns with one more.
         assert!((true_way - 12.0).abs() < 0.2 && (true_turn - 7.85).abs() < 0.6);
     }

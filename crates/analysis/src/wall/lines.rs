@@ -140,6 +140,22 @@ pub fn by_hand(log: &WallLog, piece: usize) -> Result<HandStep, StepError> {
     })
 }
 
+/// The mean over several steps; `None` of none.
+#[must_use]
+pub fn mean_by_hand(steps: &[HandStep]) -> Option<HandStep> {
+    let count = steps.len() as f64;
+    let mean = |of: fn(&HandStep) -> f64| steps.iter().map(of).sum::<f64>() / count;
+    let steady_m_per_s = mean(|step| step.steady_m_per_s);
+    let rise_90_s = mean(|step| step.rise_90_s);
+    (!steps.is_empty()).then(|| HandStep {
+        steady_m_per_s,
+        steady_by_difference_m_per_s: mean(|step| step.steady_by_difference_m_per_s),
+        start_s: mean(|step| step.start_s),
+        rise_90_s,
+        model: WallApproach::from_step_test(steady_m_per_s, rise_90_s),
+    })
+}
+
 /// When the speed first reaches this, from rest at the start.
 fn crossing(lines: &[(SpeedAt, &[(f64, f64)])], start_s: f64, level: f64) -> Option<f64> {
     let mut before = (start_s, 0.0);
@@ -190,6 +206,18 @@ mod tests {
         assert!((found.start_s - 0.241).abs() < 1e-12);
         let last = *differences(&log).last().unwrap();
         assert!((last.towards_m_per_s - 1.223).abs() < 0.003, "{last:?}");
+    }
+
+    #[test]
+    fn the_mean_of_steps_has_the_model_of_the_mean_figures() {
+        let one = by_hand(&noise_free(0.01, 280), 6).unwrap();
+        let mut other = one.clone();
+        other.steady_m_per_s += 0.2;
+        other.rise_90_s -= 0.1;
+        let mean = mean_by_hand(&[one.clone(), other]).unwrap();
+        let expected = WallApproach::from_step_test(one.steady_m_per_s + 0.1, one.rise_90_s - 0.05);
+        assert!((mean.model.mass_s2_per_m - expected.mass_s2_per_m).abs() < 1e-12);
+        assert_eq!(mean_by_hand(&[]), None);
     }
 
     #[test]

@@ -26,7 +26,9 @@ mod validate;
 pub use believe::{Belief, Believer, Kalman, KalmanNoise, LastReading, LineThrough};
 pub use fit::{StepFit, fit_steps};
 pub use foresee::{Foreseen, Score, foresee, score};
-pub use lines::{HandStep, SpeedAt, StepError, by_hand, differences, overlapping_lines};
+pub use lines::{
+    HandStep, SpeedAt, StepError, by_hand, differences, mean_by_hand, overlapping_lines,
+};
 pub use log::{Said, WallEntry, WallLog};
 pub use plant::{Plant, PlantSearch};
 pub use stops::{NEAR_M, Paired, StopSummary, Stopped, paired, summarise_stops};

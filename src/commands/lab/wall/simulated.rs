@@ -3,7 +3,7 @@
 use anyhow::Result;
 use posebridge_analysis::report::Table;
 use posebridge_analysis::report::page::{Page, Part};
-use posebridge_analysis::wall::{NEAR_M, StepFit};
+use posebridge_analysis::wall::{NEAR_M, StepFit, mean_by_hand};
 use posebridge_estimator::filters::range_kf::Variant;
 use posebridge_estimator::models::wall_approach::WallApproach;
 use posebridge_sim::impairment::LinkProfile;
@@ -143,6 +143,10 @@ fn identification(prepared: &Prepared, steps: &Steps) -> Told {
             by_difference,
             hand.rise_90_s,
         ));
+    }
+    if let Some(hand) = mean_by_hand(&steps.by_hand) {
+        let name = format!("{} steps, lines, mean", steps.by_hand.len());
+        rows.push(plain(&name, hand.steady_m_per_s, hand.rise_90_s));
     }
     rows.push(fitted("first step, fit".to_owned(), &steps.one));
     rows.push(fitted(format!("{} steps, fit", prepared.steps), &steps.all));
