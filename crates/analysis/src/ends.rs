@@ -115,19 +115,19 @@ pub fn nearer(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> usize
 mod tests {
     use super::*;
 
-    fn end(dx_m: f64, dy_m: f64) -> Option<PoseError> {
-        Some(PoseError {
+    fn end(dx_m: f64, dy_m: f64) -> PoseError {
+        PoseError {
             dx_m,
             dy_m,
             heading_rad: None,
             covariance: None,
-        })
+        }
     }
 
     #[test]
     fn ninety_five_of_a_hundred_stay_below_the_figure() {
         let ends: Vec<_> = (1..=100)
-            .map(|run| end(-0.01 * f64::from(run), 0.0))
+            .map(|run| Some(end(-0.01 * f64::from(run), 0.0)))
             .collect();
         let found = summarise_ends(&ends, (0.235, 0.32));
         assert!((found.most_m.0 - 0.95).abs() < 1e-12);
@@ -141,8 +141,18 @@ mod tests {
 
     #[test]
     fn nearer_counts_run_by_run() {
-        let ours = [end(0.1, 0.0), end(0.3, 0.4), None, end(9.0, 9.0)];
-        let theirs = [end(0.0, 0.2), end(0.4, 0.2), end(5.0, 5.0), None];
+        let ours = [
+            Some(end(0.1, 0.0)),
+            Some(end(0.3, 0.4)),
+            None,
+            Some(end(9.0, 9.0)),
+        ];
+        let theirs = [
+            Some(end(0.0, 0.2)),
+            Some(end(0.4, 0.2)),
+            Some(end(5.0, 5.0)),
+            None,
+        ];
         assert_eq!(nearer(&ours, &theirs), 2);
     }
 }

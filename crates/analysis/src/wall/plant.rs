@@ -57,7 +57,7 @@ pub struct PlantSearch {
 
 impl PlantSearch {
     /// The candidate that explains a log best, with its filter at the log's end. An empty log gives the usual one.
-    pub(super) fn best(&self, log: &WallLog) -> (Plant, Runner) {
+    pub(super) fn best(self, log: &WallLog) -> (Plant, Runner) {
         let mut best: Option<(f64, Plant, Runner)> = None;
         for time_constant_s in TIME_CONSTANTS_S {
             let steps = steps(log, 1.0 / time_constant_s);
@@ -88,7 +88,7 @@ impl PlantSearch {
     }
 
     /// Every cost was no number.
-    fn usual(&self) -> (Plant, Runner) {
+    fn usual(self) -> (Plant, Runner) {
         let plant = Plant {
             steady_m_per_s: 0.0,
             time_constant_s: USUAL_TIME_CONSTANT_S,

@@ -92,17 +92,17 @@ pub fn paired(ours: &[Option<Stopped>], theirs: &[Option<Stopped>]) -> Paired {
 mod tests {
     use super::*;
 
-    const fn stop(error_m: f64, time_s: f64) -> Option<Stopped> {
-        Some(Stopped {
+    const fn stop(error_m: f64, time_s: f64) -> Stopped {
+        Stopped {
             error_m,
             time_s,
             approach_m_per_s: 3.0 / time_s,
-        })
+        }
     }
 
     #[test]
     fn a_run_without_a_stop_is_counted_and_not_averaged() {
-        let found = summarise_stops(&[stop(0.03, 2.0), None, stop(-0.01, 4.0)]);
+        let found = summarise_stops(&[Some(stop(0.03, 2.0)), None, Some(stop(-0.01, 4.0))]);
         assert_eq!((found.runs, found.stopped, found.near), (3, 2, 1));
         assert!((found.mean_error_m - 0.01).abs() < 1e-12);
         assert!((found.rms_error_m - 0.0005_f64.sqrt()).abs() < 1e-12);
@@ -112,8 +112,18 @@ mod tests {
 
     #[test]
     fn runs_are_compared_one_by_one() {
-        let ours = [stop(0.01, 2.0), stop(-0.05, 2.0), None, stop(0.2, 9.0)];
-        let theirs = [stop(-0.02, 3.0), stop(0.04, 3.0), stop(0.9, 9.0), None];
+        let ours = [
+            Some(stop(0.01, 2.0)),
+            Some(stop(-0.05, 2.0)),
+            None,
+            Some(stop(0.2, 9.0)),
+        ];
+        let theirs = [
+            Some(stop(-0.02, 3.0)),
+            Some(stop(0.04, 3.0)),
+            Some(stop(0.9, 9.0)),
+            None,
+        ];
         let expected = Paired {
             nearer: 2,
             faster: 3,
