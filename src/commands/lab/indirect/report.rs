@@ -105,8 +105,18 @@ fn object(found: &RowFound) -> Value {
     })
 }
 
+/// Short enough for a legend.
 fn name(found: &RowFound) -> String {
-    format!("{}, {}", found.row.filter, found.row.sensors.name())
+    let how = match found.row.filter {
+        "indirect" => "forward",
+        "indirect-feedback" => "feedback",
+        other => other,
+    };
+    match found.row.sensors {
+        Sensors::Wheels => "wheels".to_owned(),
+        Sensors::Accelerometers => format!("{how} + acc."),
+        Sensors::AccelerometersAndGyro => format!("{how} + gyro"),
+    }
 }
 
 fn map(y_height_px: f64, curves: Vec<Curve>) -> Axes {

@@ -68,25 +68,22 @@ pub struct LabWallArgs {
 /// # Errors
 /// A file cannot be read or makes no sense, a step tells nothing, or an output cannot be written.
 pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
-    let outcome = match &args.recording {
-        Some(descriptor) => {
-            let prepared = recorded::prepare(descriptor, args).at_start()?;
-            let folder = args.output.folder()?;
-            (recorded::run(&prepared).while_running()?, folder)
-        }
-        None => {
-            let prepared = simulated::Prepared {
-                scene: scene(args).at_start()?,
-                steps: args.steps,
-                runs: args.runs,
-                link_name: args.link.clone(),
-                link: link_profile::load(&args.link).at_start()?,
-            };
-            let folder = args.output.folder()?;
-            (simulated::run(&prepared).while_running()?, folder)
-        }
+    if let Some(descriptor) = &args.recording {
+        let prepared = recorded::prepare(descriptor, args).at_start()?;
+        let folder = args.output.folder()?;
+        let outcome = recorded::run(&prepared).while_running()?;
+        return args.output.deliver(&folder, &outcome);
+    }
+    let prepared = simulated::Prepared {
+        scene: scene(args).at_start()?,
+        steps: args.steps,
+        runs: args.runs,
+        link_name: args.link.clone(),
+        link: link_profile::load(&args.link).at_start()?,
     };
-    args.output.deliver(&outcome.1, &outcome.0)
+    let folder = args.output.folder()?;
+    let outcome = simulated::run(&prepared).while_running()?;
+    args.output.deliver(&folder, &outcome)
 }
 
 fn scene(args: &LabWallArgs) -> anyhow::Result<WallScene> {

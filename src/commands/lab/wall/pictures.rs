@@ -8,8 +8,11 @@ use posebridge_analysis::wall::{
 use posebridge_estimator::filters::range_kf::Variant;
 use posebridge_sim::wall::WallScene;
 
-use super::approaches::{Driven, Place};
+use super::approaches::{Driven, Place, Source};
 use super::steps::{PIECE, Steps};
+
+/// A way is drawn by every so manieth turn of the loop: 30 ms are less than a line's width.
+const DRAWN_EVERY: usize = 4;
 
 fn curve(name: impl Into<String>, shape: Shape) -> Curve {
     Curve {
@@ -28,10 +31,10 @@ fn axes(y_name: &str, curves: Vec<Curve>) -> Axes {
     }
 }
 
-fn figure(title: &str, key_figures: String, axes: Vec<Axes>) -> Part {
+fn figure(title: &str, key_figures: &str, axes: Vec<Axes>) -> Part {
     let picture = Plot {
         title: title.to_owned(),
-        key_figures: key_figures.clone(),
+        key_figures: key_figures.to_owned(),
         axes,
     };
     Part::Figure {
@@ -45,7 +48,7 @@ fn figure(title: &str, key_figures: String, axes: Vec<Axes>) -> Part {
 }
 
 /// Readings of the first step, and its speed by differences, by lines and in truth.
-pub(super) fn step(steps: &Steps) -> Option<Part> {
+pub(super) fn step(steps: &Steps) -> Part {
     let speeds = |speeds: Vec<posebridge_analysis::wall::SpeedAt>| {
         let points = speeds.into_iter().map(|at| (at.at_s, at.towards_m_per_s));
         points.collect::<Vec<_>>()
@@ -57,9 +60,9 @@ pub(super) fn step(steps: &Steps) -> Option<Part> {
         "v_ss {:.3} m/s, t90 {:.3} s",
         steps.all.steady_m_per_s.0, steps.all.rise_90_s.0
     );
-    Some(figure(
+    figure(
         "Step test",
-        key,
+        &key,
         vec![
             axes(
                 "distance [m]",
@@ -81,11 +84,11 @@ pub(super) fn step(steps: &Steps) -> Option<Part> {
                 ],
             ),
         ],
-    ))
+    )
 }
 
 /// The filter's distance with the paper's three sigmas, less the fitted model's readings.
-pub(super) fn validation(steps: &Steps) -> Option<Part> {
+pub(super) fn validation(steps: &Steps) -> Part {
     let mut curves = vec![curve(
         "readings",
         Shape::Dots(steps.log.readings().collect()),
@@ -110,28 +113,31 @@ pub(super) fn validation(steps: &Steps) -> Option<Part> {
             Shape::Line(points),
         ));
     }
-    Some(figure(
+    figure(
         "range-kf on the step's own readings",
-        String::new(),
+        "",
         vec![axes("distance [m]", curves)],
-    ))
+    )
 }
 
 /// The first run of each kind with tuned gains on the brick, and where all runs stopped.
-pub(super) fn approaches(scene: &WallScene, driven: &[Driven]) -> Option<Part> {
-    let tuned: Vec<&Driven> = driven
-        .iter()
-        .filter(|driven| driven.case.tuning == "tuned" && driven.case.place == Place::Brick)
-        .collect();
+pub(super) fn approaches(scene: &WallScene, driven: &[Driven]) -> Part {
+    // The faithful filter's dots would lie under the corrected one's.
+    let is_drawn = |driven: &&Driven| {
+        let case = driven.case;
+        case.tuning == "tuned" && case.place == Place::Brick && case.source != Source::Faithful
+    };
+    let tuned: Vec<&Driven> = driven.iter().filter(is_drawn).collect();
     let name = |driven: &Driven| {
-        format!(
-            "{}, PWM {:.0}",
-            driven.case.source.name(),
-            driven.case.most_pwm
-        )
+        let who = match driven.case.source {
+            Source::LastReading => "last reading",
+            Source::Line => "line",
+            Source::Faithful | Source::Corrected => "filter",
+        };
+        format!("{who}, PWM {:.0}", driven.case.most_pwm)
     };
     let ways = tuned.iter().map(|driven| {
-        let moments = driven.first.moments.iter();
+        let moments = driven.first.moments.iter().step_by(DRAWN_EVERY);
         let way = moments.map(|moment| (moment.at_s, moment.distance_m));
         curve(name(driven), Shape::Line(way.collect()))
     });
@@ -143,11 +149,11 @@ pub(super) fn approaches(scene: &WallScene, driven: &[Driven]) -> Option<Part> {
         curve(name(driven), Shape::Dots(stops.collect()))
     });
     let stops = axes("error of the stop [mm]", stops.collect());
-    Some(figure(
+    figure(
         "Approaches with tuned gains, on the brick",
-        "above the first run of each kind, below where and when all of them stopped".to_owned(),
+        "above the first run of each kind, below where and when all of them stopped",
         vec![axes("true distance [m]", ways), stops],
-    ))
+    )
 }
 
 /// Readings of a recording and what was foretold of each.
@@ -182,7 +188,7 @@ pub(super) fn foreseen(run: &str, foreseen: &[Foreseen], theirs: &[(f64, f64)]) 
     }
     figure(
         &format!("{run}: each reading, and what was foretold of it"),
-        String::new(),
+        "",
         vec![axes("distance [m]", curves)],
     )
 }

@@ -99,9 +99,10 @@ impl Reader<'_> {
         let commanded = self.column(asked, &COMMAND_COLUMNS, Extra::Command)?;
         let asked = args.kalman_column.as_deref();
         let filtered = self.column(asked, &KALMAN_COLUMNS, Extra::Filtered)?;
-        let ranges = said(&plain.run, |sensor, observed| match observed {
-            Observed::WallRange(range) if sensor != THEIR_FILTER => Some(Said::Range(range.0)),
-            _ => None,
+        let ranges = said(&plain.run, |sensor, observed| {
+            range_m(observed)
+                .filter(|_| sensor != THEIR_FILTER)
+                .map(Said::Range)
         });
         ensure!(
             !ranges.is_empty(),
@@ -109,15 +110,18 @@ impl Reader<'_> {
             self.run
         );
         let inputs = commanded.map_or_else(Vec::new, |run| {
-            said(&run, |_, observed| match observed {
-                Observed::BodyVelocity { forward, .. } => Some(Said::Input(forward.0)),
-                _ => None,
+            said(&run, |_, observed| {
+                let Observed::BodyVelocity { forward, .. } = observed else {
+                    return None;
+                };
+                Some(Said::Input(forward.0))
             })
         });
         let theirs = filtered.map_or_else(Vec::new, |run| {
-            let entries = said(&run, |sensor, observed| match observed {
-                Observed::WallRange(range) if sensor == THEIR_FILTER => Some(Said::Range(range.0)),
-                _ => None,
+            let entries = said(&run, |sensor, observed| {
+                range_m(observed)
+                    .filter(|_| sensor == THEIR_FILTER)
+                    .map(Said::Range)
             });
             WallLog::new(entries).readings().collect()
         });
@@ -160,6 +164,13 @@ impl Reader<'_> {
         self.set.descriptor = known;
         Ok(found)
     }
+}
+
+fn range_m(observed: &Observed) -> Option<f64> {
+    let Observed::WallRange(range) = observed else {
+        return None;
+    };
+    Some(range.0)
 }
 
 fn said(run: &Run, of: impl Fn(SensorId, &Observed) -> Option<Said>) -> Vec<WallEntry> {

@@ -74,7 +74,7 @@ impl Tables {
     }
 }
 
-/// Ten columns at most; what is missing is blank.
+/// Eleven columns at most; what is missing is blank.
 fn aligned(header: &[&str], rows: &[Vec<String>]) -> String {
     const MOST: usize = 11;
     let cell = |cells: &[&str], column: usize| cells.get(column).copied().unwrap_or("").to_owned();
@@ -97,59 +97,66 @@ fn off(found: f64, truth: f64) -> String {
     format!("{:+.1} %", 100.0 * (found / truth - 1.0))
 }
 
-fn identification(prepared: &Prepared, steps: &Steps) -> Told {
-    let truth = steps.truth;
-    let row =
-        |name: &str, (v, t90, d, m): (String, String, String, String), model: WallApproach| {
-            vec![
-                name.to_owned(),
-                v,
-                t90,
-                d,
-                off(model.drag_s_per_m, truth.drag_s_per_m),
-                m,
-                off(model.mass_s2_per_m, truth.mass_s2_per_m),
-            ]
-        };
-    let plain = |name: &str, v: f64, t90: f64| {
+/// Rows of the table of the step tests, all against the same truth.
+struct Identified {
+    truth: WallApproach,
+    rows: Vec<Vec<String>>,
+}
+
+impl Identified {
+    fn push(&mut self, name: &str, figures: [String; 4], model: WallApproach) {
+        let [v, t90, d, m] = figures;
+        self.rows.push(vec![
+            name.to_owned(),
+            v,
+            t90,
+            d,
+            off(model.drag_s_per_m, self.truth.drag_s_per_m),
+            m,
+            off(model.mass_s2_per_m, self.truth.mass_s2_per_m),
+        ]);
+    }
+
+    fn by_hand(&mut self, name: &str, v: f64, t90: f64) {
         let model = WallApproach::from_step_test(v, t90);
-        let figures = (
+        let figures = [
             format!("{v:.3}"),
             format!("{t90:.3}"),
             format!("{:.5}", model.drag_s_per_m),
             format!("{:.5}", model.mass_s2_per_m),
-        );
-        row(name, figures, model)
-    };
-    let fitted = |name: String, fit: &StepFit| {
-        let figures = (
+        ];
+        self.push(name, figures, model);
+    }
+
+    fn fitted(&mut self, name: &str, fit: &StepFit) {
+        let figures = [
             with_sigma(fit.steady_m_per_s, 3),
             with_sigma(fit.rise_90_s, 3),
             with_sigma(fit.drag_s_per_m, 4),
             with_sigma(fit.mass_s2_per_m, 4),
-        );
-        row(&name, figures, fit.model())
+        ];
+        self.push(name, figures, fit.model());
+    }
+}
+
+fn identification(prepared: &Prepared, steps: &Steps) -> Told {
+    let truth = steps.truth;
+    let mut table = Identified {
+        truth,
+        rows: Vec::new(),
     };
-    let mut rows = vec![plain("the paper's figures", PAPER_STEP.0, PAPER_STEP.1)];
+    table.by_hand("the paper's figures", PAPER_STEP.0, PAPER_STEP.1);
     if let Some(hand) = steps.by_hand.first() {
-        rows.push(plain(
-            "first step, lines",
-            hand.steady_m_per_s,
-            hand.rise_90_s,
-        ));
+        table.by_hand("first step, lines", hand.steady_m_per_s, hand.rise_90_s);
         let by_difference = hand.steady_by_difference_m_per_s;
-        rows.push(plain(
-            "first step, differences",
-            by_difference,
-            hand.rise_90_s,
-        ));
+        table.by_hand("first step, differences", by_difference, hand.rise_90_s);
     }
     if let Some(hand) = mean_by_hand(&steps.by_hand) {
         let name = format!("{} steps, lines, mean", steps.by_hand.len());
-        rows.push(plain(&name, hand.steady_m_per_s, hand.rise_90_s));
+        table.by_hand(&name, hand.steady_m_per_s, hand.rise_90_s);
     }
-    rows.push(fitted("first step, fit".to_owned(), &steps.one));
-    rows.push(fitted(format!("{} steps, fit", prepared.steps), &steps.all));
+    table.fitted("first step, fit", &steps.one);
+    table.fitted(&format!("{} steps, fit", prepared.steps), &steps.all);
     Told {
         headline: format!(
             "step test: full drive to {} m; the car has d = {:.5} s/m, m = {:.5} s2/m; a reading's noise by the fit: {:.1} mm",
@@ -159,7 +166,7 @@ fn identification(prepared: &Prepared, steps: &Steps) -> Told {
             1e3 * steps.all.range_sigma_m
         ),
         header: vec!["", "v_ss m/s", "t90 s", "d s/m", "off", "m s2/m", "off"],
-        rows,
+        rows: table.rows,
     }
 }
 
@@ -286,10 +293,10 @@ fn page(prepared: &Prepared, steps: &Steps, driven: &[Driven], tables: Tables) -
         )),
     ];
     let figures = [
-        pictures::step(steps),
-        pictures::validation(steps),
+        Some(pictures::step(steps)),
+        Some(pictures::validation(steps)),
         None,
-        pictures::approaches(&prepared.scene, driven),
+        Some(pictures::approaches(&prepared.scene, driven)),
     ];
     for (told, figure) in tables.0.into_iter().zip(figures) {
         parts.push(Part::Heading(told.headline));
