@@ -237,10 +237,10 @@ fn a_recordings_readings_are_foretold_better_than_by_a_line_and_by_its_own_filte
 fn a_column_that_is_not_there_is_named_with_those_that_are() {
     let folder = tempfile::tempdir().unwrap();
     recording(folder.path());
-    let args = ["--recording", "car.toml", "--kalman-column", "kalman"];
+    let args = ["--recording", "car.toml", "--kalman-column", "filtered"];
     let said = refusal(folder.path(), &args);
     assert!(
-        said.contains("`kalman`") && said.contains("kf_mm"),
+        said.contains("`filtered`") && said.contains("kf_mm"),
         "{said}"
     );
     let said = refusal(folder.path(), &["--recording", "car.toml", "--run", "b"]);

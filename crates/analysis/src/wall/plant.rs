@@ -25,9 +25,9 @@ use super::validate::spread;
 const TIME_CONSTANTS_S: [f64; 4] = [0.2, USUAL_TIME_CONSTANT_S, 0.9, 1.8];
 const USUAL_TIME_CONSTANT_S: f64 = 0.433;
 /// Shares of the paper's process noise.
-const PROCESS_SHARES: [f64; 4] = [1.0, 0.4, 0.2, 0.1];
+const PROCESS_SHARES: [f64; 5] = [1.0, 0.4, 0.2, 0.1, 0.04];
 /// Multiples of the reading's noise that the robot's file gives: what a bad target or daylight makes of it.
-const RANGE_FACTORS: [f64; 3] = [1.0, 3.0, 10.0];
+const RANGE_FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 10.0];
 /// Each doubling away from what is usual counts like this much log-likelihood: half a nat, so that a handful of readings decides.
 const PER_DOUBLING: f64 = 0.5;
 /// One standard deviation of the speed of small cars under full drive, m/s.
@@ -215,7 +215,7 @@ mod tests {
                 "{plant:?}"
             );
             assert_eq!(plant.time_constant_s, 0.9, "{plant:?}");
-            assert!(plant.noise.process_m <= 0.01 && plant.noise.range_m <= 0.03);
+            assert!(plant.noise.process_m <= 0.01 && plant.noise.range_m <= 0.02);
         }
     }
 

@@ -52,10 +52,11 @@ pub struct LabWallArgs {
     /// Set one key of the robot's table, e.g. noise.wall_range_m=0.02; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "recording")]
     pub settings: Vec<Setting>,
-    /// The column of the motor's PWM in the recording's files; without it `pwm` or `Speed`, where there is one.
+    /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub command_column: Option<String>,
-    /// The column of a distance that somebody else has filtered; without it `kf_mm` or `kf`, where there is one.
+    /// The column of a distance that somebody else has filtered; without it kf_mm, kf, kalman_mm or kalman, where there
+    /// is one.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub kalman_column: Option<String>,
     /// Where the results go.

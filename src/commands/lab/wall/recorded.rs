@@ -21,9 +21,9 @@ use crate::parallel::run_all;
 use crate::progress;
 
 /// Names that people give to a column of PWM.
-const COMMAND_COLUMNS: [&str; 2] = ["pwm", "Speed"];
+const COMMAND_COLUMNS: [&str; 4] = ["pwm", "PWM", "motor_pwm", "Speed"];
 /// And to the distance that their filter gave.
-const KALMAN_COLUMNS: [&str; 2] = ["kf_mm", "kf"];
+const KALMAN_COLUMNS: [&str; 4] = ["kf_mm", "kf", "kalman_mm", "kalman"];
 
 /// The runs of a recording, read.
 pub(super) struct Prepared {
