@@ -117,17 +117,19 @@ mod tests {
             Some(stop(-0.05, 2.0)),
             None,
             Some(stop(0.2, 9.0)),
+            Some(stop(0.0, 1.0)),
         ];
         let theirs = [
             Some(stop(-0.02, 3.0)),
             Some(stop(0.04, 3.0)),
             Some(stop(0.9, 9.0)),
             None,
+            Some(stop(0.05, 2.0)),
         ];
         let expected = Paired {
-            nearer: 2,
-            faster: 3,
-            both: 2,
+            nearer: 3,
+            faster: 4,
+            both: 3,
         };
         assert_eq!(paired(&ours, &theirs), expected);
     }
