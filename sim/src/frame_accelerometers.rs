@@ -103,8 +103,11 @@ mod tests {
 
     const TEXT: &str = include_str!("../../config/scenarios/lab/indirect.toml");
 
+    /// One that ends at rest: the last sample reaches to the middle of the last step only.
     fn drive() -> Drive {
-        Scenario::from_toml(TEXT).unwrap().drive(0)
+        assert!(TEXT.contains("rest_after_lap_s = 0.0"));
+        let text = TEXT.replace("rest_after_lap_s = 0.0", "rest_after_lap_s = 0.5");
+        Scenario::from_toml(&text).unwrap().drive(0)
     }
 
     fn sums(drive: &Drive) -> (f64, f64, f64) {
