@@ -278,6 +278,10 @@ pub enum LabExperiment {
     NxtSquare(crate::commands::lab::nxt_square::LabNxtSquareArgs),
     /// Tell what a slow thermometer will show in the end, simulated or recorded, and how it is identified (docs/lab/thermometer.md).
     Thermometer(crate::commands::lab::thermometer::LabThermometerArgs),
+    /// Paper 3: identify a car before a wall, and stop it there by readings, lines and filters; or foretell a recording's readings.
+    Wall(crate::commands::lab::wall::LabWallArgs),
+    /// Paper 4: a square by wheels alone, and with accelerometers by the indirect filter, fed forward and back.
+    Indirect(crate::commands::lab::indirect::LabIndirectArgs),
 }
 
 /// Flags of `lab links`.

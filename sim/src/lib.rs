@@ -27,6 +27,7 @@ mod camera;
 mod checks;
 mod clock;
 mod firmware;
+pub mod frame_accelerometers;
 pub mod impairment;
 pub mod montecarlo;
 mod motor;
@@ -36,6 +37,7 @@ mod random;
 pub mod scenario;
 mod sensors;
 mod simulation;
+pub mod wall;
 mod wheels;
 mod world;
 

@@ -22,6 +22,7 @@
 pub mod accuracy;
 pub mod calibration;
 pub mod clocks;
+pub mod ends;
 pub mod figures;
 pub mod identification;
 mod markup;
@@ -30,6 +31,7 @@ pub mod report;
 pub mod smoothed;
 pub mod square;
 pub mod track;
+pub mod wall;
 
 pub use figures::{FIGURES, Figure, FixMark, RunLayers};
 pub use metrics::{

@@ -5,6 +5,7 @@ mod accuracy_json;
 mod accuracy_runs;
 mod bounds;
 mod estimators;
+pub mod indirect;
 pub mod links;
 mod links_clock;
 mod links_pose;
@@ -12,6 +13,7 @@ mod links_report;
 pub mod nxt_square;
 pub mod outcome;
 pub mod thermometer;
+pub mod wall;
 
 pub use estimators::{Estimator, UnknownEstimator, Verdict};
 
@@ -28,5 +30,7 @@ pub fn execute(args: &LabArgs) -> Result<(), Failure> {
         LabExperiment::Links(args) => links::execute(args),
         LabExperiment::NxtSquare(args) => nxt_square::execute(args),
         LabExperiment::Thermometer(args) => thermometer::execute(args),
+        LabExperiment::Wall(args) => wall::execute(args),
+        LabExperiment::Indirect(args) => indirect::execute(args),
     }
 }

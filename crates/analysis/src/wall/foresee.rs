@@ -1,0 +1,143 @@
+//! Each reading held against what was foretold before it was seen.
+
+use super::believe::{Believer, LineThrough};
+use super::log::{Said, WallLog};
+use super::plant::{Plant, PlantSearch, Runner};
+
+/// A reading and what was foretold of it, in m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Foreseen {
+    /// When it was made, s.
+    pub at_s: f64,
+    /// What it says.
+    pub range_m: f64,
+    /// By the filter, with the drive and the noise as the readings before have shown them.
+    pub kalman_m: f64,
+    /// By the line through the last two; `None` before there are two.
+    pub line_m: Option<f64>,
+    /// What was believed of the car.
+    pub plant: Plant,
+}
+
+/// The drive is identified anew once there are so many times as many readings; early, at each. It keeps the work of long logs small.
+const ANEW_AFTER: f64 = 1.02;
+
+/// Foretells every reading but the first from those before it.
+#[must_use]
+pub fn foresee(log: &WallLog, search: PlantSearch) -> Vec<Foreseen> {
+    let mut foreseen = Vec::new();
+    let mut line = LineThrough::default();
+    let mut known: Option<(Plant, Runner)> = None;
+    let (mut readings, mut identified_at) = (0_usize, 0_usize);
+    for (index, entry) in log.entries().iter().enumerate() {
+        let Said::Range(range_m) = entry.said else {
+            if let Some((_, runner)) = &mut known {
+                runner.take(entry.at_s, entry.said);
+            }
+            continue;
+        };
+        let is_due = readings as f64 >= ANEW_AFTER * identified_at as f64;
+        if readings > 0 && (known.is_none() || (is_due && readings > identified_at)) {
+            let past = log.entries().iter().take(index).copied().collect();
+            known = Some(search.best(&WallLog::new(past)));
+            identified_at = readings;
+        }
+        if let Some((plant, runner)) = &mut known {
+            foreseen.extend(runner.distance_m(entry.at_s).map(|kalman_m| {
+                Foreseen {
+                    at_s: entry.at_s,
+                    range_m,
+                    kalman_m,
+                    line_m: line
+                        .belief(entry.at_s)
+                        .map(|belief| belief.distance_m)
+                        .filter(|_| readings >= 2),
+                    plant: *plant,
+                }
+            }));
+            runner.take(entry.at_s, entry.said);
+        }
+        line.range(entry.at_s, range_m);
+        readings += 1;
+    }
+    foreseen
+}
+
+/// Root mean squares of readings minus what was foretold, in m, over the readings that both sides foretold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Score {
+    /// How many readings.
+    pub readings: usize,
+    /// Of the filter.
+    pub kalman_rms_m: f64,
+    /// Of the other.
+    pub other_rms_m: f64,
+}
+
+/// Scores the filter against somebody else; `other` gives what that one foretold. `None` if there is no common reading.
+pub fn score(foreseen: &[Foreseen], other: impl Fn(&Foreseen) -> Option<f64>) -> Option<Score> {
+    let common: Vec<(&Foreseen, f64)> = foreseen
+        .iter()
+        .filter_map(|foreseen| Some((foreseen, other(foreseen)?)))
+        .collect();
+    if common.is_empty() {
+        return None;
+    }
+    let rms = |error: &dyn Fn(&(&Foreseen, f64)) -> f64| {
+        let squares = common.iter().map(|pair| error(pair).powi(2));
+        (squares.sum::<f64>() / common.len() as f64).sqrt()
+    };
+    Some(Score {
+        readings: common.len(),
+        kalman_rms_m: rms(&|(foreseen, _)| foreseen.range_m - foreseen.kalman_m),
+        other_rms_m: rms(&|(foreseen, other_m)| foreseen.range_m - other_m),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::log::WallEntry;
+    use super::*;
+
+    fn log(ranges: &[f64]) -> WallLog {
+        let ranges = ranges.iter().enumerate().map(|(index, range_m)| WallEntry {
+            at_s: 0.1 * index as f64,
+            said: Said::Range(*range_m),
+        });
+        WallLog::new(ranges.collect()).with_assumed_drive()
+    }
+
+    const SEARCH: PlantSearch = PlantSearch {
+        range_sigma_m: 0.01,
+    };
+
+    #[test]
+    fn what_is_foretold_does_not_depend_on_what_comes_later() {
+        let ranges = [3.0, 2.98, 2.93, 2.86, 2.77, 2.66, 2.52, 2.39, 2.21, 2.04];
+        let mut changed = ranges;
+        changed[8..].fill(9.0);
+        let (before, after) = (
+            foresee(&log(&ranges), SEARCH),
+            foresee(&log(&changed), SEARCH),
+        );
+        assert_eq!(before.len(), 9);
+        for (before, after) in before.iter().zip(&after).take(7) {
+            assert_eq!(before, after);
+        }
+        assert_eq!(before[7].kalman_m, after[7].kalman_m);
+        assert_ne!(before[8].kalman_m, after[8].kalman_m);
+        assert_eq!(before[0].line_m, None);
+        assert!((before[1].line_m.unwrap() - 2.96).abs() < 1e-9);
+    }
+
+    #[test]
+    fn scores_are_over_common_readings_alone() {
+        let foreseen = foresee(&log(&[3.0, 2.9, 2.7]), SEARCH);
+        let by_line = score(&foreseen, |foreseen| foreseen.line_m).unwrap();
+        assert_eq!(by_line.readings, 1);
+        assert!((by_line.other_rms_m - 0.1).abs() < 1e-9);
+        let expected = (foreseen[1].range_m - foreseen[1].kalman_m).abs();
+        assert!((by_line.kalman_rms_m - expected).abs() < 1e-12);
+        assert_eq!(score(&foreseen, |_| None), None);
+    }
+}

@@ -1,0 +1,169 @@
+//! Accelerometers on a robot's frame, for a drive of [`montecarlo`](crate::montecarlo).
+//!
+//! The drives' own accelerometers sit on the wheels: they move with the tyres and cannot tell how far apart these are. Here they are
+//! screwed to the frame at the two ends of the nominal axle, so a turn is felt by a lever that a ruler has measured.
+//!
+//! # Model
+//! ```text
+//! s_k, w_k   true mean speed and turn rate over step k, both constant within it
+//! a_k = (s_(k+1) - s_k) / dt      alpha_k alike: the mean from the middle of step k to that of the next, stamped there
+//! left = a - b alpha / 2 + bias_l + sigma n      right = a + b alpha / 2 + bias_r + sigma n      b the nominal track
+//! ```
+//! Half a step out of phase with the encoders the double sums are exactly the true way and turn: a drive's speed changes at the ends
+//! of its steps only.
+
+use posebridge_telemetry::{
+    Arena, Meters, MetersPerSecondSquared, Observation, Observed, Pose, SensorId, Span,
+};
+
+use crate::montecarlo::{Arrival, Drive};
+use crate::random::Stream;
+
+/// The accelerometers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameAccelerometers {
+    /// White noise of one observation, m/s².
+    pub sigma_m_per_s2: f64,
+    /// Standard deviation of each one's bias, which stays for a drive, m/s².
+    pub bias_sigma_m_per_s2: f64,
+    /// Distance between the two.
+    pub spacing: Meters,
+}
+
+impl FrameAccelerometers {
+    /// The drive with these accelerometers in place of any others; run `run` of `seed` draws its own noise.
+    #[must_use]
+    pub fn mounted_on(&self, mut drive: Drive, seed: u64, run: u32) -> Drive {
+        let felt = self.felt(&drive, seed, run);
+        drive
+            .arrivals
+            .retain(|arrival| arrival.observation.sensor != SensorId::ACCELEROMETER);
+        drive.arrivals.extend(felt);
+        // Of one step they come before the wheels, so that these can be held against them.
+        let place = |arrival: &Arrival| {
+            let is_wheels = arrival.observation.sensor == SensorId::WHEELS;
+            (arrival.step, is_wheels)
+        };
+        drive.arrivals.sort_by_key(place);
+        drive
+    }
+
+    fn felt(&self, drive: &Drive, seed: u64, run: u32) -> Vec<Arrival> {
+        let dt_s = drive.step.as_secs_f64();
+        let mut noise = Stream::new(seed, &format!("frame accelerometers {run}"));
+        let biases = [(); 2].map(|()| self.bias_sigma_m_per_s2 * noise.normal());
+        let mut speeds = vec![(0.0, 0.0)];
+        speeds.extend(drive.truth.windows(2).map(|pair| mean_speeds(pair, dt_s)));
+        let half_a_step = Span::from_nanos(drive.step.as_nanos() / 2);
+        let changes = speeds.windows(2).enumerate();
+        changes
+            .map(|(step, pair)| {
+                let forward = (pair[1].0 - pair[0].0) / dt_s;
+                let turn = (pair[1].1 - pair[0].1) / dt_s;
+                let lever = 0.5 * self.spacing.0 * turn;
+                let [left, right] = [(forward - lever, biases[0]), (forward + lever, biases[1])]
+                    .map(|(felt, bias)| felt + bias + self.sigma_m_per_s2 * noise.normal());
+                Arrival {
+                    step: step + 1,
+                    observation: Observation {
+                        sensor: SensorId::ACCELEROMETER,
+                        stamp: drive.stamp(step) + half_a_step,
+                        stamp_sigma: Span::ZERO,
+                        observed: Observed::WheelAccelerations {
+                            left: MetersPerSecondSquared(left),
+                            right: MetersPerSecondSquared(right),
+                        },
+                    },
+                }
+            })
+            .collect()
+    }
+}
+
+/// Forward speed and turn rate over a step, from its true poses: the arc behind the chord.
+fn mean_speeds(pair: &[Pose<Arena>], dt_s: f64) -> (f64, f64) {
+    let (from, to) = (pair[0], pair[1]);
+    let turn_rad = (to.heading - from.heading).0;
+    let middle_rad = from.heading.rad() + 0.5 * turn_rad;
+    let (sin, cos) = middle_rad.sin_cos();
+    let chord_m = (to.x - from.x).0 * cos + (to.y - from.y).0 * sin;
+    let half = 0.5 * turn_rad;
+    let per_chord = if half.abs() < 1e-6 {
+        1.0
+    } else {
+        half / half.sin()
+    };
+    (chord_m * per_chord / dt_s, turn_rad / dt_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::montecarlo::Scenario;
+
+    const TEXT: &str = include_str!("../../config/scenarios/lab/indirect.toml");
+
+    /// One that ends at rest: the last sample reaches to the middle of the last step only.
+    fn drive() -> Drive {
+        assert!(TEXT.contains("rest_after_lap_s = 0.0"));
+        let text = TEXT.replace("rest_after_lap_s = 0.0", "rest_after_lap_s = 0.5");
+        Scenario::from_toml(&text).unwrap().drive(0)
+    }
+
+    fn sums(drive: &Drive) -> (f64, f64, f64) {
+        let dt_s = drive.step.as_secs_f64();
+        let (mut speed, mut way, mut turn) = ((0.0, 0.0), 0.0, 0.0);
+        for arrival in &drive.arrivals {
+            let Observed::WheelAccelerations { left, right } = arrival.observation.observed else {
+                continue;
+            };
+            let (a, alpha) = (0.5 * (left.0 + right.0), (right.0 - left.0) / 0.112);
+            way += speed.0 * dt_s + 0.5 * a * dt_s * dt_s;
+            turn += speed.1 * dt_s + 0.5 * alpha * dt_s * dt_s;
+            speed = (speed.0 + a * dt_s, speed.1 + alpha * dt_s);
+        }
+        (speed.0, way, turn)
+    }
+
+    #[test]
+    fn without_noise_their_integrals_are_the_way_and_the_turns() {
+        let exact = FrameAccelerometers {
+            sigma_m_per_s2: 0.0,
+            bias_sigma_m_per_s2: 0.0,
+            spacing: Meters(0.112),
+        };
+        let drive = exact.mounted_on(drive(), 1, 0);
+        let (speed, way, turn) = sums(&drive);
+        let per_step = drive.truth.windows(2).map(|pair| mean_speeds(pair, 0.05));
+        let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| {
+            (way + 0.05 * v, turn + 0.05 * w)
+        });
+        assert!(speed.abs() < 1e-9, "{speed}");
+        assert!((way - true_way).abs() < 1e-9, "{way} {true_way}");
+        assert!((turn - true_turn).abs() < 1e-9, "{turn} {true_turn}");
+        // Four sides, and four turns with one more.
+        assert!((true_way - 12.0).abs() < 0.2 && (true_turn - 7.85).abs() < 0.6);
+    }
+
+    #[test]
+    fn they_replace_the_others_and_repeat_by_seed_and_run() {
+        let settings = FrameAccelerometers {
+            sigma_m_per_s2: 0.012,
+            bias_sigma_m_per_s2: 0.05,
+            spacing: Meters(0.112),
+        };
+        let mounted = |run| settings.mounted_on(drive(), 1, run);
+        let count = |drive: &Drive| {
+            let sensors = drive
+                .arrivals
+                .iter()
+                .map(|arrival| arrival.observation.sensor);
+            sensors
+                .filter(|sensor| *sensor == SensorId::ACCELEROMETER)
+                .count()
+        };
+        assert_eq!(count(&mounted(0)), count(&drive()));
+        assert_eq!(mounted(0), mounted(0));
+        assert_ne!(mounted(0), mounted(1));
+    }
+}

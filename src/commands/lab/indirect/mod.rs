@@ -1,0 +1,66 @@
+//! `posebridge lab indirect`: paper 4's square, by wheels alone and with the indirect filter.
+//!
+//! Every run is one round of the square; what differs between the rows is who looks at which sensors. docs/lab/indirect.md is the
+//! lesson.
+
+mod report;
+mod rounds;
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use posebridge_sim::montecarlo::{MAX_RUNS, Scenario};
+
+use super::outcome::OutputArgs;
+use crate::commands::{Failure, Stage};
+use crate::progress;
+
+/// The square as it comes with the program.
+const SQUARE: &str = include_str!("../../../../config/scenarios/lab/indirect.toml");
+
+/// Flags of `lab indirect`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct LabIndirectArgs {
+    /// Robot, sensors and square, as a TOML file; without it config/scenarios/lab/indirect.toml.
+    #[arg(long, value_name = "FILE.toml")]
+    pub scenario: Option<PathBuf>,
+    /// Rounds, instead of what the scenario says.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_RUNS)))]
+    pub runs: Option<u32>,
+    /// Base seed, instead of the scenario's.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Where the results go.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Runs the experiment.
+///
+/// # Errors
+/// The scenario cannot be read or makes no sense, or an output cannot be written.
+pub fn execute(args: &LabIndirectArgs) -> Result<(), Failure> {
+    let scenario = scenario(args).at_start()?;
+    let runs = args.runs.unwrap_or(scenario.runs);
+    let folder = args.output.folder()?;
+    let bar = progress::bar(u64::from(runs), "rounds").at_start()?;
+    let found = rounds::drive_all(&scenario, runs, || bar.inc(1));
+    bar.finish_and_clear();
+    let outcome = report::outcome(&scenario, runs, &found);
+    args.output.deliver(&folder, &outcome)
+}
+
+fn scenario(args: &LabIndirectArgs) -> anyhow::Result<Scenario> {
+    let scenario = match &args.scenario {
+        None => Scenario::from_toml(SQUARE)?,
+        Some(path) => {
+            let name = path.display();
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("reading the scenario `{name}`"))?;
+            Scenario::from_toml(&text).with_context(|| format!("scenario `{name}`"))?
+        }
+    };
+    Ok(args
+        .seed
+        .map_or(scenario.clone(), |seed| scenario.with_seed(seed)))
+}

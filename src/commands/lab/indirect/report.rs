@@ -1,0 +1,175 @@
+//! How the rounds of the square are told.
+
+use posebridge_analysis::figures::{Axes, Curve, Plot, Shape, plot};
+use posebridge_analysis::report::page::{Page, Part};
+use posebridge_analysis::report::{NO_VALUE, Table};
+use posebridge_sim::montecarlo::Scenario;
+use serde_json::{Value, json};
+
+use super::rounds::{Found, PAPER_END_M, RowFound, Sensors};
+use crate::commands::lab::outcome::Outcome;
+
+const HEADER: [&str; 9] = [
+    "filter",
+    "sensors",
+    "rms x/y m",
+    "95 % below x/y m",
+    "median m",
+    "within x/y/both",
+    "nearer than wheels",
+    "than feed-forward",
+    "NEES/3",
+];
+
+/// Table, page and object.
+pub(super) fn outcome(scenario: &Scenario, runs: u32, found: &Found) -> Outcome {
+    let headline = format!(
+        "end of {runs} rounds of the square, seed {}; within: {:.1} cm in x, {:.0} cm in y, the end of the paper's fused run",
+        scenario.seed,
+        100.0 * PAPER_END_M.0,
+        100.0 * PAPER_END_M.1
+    );
+    let rows: Vec<[String; 9]> = found.rows.iter().map(cells).collect();
+    let mut table = Table::new(HEADER);
+    for row in &rows {
+        table.push(row.clone());
+    }
+    let text = format!("{headline}\n{}", table.render());
+    let page = Page {
+        title: "The indirect Kalman filter on a square".to_owned(),
+        parts: vec![
+            Part::Text(
+                "A robot drives round a square by its wheels, believes that it is back, and is not. What do two accelerometers know \
+                 about that, and what does it change to feed the error back?"
+                    .to_owned(),
+            ),
+            Part::Lines(format!(
+                "posebridge lab indirect --runs {runs} --seed {}",
+                scenario.seed
+            )),
+            Part::Heading(headline),
+            Part::table(&HEADER, rows.into_iter().map(Vec::from).collect()),
+            tracks(found),
+            ends(found),
+        ],
+    };
+    Outcome {
+        name: "indirect",
+        page,
+        text,
+        json: json!({
+            "seed": scenario.seed,
+            "runs": runs,
+            "paper_end_m": { "x": PAPER_END_M.0, "y": PAPER_END_M.1 },
+            "rows": found.rows.iter().map(object).collect::<Vec<_>>(),
+        }),
+    }
+}
+
+fn cells(found: &RowFound) -> [String; 9] {
+    let sum = &found.summary;
+    let pair = |(x, y): (f64, f64)| format!("{x:.3} / {y:.3}");
+    let is_fused = found.row.sensors != Sensors::Wheels;
+    let count = |count: Option<usize>| count.map_or_else(|| NO_VALUE.to_owned(), |n| n.to_string());
+    [
+        found.row.filter.to_owned(),
+        found.row.sensors.name().to_owned(),
+        pair(sum.rms_m),
+        pair(sum.most_m),
+        format!("{:.3}", sum.median_m),
+        format!("{} / {} / {}", sum.within.0, sum.within.1, sum.within.2),
+        count(is_fused.then_some(found.nearer_than_wheels)),
+        count(found.nearer_than_twin),
+        sum.anees
+            .map_or_else(|| NO_VALUE.to_owned(), |anees| format!("{anees:.2}")),
+    ]
+}
+
+fn object(found: &RowFound) -> Value {
+    let sum = &found.summary;
+    json!({
+        "filter": found.row.filter,
+        "sensors": found.row.sensors.name(),
+        "runs": sum.runs,
+        "rms_x_m": sum.rms_m.0,
+        "rms_y_m": sum.rms_m.1,
+        "p95_x_m": sum.most_m.0,
+        "p95_y_m": sum.most_m.1,
+        "median_m": sum.median_m,
+        "within_x": sum.within.0,
+        "within_y": sum.within.1,
+        "within_both": sum.within.2,
+        "nearer_than_wheels": found.nearer_than_wheels,
+        "nearer_than_feed_forward": found.nearer_than_twin,
+        "anees": sum.anees,
+    })
+}
+
+/// Short enough for a legend.
+fn name(found: &RowFound) -> String {
+    let how = match found.row.filter {
+        "indirect" => "forward",
+        "indirect-feedback" => "feedback",
+        other => other,
+    };
+    match found.row.sensors {
+        Sensors::Wheels => "wheels".to_owned(),
+        Sensors::Accelerometers => format!("{how} + acc."),
+        Sensors::AccelerometersAndGyro => format!("{how} + gyro"),
+    }
+}
+
+fn map(y_height_px: f64, curves: Vec<Curve>) -> Axes {
+    Axes {
+        x_name: "x [m]".to_owned(),
+        y_name: "y [m]".to_owned(),
+        height_px: y_height_px,
+        is_map: true,
+        curves,
+    }
+}
+
+fn figure(title: &str, axes: Axes) -> Part {
+    let picture = Plot {
+        title: title.to_owned(),
+        key_figures: String::new(),
+        axes: vec![axes],
+    };
+    Part::Figure {
+        svg: plot(&picture),
+        caption: title.to_owned(),
+    }
+}
+
+fn tracks(found: &Found) -> Part {
+    let truth = Curve {
+        name: "true".to_owned(),
+        shape: Shape::Line(found.truth_m.clone()),
+    };
+    let estimated = found.rows.iter().map(|row| Curve {
+        name: name(row),
+        shape: Shape::Line(row.way_m.clone()),
+    });
+    let curves = std::iter::once(truth).chain(estimated).collect();
+    figure(
+        "The first round: true and believed ways",
+        map(560.0, curves),
+    )
+}
+
+fn ends(found: &Found) -> Part {
+    let curves = found.rows.iter().map(|row| Curve {
+        name: name(row),
+        shape: Shape::Dots(
+            row.ends
+                .iter()
+                .flatten()
+                .map(|end| (end.dx_m, end.dy_m))
+                .collect(),
+        ),
+    });
+    figure(
+        "Where the rounds end: believed minus true",
+        map(480.0, curves.collect()),
+    )
+}

@@ -1,0 +1,150 @@
+//! Rounds of the square by every row, on all cores.
+
+use posebridge_analysis::ends::{Course, EndSummary, nearer, run_course, summarise_ends};
+use posebridge_analysis::metrics::PoseError;
+use posebridge_estimator::filter_named;
+use posebridge_sim::frame_accelerometers::FrameAccelerometers;
+use posebridge_sim::montecarlo::{Drive, Scenario};
+use posebridge_telemetry::SensorId;
+
+use crate::commands::lab::estimators::filter_config;
+use crate::parallel::run_all;
+
+/// The end of the paper's own run, in x and y, m: what the fused ends are held against.
+pub(super) const PAPER_END_M: (f64, f64) = (0.235, 0.32);
+/// What is left of an accelerometer's bias after it was zeroed by eye, m/s²: 5 mg; docs/maths/paper4.md section 4.
+const BIAS_SIGMA_M_PER_S2: f64 = 0.05;
+
+/// Who estimates, from which sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Row {
+    pub(super) filter: &'static str,
+    pub(super) sensors: Sensors,
+}
+
+/// Which sensors are looked at, beside the wheels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sensors {
+    /// None.
+    Wheels,
+    /// The accelerometers: the paper's.
+    Accelerometers,
+    /// Accelerometers and gyro.
+    AccelerometersAndGyro,
+}
+
+impl Sensors {
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Wheels => "wheels",
+            Self::Accelerometers => "+ accelerometers",
+            Self::AccelerometersAndGyro => "+ gyro",
+        }
+    }
+
+    fn has(self, sensor: SensorId) -> bool {
+        match self {
+            Self::Wheels => sensor == SensorId::WHEELS,
+            Self::Accelerometers => sensor != SensorId::GYRO,
+            Self::AccelerometersAndGyro => true,
+        }
+    }
+}
+
+/// The rows, in the order of the table; the first is what the others are held against.
+pub(super) const ROWS: [Row; 5] = [
+    row("odometry", Sensors::Wheels),
+    row("indirect", Sensors::Accelerometers),
+    row("indirect-feedback", Sensors::Accelerometers),
+    row("indirect", Sensors::AccelerometersAndGyro),
+    row("indirect-feedback", Sensors::AccelerometersAndGyro),
+];
+
+const fn row(filter: &'static str, sensors: Sensors) -> Row {
+    Row { filter, sensors }
+}
+
+/// A row over all rounds.
+pub(super) struct RowFound {
+    pub(super) row: Row,
+    pub(super) ends: Vec<Option<PoseError>>,
+    pub(super) summary: EndSummary,
+    /// Rounds in which it ends nearer than the wheels alone.
+    pub(super) nearer_than_wheels: usize,
+    /// Rounds in which it ends nearer than the other way to feed back, from the same sensors.
+    pub(super) nearer_than_twin: Option<usize>,
+    /// The way of the first round.
+    pub(super) way_m: Vec<(f64, f64)>,
+}
+
+/// Everything that was driven.
+pub(super) struct Found {
+    pub(super) rows: Vec<RowFound>,
+    /// The true way of the first round.
+    pub(super) truth_m: Vec<(f64, f64)>,
+}
+
+/// Drives so many rounds; `ended` is called once for each.
+pub(super) fn drive_all(scenario: &Scenario, runs: u32, ended: impl FnMut()) -> Found {
+    let jobs: Vec<u32> = (0..runs).collect();
+    let rounds = run_all(&jobs, |run| round(scenario, *run), ended);
+    let truth_m = drawn(scenario, 0)
+        .truth
+        .iter()
+        .map(|pose| (pose.x.0, pose.y.0))
+        .collect();
+    let mut rows: Vec<RowFound> = Vec::new();
+    for (index, row) in ROWS.into_iter().enumerate() {
+        let courses = rounds.iter().filter_map(|round| round.get(index));
+        let ends: Vec<Option<PoseError>> = courses.map(|course| course.end).collect();
+        let first = rounds.first().and_then(|round| round.get(index));
+        let of = |rows: &[RowFound], wanted: &dyn Fn(&Row) -> bool| {
+            let found = rows.iter().find(|found| wanted(&found.row));
+            found.map(|found| nearer(&ends, &found.ends))
+        };
+        rows.push(RowFound {
+            row,
+            summary: summarise_ends(&ends, PAPER_END_M),
+            nearer_than_wheels: of(&rows, &|other| other.sensors == Sensors::Wheels).unwrap_or(0),
+            nearer_than_twin: of(&rows, &|other| {
+                other.sensors == row.sensors && other.filter != row.filter
+            }),
+            way_m: first.map_or_else(Vec::new, |course| course.way_m.clone()),
+            ends,
+        });
+    }
+    Found { rows, truth_m }
+}
+
+/// Run `run` of the scenario, with its accelerometers on the frame.
+fn drawn(scenario: &Scenario, run: u32) -> Drive {
+    let drive = scenario.drive(run);
+    let Some(settings) = scenario.accelerometer else {
+        return drive;
+    };
+    let accelerometers = FrameAccelerometers {
+        sigma_m_per_s2: settings.sigma_m_per_s2,
+        bias_sigma_m_per_s2: BIAS_SIGMA_M_PER_S2,
+        spacing: drive.told.geometry.track_width,
+    };
+    accelerometers.mounted_on(drive, scenario.seed, run)
+}
+
+/// One round by every row.
+fn round(scenario: &Scenario, run: u32) -> Vec<Course> {
+    let drive = drawn(scenario, run);
+    let config = filter_config(&drive.told);
+    let Some(truth) = drive.truth.last().copied() else {
+        return Vec::new();
+    };
+    let courses = ROWS.iter().filter_map(|row| {
+        let mut filter = (filter_named(row.filter)?.build)(&config);
+        let observations = drive.arrivals.iter().map(|arrival| &arrival.observation);
+        let seen = observations.filter(|observation| row.sensors.has(observation.sensor));
+        let course = run_course(filter.as_mut(), seen, truth);
+        // Only the first round is drawn.
+        let way_m = if run == 0 { course.way_m } else { Vec::new() };
+        Some(Course { way_m, ..course })
+    });
+    courses.collect()
+}

@@ -1,0 +1,101 @@
+//! `posebridge lab wall`: paper 3's car before a wall, on the simulated car or on a recording.
+//!
+//! Simulated: step tests, the drive found from them, the filter held against the step's own readings, and approaches by every
+//! source of the distance, on board and over a link. On a recording: the step by hand and by fit, and each reading foretold from
+//! those before it. docs/lab/wall.md is the lesson.
+
+mod approaches;
+mod columns;
+mod pictures;
+mod recorded;
+mod recorded_report;
+mod simulated;
+mod steps;
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
+
+use super::outcome::OutputArgs;
+use crate::commands::{Failure, Stage};
+use crate::config::Setting;
+use crate::link_profile;
+
+/// Flags of `lab wall`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct LabWallArgs {
+    /// The car, its sensor and its way, as a TOML file; without it the paper's (config/scenarios/lab/wall.toml).
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "recording")]
+    pub scene: Option<PathBuf>,
+    /// Simulated step tests, from which the drive is found.
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub steps: u32,
+    /// Simulated approaches of each kind.
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub runs: u32,
+    /// Base seed, instead of the scene's.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// The link of the approaches whose filter is on the host: a bundled profile's name or a TOML file (docs/impairment.md).
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "bluetooth-spp")]
+    pub link: String,
+    /// A recording's descriptor (config/recordings/tof-wall.toml), instead of the simulated car.
+    #[arg(long, value_name = "FILE.toml")]
+    pub recording: Option<PathBuf>,
+    /// Where the descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Which runs of the descriptor: all whose names begin so; without it all.
+    #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
+    pub run: Option<String>,
+    /// Set one key of the robot's table, e.g. noise.wall_range_m=0.02; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "recording")]
+    pub settings: Vec<Setting>,
+    /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
+    #[arg(long, value_name = "COLUMN", requires = "recording")]
+    pub command_column: Option<String>,
+    /// The column of a distance that somebody else has filtered; without it kf_mm, kf, kalman_mm or kalman, where there
+    /// is one.
+    #[arg(long, value_name = "COLUMN", requires = "recording")]
+    pub kalman_column: Option<String>,
+    /// Where the results go.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Runs the experiment.
+///
+/// # Errors
+/// A file cannot be read or makes no sense, a step tells nothing, or an output cannot be written.
+pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
+    if let Some(descriptor) = &args.recording {
+        let prepared = recorded::prepare(descriptor, args).at_start()?;
+        let folder = args.output.folder()?;
+        let outcome = recorded::run(&prepared).while_running()?;
+        return args.output.deliver(&folder, &outcome);
+    }
+    let prepared = simulated::Prepared {
+        scene: scene(args).at_start()?,
+        steps: args.steps,
+        runs: args.runs,
+        link_name: args.link.clone(),
+        link: link_profile::load(&args.link).at_start()?,
+    };
+    let folder = args.output.folder()?;
+    let outcome = simulated::run(&prepared).while_running()?;
+    args.output.deliver(&folder, &outcome)
+}
+
+fn scene(args: &LabWallArgs) -> anyhow::Result<WallScene> {
+    let scene = match &args.scene {
+        None => WallScene::from_toml(DEFAULT_SCENE)?,
+        Some(path) => {
+            let name = path.display();
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("reading the scene `{name}`"))?;
+            WallScene::from_toml(&text).with_context(|| format!("scene `{name}`"))?
+        }
+    };
+    Ok(args.seed.map_or(scene, |seed| scene.with_seed(seed)))
+}

@@ -1,0 +1,220 @@
+//! The experiment on a recording: each run's step, and its readings foretold.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use posebridge_analysis::wall::{
+    Foreseen, HandStep, PlantSearch, Said, Score, StepError, StepFit, WallEntry, WallLog, by_hand,
+    fit_steps, foresee, score,
+};
+use posebridge_recording::dataset::{Descriptor, Run};
+use posebridge_telemetry::{Observed, SensorId};
+
+use super::LabWallArgs;
+use super::columns::{Extra, THEIR_FILTER, with_extra};
+use super::recorded_report;
+use super::steps::PIECE;
+use crate::cli::DataFlags;
+use crate::commands::lab::outcome::Outcome;
+use crate::data::{DataSet, tell_bad_rows};
+use crate::parallel::run_all;
+use crate::progress;
+
+/// Names that people give to a column of PWM.
+const COMMAND_COLUMNS: [&str; 4] = ["pwm", "PWM", "motor_pwm", "Speed"];
+/// And to the distance that their filter gave.
+const KALMAN_COLUMNS: [&str; 4] = ["kf_mm", "kf", "kalman_mm", "kalman"];
+
+/// The runs of a recording, read.
+pub(super) struct Prepared {
+    pub(super) descriptor: String,
+    runs: Vec<RunLog>,
+}
+
+/// One run, as far as this experiment is concerned.
+struct RunLog {
+    name: String,
+    log: WallLog,
+    /// Whether the files say what the motors were told.
+    knows_input: bool,
+    /// Time and distance of somebody else's filter, in order.
+    theirs: Vec<(f64, f64)>,
+    range_sigma_m: f64,
+}
+
+/// What was found of one run.
+pub(super) struct RunFound {
+    pub(super) name: String,
+    pub(super) readings: usize,
+    pub(super) knows_input: bool,
+    pub(super) by_hand: Result<HandStep, StepError>,
+    pub(super) fit: Result<StepFit, StepError>,
+    pub(super) foreseen: Vec<Foreseen>,
+    pub(super) theirs: Vec<(f64, f64)>,
+    /// Against the line through two.
+    pub(super) against_line: Option<Score>,
+    /// Against somebody else's filter.
+    pub(super) against_theirs: Option<Score>,
+}
+
+/// Reads every run that was asked for.
+pub(super) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
+    let flags = DataFlags {
+        data: args.data.clone(),
+        run: Some(args.run.clone().unwrap_or_default()),
+        use_every: None,
+        settings: args.settings.clone(),
+    };
+    let mut set = DataSet::open(path, &flags)?;
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("reading the descriptor `{}`", path.display()))?;
+    let mut runs = Vec::new();
+    for name in set.runs.clone() {
+        let mut reader = Reader {
+            set: &mut set,
+            flags: &flags,
+            text: &text,
+            run: &name,
+        };
+        runs.push(reader.read(args)?);
+    }
+    Ok(Prepared {
+        descriptor: path.display().to_string(),
+        runs,
+    })
+}
+
+struct Reader<'a> {
+    set: &'a mut DataSet,
+    flags: &'a DataFlags,
+    text: &'a str,
+    run: &'a str,
+}
+
+impl Reader<'_> {
+    fn read(&mut self, args: &LabWallArgs) -> Result<RunLog> {
+        let plain = self.set.load(self.run, self.flags)?;
+        tell_bad_rows(&plain);
+        let asked = args.command_column.as_deref();
+        let commanded = self.column(asked, &COMMAND_COLUMNS, Extra::Command)?;
+        let asked = args.kalman_column.as_deref();
+        let filtered = self.column(asked, &KALMAN_COLUMNS, Extra::Filtered)?;
+        let ranges = said(&plain.run, |sensor, observed| {
+            range_m(observed)
+                .filter(|_| sensor != THEIR_FILTER)
+                .map(Said::Range)
+        });
+        ensure!(
+            !ranges.is_empty(),
+            "run `{}` holds no range to a wall; choose another with --run",
+            self.run
+        );
+        let inputs = commanded.map_or_else(Vec::new, |run| {
+            said(&run, |_, observed| {
+                let Observed::BodyVelocity { forward, .. } = observed else {
+                    return None;
+                };
+                Some(Said::Input(forward.0))
+            })
+        });
+        let theirs = filtered.map_or_else(Vec::new, |run| {
+            let entries = said(&run, |sensor, observed| {
+                range_m(observed)
+                    .filter(|_| sensor == THEIR_FILTER)
+                    .map(Said::Range)
+            });
+            WallLog::new(entries).readings().collect()
+        });
+        let log = WallLog::new(ranges.into_iter().chain(inputs).collect());
+        Ok(RunLog {
+            name: self.run.to_owned(),
+            knows_input: log.drives_from_s().is_some(),
+            log: log.with_assumed_drive(),
+            theirs,
+            range_sigma_m: plain.filter_config.noise.wall_range_m,
+        })
+    }
+
+    /// The run with a column more: the one that was asked for, which must be there, or the first usual name that is.
+    fn column<'c>(
+        &mut self,
+        asked: Option<&'c str>,
+        usual: &[&'c str],
+        extra: fn(&'c str) -> Extra<'c>,
+    ) -> Result<Option<Run>> {
+        let known = self.set.descriptor.clone();
+        let mut found = None;
+        for column in asked.map_or_else(|| usual.to_vec(), |asked| vec![asked]) {
+            let Some(text) = with_extra(self.text, self.run, extra(column))? else {
+                break;
+            };
+            self.set.descriptor = Descriptor::from_toml(&text)
+                .with_context(|| format!("the descriptor with the column `{column}`"))?;
+            let loaded = self.set.load(self.run, self.flags);
+            match loaded {
+                Ok(loaded) => found = Some(loaded.run),
+                Err(error) if asked.is_some() => {
+                    self.set.descriptor = known;
+                    return Err(error);
+                }
+                Err(_) => continue,
+            }
+            break;
+        }
+        self.set.descriptor = known;
+        Ok(found)
+    }
+}
+
+fn range_m(observed: &Observed) -> Option<f64> {
+    let Observed::WallRange(range) = observed else {
+        return None;
+    };
+    Some(range.0)
+}
+
+fn said(run: &Run, of: impl Fn(SensorId, &Observed) -> Option<Said>) -> Vec<WallEntry> {
+    let observations = run.observations.iter().map(|timed| &timed.observation);
+    observations
+        .filter_map(|observation| {
+            Some(WallEntry {
+                at_s: observation.stamp.as_secs_f64(),
+                said: of(observation.sensor, &observation.observed)?,
+            })
+        })
+        .collect()
+}
+
+/// Evaluates every run, on all cores.
+pub(super) fn run(prepared: &Prepared) -> Result<Outcome> {
+    let bar = progress::bar(prepared.runs.len() as u64, "runs")?;
+    let found = run_all(&prepared.runs, evaluate, || bar.inc(1));
+    bar.finish_and_clear();
+    Ok(recorded_report::outcome(&prepared.descriptor, &found))
+}
+
+fn evaluate(run: &RunLog) -> RunFound {
+    let search = PlantSearch {
+        range_sigma_m: run.range_sigma_m,
+    };
+    let foreseen = foresee(&run.log, search);
+    // What their filter said last before the reading came.
+    let before = |foreseen: &Foreseen| {
+        let earlier = run
+            .theirs
+            .partition_point(|(at_s, _)| *at_s < foreseen.at_s);
+        let last = earlier.checked_sub(1).and_then(|last| run.theirs.get(last));
+        last.map(|(_, distance_m)| *distance_m)
+    };
+    RunFound {
+        name: run.name.clone(),
+        readings: run.log.readings().count(),
+        knows_input: run.knows_input,
+        by_hand: by_hand(&run.log, PIECE),
+        fit: fit_steps(std::slice::from_ref(&run.log)),
+        against_line: score(&foreseen, |foreseen| foreseen.line_m),
+        against_theirs: score(&foreseen, before),
+        theirs: run.theirs.clone(),
+        foreseen,
+    }
+}
