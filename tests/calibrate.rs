@@ -71,9 +71,9 @@ fn squares_of_the_simulated_robot_lose_nine_tenths_of_their_systematic_error() {
             "{found}"
         );
     }
-    let page = std::fs::read_to_string(folder.path().join("lab-calibrate-umbmark.html")).unwrap();
+    let page = std::fs::read_to_string(folder.path().join("calibrate-umbmark.html")).unwrap();
     assert!(page.contains("<img") && page.contains("systematic error"));
-    let picture = folder.path().join("lab-calibrate-umbmark.svg");
+    let picture = folder.path().join("calibrate-umbmark.svg");
     assert!(
         std::fs::read_to_string(picture)
             .unwrap()

@@ -37,7 +37,7 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     bar.finish_and_clear();
     let text = tables(&scored, &estimators);
     let outcome = Outcome {
-        name: "accuracy",
+        name: "lab-accuracy",
         page: page(&text, &chart(&scored, &estimators)),
         json: json::object(&scored, &estimators).while_running()?,
         text,

@@ -30,7 +30,7 @@ pub fn execute(args: &LabLinksArgs) -> Result<(), Failure> {
     let pose = pose_rows(&cases, args.runs).while_running()?;
     let text = report::tables(&clock, &pose);
     let outcome = Outcome {
-        name: "links",
+        name: "lab-links",
         page: page(&text, &pose),
         json: report::json(&clock, &pose).while_running()?,
         text,

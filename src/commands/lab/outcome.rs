@@ -23,9 +23,9 @@ pub struct OutputArgs {
 /// The result of an experiment.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// The experiment, as its command calls it; names the files.
+    /// The command's words joined, such as `lab-wall`; names the files.
     pub name: &'static str,
-    /// The page; its pictures are written beside it as well, as `lab-<name>-<n>.svg`, counted from 1, or `lab-<name>.svg` if there is
+    /// The page; its pictures are written beside it as well, as `<name>-<n>.svg`, counted from 1, or `<name>.svg` if there is
     /// one.
     pub page: Page,
     /// Tables for the terminal, with a line feed at the end.
@@ -60,11 +60,11 @@ impl OutputArgs {
                 String::new()
             };
             write(
-                &folder.join(format!("lab-{}{number}.svg", outcome.name)),
+                &folder.join(format!("{}{number}.svg", outcome.name)),
                 svg,
             )?;
         }
-        let page = folder.join(format!("lab-{}.html", outcome.name));
+        let page = folder.join(format!("{}.html", outcome.name));
         write(&page, &outcome.page.html())?;
         let text = if self.json {
             format!("{}\n", outcome.json)

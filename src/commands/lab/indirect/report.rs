@@ -54,7 +54,7 @@ pub(super) fn outcome(scenario: &Scenario, runs: u32, found: &Found) -> Outcome 
         ],
     };
     Outcome {
-        name: "indirect",
+        name: "lab-indirect",
         page,
         text,
         json: json!({

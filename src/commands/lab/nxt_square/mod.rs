@@ -64,7 +64,7 @@ pub fn execute(args: &LabNxtSquareArgs) -> Result<(), Failure> {
         None => simulated(args).while_running()?,
     };
     let outcome = Outcome {
-        name: "nxt-square",
+        name: "lab-nxt-square",
         page: report.page(),
         text: report.text(),
         json: json::object(&report),

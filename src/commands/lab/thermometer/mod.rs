@@ -112,7 +112,7 @@ fn outcome(args: &LabThermometerArgs, sections: &[Section]) -> Outcome {
     ))];
     parts.extend(sections.iter().flat_map(parts_of));
     Outcome {
-        name: "thermometer",
+        name: "lab-thermometer",
         page: Page {
             title: "The slow thermometer".to_owned(),
             parts,

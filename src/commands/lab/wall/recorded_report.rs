@@ -54,7 +54,7 @@ pub(super) fn outcome(descriptor: &str, found: &[RunFound]) -> Outcome {
     let figures = found.iter();
     parts.extend(figures.map(|run| pictures::foreseen(&run.name, &run.foreseen, &run.theirs)));
     Outcome {
-        name: "wall",
+        name: "lab-wall",
         page: Page {
             title: "The distance to a wall: a recording".to_owned(),
             parts,

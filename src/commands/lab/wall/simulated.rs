@@ -38,7 +38,7 @@ pub(super) fn run(prepared: &Prepared) -> Result<Outcome> {
     bar.finish_and_clear();
     let tables = Tables::of(prepared, &steps, &driven);
     Ok(Outcome {
-        name: "wall",
+        name: "lab-wall",
         text: tables.text(),
         page: page(prepared, &steps, &driven, tables),
         json: object(prepared, &steps, &driven),
