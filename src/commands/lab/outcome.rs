@@ -59,10 +59,7 @@ impl OutputArgs {
             } else {
                 String::new()
             };
-            write(
-                &folder.join(format!("{}{number}.svg", outcome.name)),
-                svg,
-            )?;
+            write(&folder.join(format!("{}{number}.svg", outcome.name)), svg)?;
         }
         let page = folder.join(format!("{}.html", outcome.name));
         write(&page, &outcome.page.html())?;
