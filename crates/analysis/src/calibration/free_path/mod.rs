@@ -13,7 +13,7 @@
 //!
 //! A number is only estimated where its prior has a sigma, where the drive tells more of it than the prior did, and where it does not
 //! blur the track: on a drive that turns to one side only, unequal wheels and a wrong track look alike. Else it stays where the
-//! description has it, and the report says why.
+//! description has it, the report says why, and the other numbers are as uncertain as its prior makes them (Schmidt, 1966).
 //!
 //! # Source
 //! docs/lab/calibrate.md section 3.
@@ -455,8 +455,9 @@ impl<'a> Shape<'a> {
         length_windows: Option<usize>,
     ) -> PathCalibration {
         let (after, headings_rad) = self.robot(&chosen.unknowns, &chosen.fit.values);
-        let by_length = self.moved_by_length(chosen);
-        let entries = UNKNOWNS.iter().zip(standings).map(|(unknown, standing)| {
+        let by_others = self.moved_by_others(chosen, &standings);
+        let looked_at = UNKNOWNS.iter().zip(standings).zip(by_others);
+        let entries = looked_at.map(|((unknown, standing), by_others)| {
             let before = unknown.prior(&self.config.calibration);
             let after = match unknown {
                 Unknown::RadiusScale => self.radius_scale.or(chosen.known(*unknown)),
@@ -465,7 +466,7 @@ impl<'a> Shape<'a> {
                 | Unknown::FixDelay
                 | Unknown::TagForward
                 | Unknown::TagLeft => chosen.known(*unknown).map(|found| Known {
-                    sigma: found.sigma.hypot(by_length(*unknown)),
+                    sigma: found.sigma.hypot(by_others),
                     ..found
                 }),
             };
@@ -489,24 +490,37 @@ impl<'a> Shape<'a> {
         }
     }
 
-    /// How far each unknown moves when the wheel size of the second step is wrong by its sigma.
-    fn moved_by_length(&self, chosen: &Chosen) -> impl Fn(Unknown) -> f64 {
-        let mut other = self.clone();
-        let moved = self.radius_scale.and_then(|radius| {
+    /// How far each unknown moves when what is not free in the third step is wrong by its sigma: the wheel size of the second step,
+    /// and what the drive does not tell.
+    fn moved_by_others(&self, chosen: &Chosen, standings: &[Standing]) -> [f64; UNKNOWNS.len()] {
+        let mut others = Vec::new();
+        if let Some(radius) = self.radius_scale {
+            let mut other = self.clone();
             other.numbers.radius_scale += radius.sigma;
-            other.fit(chosen.unknowns.clone()).ok()
-        });
-        let apart: Vec<(Unknown, f64)> = UNKNOWNS
-            .iter()
-            .filter_map(|unknown| {
-                let there = moved.as_ref()?.known(*unknown)?;
-                Some((*unknown, there.value - chosen.known(*unknown)?.value))
-            })
-            .collect();
-        move |unknown| {
-            let found = apart.iter().find(|(one, _)| *one == unknown);
-            found.map_or(0.0, |(_, apart)| *apart)
+            others.push(other);
         }
+        for (unknown, standing) in UNKNOWNS.iter().zip(standings) {
+            if matches!(standing, Standing::Unseen | Standing::NotSeparable) {
+                let prior = unknown.prior(&self.config.calibration);
+                let mut other = self.clone();
+                let wrong = prior.value + prior.sigma;
+                unknown.write(wrong, self.base_track_m, &mut other.numbers);
+                others.push(other);
+            }
+        }
+        let mut squares = [0.0; UNKNOWNS.len()];
+        for other in others {
+            // Where it cannot be fitted with a wrong number there is nothing to compare.
+            let Ok(moved) = other.fit(chosen.unknowns.clone()) else {
+                continue;
+            };
+            for (square, unknown) in squares.iter_mut().zip(UNKNOWNS) {
+                if let (Some(here), Some(there)) = (chosen.known(unknown), moved.known(unknown)) {
+                    *square += (there.value - here.value).powi(2);
+                }
+            }
+        }
+        squares.map(f64::sqrt)
     }
 }
 
