@@ -239,7 +239,6 @@ fn on_a_straight_line_the_track_is_left_alone() {
 #[test]
 fn on_one_circle_unequal_wheels_are_not_told_from_the_track() {
     let truth = Truth {
-        radius_difference: 0.0,
         delay_s: 0.0,
         tag_m: [0.0; 2],
         ..TRUTH
@@ -253,8 +252,10 @@ fn on_one_circle_unequal_wheels_are_not_told_from_the_track() {
     let difference = found.entry(Unknown::RadiusDifference);
     assert_ne!(difference.standing, Standing::Found, "{found:?}");
     assert_eq!(difference.after.value, 0.0);
+    // The track pays for the wheels' difference, and its sigma says so.
     let track = found.entry(Unknown::TrackScale).after;
-    assert!((track.value - truth.track_scale).abs() < 0.01, "{track:?}");
+    let off = (track.value - truth.track_scale).abs();
+    assert!(off < 2.0 * track.sigma && track.sigma > 0.01, "{track:?}");
 }
 
 #[test]

@@ -13,7 +13,7 @@
 //!
 //! A number is only estimated where its prior has a sigma, where the drive tells more of it than the prior did, and where it does not
 //! blur the track: on a drive that turns to one side only, unequal wheels and a wrong track look alike. Else it stays where the
-//! description has it, and the report says why.
+//! description has it, the report says why, and the other numbers are as uncertain as its prior makes them (Schmidt, 1966).
 //!
 //! # Source
 //! docs/lab/calibrate.md section 3.
@@ -23,22 +23,21 @@ mod length;
 mod mistakes;
 mod predict;
 mod score;
+mod shape;
 
 use posebridge_estimator::FilterConfig;
-use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Calibration, Known};
 
 use super::CalibrationError;
-use super::least_squares::{Fit, Residuals, fit};
 
 pub use drive::{FreePath, PathStart, Sight, Step, seconds};
 pub use mistakes::{AS_GIVEN, Hypothesis, Sanity, Wiring};
 pub use predict::RobotNumbers;
 pub use score::{ReckonedError, Reckoning, mean_error, reckon, starting_heading};
 
-use length::length_factor;
-use mistakes::{coarse_track_factor, heading_of_start, sanity};
+use mistakes::sanity;
 use predict::Prediction;
+use shape::Shape;
 
 /// What a drive may tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -177,15 +176,6 @@ impl PathCalibration {
 
 /// Rounds over the second and the third step; the second changes by hundredths of its sigma.
 const ROUNDS: u32 = 3;
-/// An unknown blurs the track if it makes its sigma so many times larger.
-const BLURRED: f64 = 3.0;
-/// Something is told of an unknown if its sigma is below this share of the prior's.
-const TOLD: f64 = 0.5;
-/// A heading that is known so well is not estimated, in radians: about what a person or a tracker can do.
-const KNOWN_HEADING_RAD: f64 = 0.02;
-/// Half width of the central difference of a heading, in radians.
-const HEADING_STEP_RAD: f64 = 1e-4;
-
 /// Calibrates a robot from drives; `config` is its description with the priors.
 ///
 /// # Errors
@@ -234,280 +224,6 @@ fn enough(paths: &[FreePath]) -> Result<(), CalibrationError> {
         }
     }
     Ok(())
-}
-
-/// The second and the third step: which unknowns are free, and what they are.
-#[derive(Clone)]
-struct Shape<'a> {
-    config: &'a FilterConfig,
-    paths: &'a [FreePath],
-    base_track_m: f64,
-    /// As described, with the wheel size of the second step.
-    numbers: RobotNumbers,
-    /// As the last round has found them: what the second step reckons with.
-    latest: RobotNumbers,
-    radius_scale: Option<Known>,
-    /// Where the descent of the track begins.
-    first_track_scale: f64,
-    headings_rad: Vec<f64>,
-    /// The runs whose heading is estimated.
-    free_headings: Vec<usize>,
-}
-
-/// A fit with what its unknowns are.
-struct Chosen {
-    unknowns: Vec<Unknown>,
-    fit: Fit,
-}
-
-impl Chosen {
-    fn known(&self, unknown: Unknown) -> Option<Known> {
-        let place = self.unknowns.iter().position(|one| *one == unknown)?;
-        Some(Known {
-            value: self.fit.values[place],
-            sigma: self.fit.sigma(place),
-        })
-    }
-}
-
-impl<'a> Shape<'a> {
-    fn new(config: &'a FilterConfig, paths: &'a [FreePath], track_factor: f64) -> Self {
-        let mut numbers = RobotNumbers::of(config);
-        numbers.track_width_m *= track_factor;
-        let prediction = Prediction {
-            numbers,
-            noise: &config.noise,
-        };
-        let is_free = |path: &FreePath| path.start.heading_sigma_rad > KNOWN_HEADING_RAD;
-        let headings_rad = paths.iter().map(|path| {
-            // Beyond a radian the given heading is no place to begin a descent.
-            if path.start.heading_sigma_rad > 1.0 {
-                heading_of_start(&prediction, path)
-            } else {
-                path.start.pose[2]
-            }
-        });
-        Self {
-            config,
-            paths,
-            base_track_m: config.geometry.track_width.0 * track_factor,
-            latest: numbers,
-            numbers,
-            radius_scale: None,
-            first_track_scale: config.calibration.track_scale.value,
-            headings_rad: headings_rad.collect(),
-            free_headings: (0..paths.len())
-                .filter(|run| is_free(&paths[*run]))
-                .collect(),
-        }
-    }
-
-    /// Finds a place from which the track can be descended to.
-    fn place_track(&mut self) {
-        if self.is_held(Unknown::TrackScale) {
-            return;
-        }
-        let prediction = Prediction {
-            numbers: self.numbers,
-            noise: &self.config.noise,
-        };
-        let factor = coarse_track_factor(&prediction, self.paths);
-        let track_m = self.numbers.track_width_m * factor;
-        self.first_track_scale = track_m / self.base_track_m - 1.0;
-        self.latest.track_width_m = track_m;
-    }
-
-    fn adopt(&mut self, chosen: &Chosen) {
-        (self.latest, _) = self.robot(&chosen.unknowns, &chosen.fit.values);
-    }
-
-    fn is_held(&self, unknown: Unknown) -> bool {
-        unknown.prior(&self.config.calibration).sigma <= 0.0
-    }
-
-    /// The second step; returns how many windows it stands on.
-    fn take_length(&mut self) -> Option<usize> {
-        let prior = Unknown::RadiusScale.prior(&self.config.calibration);
-        if self.is_held(Unknown::RadiusScale) {
-            return None;
-        }
-        let prediction = Prediction {
-            numbers: self.latest,
-            noise: &self.config.noise,
-        };
-        let (factor, windows) = length_factor(&prediction, self.paths)?;
-        let reckoned_with = 1.0 + self.latest.radius_scale;
-        let sigma = factor.sigma * reckoned_with;
-        if sigma > prior.sigma {
-            return None;
-        }
-        let value = reckoned_with * factor.value - 1.0;
-        self.numbers.radius_scale = value;
-        self.radius_scale = Some(Known { value, sigma });
-        Some(windows)
-    }
-
-    /// Adds one unknown after the other and keeps what the drives tell apart.
-    fn choose(&self, length: Option<usize>) -> Result<(Chosen, Vec<Standing>), CalibrationError> {
-        let mut chosen = self.fit(Vec::new())?;
-        let mut standings = Vec::new();
-        for unknown in UNKNOWNS {
-            standings.push(if self.is_held(unknown) {
-                Standing::Held
-            } else if unknown == Unknown::RadiusScale && length.is_some() {
-                Standing::Found
-            } else {
-                self.try_with(unknown, &mut chosen)
-            });
-        }
-        Ok((chosen, standings))
-    }
-
-    fn try_with(&self, unknown: Unknown, chosen: &mut Chosen) -> Standing {
-        let mut free = chosen.unknowns.clone();
-        free.push(unknown);
-        let is_basic = matches!(unknown, Unknown::RadiusScale | Unknown::TrackScale);
-        // What cannot be solved with it cannot be told with it.
-        let Ok(with) = self.fit(free) else {
-            return if is_basic {
-                Standing::Unseen
-            } else {
-                Standing::NotSeparable
-            };
-        };
-        let prior = unknown.prior(&self.config.calibration);
-        if with
-            .known(unknown)
-            .is_none_or(|found| found.sigma >= TOLD * prior.sigma)
-        {
-            return Standing::Unseen;
-        }
-        let track = |fit: &Chosen| fit.known(Unknown::TrackScale).map(|track| track.sigma);
-        if let (Some(alone), Some(together)) = (track(chosen), track(&with))
-            && together > BLURRED * alone
-        {
-            return Standing::NotSeparable;
-        }
-        *chosen = with;
-        Standing::Found
-    }
-
-    fn fit(&self, unknowns: Vec<Unknown>) -> Result<Chosen, CalibrationError> {
-        let start = unknowns.iter().map(|unknown| match unknown {
-            Unknown::RadiusScale => self.numbers.radius_scale,
-            Unknown::TrackScale => self.first_track_scale,
-            Unknown::RadiusDifference
-            | Unknown::FixDelay
-            | Unknown::TagForward
-            | Unknown::TagLeft => unknown.prior(&self.config.calibration).value,
-        });
-        let headings = self.free_headings.iter().map(|run| self.headings_rad[*run]);
-        let start: Vec<f64> = start.chain(headings).collect();
-        let steps: Vec<f64> = unknowns
-            .iter()
-            .map(|unknown| unknown.step())
-            .chain(self.free_headings.iter().map(|_| HEADING_STEP_RAD))
-            .collect();
-        if start.is_empty() {
-            return Ok(Chosen {
-                fit: Fit::default(),
-                unknowns,
-            });
-        }
-        let fit = fit(&start, &steps, |values| self.residuals(&unknowns, values))?;
-        Ok(Chosen { unknowns, fit })
-    }
-
-    fn residuals(&self, unknowns: &[Unknown], values: &[f64]) -> Residuals {
-        let (numbers, headings) = self.robot(unknowns, values);
-        let prediction = Prediction {
-            numbers,
-            noise: &self.config.noise,
-        };
-        let mut all = Vec::with_capacity(self.paths.len());
-        for (run, (path, heading_rad)) in self.paths.iter().zip(headings).enumerate() {
-            let mut residuals = prediction.innovations(path, heading_rad);
-            if self.free_headings.contains(&run) {
-                let off_rad = wrap_rad(heading_rad - path.start.pose[2]);
-                residuals.push([off_rad / path.start.heading_sigma_rad, 0.0]);
-            }
-            all.push(residuals);
-        }
-        all
-    }
-
-    fn robot(&self, unknowns: &[Unknown], values: &[f64]) -> (RobotNumbers, Vec<f64>) {
-        let mut numbers = self.numbers;
-        for (unknown, value) in unknowns.iter().zip(values) {
-            unknown.write(*value, self.base_track_m, &mut numbers);
-        }
-        let mut headings = self.headings_rad.clone();
-        for (run, value) in self.free_headings.iter().zip(&values[unknowns.len()..]) {
-            headings[*run] = *value;
-        }
-        (numbers, headings)
-    }
-
-    fn report(
-        &self,
-        chosen: &Chosen,
-        standings: Vec<Standing>,
-        length_windows: Option<usize>,
-    ) -> PathCalibration {
-        let (after, headings_rad) = self.robot(&chosen.unknowns, &chosen.fit.values);
-        let by_length = self.moved_by_length(chosen);
-        let entries = UNKNOWNS.iter().zip(standings).map(|(unknown, standing)| {
-            let before = unknown.prior(&self.config.calibration);
-            let after = match unknown {
-                Unknown::RadiusScale => self.radius_scale.or(chosen.known(*unknown)),
-                Unknown::TrackScale
-                | Unknown::RadiusDifference
-                | Unknown::FixDelay
-                | Unknown::TagForward
-                | Unknown::TagLeft => chosen.known(*unknown).map(|found| Known {
-                    sigma: found.sigma.hypot(by_length(*unknown)),
-                    ..found
-                }),
-            };
-            Entry {
-                unknown: *unknown,
-                before,
-                after: after.unwrap_or(before),
-                standing,
-            }
-        });
-        let residuals = self.residuals(&chosen.unknowns, &chosen.fit.values);
-        let all: Vec<f64> = residuals.into_iter().flatten().flatten().collect();
-        PathCalibration {
-            entries: entries.collect(),
-            sanity: None,
-            length_windows,
-            headings_rad,
-            consistency: all.iter().map(|r| r * r).sum::<f64>() / all.len().max(1) as f64,
-            before: after,
-            after,
-        }
-    }
-
-    /// How far each unknown moves when the wheel size of the second step is wrong by its sigma.
-    fn moved_by_length(&self, chosen: &Chosen) -> impl Fn(Unknown) -> f64 {
-        let mut other = self.clone();
-        let moved = self.radius_scale.and_then(|radius| {
-            other.numbers.radius_scale += radius.sigma;
-            other.fit(chosen.unknowns.clone()).ok()
-        });
-        let apart: Vec<(Unknown, f64)> = UNKNOWNS
-            .iter()
-            .filter_map(|unknown| {
-                let there = moved.as_ref()?.known(*unknown)?;
-                Some((*unknown, there.value - chosen.known(*unknown)?.value))
-            })
-            .collect();
-        move |unknown| {
-            let found = apart.iter().find(|(one, _)| *one == unknown);
-            found.map_or(0.0, |(_, apart)| *apart)
-        }
-    }
 }
 
 impl PathCalibration {
