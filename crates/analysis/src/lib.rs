@@ -27,6 +27,7 @@ pub mod metrics;
 pub mod report;
 pub mod smoothed;
 pub mod track;
+pub mod tuning;
 
 pub use figures::{FIGURES, Figure, FixMark, RunLayers};
 pub use metrics::{
