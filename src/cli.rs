@@ -44,6 +44,8 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Run an experiment that needs no robot.
     Lab(LabArgs),
+    /// Find a robot's noise parameters by the likelihood of the innovations (docs/lab/tune.md).
+    Tune(crate::commands::tune::TuneArgs),
     /// Make a key for signed links.
     Key(KeyArgs),
     /// Find out why a robot cannot be heard: ports, permissions, programs in the way, what a link carries.
@@ -227,6 +229,9 @@ pub struct ReplayArgs {
     /// Estimators to run; may be repeated.
     #[arg(long = "filter", value_name = "NAME")]
     pub filters: Vec<String>,
+    /// Lay the `[robot]` and `[filter]` of this profile over those of the recording; --set goes over both.
+    #[arg(long, value_name = "FILE.toml")]
+    pub robot: Option<PathBuf>,
     /// Truth written by `posebridge sim --truth`, to score a recording against.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,

@@ -11,6 +11,7 @@ pub mod replay;
 pub mod run;
 pub mod sim;
 mod station_link;
+pub mod tune;
 
 use crate::cli::{Cli, Command};
 
@@ -77,6 +78,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Relay(args) => relay::execute(&args),
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
+        Command::Tune(args) => tune::execute(&args),
         Command::Key(args) => key::execute(&args),
         Command::Doctor(args) => doctor::execute(&args),
         Command::Config(args) => config::execute(&args),
