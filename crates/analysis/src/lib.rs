@@ -24,6 +24,7 @@ pub mod clocks;
 pub mod figures;
 mod markup;
 pub mod metrics;
+pub mod noise_identification;
 pub mod report;
 pub mod smoothed;
 pub mod track;

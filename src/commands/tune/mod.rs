@@ -9,7 +9,7 @@ mod runs;
 use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, ensure};
-use posebridge_analysis::tuning::{Found, Search, TunedKey, maximise, usual_keys};
+use posebridge_analysis::tuning::{Found, Search, TunedKey, ln_prior, maximise, usual_keys};
 use posebridge_estimator::{Estimates, FilterConfig, FilterEntry, filter_named};
 
 use self::runs::{Material, RunScore, Set, TuneRun};
@@ -191,9 +191,8 @@ fn tune(
             run.fit(filter, scaled(run, point)).log_likelihood()
         };
         let values = run_all(&jobs, fit, || bar.inc(1));
-        values
-            .chunks(training.len())
-            .map(|values| values.iter().sum())
+        let sums = values.chunks(training.len()).zip(points);
+        sums.map(|(values, point)| values.iter().sum::<f64>() + ln_prior(point))
             .collect()
     };
     let found = maximise(keys.len(), &Search::default(), evaluate);

@@ -158,6 +158,16 @@ pub fn fit_run(observations: &[Observation], filter: &mut dyn Filter) -> RunFit 
     fit
 }
 
+/// How well the numbers to start from are known, as a standard deviation of their logarithm: ln 3, a factor of three either way.
+pub const PRIOR_SIGMA: f64 = 1.098_612_288_668_109_8;
+
+/// The second term of equation (3).
+#[must_use]
+pub fn ln_prior(log_scales: &[f64]) -> f64 {
+    let squares: f64 = log_scales.iter().map(|x| (x / PRIOR_SIGMA).powi(2)).sum();
+    -0.5 * squares
+}
+
 /// The root of the mean square of several runs' root mean squares; `None` of nothing.
 #[must_use]
 pub fn joint_rms(of_runs: &[f64]) -> Option<f64> {

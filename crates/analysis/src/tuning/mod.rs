@@ -8,10 +8,13 @@
 //! x_j    = ln(sigma_j / sigma_j0)                      log-scale of noise parameter j against where the search starts
 //! L(x)   = sum_k ln p(nu_k; S_k)                        over all innovations of all recordings                     (1)
 //! p      = (1 - e) N(nu; 0, S) + e N(nu; 0, K^2 S)      e = 0.01, K = 10                                           (2)
-//! x^     = argmax L(x)                                  by polling along the axes, no derivative                   (3)
-//! var x_j ~ -1 / (d2L / dx_j2)                          with the other parameters held                             (4)
+//! x^     = argmax L(x) - sum_j x_j^2 / (2 ln(3)^2)      by polling along the axes, no derivative                   (3)
+//! var x_j ~ -1 / (second derivative of that by x_j)     with the other parameters held                             (4)
 //! rho(1) = sum_k u_k u_k-1 / sum_k u_k^2                u_ki = nu_ki / sqrt(S_kii), per source; white: 0           (5)
 //! ```
+//! The second term of (3) says that the numbers to start from are right within a factor of three. It weighs as much as one or two
+//! observations: a parameter of which the data tell stays free, one of which they do not stays where it was.
+//!
 //! Equation (2) is the normal density with one observation in a hundred taken for an outlier ten times as wide: refused observations
 //! count, so that nothing is gained by refusing them, and a few gross ones do not decide.
 //!
@@ -26,6 +29,8 @@ mod search;
 mod synthetic;
 
 pub use keys::{NOISE_KEYS, NoiseKey, TunedKey, UnknownKey, usual_keys};
-pub use likelihood::{RunFit, SourceFit, fit_run, joint_rms, offline_params};
+pub use likelihood::{
+    PRIOR_SIGMA, RunFit, SourceFit, fit_run, joint_rms, ln_prior, offline_params,
+};
 pub use search::{Ending, Found, Round, Search, maximise};
 pub use synthetic::{Glimpses, fixes_from_truth};
