@@ -44,6 +44,8 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Run an experiment that needs no robot.
     Lab(LabArgs),
+    /// Find what a sensor's noise is from a rest or a straight run, and how late a camera speaks (docs/lab/identify.md).
+    Identify(crate::commands::identify::IdentifyArgs),
     /// Find a robot's noise parameters by the likelihood of the innovations (docs/lab/tune.md).
     Tune(crate::commands::tune::TuneArgs),
     /// Make a key for signed links.

@@ -3,6 +3,7 @@
 pub mod completions;
 pub mod config;
 pub mod doctor;
+pub mod identify;
 pub mod key;
 pub mod lab;
 pub mod play;
@@ -78,6 +79,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Relay(args) => relay::execute(&args),
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
+        Command::Identify(args) => identify::execute(&args),
         Command::Tune(args) => tune::execute(&args),
         Command::Key(args) => key::execute(&args),
         Command::Doctor(args) => doctor::execute(&args),

@@ -29,5 +29,5 @@ pub use allan::{AllanPoint, allan_deviation};
 pub use delay::{Delay, DelayError, DelaySearch, find_delay};
 pub use levels::{Levels, Sighting, levels_of};
 pub use rest::{RestError, RestNoise, noise_at_rest, quantum_of};
-pub use straight::{StraightError, StraightNoise, noise_of_straight};
+pub use straight::{StraightError, StraightNoise, noise_of_straight, rounding_speed_sigma};
 pub use walk::{WhiteAndWalk, white_and_walk};

@@ -1,5 +1,7 @@
 //! A straight run: the noise of the speed that is differenced from counts, equations (3) and (4) of the module's head.
 
+use posebridge_telemetry::DriveGeometry;
+
 /// The noise of a wheel's speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StraightNoise {
@@ -73,6 +75,15 @@ pub fn noise_of_straight(travel: &[(f64, f64)]) -> Result<StraightNoise, Straigh
         sigma_sigma_m_per_s: sigma * ((1.0 + 2.0 * rho_1 * rho_1) / (2.0 * n)).sqrt(),
         rho_1,
     })
+}
+
+/// What rounding to whole counts makes of a differenced speed, one standard deviation on average over speeds: equation (4), with the
+/// mean interval and the mean wheel radius.
+#[must_use]
+pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> f64 {
+    let dt_s = travel.iter().map(|(dt_s, _)| dt_s).sum::<f64>() / travel.len() as f64;
+    let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
+    radius_m * geometry.tick.0 / dt_s / 6.0_f64.sqrt()
 }
 
 /// The longest stretch at a steady speed, and where it begins.

@@ -119,19 +119,16 @@ mod tests {
     }
 
     #[test]
-    fn both_are_found_within_three_sigma_and_most_within_two() {
-        let mut within_two = 0;
-        for seed in 0..10 {
+    fn both_are_found_and_their_sigmas_cover() {
+        let (mut white2, mut walk2) = (0.0, 0.0);
+        for seed in 0..20 {
             let found = white_and_walk(&drawn(0.5, 0.02, 20_000, seed)).unwrap();
-            let white = (found.white - 0.5) / found.white_sigma;
-            let walk = (found.walk_per_step.unwrap() / 0.02).ln() / found.walk_ln_sigma;
-            assert!(
-                white.abs() < 3.5 && walk.abs() < 3.5,
-                "{seed}: {white} {walk} {found:?}"
-            );
-            within_two += i32::from(white.abs() < 2.0) + i32::from(walk.abs() < 2.0);
+            white2 += ((found.white - 0.5) / found.white_sigma).powi(2);
+            walk2 += ((found.walk_per_step.unwrap() / 0.02).ln() / found.walk_ln_sigma).powi(2);
         }
-        assert!(within_two >= 17, "{within_two} of 20");
+        // Chi-square with 20 degrees of freedom: 99.8 % lie between 5.4 and 45.3.
+        assert!((5.4..45.3).contains(&white2), "{white2}");
+        assert!((5.4..45.3).contains(&walk2), "{walk2}");
     }
 
     #[test]
