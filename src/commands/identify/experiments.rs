@@ -19,9 +19,11 @@ pub(super) fn rest(seen: &Seen) -> Result<Findings> {
     let (stamps, rates): (Vec<f64>, Vec<f64>) = seen
         .arrived
         .iter()
-        .filter_map(|one| match one.observation.observed {
-            Observed::TurnRate(rate) => Some((one.observation.stamp.as_secs_f64(), rate.0)),
-            _ => None,
+        .filter_map(|one| {
+            let Observed::TurnRate(rate) = one.observation.observed else {
+                return None;
+            };
+            Some((one.observation.stamp.as_secs_f64(), rate.0))
         })
         .unzip();
     let (Some(first_s), Some(last_s)) = (stamps.first(), stamps.last()) else {
@@ -191,16 +193,18 @@ pub(super) fn delay(seen: &Seen, by: Clock, search: &DelaySearch) -> Result<Find
     let mut sightings: Vec<Sighting> = seen
         .arrived
         .iter()
-        .filter_map(|one| match one.observation.observed {
-            Observed::Fix(fix) => Some(Sighting {
+        .filter_map(|one| {
+            let Observed::Fix(fix) = one.observation.observed else {
+                return None;
+            };
+            Some(Sighting {
                 at_s: match by {
                     Clock::Stamp => one.observation.stamp.as_secs_f64(),
                     Clock::Arrival => one.arrival_s,
                 },
                 place_m: [fix.position.x.0, fix.position.y.0],
                 heading_rad: fix.heading.map(posebridge_telemetry::Heading::rad),
-            }),
-            _ => None,
+            })
         })
         .collect();
     sightings.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));

@@ -31,25 +31,23 @@ pub fn levels_of(observations: &[Observation], geometry: &DriveGeometry) -> Leve
     let mut last: Option<[f64; 3]> = None;
     for observation in observations {
         let at_s = observation.stamp.as_secs_f64();
-        match observation.observed {
-            Observed::WheelAngles { left, right } => {
-                let (left_m, right_m) = (
-                    left.0 * geometry.left_wheel_radius.0,
-                    right.0 * geometry.right_wheel_radius.0,
-                );
-                let turn_rad = (right_m - left_m) / geometry.track_width.0;
-                levels.push([at_s, turn_rad, 0.5 * (left_m + right_m)]);
-            }
-            Observed::OdometerPose(pose) if !has_wheels => {
-                let [x, y, heading] = [pose.x.0, pose.y.0, pose.heading.rad()];
-                let (turn, path) = last.map_or((0.0, 0.0), |[x0, y0, heading0]| {
-                    (wrap_rad(heading - heading0), (x - x0).hypot(y - y0))
-                });
-                let [_, turned, driven] = levels.samples.last().copied().unwrap_or_default();
-                levels.push([at_s, turned + turn, driven + path]);
-                last = Some([x, y, heading]);
-            }
-            _ => {}
+        if let Observed::WheelAngles { left, right } = observation.observed {
+            let (left_m, right_m) = (
+                left.0 * geometry.left_wheel_radius.0,
+                right.0 * geometry.right_wheel_radius.0,
+            );
+            let turn_rad = (right_m - left_m) / geometry.track_width.0;
+            levels.push([at_s, turn_rad, 0.5 * (left_m + right_m)]);
+        } else if let Observed::OdometerPose(pose) = observation.observed
+            && !has_wheels
+        {
+            let [x, y, heading] = [pose.x.0, pose.y.0, pose.heading.rad()];
+            let (turn, path) = last.map_or((0.0, 0.0), |[x0, y0, heading0]| {
+                (wrap_rad(heading - heading0), (x - x0).hypot(y - y0))
+            });
+            let [_, turned, driven] = levels.samples.last().copied().unwrap_or_default();
+            levels.push([at_s, turned + turn, driven + path]);
+            last = Some([x, y, heading]);
         }
     }
     levels

@@ -84,11 +84,11 @@ mod tests {
         assert_eq!(fixes.len(), 1_000);
         let squares: f64 = fixes
             .iter()
-            .map(|fix| match fix.observed {
-                Observed::Fix(fix) => {
-                    (fix.position.x.0 - 1.0).powi(2) + (fix.position.y.0 + 2.0).powi(2)
-                }
-                _ => f64::NAN,
+            .map(|fix| {
+                let Observed::Fix(fix) = fix.observed else {
+                    return f64::NAN;
+                };
+                (fix.position.x.0 - 1.0).powi(2) + (fix.position.y.0 + 2.0).powi(2)
             })
             .sum();
         let sigma_m = (squares / 2_000.0).sqrt();
