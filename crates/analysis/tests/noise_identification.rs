@@ -1,8 +1,4 @@
 //! A camera's delay out of motion: found with a sigma that covers, and refused where nothing tells of it.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
 
 use posebridge_analysis::noise_identification::{
     DelayError, DelaySearch, Levels, Sighting, find_delay, levels_of,
@@ -50,7 +46,7 @@ fn levels(seconds: u32, turn: fn(f64) -> f64) -> Levels {
 /// Ten a second, late by so much, with heading noise of one degree and a drift of the wheels against the camera.
 fn sightings(seconds: u32, delay_s: f64, seed: u64) -> Vec<Sighting> {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
-    let mut sighting = |i: u32| {
+    let sighting = |i: u32| {
         let at_s = f64::from(i) * 0.1;
         let noise: f64 = StandardNormal.sample(&mut rng);
         let heading = turned_rad(at_s - delay_s) + 0.005 * at_s + 0.0175 * noise;
@@ -60,7 +56,7 @@ fn sightings(seconds: u32, delay_s: f64, seed: u64) -> Vec<Sighting> {
             heading_rad: Some(heading),
         }
     };
-    (0..seconds * 10).map(|i| sighting(i)).collect()
+    (0..seconds * 10).map(sighting).collect()
 }
 
 #[test]

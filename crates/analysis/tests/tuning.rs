@@ -1,8 +1,4 @@
 //! A noise that is told ten times wrong is found again from the innovations of the filter itself.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
 
 use std::sync::Arc;
 

@@ -156,7 +156,7 @@ mod tests {
     /// Rest, then 0.2 m/s that slowly rises, with white noise of 0.01 m/s.
     fn run(count: usize, seed: u64) -> Vec<(f64, f64)> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
-        let mut interval = |i: usize| {
+        let interval = |i: usize| {
             let noise: f64 = StandardNormal.sample(&mut rng);
             let speed = if i < 50 {
                 0.0
@@ -165,7 +165,7 @@ mod tests {
             };
             (0.05, 0.05 * speed)
         };
-        (0..count).map(|i| interval(i)).collect()
+        (0..count).map(interval).collect()
     }
 
     #[test]
