@@ -46,6 +46,10 @@ pub enum Command {
     Lab(LabArgs),
     /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibrate.md).
     Calibrate(crate::commands::calibrate::CalibrateArgs),
+    /// Find what a sensor's noise is from a rest or a straight run, and how late a camera speaks (docs/lab/identify.md).
+    Identify(crate::commands::identify::IdentifyArgs),
+    /// Find a robot's noise parameters by the likelihood of the innovations (docs/lab/tune.md).
+    Tune(crate::commands::tune::TuneArgs),
     /// Make a key for signed links.
     Key(KeyArgs),
     /// Find out why a robot cannot be heard: ports, permissions, programs in the way, what a link carries.
@@ -229,6 +233,9 @@ pub struct ReplayArgs {
     /// Estimators to run; may be repeated.
     #[arg(long = "filter", value_name = "NAME")]
     pub filters: Vec<String>,
+    /// Lay the `[robot]` and `[filter]` of this profile over those of the recording; --set goes over both.
+    #[arg(long, value_name = "FILE.toml")]
+    pub robot: Option<PathBuf>,
     /// Truth written by `posebridge sim --truth`, to score a recording against.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,

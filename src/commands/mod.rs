@@ -4,6 +4,7 @@ pub mod calibrate;
 pub mod completions;
 pub mod config;
 pub mod doctor;
+pub mod identify;
 pub mod key;
 pub mod lab;
 pub mod play;
@@ -12,6 +13,7 @@ pub mod replay;
 pub mod run;
 pub mod sim;
 mod station_link;
+pub mod tune;
 
 use crate::cli::{Cli, Command};
 
@@ -79,6 +81,8 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Replay(args) => replay::execute(&args),
         Command::Lab(args) => lab::execute(&args),
         Command::Calibrate(args) => calibrate::execute(&args),
+        Command::Identify(args) => identify::execute(&args),
+        Command::Tune(args) => tune::execute(&args),
         Command::Key(args) => key::execute(&args),
         Command::Doctor(args) => doctor::execute(&args),
         Command::Config(args) => config::execute(&args),

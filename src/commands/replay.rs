@@ -6,6 +6,7 @@
 
 mod foreign;
 mod own;
+mod robot;
 mod smooth;
 
 use std::fmt::Write as _;

@@ -27,10 +27,12 @@ pub mod figures;
 pub mod identification;
 mod markup;
 pub mod metrics;
+pub mod noise_identification;
 pub mod report;
 pub mod smoothed;
 pub mod square;
 pub mod track;
+pub mod tuning;
 pub mod wall;
 
 pub use figures::{FIGURES, Figure, FixMark, RunLayers};

@@ -8,8 +8,8 @@ use posebridge_analysis::{ErrorSummary, SourceTally, TimedPose, Track, mean_over
 use posebridge_pipeline::{DescriptionPolicy, Pipeline, PipelineConfig};
 use posebridge_telemetry::{Address, Input, Observation, Point2, Span};
 
-use super::{Outcome, Replayed, SmoothedRun, draw, finish_events, take_outputs};
-use crate::cli::ReplayArgs;
+use super::{Outcome, Replayed, SmoothedRun, draw, finish_events, robot, take_outputs};
+use crate::cli::{DataFlags, ReplayArgs};
 use crate::collect::{Collector, LONGEST_GAP};
 use crate::commands::{Failure, Stage};
 use crate::data::{DataSet, RobotRun, tell_bad_rows};
@@ -31,7 +31,11 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         ))
         .at_start();
     }
-    let data = DataSet::open(&args.recording, &args.data).at_start()?;
+    let flags = DataFlags {
+        settings: robot::settings(args, &[]).at_start()?,
+        ..args.data.clone()
+    };
+    let data = DataSet::open(&args.recording, &flags).at_start()?;
     if let (Some(_), runs @ 2..) = (&args.save_calibration, data.runs.len()) {
         return Err(anyhow!(
             "--save-calibration takes what one run has taught, but {runs} are selected: choose one with --run"
@@ -45,7 +49,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     let mut smoothed = Vec::new();
     let mut per_filter: Vec<Gathered> = filters.iter().map(|_| Gathered::default()).collect();
     for name in &data.runs {
-        let robot_run = data.load(name, &args.data).at_start()?;
+        let robot_run = data.load(name, &flags).at_start()?;
         observations += robot_run.run.observations.len() as u64;
         bad_rows += tell_bad_rows(&robot_run);
         if args.smooth {

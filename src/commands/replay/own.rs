@@ -12,7 +12,7 @@ use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::{Ending, Reader};
 use posebridge_telemetry::Stamp;
 
-use super::{NoPath, Outcome, Replayed, SmoothedRun, draw, finish_events, take_outputs};
+use super::{NoPath, Outcome, Replayed, SmoothedRun, draw, finish_events, robot, take_outputs};
 use crate::cli::ReplayArgs;
 use crate::collect::Collector;
 use crate::commands::{Failure, Stage};
@@ -133,7 +133,8 @@ fn smoothed(config: &FilterConfig, collector: &Collector, truth: Option<&Track>)
 /// The configuration that a recording was made with, and what the flags change of it.
 fn recorded_config(args: &ReplayArgs, header: &str) -> Result<config::Config> {
     let origin = "the recording's own configuration";
-    let mut config = config::load_text(origin, header, &args.data.settings)?.config;
+    let settings = robot::settings(args, &["robot"])?;
+    let mut config = config::load_text(origin, header, &settings)?.config;
     match args.filters.as_slice() {
         [] => {}
         [filter] => config.filter.name.clone_from(filter),

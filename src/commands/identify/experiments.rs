@@ -1,0 +1,288 @@
+//! The three experiments: what is taken out of a run, given to the analysis, and told.
+
+use anyhow::{Context, Result, bail};
+use posebridge_analysis::figures::{Axes, Curve, Plot, Shape};
+use posebridge_analysis::noise_identification::{
+    AllanPoint, DelaySearch, RestNoise, Sighting, allan_deviation, find_delay, levels_of,
+    noise_at_rest, noise_of_straight, rounding_speed_sigma,
+};
+use posebridge_telemetry::{Observation, Observed};
+
+use super::report::{Findings, Quantity};
+use super::source::{Clock, Seen};
+
+/// Height of a panel.
+const PANEL_PX: f64 = 300.0;
+
+/// The gyro of a robot that rests.
+pub(super) fn rest(seen: &Seen) -> Result<Findings> {
+    let (stamps, rates): (Vec<f64>, Vec<f64>) = seen
+        .arrived
+        .iter()
+        .filter_map(|one| {
+            let Observed::TurnRate(rate) = one.observation.observed else {
+                return None;
+            };
+            Some((one.observation.stamp.as_secs_f64(), rate.0))
+        })
+        .unzip();
+    let (Some(first_s), Some(last_s)) = (stamps.first(), stamps.last()) else {
+        bail!("run `{}` has no gyro", seen.name)
+    };
+    let dt_s = (last_s - first_s) / (stamps.len().max(2) - 1) as f64;
+    let found =
+        noise_at_rest(&rates, dt_s).with_context(|| format!("the gyro of `{}`", seen.name))?;
+    let quantities = rest_quantities(seen, &found);
+    let points = allan_deviation(&rates, dt_s);
+    let bottom = points
+        .iter()
+        .copied()
+        .min_by(|a, b| a.deviation.total_cmp(&b.deviation));
+    let mut notes = vec![format!(
+        "{} samples over {:.0} s",
+        found.samples,
+        last_s - first_s
+    )];
+    if let Some(bottom) = bottom {
+        notes.push(format!(
+            "bias instability, the lowest Allan deviation: {:.2e} ± {:.1e} rad/s at {:.1} s",
+            bottom.deviation, bottom.sigma, bottom.tau_s
+        ));
+    }
+    let plot = allan_plot(&points);
+    Ok(Findings {
+        name: "identify-rest",
+        title: "A gyro at rest".to_owned(),
+        quantities,
+        notes,
+        plot,
+    })
+}
+
+/// What a rest says of the gyro, beside the truth where there is one.
+fn rest_quantities(seen: &Seen, found: &RestNoise) -> Vec<Quantity> {
+    let gyro = seen.scenario.as_ref().map(|scenario| scenario.gyro);
+    let truth = |of: fn(&posebridge_sim::montecarlo::Gyro) -> f64| {
+        gyro.as_ref().map(|gyro| of(gyro).to_radians())
+    };
+    vec![
+        Quantity::new(
+            "bias, mean over the rest",
+            "rad/s",
+            found.bias,
+            Some(found.bias_sigma),
+        ),
+        Quantity::new(
+            "gyro_rad_per_s",
+            "rad/s",
+            found.white,
+            Some(found.white_sigma),
+        )
+        .against(truth(|gyro| gyro.sigma_deg_per_s)),
+        Quantity::optional(
+            "gyro_resolution_rad_per_s",
+            "rad/s",
+            found.quantum.map(|quantum| (quantum, None)),
+        )
+        .against(truth(|gyro| gyro.resolution_deg_per_s)),
+        Quantity::optional(
+            "gyro_bias_walk_rad_per_s_sqrt_s",
+            "rad/s/sqrt(s)",
+            found.walk.map(|(walk, sigma)| (walk, Some(sigma))),
+        )
+        .against(truth(|gyro| gyro.bias_walk_deg_per_s_sqrt_s)),
+        Quantity::new(
+            "angle random walk",
+            "rad/sqrt(s)",
+            found.angle_random_walk,
+            None,
+        ),
+        Quantity::new("sample interval", "s", found.dt_s, None),
+    ]
+}
+
+fn allan_plot(points: &[AllanPoint]) -> Plot {
+    let log = |tau_s: f64, value: f64| (tau_s.log10(), value.log10());
+    let measured = points
+        .iter()
+        .map(|point| log(point.tau_s, point.deviation))
+        .collect();
+    let band = points.iter().map(|point| {
+        let (low, high) = (point.deviation - point.sigma, point.deviation + point.sigma);
+        (point.tau_s.log10(), low.log10(), high.log10())
+    });
+    one_panel(
+        "Allan deviation at rest",
+        "log10 of averaging time [s]",
+        "log10 of deviation [rad/s]",
+        vec![
+            Curve {
+                name: "one sigma".to_owned(),
+                shape: Shape::Band(band.collect()),
+            },
+            Curve {
+                name: "measured".to_owned(),
+                shape: Shape::Dots(measured),
+            },
+        ],
+    )
+}
+
+/// The encoders of a robot that drives straight.
+pub(super) fn straight(seen: &Seen) -> Result<Findings> {
+    let counts = travels(seen);
+    if counts.is_empty() {
+        bail!("run `{}` has no wheel counts", seen.name)
+    }
+    let mut quantities = Vec::new();
+    let mut notes = Vec::new();
+    let mut curves = Vec::new();
+    for (wheel, column) in [("left", 1), ("right", 2)] {
+        let travel: Vec<(f64, f64)> = counts
+            .windows(2)
+            .filter_map(|pair| match pair {
+                [a, b] => Some((b[0] - a[0], b[column] - a[column])),
+                _ => None,
+            })
+            .collect();
+        let found = noise_of_straight(&travel)
+            .with_context(|| format!("the {wheel} wheel of `{}`", seen.name))?;
+        let (sigma, of_sigma) = (found.sigma_m_per_s, found.sigma_sigma_m_per_s);
+        quantities.push(Quantity::new(
+            format!("speed, {wheel} wheel"),
+            "m/s",
+            found.speed_m_per_s,
+            None,
+        ));
+        quantities.push(Quantity::new(
+            format!("root of R, {wheel} wheel"),
+            "m/s",
+            sigma,
+            Some(of_sigma),
+        ));
+        let rounding = rounding_speed_sigma(&seen.geometry, &travel);
+        notes.push(format!(
+            "{wheel}: {} intervals, rho(1) {:+.2}; rounding to counts alone makes {rounding:.5} m/s on average over speeds, and rho(1) -0.5",
+            found.samples, found.rho_1
+        ));
+        let speeds = travel
+            .iter()
+            .zip(&counts)
+            .map(|((dt_s, by_m), from)| (from[0], by_m / dt_s));
+        curves.push(Curve {
+            name: format!("{wheel} wheel"),
+            shape: Shape::Line(speeds.collect()),
+        });
+    }
+    let plot = one_panel("A straight run", "time [s]", "speed [m/s]", curves);
+    Ok(Findings {
+        name: "identify-straight",
+        title: "Encoder speed of a straight run".to_owned(),
+        quantities,
+        notes,
+        plot,
+    })
+}
+
+/// Each instant, s, with how far both wheels have rolled by then, m.
+fn travels(seen: &Seen) -> Vec<[f64; 3]> {
+    let mut counts: Vec<[f64; 3]> = Vec::new();
+    for one in &seen.arrived {
+        if let Observed::WheelAngles { left, right } = one.observation.observed {
+            let geometry = &seen.geometry;
+            let at_s = one.observation.stamp.as_secs_f64();
+            counts.push([
+                at_s,
+                left.0 * geometry.left_wheel_radius.0,
+                right.0 * geometry.right_wheel_radius.0,
+            ]);
+        }
+    }
+    counts
+}
+
+/// The camera of a robot that turns to and fro.
+pub(super) fn delay(seen: &Seen, by: Clock, search: &DelaySearch) -> Result<Findings> {
+    let observations: Vec<Observation> = seen.arrived.iter().map(|one| one.observation).collect();
+    let levels = levels_of(&observations, &seen.geometry);
+    let sightings = sightings_of(seen, by);
+    let found = find_delay(&levels, &sightings, search)
+        .with_context(|| format!("the camera of `{}`", seen.name))?;
+    let camera = seen
+        .scenario
+        .as_ref()
+        .and_then(|scenario| Some((scenario.step_s, scenario.camera?)));
+    let truth = camera.map(|(step_s, camera)| match by {
+        Clock::Stamp => 0.0,
+        Clock::Arrival => step_s * f64::from(camera.delay_steps),
+    });
+    let quantities = vec![
+        Quantity::new(
+            "delay of the camera",
+            "s",
+            found.delay_s,
+            Some(found.sigma_s),
+        )
+        .against(truth),
+        Quantity::new("correlation there", "1", found.correlation, None),
+    ];
+    let what = if found.by_heading {
+        "headings"
+    } else {
+        "paths: the fixes have no heading"
+    };
+    let notes = vec![format!("{} fixes, by their {what}", found.sightings)];
+    let plot = one_panel(
+        "Camera motion against wheel motion",
+        "delay [s]",
+        "correlation",
+        vec![Curve {
+            name: "correlation".to_owned(),
+            shape: Shape::Line(found.curve),
+        }],
+    );
+    Ok(Findings {
+        name: "identify-delay",
+        title: "Delay of a camera".to_owned(),
+        quantities,
+        notes,
+        plot,
+    })
+}
+
+/// The camera's fixes in the order of the clock that is asked about.
+fn sightings_of(seen: &Seen, by: Clock) -> Vec<Sighting> {
+    let mut sightings: Vec<Sighting> = seen
+        .arrived
+        .iter()
+        .filter_map(|one| {
+            let Observed::Fix(fix) = one.observation.observed else {
+                return None;
+            };
+            Some(Sighting {
+                at_s: match by {
+                    Clock::Stamp => one.observation.stamp.as_secs_f64(),
+                    Clock::Arrival => one.arrival_s,
+                },
+                place_m: [fix.position.x.0, fix.position.y.0],
+                heading_rad: fix.heading.map(posebridge_telemetry::Heading::rad),
+            })
+        })
+        .collect();
+    sightings.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    sightings
+}
+
+fn one_panel(title: &str, x_name: &str, y_name: &str, curves: Vec<Curve>) -> Plot {
+    Plot {
+        title: title.to_owned(),
+        key_figures: String::new(),
+        axes: vec![Axes {
+            x_name: x_name.to_owned(),
+            y_name: y_name.to_owned(),
+            height_px: PANEL_PX,
+            is_map: false,
+            curves,
+        }],
+    }
+}

@@ -1,0 +1,107 @@
+//! `posebridge identify`: what a sensor's noise is, and how late a camera speaks.
+//!
+//! Without a recording each experiment looks at a simulated robot whose numbers are known, and says how far it was off.
+//! docs/lab/identify.md has the equations.
+
+mod experiments;
+mod report;
+mod source;
+
+use anyhow::Result;
+use posebridge_analysis::noise_identification::DelaySearch;
+
+use self::report::Findings;
+use self::source::{Clock, SourceArgs};
+use crate::commands::lab::outcome::{Outcome, OutputArgs};
+use crate::commands::{Failure, Stage};
+
+/// Flags of `identify`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct IdentifyArgs {
+    /// What to identify.
+    #[command(subcommand)]
+    pub what: What,
+}
+
+/// What can be identified.
+#[derive(Clone, Debug, clap::Subcommand)]
+pub enum What {
+    /// Gyro of a robot that rests: bias, white noise, step, angle random walk, random walk of the bias, Allan deviation.
+    Rest(NoiseArgs),
+    /// Encoder speed of a robot that drives straight: R of each wheel.
+    Straight(NoiseArgs),
+    /// Camera of a robot that turns to and fro: its delay against the wheels.
+    Delay(DelayArgs),
+}
+
+/// Flags of `identify rest` and `identify straight`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct NoiseArgs {
+    /// What to look at.
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// What to leave.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Flags of `identify delay`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct DelayArgs {
+    /// What to look at.
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// Take a fix for seen when its stamp says so, or when it arrived.
+    #[arg(long, value_enum, default_value = "arrival")]
+    pub by: Clock,
+    /// The largest delay that is looked at, in seconds; the smallest is a quarter of it, before zero.
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
+    pub most: f64,
+    /// What to leave.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Identifies.
+///
+/// # Errors
+/// The recording or the scenario cannot be had, it tells nothing of what is asked for, or an output cannot be written.
+pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
+    match &args.what {
+        What::Rest(args) => run(&args.source, &args.output, source::REST, experiments::rest),
+        What::Straight(args) => run(
+            &args.source,
+            &args.output,
+            source::STRAIGHT,
+            experiments::straight,
+        ),
+        What::Delay(args) => {
+            let search = DelaySearch {
+                from_s: -0.25 * args.most,
+                to_s: args.most,
+            };
+            run(&args.source, &args.output, source::DELAY, |seen| {
+                experiments::delay(seen, args.by, &search)
+            })
+        }
+    }
+}
+
+fn run(
+    source: &SourceArgs,
+    output: &OutputArgs,
+    bundled: &str,
+    experiment: impl FnOnce(&source::Seen) -> Result<Findings>,
+) -> Result<(), Failure> {
+    let seen = source.read(bundled).at_start()?;
+    let folder = output.folder()?;
+    let findings = experiment(&seen).while_running()?;
+    let text = report::text(&findings, &seen.name);
+    let outcome = Outcome {
+        name: findings.name,
+        page: report::page(&findings, &text),
+        json: report::json(&findings, &seen.name),
+        text,
+    };
+    output.deliver(&folder, &outcome)
+}

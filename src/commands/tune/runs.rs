@@ -1,0 +1,349 @@
+//! The runs that are tuned on or held out, and what a filter makes of them.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use posebridge_analysis::accuracy::{Arrival, KnownDrive, score};
+use posebridge_analysis::metrics::{count_in, summarise};
+use posebridge_analysis::tuning::{Glimpses, RunFit, fit_run, fixes_from_truth, offline_params};
+use posebridge_analysis::{SourceTally, TimedPose};
+use posebridge_estimator::{Filter, FilterConfig, FilterEntry, Params, StartPose};
+use posebridge_recording::dataset::Run;
+use posebridge_sim::montecarlo::{Drive, SCENARIOS, Scenario};
+use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, Span, Stamp};
+
+use super::TuneArgs;
+use crate::cli::DataFlags;
+use crate::config::RobotFile;
+use crate::data::{DataSet, RobotRun, tell_bad_rows};
+use crate::score::{Belief, Scorer};
+
+/// What a run is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Set {
+    /// The search sees it.
+    Training,
+    /// It is scored before and after.
+    HeldOut,
+}
+
+/// What a run is held against.
+enum Yardstick {
+    /// Truth or withheld fixes of a recording.
+    Recorded(Box<Run>),
+    /// The truth of a simulated drive.
+    Drawn(Box<KnownDrive>),
+}
+
+/// One run.
+pub(super) struct TuneRun {
+    pub(super) name: String,
+    pub(super) set: Set,
+    /// In the order of arrival.
+    pub(super) observations: Vec<Observation>,
+    pub(super) config: FilterConfig,
+    yardstick: Yardstick,
+}
+
+/// What a filter made of a run.
+pub(super) struct RunScore {
+    pub(super) name: String,
+    pub(super) set: Set,
+    /// As the search sees it: what the filter learns on line switched off.
+    pub(super) fit: RunFit,
+    /// Of the filter as it runs live, against truth or withheld fixes.
+    pub(super) position_rms_m: Option<f64>,
+    /// Of the filter as it runs live.
+    pub(super) sources: Vec<SourceTally>,
+}
+
+/// All runs, and the robot of the first one.
+pub(super) struct Material {
+    pub(super) runs: Vec<TuneRun>,
+    pub(super) robot: RobotFile,
+    /// Whence they come, for the profile.
+    pub(super) source: String,
+}
+
+impl Material {
+    /// Reads recordings or draws drives.
+    ///
+    /// # Errors
+    /// One cannot be read or makes no sense, or nothing is left to tune on.
+    pub(super) fn gather(args: &TuneArgs) -> Result<Self> {
+        let material = match &args.sim {
+            Some(asked) => simulated(args, asked)?,
+            None => recorded(args)?,
+        };
+        ensure!(
+            material.training().next().is_some(),
+            "no run is left to tune on: --hold-out takes them all"
+        );
+        Ok(material)
+    }
+
+    /// The runs that the search sees.
+    pub(super) fn training(&self) -> impl Iterator<Item = &TuneRun> {
+        self.runs.iter().filter(|run| run.set == Set::Training)
+    }
+}
+
+fn recorded(args: &TuneArgs) -> Result<Material> {
+    let mut runs = Vec::new();
+    let mut robot = None;
+    let mut known = Vec::new();
+    for path in &args.recordings {
+        known.extend(DataSet::open(path, &flags(args, None))?.descriptor.runs);
+    }
+    check_prefixes(args, &known)?;
+    for path in &args.recordings {
+        let trained = named(args, path, &args.run)?;
+        let held_out = if args.hold_out.is_empty() {
+            Vec::new()
+        } else {
+            named(args, path, &args.hold_out)?
+        };
+        let trained = trained.into_iter().filter(|name| !held_out.contains(name));
+        let sets = trained
+            .map(|name| (name, Set::Training))
+            .collect::<Vec<_>>();
+        let held_out = held_out.iter().map(|name| (name.clone(), Set::HeldOut));
+        for (name, set) in sets.into_iter().chain(held_out) {
+            let flags = flags(args, Some(name.clone()));
+            let loaded = DataSet::open(path, &flags)?.load(&name, &flags)?;
+            tell_bad_rows(&loaded);
+            robot.get_or_insert_with(|| loaded.robot.clone());
+            runs.push(of_recording(args, loaded, set)?);
+        }
+    }
+    let paths: Vec<String> = args
+        .recordings
+        .iter()
+        .map(|path| path.display().to_string())
+        .collect();
+    Ok(Material {
+        runs,
+        robot: robot.unwrap_or_default(),
+        source: paths.join(", "),
+    })
+}
+
+fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
+    DataFlags {
+        data: args.data.clone(),
+        run,
+        use_every: args.use_every,
+        settings: args.settings.clone(),
+    }
+}
+
+/// The runs of a recording that begin with one of the prefixes; the usual ones without a prefix.
+fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String>> {
+    let usual = DataSet::open(path, &flags(args, None))?;
+    if prefixes.is_empty() {
+        return Ok(usual.runs);
+    }
+    let known = usual.descriptor.runs.iter();
+    let is_asked = |name: &&String| {
+        prefixes
+            .iter()
+            .any(|prefix| name.starts_with(prefix.as_str()))
+    };
+    Ok(known.filter(is_asked).cloned().collect())
+}
+
+/// A prefix that fits no run is a slip of the pen.
+fn check_prefixes(args: &TuneArgs, known: &[String]) -> Result<()> {
+    for prefix in args.run.iter().chain(&args.hold_out) {
+        ensure!(
+            known.iter().any(|name| name.starts_with(prefix.as_str())),
+            "no run begins with `{prefix}`; there are: {}",
+            known.join(", ")
+        );
+    }
+    Ok(())
+}
+
+fn of_recording(args: &TuneArgs, loaded: RobotRun, set: Set) -> Result<TuneRun> {
+    let mut run = loaded.run;
+    let config = loaded.filter_config;
+    let mut observations: Vec<Observation> = run
+        .observations
+        .iter()
+        .map(|timed| timed.observation)
+        .collect();
+    if let Some(every_s) = args.fixes_from_truth {
+        ensure!(
+            every_s.is_finite() && every_s > 0.0,
+            "--fixes-from-truth is {every_s}, must be a number of seconds of more than zero"
+        );
+        ensure!(
+            !run.truth.is_empty(),
+            "run `{}` has no truth for --fixes-from-truth",
+            run.name
+        );
+        let truth: Vec<_> = run
+            .truth
+            .iter()
+            .map(|truth| (truth.stamp, truth.position))
+            .collect();
+        let glimpses = Glimpses {
+            every: Span::from_secs_f64(every_s),
+            sigma_m: config.noise.fix_position_m,
+            seed: args.seed,
+        };
+        observations.extend(fixes_from_truth(&truth, &glimpses));
+        // Stable: at one instant the wheels speak before the camera.
+        observations.sort_by_key(|observation| observation.stamp);
+    }
+    run.observations.clear();
+    Ok(TuneRun {
+        name: run.name.clone(),
+        set,
+        observations,
+        config,
+        yardstick: Yardstick::Recorded(Box::new(run)),
+    })
+}
+
+fn simulated(args: &TuneArgs, asked: &str) -> Result<Material> {
+    let scenario = scenario(asked)?.with_seed(args.seed);
+    let robot = RobotFile {
+        name: format!("simulated, {asked}"),
+        ..RobotFile::default()
+    };
+    let drives = (0..2 * args.runs).map(|run| {
+        let set = if run < args.runs {
+            Set::Training
+        } else {
+            Set::HeldOut
+        };
+        of_drive(&scenario.drive(run), format!("run {run}"), set)
+    });
+    let runs: Vec<TuneRun> = drives.collect();
+    let told = runs.first().map(|run| run.config.geometry);
+    let robot = told.map_or(robot.clone(), |geometry| RobotFile {
+        left_wheel_radius_m: geometry.left_wheel_radius.0,
+        right_wheel_radius_m: geometry.right_wheel_radius.0,
+        track_width_m: geometry.track_width.0,
+        ticks_per_turn: std::f64::consts::TAU / geometry.tick.0,
+        ..robot
+    });
+    Ok(Material {
+        runs,
+        robot,
+        source: format!("sim {asked}, seed {}", args.seed),
+    })
+}
+
+fn scenario(asked: &str) -> Result<Scenario> {
+    let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
+    let path = Path::new(asked);
+    if is_bundled || path.extension().is_none_or(|extension| extension != "toml") {
+        return Ok(Scenario::bundled(asked)?);
+    }
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
+    Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))
+}
+
+fn of_drive(drive: &Drive, name: String, set: Set) -> TuneRun {
+    let told = &drive.told;
+    let poses = drive.truth.iter().enumerate();
+    let arrivals = drive.arrivals.iter();
+    let known = KnownDrive {
+        truth: poses
+            .map(|(step, pose)| TimedPose {
+                stamp: drive.stamp(step),
+                pose: *pose,
+            })
+            .collect(),
+        arrivals: arrivals
+            .map(|arrival| Arrival {
+                step: arrival.step,
+                observation: arrival.observation,
+            })
+            .collect(),
+        scored_from: drive.scored_from,
+    };
+    TuneRun {
+        name,
+        set,
+        observations: drive
+            .arrivals
+            .iter()
+            .map(|arrival| arrival.observation)
+            .collect(),
+        config: FilterConfig {
+            geometry: told.geometry,
+            noise: told.noise,
+            start: Some(StartPose {
+                pose: told.start,
+                position_sigma_m: told.start_position_sigma_m,
+                heading_sigma_rad: told.start_heading_sigma_rad,
+            }),
+            params: Params::default(),
+            calibration: told.calibration,
+            world: std::sync::Arc::default(),
+        },
+        yardstick: Yardstick::Drawn(Box::new(known)),
+    }
+}
+
+impl TuneRun {
+    /// The likelihood of the run, with what the filter does about its noise on line switched off.
+    pub(super) fn fit(&self, entry: &FilterEntry, mut config: FilterConfig) -> RunFit {
+        config.params = offline_params(config.params);
+        fit_run(&self.observations, (entry.build)(&config).as_mut())
+    }
+
+    /// The likelihood as the search sees it, and the error of the filter as it runs live.
+    pub(super) fn score(&self, entry: &FilterEntry, config: FilterConfig) -> RunScore {
+        let mut live = (entry.build)(&config);
+        let (position_rms_m, sources) = match &self.yardstick {
+            Yardstick::Drawn(known) => {
+                let score = score(known, live.as_mut());
+                (score.position_rms_m(), score.sources().to_vec())
+            }
+            Yardstick::Recorded(run) => self.against(run, &config.calibration, live.as_mut()),
+        };
+        RunScore {
+            name: self.name.clone(),
+            set: self.set,
+            fit: self.fit(entry, config),
+            position_rms_m,
+            sources,
+        }
+    }
+
+    fn against(
+        &self,
+        run: &Run,
+        prior: &Calibration,
+        live: &mut dyn Filter,
+    ) -> (Option<f64>, Vec<SourceTally>) {
+        let mut scorer = Scorer::new(run, prior);
+        let mut sources = Vec::new();
+        for observation in &self.observations {
+            count_in(&mut sources, &live.observe(observation));
+            scorer.observed(&observation.observed, observation.stamp, &Believed(&*live));
+        }
+        scorer.finish(&Believed(&*live));
+        (summarise(&scorer.errors).position_rms_m, sources)
+    }
+}
+
+/// A filter as the scoring asks it.
+struct Believed<'a>(&'a dyn Filter);
+
+impl Belief for Believed<'_> {
+    fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
+        self.0.estimate_at(stamp)
+    }
+    fn calibration(&self) -> Option<Calibration> {
+        self.0.calibration()
+    }
+    fn latest(&self) -> Option<Stamp<BrickClock>> {
+        self.0.latest()
+    }
+}
