@@ -8,6 +8,7 @@ pub mod collect;
 pub mod commands;
 pub mod config;
 pub mod data;
+pub mod drawn;
 pub mod learned;
 pub mod link_profile;
 pub mod link_target;

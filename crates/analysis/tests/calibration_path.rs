@@ -302,15 +302,7 @@ fn mistaken(path: &FreePath, wiring: Wiring, travel_factor: f64) -> FreePath {
 #[test]
 fn mistakes_in_the_description_are_named_and_undone() {
     let path = drive(&TRUTH, &BOTH_WAYS, 3, 6);
-    for wiring in [
-        Wiring::AsGiven,
-        Wiring::Swapped,
-        Wiring::BothReversed,
-        Wiring::LeftReversed,
-        Wiring::RightReversed,
-        Wiring::SwappedLeftReversed,
-        Wiring::SwappedRightReversed,
-    ] {
+    for wiring in Wiring::ALL {
         for (track_factor, travel_factor) in
             [(1.0, 1.0), (2.0, 1.0), (0.5, 1.0), (1.0, 4.0), (2.0, 0.5)]
         {

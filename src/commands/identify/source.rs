@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
+use posebridge_sim::montecarlo::Scenario;
 use posebridge_telemetry::{DriveGeometry, Observation};
 
 use crate::cli::DataFlags;
 use crate::config::Setting;
 use crate::data::{DataSet, tell_bad_rows};
+use crate::drawn;
 
 /// What the experiments look at without a recording.
 pub(super) const REST: &str = include_str!("scenarios/rest.toml");
@@ -131,17 +132,11 @@ impl SourceArgs {
 
     fn simulated(&self, bundled: &str) -> Result<Seen> {
         let (name, scenario) = match &self.sim {
-            None => ("bundled experiment", Scenario::from_toml(bundled)?),
-            Some(asked) if SCENARIOS.iter().any(|(name, _)| name == asked) => {
-                (asked.as_str(), Scenario::bundled(asked)?)
-            }
-            Some(asked) => {
-                let text = std::fs::read_to_string(asked)
-                    .with_context(|| format!("reading the scenario `{asked}`"))?;
-                let scenario =
-                    Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))?;
-                (asked.as_str(), scenario)
-            }
+            None => (
+                "bundled experiment".to_owned(),
+                Scenario::from_toml(bundled)?,
+            ),
+            Some(asked) => drawn::scenario(asked)?,
         };
         let scenario = scenario.with_seed(self.seed);
         let drive = scenario.drive(0);

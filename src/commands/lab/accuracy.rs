@@ -2,14 +2,12 @@
 //!
 //! Scenarios and their numbers are files (`config/scenarios/accuracy/`); docs/lab-accuracy.md says what they are for.
 
-use std::path::Path;
-
-use anyhow::{Context, Result};
+use anyhow::Result;
 use posebridge_analysis::figures::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
 use posebridge_analysis::report::page::{Page, Part};
 use posebridge_analysis::report::{ScoreRow, bound_line, score_table};
 use posebridge_link::HostTimer;
-use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
+use posebridge_sim::montecarlo::SCENARIOS;
 use posebridge_telemetry::Span;
 
 use super::Estimator;
@@ -18,6 +16,7 @@ use super::accuracy_runs::{Planned, Scored, Scores, score_all};
 use super::outcome::Outcome;
 use crate::cli::LabAccuracyArgs;
 use crate::commands::{Failure, Stage};
+use crate::drawn::scenario;
 use crate::progress;
 use crate::stderr::say;
 
@@ -76,7 +75,7 @@ fn planned(args: &LabAccuracyArgs) -> Result<Vec<Planned>> {
         args.scenarios.clone()
     };
     let planned = names.into_iter().map(|asked| {
-        let (name, mut scenario) = scenario(asked)?;
+        let (name, mut scenario) = scenario(&asked)?;
         if let Some(seed) = args.seed {
             scenario = scenario.with_seed(seed);
         }
@@ -87,26 +86,6 @@ fn planned(args: &LabAccuracyArgs) -> Result<Vec<Planned>> {
         })
     });
     planned.collect()
-}
-
-/// A bundled scenario by its name, else one from a file, which is called like it.
-fn scenario(asked: String) -> Result<(String, Scenario)> {
-    let path = Path::new(&asked);
-    let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
-    let is_file = path
-        .extension()
-        .is_some_and(|extension| extension == "toml");
-    if is_bundled || !is_file {
-        let scenario = Scenario::bundled(&asked)?;
-        return Ok((asked, scenario));
-    }
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
-    let scenario = Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))?;
-    let name = path
-        .file_stem()
-        .map_or(asked.clone(), |stem| stem.to_string_lossy().into_owned());
-    Ok((name, scenario))
 }
 
 fn tables(scored: &[Scored], estimators: &[Estimator]) -> String {

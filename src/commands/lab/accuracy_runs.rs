@@ -3,15 +3,15 @@
 //! Each job draws one drive and runs every estimator over it. Jobs end in any order; their scores are added up in the order of
 //! the runs, so that the result does not depend on the number of cores, to the last bit.
 
-use posebridge_analysis::TimedPose;
-use posebridge_analysis::accuracy::{Arrival, BoundSum, KnownDrive, Score};
+use posebridge_analysis::accuracy::{BoundSum, Score};
 use posebridge_estimator::offline::OfflineError;
 use posebridge_link::HostTimer;
-use posebridge_sim::montecarlo::{Drive, Scenario};
+use posebridge_sim::montecarlo::Scenario;
 use posebridge_telemetry::Span;
 
 use super::bounds::Bounded;
 use super::{Estimator, Verdict};
+use crate::drawn::known_drive;
 use crate::parallel::run_all;
 
 /// A scenario with its name and how often it is driven.
@@ -134,26 +134,5 @@ impl Scored {
     /// Root mean square of the bound over steps and runs, in metres.
     pub(super) fn bound_rms_m(&self) -> Option<f64> {
         self.bound.as_ref().and_then(BoundSum::rms_m)
-    }
-}
-
-/// The drive as the scoring wants it.
-pub(super) fn known_drive(drive: &Drive) -> KnownDrive {
-    let truth = drive
-        .truth
-        .iter()
-        .enumerate()
-        .map(|(step, pose)| TimedPose {
-            stamp: drive.stamp(step),
-            pose: *pose,
-        });
-    let arrivals = drive.arrivals.iter().map(|arrival| Arrival {
-        step: arrival.step,
-        observation: arrival.observation,
-    });
-    KnownDrive {
-        truth: truth.collect(),
-        arrivals: arrivals.collect(),
-        scored_from: drive.scored_from,
     }
 }

@@ -6,7 +6,7 @@
 use posebridge_analysis::accuracy::{BoundSum, KnownDrive, WheelTurn};
 use posebridge_sim::montecarlo::{Drive, Errors, Scenario, ToldGeometry};
 
-use super::estimators::filter_config;
+use crate::drawn::filter_config;
 
 /// What the bound of a scenario is worth.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -99,7 +99,7 @@ mod tests {
     use posebridge_telemetry::Radians;
 
     use super::*;
-    use crate::commands::lab::accuracy_runs::known_drive;
+    use crate::drawn::known_drive;
 
     #[test]
     fn every_bundled_scenario_says_what_its_bound_leaves_out() {

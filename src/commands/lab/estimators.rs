@@ -1,14 +1,12 @@
 //! What the experiments can run over a drive: every filter that estimates a pose, and yardsticks that no robot can have.
 
-use std::sync::Arc;
-
 use posebridge_analysis::accuracy::{HindsightScore, KnownDrive, Score, score, score_in_hindsight};
 use posebridge_estimator::offline::{OfflineError, batch, rts};
-use posebridge_estimator::{
-    Estimates, FILTERS, FilterConfig, FilterEntry, Params, StartPose, filter_named,
-};
-use posebridge_sim::montecarlo::{Drive, Told};
+use posebridge_estimator::{Estimates, FILTERS, FilterConfig, FilterEntry, filter_named};
+use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::Calibration;
+
+use crate::drawn::filter_config;
 
 /// The filter whose clairvoyant twin is a yardstick.
 const FLAGSHIP: &str = "pose";
@@ -142,22 +140,6 @@ impl Estimator {
             Self::Rts => score_in_hindsight(known, &filter_config(&drive.told), rts).into(),
             Self::Smooth => score_in_hindsight(known, &filter_config(&drive.told), batch).into(),
         }
-    }
-}
-
-/// A filter's configuration from what it may know.
-pub(super) fn filter_config(told: &Told) -> FilterConfig {
-    FilterConfig {
-        geometry: told.geometry,
-        noise: told.noise,
-        start: Some(StartPose {
-            pose: told.start,
-            position_sigma_m: told.start_position_sigma_m,
-            heading_sigma_rad: told.start_heading_sigma_rad,
-        }),
-        params: Params::default(),
-        calibration: told.calibration,
-        world: Arc::default(),
     }
 }
 

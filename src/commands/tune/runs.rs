@@ -2,20 +2,21 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
-use posebridge_analysis::accuracy::{Arrival, KnownDrive, score};
+use anyhow::{Result, ensure};
+use posebridge_analysis::SourceTally;
+use posebridge_analysis::accuracy::{KnownDrive, score};
 use posebridge_analysis::metrics::{count_in, summarise};
 use posebridge_analysis::tuning::{Glimpses, RunFit, fit_run, fixes_from_truth, offline_params};
-use posebridge_analysis::{SourceTally, TimedPose};
-use posebridge_estimator::{Filter, FilterConfig, FilterEntry, Params, StartPose};
+use posebridge_estimator::{Filter, FilterConfig, FilterEntry};
 use posebridge_recording::dataset::Run;
-use posebridge_sim::montecarlo::{Drive, SCENARIOS, Scenario};
+use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, Span, Stamp};
 
 use super::TuneArgs;
 use crate::cli::DataFlags;
 use crate::config::RobotFile;
 use crate::data::{DataSet, RobotRun, tell_bad_rows};
+use crate::drawn::{self, filter_config, known_drive};
 use crate::score::{Belief, Scorer};
 
 /// What a run is for.
@@ -207,7 +208,7 @@ fn of_recording(args: &TuneArgs, loaded: RobotRun, set: Set) -> Result<TuneRun> 
 }
 
 fn simulated(args: &TuneArgs, asked: &str) -> Result<Material> {
-    let scenario = scenario(asked)?.with_seed(args.seed);
+    let scenario = drawn::scenario(asked)?.1.with_seed(args.seed);
     let robot = RobotFile {
         name: format!("simulated, {asked}"),
         ..RobotFile::default()
@@ -236,57 +237,14 @@ fn simulated(args: &TuneArgs, asked: &str) -> Result<Material> {
     })
 }
 
-fn scenario(asked: &str) -> Result<Scenario> {
-    let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
-    let path = Path::new(asked);
-    if is_bundled || path.extension().is_none_or(|extension| extension != "toml") {
-        return Ok(Scenario::bundled(asked)?);
-    }
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
-    Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))
-}
-
 fn of_drive(drive: &Drive, name: String, set: Set) -> TuneRun {
-    let told = &drive.told;
-    let poses = drive.truth.iter().enumerate();
     let arrivals = drive.arrivals.iter();
-    let known = KnownDrive {
-        truth: poses
-            .map(|(step, pose)| TimedPose {
-                stamp: drive.stamp(step),
-                pose: *pose,
-            })
-            .collect(),
-        arrivals: arrivals
-            .map(|arrival| Arrival {
-                step: arrival.step,
-                observation: arrival.observation,
-            })
-            .collect(),
-        scored_from: drive.scored_from,
-    };
     TuneRun {
         name,
         set,
-        observations: drive
-            .arrivals
-            .iter()
-            .map(|arrival| arrival.observation)
-            .collect(),
-        config: FilterConfig {
-            geometry: told.geometry,
-            noise: told.noise,
-            start: Some(StartPose {
-                pose: told.start,
-                position_sigma_m: told.start_position_sigma_m,
-                heading_sigma_rad: told.start_heading_sigma_rad,
-            }),
-            params: Params::default(),
-            calibration: told.calibration,
-            world: std::sync::Arc::default(),
-        },
-        yardstick: Yardstick::Drawn(Box::new(known)),
+        observations: arrivals.map(|arrival| arrival.observation).collect(),
+        config: filter_config(&drive.told),
+        yardstick: Yardstick::Drawn(Box::new(known_drive(drive))),
     }
 }
 

@@ -14,9 +14,14 @@ pub(super) const LEFT_PX: f64 = 72.0;
 /// Longer titles are cut, in characters; more do not fit.
 const TITLE_CHARACTERS: usize = 72;
 
-/// An empty sheet with the title and the key figures.
+/// An empty sheet with the title of a run and its key figures.
 pub(super) fn open(layers: &RunLayers<'_>, height_px: f64) -> Svg {
-    let mut svg = Svg::new(WIDTH_PX, height_px, layers.title);
+    sheet(layers.title, &key_figures(layers), height_px)
+}
+
+/// An empty sheet with a title and a line of figures below it.
+pub(super) fn sheet(title: &str, figures: &str, height_px: f64) -> Svg {
+    let mut svg = Svg::new(WIDTH_PX, height_px, title);
     let heading = TextStyle {
         size_px: 19.0,
         color: INK,
@@ -29,8 +34,8 @@ pub(super) fn open(layers: &RunLayers<'_>, height_px: f64) -> Svg {
         weight: 400,
         ..heading
     };
-    svg.text((LEFT_PX, 32.0), &heading, &shortened(layers.title));
-    svg.text((LEFT_PX, 54.0), &line, &key_figures(layers));
+    svg.text((LEFT_PX, 32.0), &heading, &shortened(title));
+    svg.text((LEFT_PX, 54.0), &line, figures);
     svg
 }
 
@@ -49,7 +54,7 @@ pub(super) fn close(mut svg: Svg, height_px: f64, dropped: usize) -> String {
     svg.finish()
 }
 
-pub(super) fn shortened(title: &str) -> String {
+fn shortened(title: &str) -> String {
     if title.chars().count() <= TITLE_CHARACTERS {
         return title.to_owned();
     }

@@ -4,16 +4,15 @@
 
 use super::legend::{Entry, Mark};
 use super::palette::{
-    BLACK, BLUE, BLUISH_GREEN, FAINT_INK, FILL_OPACITY, INK, ORANGE, REDDISH_PURPLE, SKY_BLUE,
-    VERMILLION,
+    BLACK, BLUE, BLUISH_GREEN, FILL_OPACITY, ORANGE, REDDISH_PURPLE, SKY_BLUE, VERMILLION,
 };
 use super::panel::{Panel, Range, round_ticks};
-use super::svg::{Anchor, Px, Rect, Stroke, Svg, TextStyle};
+use super::svg::{Px, Rect, Stroke, Svg};
 use super::thin::thin_path;
 use super::{FARTHEST_DRAWN_M, canvas, legend};
 
 /// Room above the first panel, for the title.
-const TOP_PX: f64 = 66.0;
+const TOP_PX: f64 = 70.0;
 /// Room below each panel, for its ticks and the name of its axis.
 const FOOT_PX: f64 = 62.0;
 const PANEL_WIDTH_PX: f64 = 590.0;
@@ -96,8 +95,7 @@ pub enum Shape {
 pub fn plot(plot: &Plot) -> String {
     let heights = plot.axes.iter().map(|axes| axes.height_px + FOOT_PX);
     let height_px = TOP_PX + heights.sum::<f64>();
-    let mut svg = Svg::new(canvas::WIDTH_PX, height_px, &plot.title);
-    draw_titles(&mut svg, plot);
+    let mut svg = canvas::sheet(&plot.title, &plot.key_figures, height_px);
     let mut top = TOP_PX;
     let mut dropped = 0;
     for axes in &plot.axes {
@@ -111,27 +109,6 @@ pub fn plot(plot: &Plot) -> String {
         top += axes.height_px + FOOT_PX;
     }
     canvas::close(svg, height_px, dropped)
-}
-
-fn draw_titles(svg: &mut Svg, plot: &Plot) {
-    let heading = TextStyle {
-        size_px: 19.0,
-        color: INK,
-        anchor: Anchor::Start,
-        weight: 700,
-    };
-    let line = TextStyle {
-        size_px: 13.5,
-        color: FAINT_INK,
-        weight: 400,
-        ..heading
-    };
-    svg.text(
-        (canvas::LEFT_PX, 28.0),
-        &heading,
-        &canvas::shortened(&plot.title),
-    );
-    svg.text((canvas::LEFT_PX, 50.0), &line, &plot.key_figures);
 }
 
 /// Draws one panel with its legend; returns how many values were left out.

@@ -54,7 +54,7 @@ pub(crate) fn sound_in_time(observations: &[Observation]) -> Vec<&Observation> {
         }
     }
     sound.sort_by_key(|observation| {
-        let source = motion_reading(&observation.observed).map(|reading| reading.source());
+        let source = MotionReading::of(&observation.observed).map(|reading| reading.source());
         (observation.stamp, Reverse(source), observation.sensor)
     });
     sound
@@ -99,29 +99,6 @@ pub(crate) fn is_usable(start: &StartPose) -> bool {
 
 fn bearable(values: &[f64]) -> bool {
     values.iter().all(|value| value.abs() <= LARGEST)
-}
-
-/// What a motion observation says, or `None` for the other kinds.
-pub(crate) fn motion_reading(observed: &Observed) -> Option<MotionReading> {
-    match *observed {
-        Observed::WheelAngles { left, right } => Some(MotionReading::Wheels {
-            left_rad: left.0,
-            right_rad: right.0,
-        }),
-        Observed::OdometerPose(pose) => Some(MotionReading::Odometer(pose)),
-        Observed::BodyVelocity { forward, turn } => Some(MotionReading::Velocity {
-            forward_m_per_s: forward.0,
-            turn_rad_per_s: turn.0,
-        }),
-        Observed::TurnRate(_)
-        | Observed::WheelAccelerations { .. }
-        | Observed::Fix(_)
-        | Observed::Landmark { .. }
-        | Observed::BeaconRange { .. }
-        | Observed::WallRange(_)
-        | Observed::CompassHeading(_)
-        | Observed::Temperature(_) => None,
-    }
 }
 
 /// Whether every number of an observation is one that arithmetic can bear.

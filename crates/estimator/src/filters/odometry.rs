@@ -192,7 +192,7 @@ impl Filter for OdometryFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
         let latest = self.latest();
         let refused = intake::refuse_outright(observation, latest, self.config.params.history_s);
-        let verdict = match (refused, intake::motion_reading(&observation.observed)) {
+        let verdict = match (refused, MotionReading::of(&observation.observed)) {
             (Some(verdict), _) => verdict,
             (None, Some(reading)) => self.add(observation.stamp, &reading),
             (None, None) => Verdict::Unused,

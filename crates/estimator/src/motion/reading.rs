@@ -1,6 +1,6 @@
 //! A motion reading and the travel that two of them tell.
 
-use posebridge_telemetry::{DriveGeometry, Heading, Odom, Pose};
+use posebridge_telemetry::{DriveGeometry, Heading, Observed, Odom, Pose};
 
 use crate::models::differential_drive::WheelTravel;
 
@@ -37,6 +37,30 @@ pub enum MotionReading {
 }
 
 impl MotionReading {
+    /// What an observation says of motion; `None` if it is of another kind.
+    #[must_use]
+    pub fn of(observed: &Observed) -> Option<Self> {
+        match *observed {
+            Observed::WheelAngles { left, right } => Some(Self::Wheels {
+                left_rad: left.0,
+                right_rad: right.0,
+            }),
+            Observed::OdometerPose(pose) => Some(Self::Odometer(pose)),
+            Observed::BodyVelocity { forward, turn } => Some(Self::Velocity {
+                forward_m_per_s: forward.0,
+                turn_rad_per_s: turn.0,
+            }),
+            Observed::TurnRate(_)
+            | Observed::WheelAccelerations { .. }
+            | Observed::Fix(_)
+            | Observed::Landmark { .. }
+            | Observed::BeaconRange { .. }
+            | Observed::WallRange(_)
+            | Observed::CompassHeading(_)
+            | Observed::Temperature(_) => None,
+        }
+    }
+
     /// The kind of this reading.
     #[must_use]
     pub const fn source(&self) -> MotionSource {

@@ -11,7 +11,7 @@ use posebridge_telemetry::{BrickClock, Fix, Observation, Observed, Span, Stamp};
 use super::values::{CONSTANTS, Layout, constants_of};
 use crate::filters::{FilterConfig, intake};
 use crate::models::differential_drive::{WheelTravel, body_step};
-use crate::motion::{Added, GyroTrack, Leg, MotionTrack};
+use crate::motion::{Added, GyroTrack, Leg, MotionReading, MotionTrack};
 use crate::observations::gyro_window::{gyro_variance, rounding_variance};
 
 /// Length of a gyro window here: windows count as independent of each other, so that few and long ones lose least by the rounding
@@ -104,7 +104,7 @@ impl<'a> Run<'a> {
 
     fn take(&mut self, observation: &Observation) {
         let stamp = observation.stamp;
-        if let Some(reading) = intake::motion_reading(&observation.observed) {
+        if let Some(reading) = MotionReading::of(&observation.observed) {
             if let Added::After(_) | Added::Rebased(_) = self.track.add(stamp, &reading) {
                 self.readings.push(stamp);
             }

@@ -8,12 +8,11 @@ mod rounds;
 
 use std::path::PathBuf;
 
-use anyhow::Context;
 use posebridge_sim::montecarlo::{MAX_RUNS, Scenario};
 
 use super::outcome::OutputArgs;
 use crate::commands::{Failure, Stage};
-use crate::progress;
+use crate::{drawn, progress};
 
 /// The square as it comes with the program.
 const SQUARE: &str = include_str!("../../../../config/scenarios/lab/indirect.toml");
@@ -53,12 +52,7 @@ pub fn execute(args: &LabIndirectArgs) -> Result<(), Failure> {
 fn scenario(args: &LabIndirectArgs) -> anyhow::Result<Scenario> {
     let scenario = match &args.scenario {
         None => Scenario::from_toml(SQUARE)?,
-        Some(path) => {
-            let name = path.display();
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("reading the scenario `{name}`"))?;
-            Scenario::from_toml(&text).with_context(|| format!("scenario `{name}`"))?
-        }
+        Some(path) => drawn::scenario(&path.to_string_lossy())?.1,
     };
     Ok(args
         .seed

@@ -7,7 +7,7 @@ use posebridge_sim::frame_accelerometers::FrameAccelerometers;
 use posebridge_sim::montecarlo::{Drive, Scenario};
 use posebridge_telemetry::SensorId;
 
-use crate::commands::lab::estimators::filter_config;
+use crate::drawn::filter_config;
 use crate::parallel::run_all;
 
 /// The end of the paper's own run, in x and y, m: what the fused ends are held against.

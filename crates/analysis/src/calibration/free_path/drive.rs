@@ -3,7 +3,7 @@
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::motion::{Leg, MotionReading, MotionTrack};
 use posebridge_estimator::{FilterConfig, StartPose};
-use posebridge_telemetry::{BrickClock, Observation, Observed, Stamp};
+use posebridge_telemetry::{BrickClock, Observation, Stamp};
 
 /// A drive.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,7 +81,7 @@ impl FreePath {
         let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
         let mut stamps = Vec::new();
         for observation in observations {
-            if let Some(reading) = motion_reading(&observation.observed) {
+            if let Some(reading) = MotionReading::of(&observation.observed).filter(is_finite) {
                 track.add(observation.stamp, &reading);
                 stamps.push(observation.stamp);
             }
@@ -117,29 +117,6 @@ impl FreePath {
         });
         lengths.sum()
     }
-}
-
-fn motion_reading(observed: &Observed) -> Option<MotionReading> {
-    let reading = match *observed {
-        Observed::WheelAngles { left, right } => MotionReading::Wheels {
-            left_rad: left.0,
-            right_rad: right.0,
-        },
-        Observed::BodyVelocity { forward, turn } => MotionReading::Velocity {
-            forward_m_per_s: forward.0,
-            turn_rad_per_s: turn.0,
-        },
-        Observed::OdometerPose(pose) => MotionReading::Odometer(pose),
-        Observed::TurnRate(_)
-        | Observed::WheelAccelerations { .. }
-        | Observed::Fix(_)
-        | Observed::Landmark { .. }
-        | Observed::BeaconRange { .. }
-        | Observed::WallRange(_)
-        | Observed::CompassHeading(_)
-        | Observed::Temperature(_) => return None,
-    };
-    is_finite(&reading).then_some(reading)
 }
 
 fn is_finite(reading: &MotionReading) -> bool {

@@ -40,6 +40,17 @@ pub enum Wiring {
 }
 
 impl Wiring {
+    /// All of them, in the order of preference where two are as likely.
+    pub const ALL: [Self; 7] = [
+        Self::AsGiven,
+        Self::Swapped,
+        Self::BothReversed,
+        Self::LeftReversed,
+        Self::RightReversed,
+        Self::SwappedLeftReversed,
+        Self::SwappedRightReversed,
+    ];
+
     /// Both wheels' travel as it is if this is what is wrong.
     #[must_use]
     pub const fn undone(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
@@ -74,16 +85,6 @@ pub const AS_GIVEN: Hypothesis = Hypothesis {
     travel_factor: 1.0,
 };
 
-/// In the order of preference where two are as likely.
-const WIRINGS: [Wiring; 7] = [
-    Wiring::AsGiven,
-    Wiring::Swapped,
-    Wiring::BothReversed,
-    Wiring::LeftReversed,
-    Wiring::RightReversed,
-    Wiring::SwappedLeftReversed,
-    Wiring::SwappedRightReversed,
-];
 /// Radius for diameter, half track for track, a quadrature decoder's 2 and 4.
 const TRACK_FACTORS: [f64; 3] = [1.0, 2.0, 0.5];
 const TRAVEL_FACTORS: [f64; 5] = [1.0, 2.0, 0.5, 4.0, 0.25];
@@ -158,7 +159,7 @@ pub(super) fn sanity(prediction: &Prediction<'_>, paths: &[FreePath]) -> Option<
         return None;
     }
     let mut all = Vec::new();
-    for wiring in WIRINGS {
+    for wiring in Wiring::ALL {
         for track_factor in TRACK_FACTORS {
             for travel_factor in TRAVEL_FACTORS {
                 let hypothesis = Hypothesis {

@@ -179,7 +179,7 @@ impl Filter for IndirectFilter {
         let stamp = observation.stamp;
         if let Some(verdict) = intake::refuse_outright(observation, self.latest, history_s) {
             record.verdict = verdict;
-        } else if let Some(reading) = intake::motion_reading(&observation.observed) {
+        } else if let Some(reading) = MotionReading::of(&observation.observed) {
             self.take_motion(&mut record, stamp, &reading);
         } else if let Observed::TurnRate(rate) = observation.observed {
             let sampled = self.path.add_gyro(stamp, rate.0);

@@ -28,7 +28,7 @@ use self::fuse::{Context, Gates};
 use self::history::{Action, Entry, Told};
 use self::state::{CORE, Located, PoseState, WITH_CAMERA, WITH_RANGES};
 use super::{Filter, FilterConfig, StartPose, intake};
-use crate::motion::{Added, GyroTrack, MotionTrack, count_before};
+use crate::motion::{Added, GyroTrack, MotionReading, MotionTrack, count_before};
 use crate::observations::accelerometer::Accelerations;
 
 /// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
@@ -192,7 +192,7 @@ impl<const N: usize> PoseFilter<N> {
                 self.take_motion(observation, action, added, record);
             }
             Action::Motion => {
-                if let Some(reading) = intake::motion_reading(&observation.observed) {
+                if let Some(reading) = MotionReading::of(&observation.observed) {
                     let added = self.track.add(observation.stamp, &reading);
                     self.take_motion(observation, action, added, record);
                 }

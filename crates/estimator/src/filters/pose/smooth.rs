@@ -23,7 +23,7 @@ use super::state::{FORWARD, HEADING, LEFT, PoseState, WITH_RANGES};
 use super::{act, action_of, scratch_record};
 use crate::filters::{FilterConfig, intake};
 use crate::models::lie::Se2;
-use crate::motion::{Added, GyroTrack, MotionTrack};
+use crate::motion::{Added, GyroTrack, MotionReading, MotionTrack};
 
 /// Rows of the state and of its copy.
 const BOTH: usize = 2 * WITH_RANGES;
@@ -106,7 +106,7 @@ fn heard(
         };
         let added = match action {
             Action::TurnRate(rate) => gyro.add(observation.stamp, rate),
-            Action::Motion => intake::motion_reading(&observation.observed)
+            Action::Motion => MotionReading::of(&observation.observed)
                 .map_or(Added::TooOld, |reading| {
                     track.add(observation.stamp, &reading)
                 }),
