@@ -12,8 +12,12 @@
     reason = "helpers outside #[test] stop where the set-up is broken, and a long run shows how it goes"
 )]
 
+#[path = "support/account.rs"]
+mod account;
+
 use std::collections::BTreeMap;
 
+use account::{Account, unseen_at_most};
 use allocation_counter::{measure, opt_out};
 use posebridge::collect::Collector;
 use posebridge::config::Config;
@@ -43,11 +47,6 @@ const PATIENCE: u32 = 60;
 const GROWTH: f64 = 0.05;
 /// Longest a sender may be silent: an outage of 5 s within stalls of 10 s that follow each other.
 const LONGEST_SILENCE: Span = Span::from_millis(60_000);
-
-/// Frames by which the two accounts may differ, because no receiver can see the damage: a byte that is missing at a frame's edge and the
-/// equal last byte of a damaged neighbour that takes its place, or a 16-bit checksum that fits by chance. A few a day are expected of
-/// some hundred thousand damaged and torn frames.
-const UNSEEN_PER_HOUR: f64 = 0.2;
 
 const BRICK: Address = Address::new(1, 1);
 const CAMERA: Address = Address::new(1, 100);
@@ -288,22 +287,22 @@ impl Soak {
         let mut differences = Vec::new();
         for source in [BRICK, CAMERA] {
             let said = self.told.sources.iter().find(|said| said.source == source);
-            let (frames, lost) = said.map_or((0, 0), |said| (said.frames, said.lost));
+            let told = said.map_or(Account::default(), |said| Account {
+                came: said.frames,
+                lost: said.lost,
+            });
             let counts = truth.get(&source).copied().unwrap_or_default();
-            let came = counts.whole + counts.repeated;
-            let is_equal = (frames + lost).abs_diff(came + counts.missing_between)
-                <= counts.undatable
-                && frames.abs_diff(came) as f64 <= self.unseen_at_most();
+            let made = Account {
+                came: counts.whole + counts.repeated,
+                lost: counts.missing_between,
+            };
+            let unseen = unseen_at_most(self.now.as_secs_f64() / 3_600.0);
+            let is_equal = told.agrees(made, unseen, counts.undatable);
             if !is_equal {
-                differences.push(format!("{source}: told {frames}, {lost} lost; {counts:?}"));
+                differences.push(format!("{source}: told {told:?}; {counts:?}"));
             }
         }
         differences
-    }
-
-    /// Damaged frames that may have passed for whole ones so far.
-    fn unseen_at_most(&self) -> f64 {
-        1.0 + UNSEEN_PER_HOUR * self.now.as_secs_f64() / 3_600.0
     }
 
     /// The two accounts are equal now, or as soon as what is on its way has come.
