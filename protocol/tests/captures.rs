@@ -70,6 +70,7 @@ fn census<'a>(transport: Framing, pieces: impl Iterator<Item = &'a [u8]>) -> Cen
     if let Some(deadline) = scanner.deadline() {
         scanner.tick(deadline, &mut take);
     }
+    scanner.finish(&mut take);
     census.garbage = scanner.counters().garbage_bytes;
     census
 }

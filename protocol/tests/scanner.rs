@@ -148,6 +148,72 @@ fn a_late_continuation_still_completes_its_frame() {
 }
 
 #[test]
+fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
+    let frame = &four_message_mix(4)[3];
+    for split in 1..frame.len() {
+        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut found = Vec::new();
+        scanner.push(Stamp::ZERO, &frame[..split], &mut |item| {
+            found.push(owned(item));
+        });
+        let deadline = scanner.deadline().unwrap();
+        scanner.tick(deadline, &mut |item| found.push(owned(item)));
+        assert_eq!(scanner.deadline(), None, "it is told once");
+        let rest = [&frame[split..], &heartbeat()].concat();
+        scanner.push(Stamp::from_millis(9_000), &rest, &mut |item| {
+            found.push(owned(item));
+        });
+        let expected = [
+            Found::Defect(Defect::Stall {
+                bytes: split as u32,
+            }),
+            Found::Frame(frame.clone()),
+            Found::Frame(heartbeat()),
+        ];
+        assert_eq!(found, expected, "split at {split}");
+        assert_eq!(scanner.counters().stalls, 1);
+        assert_eq!(scanner.counters().garbage_bytes, 0);
+    }
+}
+
+#[test]
+fn an_unknown_frame_that_stops_for_seconds_is_completed_too() {
+    let unknown = stranger(b"who am I");
+    let (first, rest) = unknown.split_at(15);
+    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut found = Vec::new();
+    scanner.push(Stamp::ZERO, first, &mut |item| found.push(owned(item)));
+    let deadline = scanner.deadline().unwrap();
+    scanner.tick(deadline, &mut |item| found.push(owned(item)));
+    let rest = [rest, &heartbeat()].concat();
+    scanner.push(Stamp::from_millis(9_000), &rest, &mut |item| {
+        found.push(owned(item));
+    });
+    let expected = [Found::Unknown(unknown.clone()), Found::Frame(heartbeat())];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn a_frame_whose_rest_never_comes_is_given_up_by_what_comes_next() {
+    let torn = &four_message_mix(4)[3][..100];
+    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut found = Vec::new();
+    scanner.push(Stamp::ZERO, torn, &mut |item| found.push(owned(item)));
+    let deadline = scanner.deadline().unwrap();
+    scanner.tick(deadline, &mut |item| found.push(owned(item)));
+    scanner.push(Stamp::from_millis(9_000), &heartbeat(), &mut |item| {
+        found.push(owned(item));
+    });
+    let expected = [
+        Found::Defect(Defect::Stall { bytes: 100 }),
+        Found::Defect(Defect::Garbage { bytes: 100 }),
+        Found::Frame(heartbeat()),
+    ];
+    assert_eq!(found, expected);
+    assert_eq!(scanner.counters().stalls, 1, "one silence, one stall");
+}
+
+#[test]
 fn impossible_headers_are_refused_before_their_bytes_come() {
     // A HEARTBEAT of 200 bytes, and flags that no version has: nothing waits for either.
     for (header, message_id, length) in [

@@ -47,6 +47,7 @@ fn scan(config: ScannerConfig, bytes: &[u8], chunk: usize) -> (Vec<Vec<u8>>, u64
         scanner.tick(deadline, &mut take);
     }
     assert!(scanner.deadline().is_none());
+    scanner.finish(&mut take);
     accounted += scanner.counters().garbage_bytes;
     (frames, accounted)
 }

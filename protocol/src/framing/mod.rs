@@ -86,7 +86,7 @@ pub struct ScanCounters {
     pub garbage_bytes: u64,
     /// Frames with an id of no dialect that were handed out unverified.
     pub unknown_ids: u64,
-    /// Times that waiting bytes were given up because their continuation did not come.
+    /// Times that a frame stopped in its middle for longer than the gap, whether or not its rest came later.
     pub stalls: u64,
     /// Candidates with a length or flags that their message cannot have.
     pub impossible_headers: u64,

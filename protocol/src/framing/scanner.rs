@@ -10,6 +10,10 @@
 //! When nothing waits, the scan runs on the caller's slice and copies nothing.
 //!
 //! A candidate that fails costs one byte, never its claimed length: a real frame may begin inside it.
+//!
+//! A frame may stop in its middle for longer than the gap, where a link stalls between two reads. If whole frames hide behind its
+//! beginning, the beginning was torn and is given up. If none do, it costs nothing to keep it: it is `overdue`, and what comes next
+//! completes it or gives it up.
 
 use posebridge_telemetry::{Defect, HostClock, Stamp};
 
@@ -49,11 +53,13 @@ pub struct Scanner {
     tail: Vec<u8>,
     progress: Progress,
     last_byte: Stamp<HostClock>,
+    /// The gap has passed over what waits, and nothing hides behind it.
+    is_overdue: bool,
     counters: ScanCounters,
 }
 
 /// How far the bytes in `tail` were looked at.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Progress {
     cursor: usize,
     settled: usize,
@@ -88,6 +94,7 @@ impl Scanner {
             tail: Vec::new(),
             progress: Progress::default(),
             last_byte: Stamp::ZERO,
+            is_overdue: false,
             counters: ScanCounters::default(),
         }
     }
@@ -116,23 +123,41 @@ impl Scanner {
             joined.drain(..self.progress.settled);
             self.tail = joined;
         }
+        self.is_overdue = false;
         self.rebase();
     }
 
-    /// When the waiting bytes must be given up if nothing more has come; `None` when nothing waits.
+    /// When [`Scanner::tick`] has something to do if nothing more has come; `None` when nothing waits for the gap.
     #[must_use]
     pub fn deadline(&self) -> Option<Stamp<HostClock>> {
-        (!self.tail.is_empty()).then(|| self.last_byte + self.config.gap)
+        let waits = !self.tail.is_empty() && !self.is_overdue;
+        waits.then(|| self.last_byte + self.config.gap)
     }
 
-    /// Gives up what has waited since [`Scanner::deadline`] and hands out what was hidden behind it; does nothing before.
+    /// The gap has passed since [`Scanner::deadline`] was set: hands out what hides behind a torn frame, or notes that a frame has
+    /// stopped in its middle; does nothing before.
     pub fn tick(&mut self, now: Stamp<HostClock>, sink: &mut Sink<'_>) {
         if self.deadline().is_none_or(|deadline| now < deadline) {
             return;
         }
+        if self.hides_frames() {
+            self.finish(sink);
+            return;
+        }
+        self.is_overdue = true;
+        let bytes = (self.tail.len() - self.progress.cursor) as u32;
+        if bytes > 0 {
+            self.counters.stalls += 1;
+            sink(Scanned::Defect(Defect::Stall { bytes }));
+        }
+    }
+
+    /// Nothing more will come: gives up what waits, so that every byte is in a frame or counted.
+    pub fn finish(&mut self, sink: &mut Sink<'_>) {
         let tail = std::mem::take(&mut self.tail);
         self.run(&tail, Patience::Over, sink);
         self.progress = Progress::default();
+        self.is_overdue = false;
     }
 
     /// What this scanner has counted.
@@ -152,6 +177,22 @@ impl Scanner {
         self.progress.settled = 0;
     }
 
+    /// Whether giving up what waits would bring a frame to light.
+    fn hides_frames(&self) -> bool {
+        let mut is_found = false;
+        Pass {
+            buffer: &self.tail,
+            accept_v1: self.config.accept_v1,
+            catalogue: self.catalogue,
+            progress: &mut self.progress.clone(),
+            counters: &mut self.counters.clone(),
+            sink: &mut |found| is_found |= !matches!(found, Scanned::Defect(_)),
+            has_stalled: true,
+        }
+        .run(Patience::Over);
+        is_found
+    }
+
     fn run(&mut self, buffer: &[u8], patience: Patience, sink: &mut Sink<'_>) {
         Pass {
             buffer,
@@ -160,7 +201,7 @@ impl Scanner {
             progress: &mut self.progress,
             counters: &mut self.counters,
             sink,
-            has_stalled: false,
+            has_stalled: self.is_overdue,
         }
         .run(patience);
     }

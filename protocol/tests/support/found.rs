@@ -23,7 +23,7 @@ pub(crate) fn owned(found: Scanned<'_>) -> Found {
     }
 }
 
-/// Scans `bytes` in chunks at one instant, then lets the gap pass.
+/// Scans `bytes` in chunks at one instant, lets the gap pass, and ends.
 pub(crate) fn scan(
     config: ScannerConfig,
     bytes: &[u8],
@@ -37,6 +37,7 @@ pub(crate) fn scan(
     let late = Stamp::ZERO + config.gap + Span::from_millis(1);
     scanner.tick(late, &mut |item| found.push(owned(item)));
     assert_eq!(scanner.deadline(), None, "nothing may wait after the gap");
+    scanner.finish(&mut |item| found.push(owned(item)));
     (found, *scanner.counters())
 }
 

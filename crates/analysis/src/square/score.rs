@@ -162,15 +162,20 @@ impl OrderStep {
         self.holds as f64 / self.drives.max(1) as f64
     }
 
+    /// Whether the error falls on average: the 95 % interval of the ratio lies above one.
+    #[must_use]
+    pub fn holds_on_average(&self) -> bool {
+        self.ratio.is_some_and(|ratio| ratio[1] > 1.0)
+    }
+
     /// What the figures say, in words.
     #[must_use]
     pub fn in_words(&self) -> &'static str {
-        let significant = |ratio: [f64; 3]| (ratio[1] > 1.0, ratio[2] < 1.0);
-        match self.ratio.map(significant) {
+        match self.ratio {
             _ if self.drives < 2 => "one drive",
             _ if self.share() >= 0.95 => "holds",
-            Some((true, _)) => "on average only",
-            Some((_, true)) => "the other way round",
+            _ if self.holds_on_average() => "on average only",
+            Some([_, _, most]) if most < 1.0 => "the other way round",
             _ => "no difference on average",
         }
     }
@@ -185,6 +190,14 @@ pub struct Order {
     pub all_hold: u64,
     /// Of how many.
     pub drives: u64,
+}
+
+impl Order {
+    /// Whether the error of each step falls on average.
+    #[must_use]
+    pub fn holds_on_average(&self) -> bool {
+        !self.steps.is_empty() && self.steps.iter().all(OrderStep::holds_on_average)
+    }
 }
 
 /// Compares methods that stand in the promised order, from the worst to the best. `runs` has the errors of all methods, in the
@@ -322,6 +335,7 @@ mod tests {
         // (3/2 3/2 1/2)^(1/3)
         assert!((order.steps[0].ratio.unwrap()[0] - 1.125_f64.cbrt()).abs() < 1e-12);
         assert_eq!(order.steps[0].in_words(), "no difference on average");
+        assert!(!order.holds_on_average());
         let verdict = |pairs: &[[f64; 2]]| step("a", "b", pairs).in_words();
         assert_eq!(verdict(&[[2.0, 1.0]]), "one drive");
         assert_eq!(verdict(&[[2.0, 1.0], [3.0, 2.0]]), "holds");
@@ -330,6 +344,30 @@ mod tests {
             "on average only"
         );
         assert_eq!(verdict(&[[1.0, 2.0], [1.0, 2.1]]), "the other way round");
+    }
+
+    #[test]
+    fn an_order_holds_on_average_if_each_step_does() {
+        let error = |position_m: f64| Errors {
+            position_m: Some(position_m),
+            ..Errors::default()
+        };
+        let run = |all: [f64; 3]| all.map(error).to_vec();
+        let names = ["a", "b", "c"];
+        // One drive falls out, and the ratios of both steps stay above one.
+        let falls = [
+            [3.0, 2.0, 1.0],
+            [3.1, 2.1, 1.0],
+            [3.0, 2.1, 1.1],
+            [1.9, 2.0, 1.0],
+        ];
+        let falls = order(&names, &falls.map(run), Metric::Position);
+        assert!(falls.holds_on_average());
+        assert_eq!(falls.all_hold, 3);
+        // The second step does the opposite.
+        let rises = [[3.0, 2.0, 2.5], [3.1, 2.1, 2.6]];
+        assert!(!order(&names, &rises.map(run), Metric::Position).holds_on_average());
+        assert!(!Order::default().holds_on_average());
     }
 
     #[test]

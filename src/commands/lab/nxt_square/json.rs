@@ -75,6 +75,7 @@ fn order(order: &Order) -> Value {
     };
     json!({
         "steps": order.steps.iter().map(step).collect::<Vec<_>>(),
+        "holds_on_average": order.holds_on_average(),
         "all_hold": order.all_hold,
         "drives": order.drives,
     })
