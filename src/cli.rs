@@ -428,7 +428,7 @@ pub struct CompletionsArgs {
 }
 
 /// A number of more than zero.
-fn positive(text: &str) -> Result<f64, String> {
+pub(crate) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
         _ => Err("must be a number of more than zero".to_owned()),
