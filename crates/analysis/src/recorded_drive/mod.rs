@@ -9,6 +9,7 @@
 //! mid-axle   p = z - R(th) l              z the fix, th its heading, l the tag in the body; p = z where the fix has no heading
 //! start      the mean of p and th over the fixes until a wheel counts; sigma = sigma_fix / sqrt(n)
 //!            without headings: th = direction from the start to the first p that is 0.2 m away, less half the wheels' turn until then
+//! zero       accelerations less their mean until a wheel counts, where there are 20 of them: they have no other zero
 //! end        the mean of p and th over the fixes since the wheels have stopped, else the last fix; or the start, of a closed path
 //! ```
 //! A drive whose first fix came while the wheels turned begins with that fix.
@@ -19,20 +20,18 @@
 //! # Sources
 //! docs/lab/nxt-square.md and docs/lab/indirect.md, "A recording".
 
+mod ends;
+
 use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
 use posebridge_estimator::{Filter, FilterConfig, StartPose};
 use posebridge_telemetry::{
     Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Pose,
-    Radians, Stamp,
+    Stamp,
 };
 
+use self::ends::{end_by_fixes, moving, start, zero_accelerations};
 use crate::ends::Course;
 use crate::metrics::PoseError;
-
-/// The chord that gives a heading is at least this long: fixes of 5 mm then tell it to two degrees.
-const CHORD_M: f64 = 0.2;
-/// What a start is known to that is the arena's origin by definition, m and rad.
-const BY_DEFINITION: f64 = 1e-4;
 
 /// Who says where a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +74,7 @@ pub enum DriveError {
 /// A drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedDrive {
-    /// What was observed, in the order of the stamps; observations that are not finite are left out.
+    /// What was observed, in the order of the stamps; observations that are not finite are left out, accelerations have their zero.
     pub observations: Vec<Observation>,
     /// Where it begins.
     pub start: StartPose,
@@ -103,6 +102,7 @@ impl RecordedDrive {
             observations.iter().copied().filter(is_finite).collect();
         observations.sort_by_key(|observation| observation.stamp);
         let moving = moving(&observations)?;
+        zero_accelerations(&mut observations, moving.0);
         let has_fix = fixes(&observations).next().is_some();
         let judge = judge.unwrap_or(if has_fix { Judge::Fixes } else { Judge::Start });
         if judge == Judge::Fixes && !has_fix {
@@ -251,137 +251,15 @@ fn is_finite(observation: &Observation) -> bool {
     }
 }
 
-/// The last instant before the wheels turn, and the first one at which they have turned for the last time.
-fn moving(
-    observations: &[Observation],
-) -> Result<(Stamp<BrickClock>, Stamp<BrickClock>), DriveError> {
-    let readings: Vec<_> = wheels(observations).collect();
-    let (Some(first), Some(last)) = (readings.first(), readings.last()) else {
-        return Err(DriveError::NoWheels);
-    };
-    let still = DriveError::NeverMoves {
-        readings: readings.len(),
-    };
-    let begins = readings.iter().position(|reading| reading.1 != first.1);
-    let begins = begins.and_then(|index| readings.get(index.checked_sub(1)?));
-    let stopped = readings.iter().rposition(|reading| reading.1 != last.1);
-    let stopped = stopped.and_then(|index| readings.get(index + 1));
-    match (begins, stopped) {
-        (Some(begins), Some(stopped)) => Ok((begins.0, stopped.0)),
-        _ => Err(still),
-    }
-}
-
-/// Where the drive begins; takes away what was observed before it was known where the robot is.
-fn start(
-    observations: &mut Vec<Observation>,
-    stands_until: Stamp<BrickClock>,
-    config: &FilterConfig,
-) -> Result<StartPose, DriveError> {
-    if let Some(start) = config.start {
-        return Ok(start);
-    }
-    let Some((first, fix)) = fixes(observations).next().map(|(at, fix)| (at, *fix)) else {
-        return Ok(StartPose {
-            pose: Pose::new(Meters(0.0), Meters(0.0), Heading::from_rad(0.0)),
-            position_sigma_m: BY_DEFINITION,
-            heading_sigma_rad: BY_DEFINITION,
-        });
-    };
-    let noise = &config.noise;
-    if first > stands_until {
-        observations.retain(|observation| observation.stamp >= first);
-        let place = mid_axle(&fix);
-        let (heading, heading_sigma_rad) = match fix.heading {
-            Some(heading) => (heading, noise.fix_heading_rad),
-            None => by_chord(observations, place, config)?,
-        };
-        return Ok(StartPose {
-            pose: Pose::new(place.x, place.y, heading),
-            position_sigma_m: noise.fix_position_m,
-            heading_sigma_rad,
-        });
-    }
-    let standing = fixes(observations).take_while(|(at, _)| *at <= stands_until);
-    let (place, heading, count) = mean(standing.map(|(_, fix)| fix)).ok_or(DriveError::NoFix)?;
-    let share = (count as f64).sqrt();
-    let (heading, heading_sigma_rad) = match heading {
-        Some(heading) => (heading, noise.fix_heading_rad / share),
-        None => by_chord(observations, place, config)?,
-    };
-    Ok(StartPose {
-        pose: Pose::new(place.x, place.y, heading),
-        position_sigma_m: noise.fix_position_m / share,
-        heading_sigma_rad,
-    })
-}
-
-/// The heading at the start from where the robot is seen next, and its standard deviation.
-fn by_chord(
-    observations: &[Observation],
-    start: Point2<Arena>,
-    config: &FilterConfig,
-) -> Result<(Heading, f64), DriveError> {
-    let away = fixes(observations).find(|(_, fix)| mid_axle(fix).distance(start).0 >= CHORD_M);
-    let (at, fix) = away.ok_or(DriveError::NoHeading)?;
-    let place = mid_axle(fix);
-    let first = wheels(observations).next().ok_or(DriveError::NoWheels)?;
-    let until = wheels(observations).take_while(|(stamp, _)| *stamp <= at);
-    let last = until.last().unwrap_or(first);
-    let turned = moved(first.1, last.1, &config.geometry).turn_rad;
-    let chord = (place.y.0 - start.y.0).atan2(place.x.0 - start.x.0);
-    let length_m = place.distance(start).0;
-    Ok((
-        Heading::from_rad(chord) - Radians(0.5 * turned),
-        config.noise.fix_position_m * std::f64::consts::SQRT_2 / length_m,
-    ))
-}
-
-/// Mean place and heading, and of how many fixes.
-fn mean<'a>(
-    fixes: impl Iterator<Item = &'a Fix>,
-) -> Option<(Point2<Arena>, Option<Heading>, usize)> {
-    let (mut x, mut y, mut count) = (0.0, 0.0, 0_usize);
-    let (mut sin, mut cos, mut headings) = (0.0, 0.0, 0_usize);
-    for fix in fixes {
-        let place = mid_axle(fix);
-        x += place.x.0;
-        y += place.y.0;
-        count += 1;
-        if let Some(heading) = fix.heading {
-            sin += heading.rad().sin();
-            cos += heading.rad().cos();
-            headings += 1;
-        }
-    }
-    if count == 0 {
-        return None;
-    }
-    let n = count as f64;
-    let heading = (headings > 0).then(|| Heading::from_rad(sin.atan2(cos)));
-    Some((Point2::new(Meters(x / n), Meters(y / n)), heading, count))
-}
-
-/// When and where the fixes saw the robot last.
-fn end_by_fixes(
-    observations: &[Observation],
-    stands_from: Stamp<BrickClock>,
-) -> Option<(Stamp<BrickClock>, Point2<Arena>, Option<Heading>)> {
-    let last = fixes(observations).last()?;
-    let standing = fixes(observations).filter(|(at, _)| *at >= stands_from);
-    let known = mean(standing.map(|(_, fix)| fix));
-    let (place, heading) = known
-        .map_or((mid_axle(last.1), last.1.heading), |(place, heading, _)| {
-            (place, heading)
-        });
-    Some((last.0, place, heading))
-}
-
 #[cfg(test)]
 mod tests {
+    use super::ends::accelerations;
     use super::*;
     use posebridge_estimator::{Params, filter_named};
-    use posebridge_telemetry::{Body, Calibration, RadiansPerSecond, SensorId, SensorNoise, Span};
+    use posebridge_telemetry::{
+        Body, Calibration, MetersPerSecondSquared, Radians, RadiansPerSecond, SensorId,
+        SensorNoise, Span,
+    };
 
     fn config() -> FilterConfig {
         FilterConfig {
@@ -507,6 +385,34 @@ mod tests {
             .collect();
         let short = RecordedDrive::new(&near, &config(), None);
         assert_eq!(short, Err(DriveError::NoHeading));
+    }
+
+    #[test]
+    fn accelerations_get_their_zero_from_a_rest_that_is_long_enough() {
+        let felt = |millis, left| {
+            let [left, right] = [left, -0.5].map(MetersPerSecondSquared);
+            at(millis, Observed::WheelAccelerations { left, right })
+        };
+        let with_rest = |readings: i64| {
+            let mut observations = northwards();
+            let at_rest =
+                (0..readings).map(|index| felt(10 * index, 0.2 + 0.1 * (index % 2) as f64));
+            observations.extend(at_rest);
+            observations.push(felt(5_000, 1.0));
+            let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
+            drive
+                .observations
+                .iter()
+                .filter_map(accelerations)
+                .last()
+                .unwrap()
+        };
+        let [left, right] = with_rest(20);
+        assert!(
+            (left - 0.75).abs() < 1e-12 && right.abs() < 1e-12,
+            "{left} {right}"
+        );
+        assert_eq!(with_rest(19), [1.0, -0.5]);
     }
 
     #[test]
