@@ -154,7 +154,16 @@ impl Example {
         } else {
             "camera"
         };
-        let mut curves = vec![line(reference, seen)];
+        // Of a closed path nothing is known but its end: a line of one point would not be seen.
+        let shape = if seen.len() > 1 {
+            Shape::Line(seen)
+        } else {
+            Shape::Dots(seen)
+        };
+        let mut curves = vec![Curve {
+            name: reference.to_owned(),
+            shape,
+        }];
         curves.extend(names.iter().map(|name| {
             let path = self.path(name).iter().map(|state| (state[0], state[1]));
             line(name, path.collect())
