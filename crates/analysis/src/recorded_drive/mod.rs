@@ -403,8 +403,8 @@ mod tests {
             drive
                 .observations
                 .iter()
-                .filter_map(accelerations)
-                .last()
+                .rev()
+                .find_map(accelerations)
                 .unwrap()
         };
         let [left, right] = with_rest(20);
