@@ -6,6 +6,7 @@
 
 mod support;
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use posebridge::config::Config;
@@ -282,10 +283,57 @@ fn a_recorded_approach_is_foretold_better_than_by_a_line_and_its_gate_refuses_wh
     assert!((refused[0] - 1.6).abs() < 1e-9, "{refused:?}");
 }
 
-#[test]
-fn what_a_recording_lacks_is_named_with_the_file_and_a_cure() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
+/// A command, then what it must say of the file and of the cure.
+const LACKS: [(&str, [&str; 2]); 12] = [
+    ("nxt-square --recording none.mcap", ["none.mcap", "reading"]),
+    (
+        "nxt-square --recording empty.mcap",
+        ["`empty.mcap` (0 bytes)", "not an MCAP file"],
+    ),
+    (
+        "indirect --recording torn.mcap",
+        ["`torn.mcap`", "without a posebridge header"],
+    ),
+    (
+        "wall --recording silent.mcap",
+        ["`silent.mcap` holds no observation", "doctor"],
+    ),
+    (
+        "nxt-square --recording wall.mcap",
+        ["`wall.mcap`", "let the robot send WHEEL_TICKS"],
+    ),
+    (
+        "indirect --recording wall.mcap",
+        ["`wall.mcap`", "no wheel ticks"],
+    ),
+    (
+        "indirect --recording wheels.mcap",
+        ["`wheels.mcap` holds no accelerations", "INERTIAL"],
+    ),
+    (
+        "wall --recording wheels.mcap",
+        ["`wheels.mcap` holds no range", "DISTANCE_SENSOR"],
+    ),
+    (
+        "nxt-square --recording still.mcap",
+        ["`still.mcap`", "20 readings"],
+    ),
+    (
+        "nxt-square --recording wheels.mcap --judge fixes",
+        ["`wheels.mcap`", "--judge start"],
+    ),
+    (
+        "nxt-square --recording wheels.mcap --set robot.track=1",
+        ["robot.track", "--set"],
+    ),
+    (
+        "wall --recording wall.mcap --run x",
+        ["`wall.mcap`", "--run"],
+    ),
+];
+
+/// Recordings that each lack something; gives the bytes of a whole one.
+fn sick_recordings(folder: &Path) -> Vec<u8> {
     squares(folder);
     record(&folder.join("wall.mcap"), &approach());
     record(&folder.join("silent.mcap"), &[]);
@@ -299,79 +347,24 @@ fn what_a_recording_lacks_is_named_with_the_file_and_a_cure() {
         .collect();
     record(&folder.join("wheels.mcap"), &wheels);
     record(&folder.join("still.mcap"), &wheels[..20]);
-    let cases: [(&[&str], [&str; 2]); 12] = [
-        (
-            &["nxt-square", "--recording", "none.mcap"],
-            ["none.mcap", "reading"],
-        ),
-        (
-            &["nxt-square", "--recording", "empty.mcap"],
-            ["`empty.mcap` (0 bytes)", "not an MCAP file"],
-        ),
-        (
-            &["indirect", "--recording", "torn.mcap"],
-            ["`torn.mcap`", "without a posebridge header"],
-        ),
-        (
-            &["wall", "--recording", "silent.mcap"],
-            ["`silent.mcap` holds no observation", "doctor"],
-        ),
-        (
-            &["nxt-square", "--recording", "wall.mcap"],
-            ["`wall.mcap`", "let the robot send WHEEL_TICKS"],
-        ),
-        (
-            &["indirect", "--recording", "wall.mcap"],
-            ["`wall.mcap`", "no wheel ticks"],
-        ),
-        (
-            &["indirect", "--recording", "wheels.mcap"],
-            ["`wheels.mcap` holds no accelerations", "INERTIAL"],
-        ),
-        (
-            &["wall", "--recording", "wheels.mcap"],
-            ["`wheels.mcap` holds no range", "DISTANCE_SENSOR"],
-        ),
-        (
-            &["nxt-square", "--recording", "still.mcap"],
-            ["`still.mcap`", "20 readings"],
-        ),
-        (
-            &[
-                "nxt-square",
-                "--recording",
-                "wheels.mcap",
-                "--judge",
-                "fixes",
-            ],
-            ["`wheels.mcap`", "--judge start"],
-        ),
-        (
-            &[
-                "nxt-square",
-                "--recording",
-                "wheels.mcap",
-                "--set",
-                "robot.track=1",
-            ],
-            ["robot.track", "--set"],
-        ),
-        (
-            &["wall", "--recording", "wall.mcap", "--run", "x"],
-            ["`wall.mcap`", "--run"],
-        ),
-    ];
-    for (args, words) in cases {
-        let said = refusal(folder, args);
+    whole
+}
+
+#[test]
+fn what_a_recording_lacks_is_named_with_the_file_and_a_cure() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let whole = sick_recordings(folder);
+    for (command, words) in LACKS {
+        let args: Vec<&str> = command.split(' ').collect();
+        let said = refusal(folder, &args);
         for word in words {
-            assert!(said.contains(word), "{args:?}: `{word}` in {said}");
+            assert!(said.contains(word), "{command}: `{word}` in {said}");
         }
     }
     // One sick recording among good ones is the one that is named.
-    let said = refusal(
-        folder,
-        &["nxt-square", "--recording", "drive-0.mcap", "wall.mcap"],
-    );
+    let both = ["nxt-square", "--recording", "drive-0.mcap", "wall.mcap"];
+    let said = refusal(folder, &both);
     assert!(
         said.contains("wall.mcap") && !said.contains("drive-0"),
         "{said}"
@@ -379,15 +372,11 @@ fn what_a_recording_lacks_is_named_with_the_file_and_a_cure() {
     // A recording that was cut off is used as far as it goes.
     std::fs::write(folder.join("cut.mcap"), &whole[..whole.len() / 2]).unwrap();
     let mut command = posebridge(folder);
-    let output = command
-        .args(["lab", "nxt-square", "--recording", "cut.mcap"])
-        .output()
-        .unwrap();
+    command.args(["lab", "nxt-square", "--recording", "cut.mcap"]);
+    let output = command.output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(
-        output.status.success() && said.contains("cut.mcap: cut off at byte"),
-        "{said}"
-    );
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("cut.mcap: cut off at byte"), "{said}");
 }
 
 #[test]
@@ -516,11 +505,8 @@ fn a_live_car_that_calls_the_station_is_foretold_until_somebody_says_stop() {
         let Observed::WallRange(range) = one.observed else {
             continue;
         };
-        text += &format!(
-            "{},{:.0}\n",
-            one.stamp.as_nanos() / 1_000_000,
-            1e3 * range.0
-        );
+        let millis = one.stamp.as_nanos() / 1_000_000;
+        writeln!(text, "{millis},{:.0}", 1e3 * range.0).unwrap();
     }
     std::fs::write(folder.join("approach.csv"), text).unwrap();
     let descriptor =
