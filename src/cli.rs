@@ -42,7 +42,7 @@ pub enum Command {
     Relay(RelayArgs),
     /// Run the estimators over a recording, offline.
     Replay(ReplayArgs),
-    /// Run an experiment that needs no robot.
+    /// Run an experiment: simulated, and those of the papers on a recording or a live robot as well.
     Lab(LabArgs),
     /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibrate.md).
     Calibrate(crate::commands::calibrate::CalibrateArgs),
@@ -281,13 +281,15 @@ pub enum LabExperiment {
     /// Prints a table of the clocks and one of the poses, and writes the page lab-links.html with its picture.
     /// docs/lab-links.md describes --json.
     Links(LabLinksArgs),
-    /// Run the filters of paper 1 on its square, or on exported sensor data: errors, order, R, figures.
+    /// Run the filters of paper 1 on its square, on exported sensor data, on recordings or a live robot: errors, order, R, figures.
     NxtSquare(crate::commands::lab::nxt_square::LabNxtSquareArgs),
     /// Tell what a slow thermometer will show in the end, simulated or recorded, and how it is identified (docs/lab/thermometer.md).
     Thermometer(crate::commands::lab::thermometer::LabThermometerArgs),
-    /// Paper 3: identify a car before a wall, and stop it there by readings, lines and filters; or foretell a recording's readings.
+    /// Paper 3: identify a car before a wall, and stop it there by readings, lines and filters; or foretell a recorded or a live
+    /// robot's readings.
     Wall(crate::commands::lab::wall::LabWallArgs),
-    /// Paper 4: a square by wheels alone, and with accelerometers by the indirect filter, fed forward and back.
+    /// Paper 4: a square by wheels alone, and with accelerometers by the indirect filter, fed forward and back; simulated, recorded or
+    /// live.
     Indirect(crate::commands::lab::indirect::LabIndirectArgs),
 }
 
@@ -428,7 +430,7 @@ pub struct CompletionsArgs {
 }
 
 /// A number of more than zero.
-fn positive(text: &str) -> Result<f64, String> {
+pub(crate) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
         _ => Err("must be a number of more than zero".to_owned()),

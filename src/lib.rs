@@ -12,6 +12,7 @@ pub mod drawn;
 pub mod learned;
 pub mod link_profile;
 pub mod link_target;
+pub mod own_recording;
 pub mod parallel;
 pub mod progress;
 pub mod report;

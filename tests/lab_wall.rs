@@ -103,7 +103,7 @@ fn with_the_filter_the_car_stops_near_the_target_and_nearer_and_faster_than_by_a
 fn a_filter_on_the_host_is_as_good_as_its_link() {
     let folder = tempfile::tempdir().unwrap();
     let near = |link: &str, on: &str, name: &str| {
-        let args = ["--steps", "20", "--runs", "40", "--link", link];
+        let args = ["--steps", "20", "--runs", "40", "--profile", link];
         let found = object(folder.path(), &args);
         let row = by(&rows(&found, "tuned", on, 80.0), name)["near"].clone();
         row.as_u64().unwrap()
@@ -169,7 +169,7 @@ fn mistakes_are_named_with_file_line_and_key() {
     for word in ["wrong.toml", "line 7", "rise_90_s", "-1"] {
         assert!(said.contains(word), "{word} in {said}");
     }
-    let said = refusal(folder.path(), &["--link", "carrier-pigeon"]);
+    let said = refusal(folder.path(), &["--profile", "carrier-pigeon"]);
     assert!(
         said.contains("carrier-pigeon") && said.contains("bluetooth-spp"),
         "{said}"

@@ -38,11 +38,45 @@ use crate::virtual_run;
 /// The configuration makes no sense, a link cannot be opened for good, or the recording cannot be written.
 pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let config = configuration(args).at_start()?;
+    let mut session = in_runtime(session(args, &config, RECORDING))?;
+    finish(
+        &config,
+        &session.folder,
+        &session.collector,
+        session.embedded.take(),
+        session.recorded.as_ref(),
+    )
+    .while_running()?;
+    report_learned(args, &config, &session).while_running()?;
+    session.whole().while_running()
+}
+
+/// Records a robot without any report of its own: for those who evaluate the recording at once. It is recorded whatever the
+/// configuration says, into the file of this name in the flags' folder; gives how the observations of each sensor fared, as a table.
+///
+/// # Errors
+/// As [`execute`].
+pub(crate) fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
+    let mut config = configuration(args).at_start()?;
+    config.record.enabled = true;
+    let mut session = in_runtime(session(args, &config, file_name))?;
+    if let Some((embedded, _)) = session.embedded.take() {
+        embedded.brick.finish().while_running()?;
+    }
+    let heard = report::sources(&session.collector);
+    session.whole().while_running()?;
+    Ok(heard)
+}
+
+/// The name of a run's recording in its folder.
+const RECORDING: &str = "recording.mcap";
+
+fn in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .at_start()?;
-    let result = runtime.block_on(station(args, &config));
+    let result = runtime.block_on(work);
     // An attempt to open a device that hangs must not keep the program alive.
     runtime.shutdown_background();
     result
@@ -89,7 +123,34 @@ struct Embedded {
     link: LinkId,
 }
 
-async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
+/// What a session has left.
+struct Session {
+    timer: HostTimer,
+    folder: PathBuf,
+    collector: Collector,
+    /// The recording and how many inputs it holds.
+    recorded: Option<(PathBuf, u64)>,
+    /// The simulated brick, and whether it drove its path to the end: a lap that was cut short cannot be compared with a whole one.
+    embedded: Option<(Embedded, bool)>,
+    learned: Option<Learned>,
+    /// Whether the stamps of signed links were kept.
+    kept: Result<()>,
+    /// Why the recording ended before the session.
+    recording_failure: Option<anyhow::Error>,
+}
+
+impl Session {
+    /// Whether everything was written that had to be.
+    fn whole(self) -> Result<()> {
+        self.kept?;
+        self.recording_failure
+            .map_or(Ok(()), Err)
+            .context("the recording is not whole")
+    }
+}
+
+/// Runs the station until something ends it.
+async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Session, Failure> {
     let timer = HostTimer::start();
     let signing = SigningSession::open(config, timer.utc_start()).at_start()?;
     let pipeline = pipeline(args, config, &signing).at_start()?;
@@ -110,12 +171,13 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         view: LiveView::new(progress),
     };
     warn_of_open_listeners(&ports, config);
-    let recorded = signing.recorded(config);
+    let recording = folder.join(file_name);
+    let recorder = start_recorder(args, &signing.recorded(config), &timer, &recording);
     let mut shard = Shard {
         pipeline,
         ports,
         timer,
-        recorder: start_recorder(args, &recorded, &timer, &folder).at_start()?,
+        recorder: recorder.at_start()?,
         observer: Observer::start(observed).at_start()?,
         recording_failure: None,
         signing: signing.keep().at_start()?,
@@ -125,29 +187,24 @@ async fn station(args: &RunArgs, config: &Config) -> Result<(), Failure> {
         () = shard.run(&ending) => {}
         () = signals.received() => {}
     }
-    // A lap that was cut short cannot be compared with a whole one.
     let is_whole = embedded
         .as_ref()
         .is_some_and(|embedded| embedded.brick.finished.is_cancelled());
     stop.cancel();
     let kept = shard.keep_last_stamps();
-    let failure = shard.recording_failure.take();
+    let recording_failure = shard.recording_failure.take();
     let learned = learned_of(&shard.pipeline, config).at_start()?;
-    let (collector, recorded) = close(shard).while_running()?;
-    finish(
-        config,
-        &folder,
-        &collector,
-        embedded.map(|embedded| (embedded, is_whole)),
-        recorded,
-    )
-    .while_running()?;
-    report_learned(args, config, &folder, learned.as_ref(), &timer).while_running()?;
-    kept.while_running()?;
-    failure
-        .map_or(Ok(()), Err)
-        .context("the recording is not whole")
-        .while_running()
+    let (collector, inputs) = close(shard).while_running()?;
+    Ok(Session {
+        timer,
+        folder,
+        collector,
+        recorded: inputs.map(|inputs| (recording, inputs)),
+        embedded: embedded.map(|embedded| (embedded, is_whole)),
+        learned,
+        kept,
+        recording_failure,
+    })
 }
 
 /// When the run ends by itself: at the latest with its simulated brick.
@@ -179,13 +236,8 @@ fn learned_of(pipeline: &Pipeline, config: &Config) -> Result<Option<Learned>> {
 }
 
 /// Prints and saves what the filter has learned about the robot.
-fn report_learned(
-    args: &RunArgs,
-    config: &Config,
-    folder: &Path,
-    learned: Option<&Learned>,
-    timer: &HostTimer,
-) -> Result<()> {
+fn report_learned(args: &RunArgs, config: &Config, session: &Session) -> Result<()> {
+    let learned = session.learned.as_ref();
     if let Some(learned) = learned {
         stdout::print(&learned_table(std::slice::from_ref(learned)))?;
     }
@@ -194,8 +246,8 @@ fn report_learned(
     };
     let learned = learned.context("nothing was observed, so there is no calibration to save")?;
     let provenance = Provenance {
-        utc_micros: timer.utc_start(),
-        source: format!("live run, {}", folder.display()),
+        utc_micros: session.timer.utc_start(),
+        source: format!("live run, {}", session.folder.display()),
         filter: config.filter.name.clone(),
     };
     save(path, learned, &provenance)
@@ -324,7 +376,7 @@ fn start_recorder(
     args: &RunArgs,
     config: &Config,
     timer: &HostTimer,
-    folder: &Path,
+    path: &Path,
 ) -> Result<Option<Recorder>> {
     if args.no_record || !config.record.enabled {
         return Ok(None);
@@ -337,7 +389,7 @@ fn start_recorder(
             .context("writing the configuration into the recording")?,
         links: config.links.iter().map(|link| link.url.clone()).collect(),
     };
-    Recorder::start(&folder.join("recording.mcap"), &header).map(Some)
+    Recorder::start(path, &header).map(Some)
 }
 
 /// Tables and pictures.
@@ -346,7 +398,7 @@ fn finish(
     folder: &Path,
     collector: &Collector,
     embedded: Option<(Embedded, bool)>,
-    recorded: Option<u64>,
+    recorded: Option<&(PathBuf, u64)>,
 ) -> Result<()> {
     let mut title = "live run".to_owned();
     let mut truth = None;
@@ -367,8 +419,7 @@ fn finish(
         // Writing to a String cannot fail.
         let _ = writeln!(text, "picture    {}", picture.display());
     }
-    if let Some(inputs) = recorded {
-        let recording = folder.join("recording.mcap");
+    if let Some((recording, inputs)) = recorded {
         let _ = writeln!(text, "recording  {} ({inputs} inputs)", recording.display());
     }
     stdout::print(&text)?;

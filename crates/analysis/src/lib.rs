@@ -28,6 +28,7 @@ pub mod identification;
 mod markup;
 pub mod metrics;
 pub mod noise_identification;
+pub mod recorded_drive;
 pub mod report;
 pub mod smoothed;
 pub mod square;

@@ -18,6 +18,7 @@ use super::profile::{Calibrated, folded};
 use super::segments;
 use super::source::{self, Against, Drives, Watch};
 use crate::cli::DataFlags;
+use crate::commands::lab::live::LiveArgs;
 use crate::commands::lab::outcome::OutputArgs;
 use crate::commands::{Failure, Stage};
 use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
@@ -28,17 +29,24 @@ const TRUTH_SIGMA_M: f64 = 0.005;
 /// The same for a person with a tape.
 const TAPE_SIGMA_M: f64 = 0.01;
 
+/// What a person with a live robot is told to do.
+const TASK: &str =
+    "drive about in the camera's sight, for a minute or two, with turns in both directions";
+
 /// Flags of `calibrate path`.
 #[derive(Args, Clone, Debug)]
 pub struct PathArgs {
     /// A recording's descriptor (config/recordings/*.toml) or a recording (*.mcap).
-    #[arg(required_unless_present = "segments")]
+    #[arg(required_unless_present_any = ["segments", "link", "listen"], group = "real_robot")]
     pub recording: Option<PathBuf>,
+    /// A live robot.
+    #[command(flatten)]
+    pub live: LiveArgs,
     /// What to read of a descriptor's data; without --use-every all fixes are taken.
     #[command(flatten)]
     pub data: DataFlags,
     /// In place of a recording: a CSV table of wheel distances and places measured with a tape (docs/lab/calibrate.md, section 3).
-    #[arg(long, value_name = "FILE.csv", conflicts_with = "recording")]
+    #[arg(long, value_name = "FILE.csv", conflicts_with = "real_robot")]
     pub segments: Option<PathBuf>,
     /// The robot of --segments: a profile with a [robot] table.
     #[arg(long, value_name = "FILE.toml", requires = "segments")]
@@ -139,6 +147,12 @@ impl TriedRun {
 /// A recording or a flag makes no sense, what was driven does not suffice, or an output cannot be written.
 pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
+    let mut args = args.clone();
+    if args.live.is_asked() {
+        let recording = args.live.or_named(None, &args.output, &args.data, TASK)?;
+        args.recording = Some(recording);
+    }
+    let args = &args;
     if args.online {
         return path_online::execute(args, &timer);
     }

@@ -15,15 +15,23 @@ use serde_json::{Value, json};
 use super::profile::Calibrated;
 use super::source::{self, Watch};
 use crate::cli::DataFlags;
+use crate::commands::lab::live::LiveArgs;
 use crate::commands::lab::outcome::{Outcome, OutputArgs};
 use crate::commands::{Failure, Stage};
 use crate::config::{CalibrationEntry, RobotFile};
+
+/// What a person with a live robot is told to do.
+const TASK: &str = "leave the robot standing for a minute, its motors off";
 
 /// Flags of `calibrate rest`.
 #[derive(Args, Clone, Debug)]
 pub struct RestArgs {
     /// A recording's descriptor (config/recordings/*.toml) or a recording (*.mcap); a minute of rest is good.
-    pub recording: PathBuf,
+    #[arg(required_unless_present_any = ["link", "listen"], group = "real_robot")]
+    pub recording: Option<PathBuf>,
+    /// A live robot.
+    #[command(flatten)]
+    pub live: LiveArgs,
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
@@ -54,7 +62,9 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
         against: None,
         truth_sigma_m: 1.0,
     };
-    let drives = source::load(&args.recording, &args.data, watch)?;
+    let named = args.recording.as_deref();
+    let recording = args.live.or_named(named, &args.output, &args.data, TASK)?;
+    let drives = source::load(&recording, &args.data, watch)?;
     let Some(first) = drives.drives.first() else {
         return Err(anyhow!("`{}` holds no run", drives.recording)).at_start();
     };

@@ -2,21 +2,18 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, ensure};
 use posebridge_analysis::calibration::free_path::{Sight, seconds};
 use posebridge_estimator::FilterConfig;
-use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::Reader;
-use posebridge_telemetry::{Observation, Observed, Output, Stamp};
+use posebridge_telemetry::{Observation, Observed};
 
 use crate::cli::DataFlags;
-use crate::collect::Collector;
 use crate::commands::{Failure, Stage};
-use crate::config::{self, RobotFile};
+use crate::config::RobotFile;
 use crate::data::{DataSet, tell_bad_rows};
+use crate::own_recording::{self, Overlay};
 use crate::parallel::run_all;
-use crate::stderr::say;
-use crate::{progress, signing};
+use crate::progress;
 
 /// What the robot is compared with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -58,8 +55,7 @@ pub(super) struct Watch {
 /// # Errors
 /// The recording cannot be read or makes no sense.
 pub(super) fn load(recording: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives, Failure> {
-    let is_descriptor = recording.extension().is_some_and(|end| end == "toml");
-    if is_descriptor {
+    if !own_recording::is_own(recording) {
         let flags = DataFlags {
             use_every: flags.use_every.or(Some(1)),
             ..flags.clone()
@@ -121,63 +117,28 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drive
     })
 }
 
-/// A recording of ours: what its pipeline made of the bytes.
+/// A recording of ours: one drive.
 fn load_own(path: &Path, flags: &DataFlags) -> Result<Drives> {
-    let name = path.display().to_string();
     ensure!(
         flags.run.is_none() && flags.use_every.is_none(),
         "--run and --use-every choose from a descriptor's data, not from a recording of ours"
     );
-    let bytes = std::fs::read(path).with_context(|| format!("reading the recording `{name}`"))?;
-    let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
-    let header = &reader.header().config_toml;
-    let config =
-        config::load_text("the recording's own configuration", header, &flags.settings)?.config;
-    let mut pipeline_config = config.pipeline()?;
-    signing::recall(&config, &[], &mut pipeline_config)?;
-    let mut pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
-    let mut collector = Collector::keeping_observations();
-    for item in &mut reader {
-        match item {
-            Ok((now, input)) => pipeline.handle(now, &input),
-            Err(error) => say(&format!("{name}: {error}; what is whole is used")),
-        }
-        while let Some(output) = pipeline.poll() {
-            if let Output::Event(event) = output {
-                collector.take(&event);
-            }
-        }
-    }
-    if collector.restarts > 0 {
-        bail!(
-            "`{name}`: the brick restarted {} time(s), its clock began anew; record a drive without a restart",
-            collector.restarts
-        );
-    }
-    let mut filter_config = config.filter_config()?;
-    filter_config.geometry = pipeline.geometry();
+    let overlay = Overlay {
+        robot: None,
+        settings: &flags.settings,
+    };
+    let run = own_recording::read(path, overlay)?;
     Ok(Drives {
-        recording: name.clone(),
+        recording: run.name.clone(),
         drives: vec![Drive {
-            name,
-            robot: described(&config.robot, &filter_config),
-            sights: fix_sights(&collector.kept, &filter_config),
-            config: filter_config,
-            observations: collector.kept,
+            name: run.name,
+            robot: run.robot,
+            sights: fix_sights(&run.observations, &run.config),
+            config: run.config,
+            observations: run.observations,
             against: Against::Fixes,
         }],
     })
-}
-
-/// The robot with the geometry that its brick has described.
-fn described(robot: &RobotFile, config: &FilterConfig) -> RobotFile {
-    RobotFile {
-        left_wheel_radius_m: config.geometry.left_wheel_radius.0,
-        right_wheel_radius_m: config.geometry.right_wheel_radius.0,
-        track_width_m: config.geometry.track_width.0,
-        ticks_per_turn: std::f64::consts::TAU / config.geometry.tick.0,
-        ..robot.clone()
-    }
 }
 
 fn fix_sights(observations: &[Observation], config: &FilterConfig) -> Vec<Sight> {

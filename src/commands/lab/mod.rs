@@ -1,4 +1,4 @@
-//! `posebridge lab`: experiments that need no robot and no link.
+//! `posebridge lab`: experiments. None needs a robot or a link; those of the papers take a recording or a live robot as well.
 
 pub mod accuracy;
 mod accuracy_json;
@@ -10,8 +10,10 @@ pub mod links;
 mod links_clock;
 mod links_pose;
 mod links_report;
+pub mod live;
 pub mod nxt_square;
 pub mod outcome;
+pub mod recorded;
 pub mod thermometer;
 pub mod wall;
 

@@ -15,7 +15,7 @@ pub struct Example {
     pub table: SensorTable,
     /// What the filters were told.
     pub config: FilterConfig,
-    /// Of how many rows one gives its image to the filters.
+    /// Of how many images one is given to the filters.
     pub camera_every: usize,
     /// The path of each method, by its name.
     pub paths: Vec<(&'static str, Vec<State>)>,
@@ -145,8 +145,8 @@ impl Example {
     /// Figure 7: the tracks of some methods with the reference.
     #[must_use]
     pub fn track_figure(&self, title: &str, names: &[&str]) -> String {
-        let seen: Vec<(f64, f64)> = (1..self.table.rows.len())
-            .filter_map(|row| self.table.reference(row, self.camera_every))
+        let seen: Vec<(f64, f64)> = (self.table.references(self.camera_every).into_iter())
+            .flatten()
             .map(|seen| (seen.x_m, seen.y_m))
             .collect();
         let reference = if self.table.has_truth() {
@@ -154,7 +154,16 @@ impl Example {
         } else {
             "camera"
         };
-        let mut curves = vec![line(reference, seen)];
+        // Of a closed path nothing is known but its end: a line of one point would not be seen.
+        let shape = if seen.len() > 1 {
+            Shape::Line(seen)
+        } else {
+            Shape::Dots(seen)
+        };
+        let mut curves = vec![Curve {
+            name: reference.to_owned(),
+            shape,
+        }];
         curves.extend(names.iter().map(|name| {
             let path = self.path(name).iter().map(|state| (state[0], state[1]));
             line(name, path.collect())

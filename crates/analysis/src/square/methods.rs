@@ -137,7 +137,7 @@ enum Follower {
 
 impl Method {
     /// Follows a table and says what it believed after each row; not a number where it believed nothing. `camera_every`: of how
-    /// many rows one gives its image.
+    /// many images one is given.
     #[must_use]
     pub fn follow(
         &self,
@@ -148,10 +148,10 @@ impl Method {
         let mut follower = self.follower(config);
         let unit_rad = table.unit.in_rad(&config.geometry);
         let mut before_s = table.rows.first().map_or(0.0, |row| row.time_s);
-        let rows = table.rows.iter().enumerate();
-        rows.map(|(index, row)| {
+        let rows = table.rows.iter().zip(table.images_given(camera_every));
+        rows.map(|(row, is_given)| {
             let mut row = *row;
-            if !SensorTable::uses_camera(index, camera_every) {
+            if !is_given {
                 row.camera = None;
             }
             let dt_s = row.time_s - before_s;

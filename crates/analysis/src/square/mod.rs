@@ -12,6 +12,7 @@ mod matched;
 mod methods;
 mod noise;
 mod page;
+mod recorded;
 mod score;
 mod table;
 mod text;
@@ -23,6 +24,7 @@ pub use matched::{MatchedSpeeds, MatchedWheels, SpeedMatrices, State, Wheel, Whe
 pub use methods::{Method, corrected, outlook, printed, swapped};
 pub use noise::{Record, Spread, stop, straight};
 pub use page::{Chain, Reading, Report};
+pub use recorded::table_of;
 pub use score::{Errors, Metric, Order, OrderStep, errors, order, true_speeds};
 pub use table::{EncoderUnit, SeenPose, Sense, SensorRow, SensorTable};
 pub use text::{parse, write};

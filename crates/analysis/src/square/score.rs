@@ -101,10 +101,9 @@ impl Squares {
 pub fn errors(table: &SensorTable, path: &[State], camera_every: usize) -> Errors {
     let [mut position, mut heading, mut forward, mut turn] = [Squares::default(); 4];
     let mut end_m = None;
-    for (row, state) in path.iter().enumerate() {
-        let Some(seen) = table.reference(row, camera_every) else {
-            continue;
-        };
+    let references = table.references(camera_every);
+    for (row, (state, seen)) in path.iter().zip(references).enumerate() {
+        let Some(seen) = seen else { continue };
         let square_m2 = (state[0] - seen.x_m).powi(2) + (state[1] - seen.y_m).powi(2);
         position.add(square_m2);
         end_m = Some(square_m2.sqrt()).filter(|end_m| end_m.is_finite());

@@ -222,21 +222,32 @@ impl SensorTable {
         &self.rows[..count]
     }
 
-    /// Whether the filters that use a camera are given the image of this row: that of every `every`-th one, and not the first.
+    /// Of each row, whether the filters that use a camera are given its image: that of every `every`-th one. The first row's does not
+    /// count: there all begin.
     #[must_use]
-    pub fn uses_camera(row: usize, every: usize) -> bool {
-        row > 0 && row.is_multiple_of(every)
+    pub fn images_given(&self, every: usize) -> Vec<bool> {
+        let mut images = 0_usize;
+        let rows = self.rows.iter().enumerate();
+        rows.map(|(index, row)| {
+            let has_image = index > 0 && row.camera.is_some();
+            images += usize::from(has_image);
+            has_image && images.is_multiple_of(every)
+        })
+        .collect()
     }
 
-    /// What a filter is judged by in this row: the truth, or, where there is none in the whole table, an image that no filter was
+    /// What a filter is judged by in each row: the truth, or, where there is none in the whole table, an image that no filter was
     /// given. The first row is where all begin.
     #[must_use]
-    pub fn reference(&self, row: usize, every: usize) -> Option<SeenPose> {
-        let known = self.rows.get(row).filter(|_| row > 0)?;
-        if self.has_truth() {
-            return known.truth;
-        }
-        known.camera.filter(|_| !Self::uses_camera(row, every))
+    pub fn references(&self, every: usize) -> Vec<Option<SeenPose>> {
+        let has_truth = self.has_truth();
+        let rows = self.rows.iter().zip(self.images_given(every)).enumerate();
+        rows.map(|(index, (row, is_given))| match (index, has_truth) {
+            (0, _) => None,
+            (_, true) => row.truth,
+            (_, false) => row.camera.filter(|_| !is_given),
+        })
+        .collect()
     }
 
     /// Whether the true pose is known anywhere.
@@ -300,19 +311,35 @@ mod tests {
             rows: rows.collect(),
             ..SensorTable::default()
         };
-        let helps: Vec<usize> = (0..9)
-            .filter(|row| SensorTable::uses_camera(*row, 4))
-            .collect();
-        let judges: Vec<usize> = (0..9)
-            .filter(|row| table.reference(*row, 4).is_some())
-            .collect();
-        assert_eq!((helps, judges), (vec![4, 8], vec![1, 2, 3, 5, 6, 7]));
+        let helps = |table: &SensorTable, every| -> Vec<usize> {
+            let given = table.images_given(every).into_iter().enumerate();
+            given
+                .filter(|(_, given)| *given)
+                .map(|(row, _)| row)
+                .collect()
+        };
+        let judges = |table: &SensorTable| -> Vec<usize> {
+            let seen = table.references(4).into_iter().enumerate();
+            seen.filter(|(_, seen)| seen.is_some())
+                .map(|(row, _)| row)
+                .collect()
+        };
+        assert_eq!(helps(&table, 4), [4, 8]);
+        assert_eq!(judges(&table), [1, 2, 3, 5, 6, 7]);
+        let mut sparse = table.clone();
+        for row in [1, 4, 6] {
+            sparse.rows[row].camera = None;
+        }
+        assert_eq!(
+            helps(&sparse, 4),
+            [7],
+            "the fourth image, not the fourth row"
+        );
+        assert_eq!(judges(&sparse), [2, 3, 5, 8]);
         let mut known = table;
         known.rows[0].truth = Some(seen);
         known.rows[4].truth = Some(seen);
-        let judges: Vec<usize> = (0..9)
-            .filter(|row| known.reference(*row, 4).is_some())
-            .collect();
+        let judges = judges(&known);
         assert_eq!(judges, [4], "the truth alone judges where there is one");
     }
 }

@@ -1,8 +1,12 @@
 //! Each reading held against what was foretold before it was seen.
 
+use posebridge_estimator::Params;
+use posebridge_telemetry::Verdict;
+
 use super::believe::{Believer, LineThrough};
 use super::log::{Said, WallLog};
 use super::plant::{Plant, PlantSearch, Runner};
+use super::validate::{GATE_SIGMAS, spread};
 
 /// A reading and what was foretold of it, in m.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +21,11 @@ pub struct Foreseen {
     pub line_m: Option<f64>,
     /// What was believed of the car.
     pub plant: Plant,
+    /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)): a reading that is further from what was foretold is refused, m. `None` where
+    /// the filter held it against nothing.
+    pub gate_m: Option<f64>,
+    /// Whether the gate refused the reading.
+    pub is_refused: bool,
 }
 
 /// The drive is identified anew once there are so many times as many readings; early, at each. It keeps the work of long logs small.
@@ -25,6 +34,7 @@ const ANEW_AFTER: f64 = 1.02;
 /// Foretells every reading but the first from those before it.
 #[must_use]
 pub fn foresee(log: &WallLog, search: PlantSearch) -> Vec<Foreseen> {
+    let least_gate_m = Params::default().wall_gate_m;
     let mut foreseen = Vec::new();
     let mut line = LineThrough::default();
     let mut known: Option<(Plant, Runner)> = None;
@@ -43,7 +53,9 @@ pub fn foresee(log: &WallLog, search: PlantSearch) -> Vec<Foreseen> {
             identified_at = readings;
         }
         if let Some((plant, runner)) = &mut known {
-            foreseen.extend(runner.distance_m(entry.at_s).map(|kalman_m| {
+            let foretold = runner.distance_m(entry.at_s);
+            let record = runner.fuse(entry.at_s, range_m);
+            foreseen.extend(foretold.map(|kalman_m| {
                 Foreseen {
                     at_s: entry.at_s,
                     range_m,
@@ -53,14 +65,40 @@ pub fn foresee(log: &WallLog, search: PlantSearch) -> Vec<Foreseen> {
                         .map(|belief| belief.distance_m)
                         .filter(|_| readings >= 2),
                     plant: *plant,
+                    gate_m: spread(&record).map(|s_m2| least_gate_m.max(GATE_SIGMAS * s_m2.sqrt())),
+                    is_refused: record.verdict == Verdict::Gated,
                 }
             }));
-            runner.take(entry.at_s, entry.said);
         }
         line.range(entry.at_s, range_m);
         readings += 1;
     }
     foreseen
+}
+
+/// What the gate did with the readings of a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GateUse {
+    /// Readings that were held against a prediction.
+    pub readings: usize,
+    /// Of these, readings that were refused.
+    pub refused: usize,
+    /// The gate's mean half-width, m.
+    pub mean_m: f64,
+}
+
+/// Sums up the gate; `None` if no reading was held against a prediction.
+#[must_use]
+pub fn gate_use(foreseen: &[Foreseen]) -> Option<GateUse> {
+    let gates: Vec<f64> = foreseen.iter().filter_map(|one| one.gate_m).collect();
+    if gates.is_empty() {
+        return None;
+    }
+    Some(GateUse {
+        readings: gates.len(),
+        refused: foreseen.iter().filter(|one| one.is_refused).count(),
+        mean_m: gates.iter().sum::<f64>() / gates.len() as f64,
+    })
 }
 
 /// Root mean squares of readings minus what was foretold, in m, over the readings that both sides foretold.
@@ -128,6 +166,25 @@ mod tests {
         assert_ne!(before[8].kalman_m, after[8].kalman_m);
         assert_eq!(before[0].line_m, None);
         assert!((before[1].line_m.unwrap() - 2.96).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_reading_beyond_the_gate_is_refused_and_counted() {
+        // 0.5 m/s; the reading of 1.6 s is of somebody who walks by.
+        let mut ranges: Vec<f64> = (0..24).map(|index| 3.0 - 0.05 * f64::from(index)).collect();
+        ranges[16] = 0.1;
+        let foreseen = foresee(&log(&ranges), SEARCH);
+        let refused: Vec<usize> = (0..23)
+            .filter(|index| foreseen[*index].is_refused)
+            .collect();
+        // The first reading is foretold by nobody.
+        assert_eq!(refused, [15]);
+        let off_m = (foreseen[15].range_m - foreseen[15].kalman_m).abs();
+        assert!(off_m > foreseen[15].gate_m.unwrap());
+        let used = gate_use(&foreseen).unwrap();
+        assert_eq!((used.readings, used.refused), (23, 1));
+        assert!(used.mean_m > 0.03 && used.mean_m < off_m, "{used:?}");
+        assert_eq!(gate_use(&[]), None);
     }
 
     #[test]

@@ -15,6 +15,7 @@
 
 use posebridge_estimator::filters::range_kf::Variant;
 use posebridge_estimator::models::wall_approach::WallApproach;
+use posebridge_telemetry::FusionRecord;
 
 use super::believe::{Believer, Kalman, KalmanNoise};
 use super::log::{Said, WallLog};
@@ -128,10 +129,15 @@ impl Runner {
                 0.0
             }
             Said::Range(range_m) => {
-                let record = self.kalman.fuse(at_s, range_m);
+                let record = self.fuse(at_s, range_m);
                 spread(&record).map_or(0.0, |s_m2| 0.5 * (record.nis.min(MOST_NIS) + s_m2.ln()))
             }
         }
+    }
+
+    /// Takes a reading and tells what became of it.
+    pub(super) fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
+        self.kalman.fuse(at_s, range_m)
     }
 
     /// The distance that it believes in, m.

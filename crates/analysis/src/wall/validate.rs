@@ -7,6 +7,9 @@ use posebridge_telemetry::{FusionRecord, Verdict};
 use super::believe::{Believer, Kalman, KalmanNoise};
 use super::log::{Said, WallLog};
 
+/// The paper's gate: so many standard deviations of the innovation.
+pub(super) const GATE_SIGMAS: f64 = 3.0;
+
 /// What the filter did with a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Validation {
@@ -64,7 +67,7 @@ pub fn validate(
                 predicted += 1.0;
                 squares += record.innovation[0].powi(2);
                 found.gain += 1.0 - noise.range_m.powi(2) / s_m2;
-                found.gate_m += 3.0 * s_m2.sqrt();
+                found.gate_m += GATE_SIGMAS * s_m2.sqrt();
                 found.nis += record.nis;
             }
         }

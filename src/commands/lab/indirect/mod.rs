@@ -1,8 +1,9 @@
 //! `posebridge lab indirect`: paper 4's square, by wheels alone and with the indirect filter.
 //!
-//! Every run is one round of the square; what differs between the rows is who looks at which sensors. docs/lab/indirect.md is the
-//! lesson.
+//! Every run is one round of the square, simulated or driven by a real robot; what differs between the rows is who looks at which
+//! sensors. docs/lab/indirect.md is the lesson.
 
+mod recorded;
 mod report;
 mod rounds;
 
@@ -10,7 +11,9 @@ use std::path::PathBuf;
 
 use posebridge_sim::montecarlo::{MAX_RUNS, Scenario};
 
+use self::report::Told;
 use super::outcome::OutputArgs;
+use super::recorded::RecordedArgs;
 use crate::commands::{Failure, Stage};
 use crate::{drawn, progress};
 
@@ -21,14 +24,17 @@ const SQUARE: &str = include_str!("../../../../config/scenarios/lab/indirect.tom
 #[derive(clap::Args, Clone, Debug)]
 pub struct LabIndirectArgs {
     /// Robot, sensors and square, as a TOML file; without it config/scenarios/lab/indirect.toml.
-    #[arg(long, value_name = "FILE.toml")]
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "real_robot")]
     pub scenario: Option<PathBuf>,
     /// Rounds, instead of what the scenario says.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_RUNS)))]
+    #[arg(long, value_name = "N", conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_RUNS)))]
     pub runs: Option<u32>,
     /// Base seed, instead of the scenario's.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with = "real_robot")]
     pub seed: Option<u64>,
+    /// A real robot.
+    #[command(flatten)]
+    pub real: RecordedArgs,
     /// Where the results go.
     #[command(flatten)]
     pub output: OutputArgs,
@@ -37,15 +43,21 @@ pub struct LabIndirectArgs {
 /// Runs the experiment.
 ///
 /// # Errors
-/// The scenario cannot be read or makes no sense, or an output cannot be written.
+/// The scenario or a recording cannot be read or makes no sense, or an output cannot be written.
 pub fn execute(args: &LabIndirectArgs) -> Result<(), Failure> {
+    if let Some(drives) = args.real.drives(&args.output, recorded::TASK)? {
+        let found = drives.staged(recorded::rounds_of(&drives))?;
+        let folder = args.output.folder()?;
+        let outcome = report::outcome(&Told::of_recordings(&drives), &found);
+        return args.output.deliver(&folder, &outcome);
+    }
     let scenario = scenario(args).at_start()?;
     let runs = args.runs.unwrap_or(scenario.runs);
     let folder = args.output.folder()?;
     let bar = progress::bar(u64::from(runs), "rounds").at_start()?;
     let found = rounds::drive_all(&scenario, runs, || bar.inc(1));
     bar.finish_and_clear();
-    let outcome = report::outcome(&scenario, runs, &found);
+    let outcome = report::outcome(&Told::of_scenario(&scenario, runs), &found);
     args.output.deliver(&folder, &outcome)
 }
 

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use super::rounds::{Found, PAPER_END_M, RowFound, Sensors};
 use crate::commands::lab::outcome::Outcome;
+use crate::commands::lab::recorded::RobotDrives;
 
 const HEADER: [&str; 9] = [
     "filter",
@@ -21,11 +22,54 @@ const HEADER: [&str; 9] = [
     "NEES/3",
 ];
 
+/// Whose rounds they are.
+pub(super) struct Told {
+    headline: String,
+    command: String,
+    /// What is called true in the pictures.
+    truth: &'static str,
+    /// The first entries of the object.
+    object: Value,
+}
+
+impl Told {
+    pub(super) fn of_scenario(scenario: &Scenario, runs: u32) -> Self {
+        Self {
+            headline: format!("end of {runs} rounds of the square, seed {}", scenario.seed),
+            command: format!(
+                "posebridge lab indirect --runs {runs} --seed {}",
+                scenario.seed
+            ),
+            truth: "true",
+            object: json!({ "seed": scenario.seed, "runs": runs }),
+        }
+    }
+
+    pub(super) fn of_recordings(drives: &RobotDrives) -> Self {
+        let names = drives.names();
+        Self {
+            headline: format!(
+                "end of {} recorded drives ({}), judged by {}",
+                names.len(),
+                names.join(", "),
+                drives.judges()
+            ),
+            command: drives.command("indirect"),
+            truth: "camera",
+            object: json!({
+                "recordings": names,
+                "runs": names.len(),
+                "judged_by": drives.judges(),
+            }),
+        }
+    }
+}
+
 /// Table, page and object.
-pub(super) fn outcome(scenario: &Scenario, runs: u32, found: &Found) -> Outcome {
+pub(super) fn outcome(told: &Told, found: &Found) -> Outcome {
     let headline = format!(
-        "end of {runs} rounds of the square, seed {}; within: {:.1} cm in x, {:.0} cm in y, the end of the paper's fused run",
-        scenario.seed,
+        "{}; within: {:.1} cm in x, {:.0} cm in y, the end of the paper's fused run",
+        told.headline,
         100.0 * PAPER_END_M.0,
         100.0 * PAPER_END_M.1
     );
@@ -43,26 +87,21 @@ pub(super) fn outcome(scenario: &Scenario, runs: u32, found: &Found) -> Outcome 
                  about that, and what does it change to feed the error back?"
                     .to_owned(),
             ),
-            Part::Lines(format!(
-                "posebridge lab indirect --runs {runs} --seed {}",
-                scenario.seed
-            )),
+            Part::Lines(told.command.clone()),
             Part::Heading(headline),
             Part::table(&HEADER, rows.into_iter().map(Vec::from).collect()),
-            tracks(found),
+            tracks(told.truth, found),
             ends(found),
         ],
     };
+    let mut json = told.object.clone();
+    json["paper_end_m"] = json!({ "x": PAPER_END_M.0, "y": PAPER_END_M.1 });
+    json["rows"] = found.rows.iter().map(object).collect();
     Outcome {
         name: "lab-indirect",
         page,
         text,
-        json: json!({
-            "seed": scenario.seed,
-            "runs": runs,
-            "paper_end_m": { "x": PAPER_END_M.0, "y": PAPER_END_M.1 },
-            "rows": found.rows.iter().map(object).collect::<Vec<_>>(),
-        }),
+        json,
     }
 }
 
@@ -102,6 +141,7 @@ fn object(found: &RowFound) -> Value {
         "nearer_than_wheels": found.nearer_than_wheels,
         "nearer_than_feed_forward": found.nearer_than_twin,
         "anees": sum.anees,
+        "ends_m": found.ends.iter().map(|end| end.map(|end| [end.dx_m, end.dy_m])).collect::<Vec<_>>(),
     })
 }
 
@@ -141,16 +181,16 @@ fn figure(title: &str, axes: Axes) -> Part {
     }
 }
 
-fn tracks(found: &Found) -> Part {
-    let truth = Curve {
-        name: "true".to_owned(),
+fn tracks(true_name: &str, found: &Found) -> Part {
+    let truth = (!found.truth_m.is_empty()).then(|| Curve {
+        name: true_name.to_owned(),
         shape: Shape::Line(found.truth_m.clone()),
-    };
+    });
     let estimated = found.rows.iter().map(|row| Curve {
         name: name(row),
         shape: Shape::Line(row.way_m.clone()),
     });
-    let curves = std::iter::once(truth).chain(estimated).collect();
+    let curves = truth.into_iter().chain(estimated).collect();
     figure(
         "The first round: true and believed ways",
         map(560.0, curves),

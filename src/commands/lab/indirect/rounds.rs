@@ -5,7 +5,7 @@ use posebridge_analysis::metrics::PoseError;
 use posebridge_estimator::filter_named;
 use posebridge_sim::frame_accelerometers::FrameAccelerometers;
 use posebridge_sim::montecarlo::{Drive, Scenario};
-use posebridge_telemetry::SensorId;
+use posebridge_telemetry::Observed;
 
 use crate::drawn::filter_config;
 use crate::parallel::run_all;
@@ -42,11 +42,20 @@ impl Sensors {
         }
     }
 
-    fn has(self, sensor: SensorId) -> bool {
-        match self {
-            Self::Wheels => sensor == SensorId::WHEELS,
-            Self::Accelerometers => sensor != SensorId::GYRO,
-            Self::AccelerometersAndGyro => true,
+    /// Whether an observation of this kind is looked at; whatever else a robot says, such as fixes, is not.
+    pub(super) const fn hears(self, observed: &Observed) -> bool {
+        match observed {
+            Observed::WheelAngles { .. } => true,
+            Observed::WheelAccelerations { .. } => !matches!(self, Self::Wheels),
+            Observed::TurnRate(_) => matches!(self, Self::AccelerometersAndGyro),
+            Observed::OdometerPose(_)
+            | Observed::BodyVelocity { .. }
+            | Observed::Fix(_)
+            | Observed::Landmark { .. }
+            | Observed::BeaconRange { .. }
+            | Observed::WallRange(_)
+            | Observed::CompassHeading(_)
+            | Observed::Temperature(_) => false,
         }
     }
 }
@@ -80,7 +89,7 @@ pub(super) struct RowFound {
 /// Everything that was driven.
 pub(super) struct Found {
     pub(super) rows: Vec<RowFound>,
-    /// The true way of the first round.
+    /// The true way of the first round; of a recording, where the camera saw it.
     pub(super) truth_m: Vec<(f64, f64)>,
 }
 
@@ -93,8 +102,13 @@ pub(super) fn drive_all(scenario: &Scenario, runs: u32, ended: impl FnMut()) -> 
         .iter()
         .map(|pose| (pose.x.0, pose.y.0))
         .collect();
+    found_of(&ROWS, &rounds, truth_m)
+}
+
+/// What the courses of all rounds say of each row; `truth_m` is the way of the first round as somebody else saw it.
+pub(super) fn found_of(wanted: &[Row], rounds: &[Vec<Course>], truth_m: Vec<(f64, f64)>) -> Found {
     let mut rows: Vec<RowFound> = Vec::new();
-    for (index, row) in ROWS.into_iter().enumerate() {
+    for (index, row) in wanted.iter().copied().enumerate() {
         let courses = rounds.iter().filter_map(|round| round.get(index));
         let ends: Vec<Option<PoseError>> = courses.map(|course| course.end).collect();
         let first = rounds.first().and_then(|round| round.get(index));
@@ -140,7 +154,7 @@ fn round(scenario: &Scenario, run: u32) -> Vec<Course> {
     let courses = ROWS.iter().filter_map(|row| {
         let mut filter = (filter_named(row.filter)?.build)(&config);
         let observations = drive.arrivals.iter().map(|arrival| &arrival.observation);
-        let seen = observations.filter(|observation| row.sensors.has(observation.sensor));
+        let seen = observations.filter(|observation| row.sensors.hears(&observation.observed));
         let course = run_course(filter.as_mut(), seen, truth);
         // Only the first round is drawn.
         let way_m = if run == 0 { course.way_m } else { Vec::new() };

@@ -5,8 +5,8 @@ use posebridge_analysis::square::{
 };
 use serde_json::{Value, json};
 
-/// The object.
-pub(super) fn object(report: &Report) -> Value {
+/// The object; `recordings` are the files of a real robot's drives.
+pub(super) fn object(report: &Report, recordings: &[String]) -> Value {
     let settings: Vec<Value> = report.chains.iter().map(chain).collect();
     let readings = report.readings.iter().map(|reading| {
         json!({
@@ -17,6 +17,7 @@ pub(super) fn object(report: &Report) -> Value {
     });
     json!({
         "source": report.source,
+        "recordings": recordings,
         "settings": settings,
         "outlook": chain(&report.outlook),
         "readings": readings.collect::<Vec<_>>(),

@@ -1,10 +1,12 @@
 //! `posebridge lab nxt-square`: the three filters of paper 1 on its square, what is left of their order, and its outlook.
 //!
-//! On simulated drives, or on a file of exported sensor data. docs/lab/nxt-square.md is the page for people.
+//! On simulated drives, on a file of exported sensor data, on recordings, or on a live robot. docs/lab/nxt-square.md is the page
+//! for people.
 
 mod drives;
 mod json;
 mod readings;
+mod recorded;
 
 use std::path::{Path, PathBuf};
 
@@ -19,6 +21,7 @@ use posebridge_sim::montecarlo::Scenario;
 use self::drives::{Series, all_errors, errors_of, scenario, table, told};
 use self::readings::{VARIATIONS, untouched};
 use super::outcome::{Outcome, OutputArgs};
+use super::recorded::RecordedArgs;
 use crate::commands::{Failure, Stage};
 use crate::config::RobotProfile;
 use crate::progress;
@@ -28,22 +31,27 @@ use crate::stderr::say;
 #[derive(clap::Args, Clone, Debug)]
 pub struct LabNxtSquareArgs {
     /// Drives to simulate.
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub runs: u32,
     /// Base seed; drive i draws from it and i.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        conflicts_with = "real_robot"
+    )]
     pub seed: u64,
     /// Take exported sensor data (docs/lab/nxt-square.md has the columns) instead of simulated drives.
-    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["runs", "seed", "export"])]
+    #[arg(long, value_name = "FILE.csv", group = "real_robot", conflicts_with_all = ["judge", "settings"])]
     pub data: Option<PathBuf>,
-    /// The robot of the data, instead of the simulated one: a robot profile, as config/robots/nxt-56mm.toml.
-    #[arg(long, value_name = "FILE.toml", requires = "data")]
-    pub robot: Option<PathBuf>,
-    /// Of so many rows one gives its camera image to the filters that use a camera; the others only judge.
+    /// A real robot.
+    #[command(flatten)]
+    pub real: RecordedArgs,
+    /// Of so many camera images one is given to the filters that use a camera; the others only judge.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     pub camera_every: u32,
     /// Write the sensor data of the first simulated drive to this file.
-    #[arg(long, value_name = "FILE.csv")]
+    #[arg(long, value_name = "FILE.csv", conflicts_with = "real_robot")]
     pub export: Option<PathBuf>,
     /// Where the results go.
     #[command(flatten)]
@@ -53,13 +61,19 @@ pub struct LabNxtSquareArgs {
 /// Runs the experiment.
 ///
 /// # Errors
-/// The data, the robot or the folder cannot be read or made; or the results cannot be written.
+/// The data, the robot, a recording or the folder cannot be read or made; or the results cannot be written.
 pub fn execute(args: &LabNxtSquareArgs) -> Result<(), Failure> {
     // Data that cannot be used leave no folder behind.
     let of_data = args.data.as_ref().map(|path| of_data(args, path));
-    let of_data = of_data.transpose().at_start()?;
+    let mut report = of_data.transpose().at_start()?;
+    let mut recordings: Vec<String> = Vec::new();
+    if let Some(drives) = args.real.drives(&args.output, recorded::TASK)? {
+        let found = recorded::report_of(&drives, args.camera_every as usize);
+        report = Some(drives.staged(found)?);
+        recordings.extend(drives.names().into_iter().map(str::to_owned));
+    }
     let folder = args.output.folder()?;
-    let report = match of_data {
+    let report = match report {
         Some(report) => report,
         None => simulated(args).while_running()?,
     };
@@ -67,7 +81,7 @@ pub fn execute(args: &LabNxtSquareArgs) -> Result<(), Failure> {
         name: "lab-nxt-square",
         page: report.page(),
         text: report.text(),
-        json: json::object(&report),
+        json: json::object(&report, &recordings),
     };
     args.output.deliver(&folder, &outcome)
 }
@@ -224,7 +238,7 @@ fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<Report> {
 /// What the filters are told: the robot of a file, or the simulated one.
 fn base_of(args: &LabNxtSquareArgs) -> Result<FilterConfig> {
     let told = told(&scenario(args.seed)?);
-    let Some(path) = &args.robot else {
+    let Some(path) = &args.real.robot else {
         return Ok(told);
     };
     let robot = RobotProfile::read(path)?.robot;

@@ -1,4 +1,4 @@
-//! `posebridge lab wall`: paper 3's car before a wall, on the simulated car or on a recording.
+//! `posebridge lab wall`: paper 3's car before a wall, on the simulated car, on a recording or on a live robot.
 //!
 //! Simulated: step tests, the drive found from them, the filter held against the step's own readings, and approaches by every
 //! source of the distance, on board and over a link. On a recording: the step by hand and by fit, and each reading foretold from
@@ -17,6 +17,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
 
+use super::live::{LiveArgs, LiveRobot};
 use super::outcome::OutputArgs;
 use crate::commands::{Failure, Stage};
 use crate::config::Setting;
@@ -26,7 +27,7 @@ use crate::link_profile;
 #[derive(clap::Args, Clone, Debug)]
 pub struct LabWallArgs {
     /// The car, its sensor and its way, as a TOML file; without it the paper's (config/scenarios/lab/wall.toml).
-    #[arg(long, value_name = "FILE.toml", conflicts_with = "recording")]
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "real_robot")]
     pub scene: Option<PathBuf>,
     /// Simulated step tests, from which the drive is found.
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -38,19 +39,28 @@ pub struct LabWallArgs {
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// The link of the approaches whose filter is on the host: a bundled profile's name or a TOML file (docs/impairment.md).
-    #[arg(long, value_name = "NAME|FILE.toml", default_value = "bluetooth-spp")]
-    pub link: String,
-    /// A recording's descriptor (config/recordings/tof-wall.toml), instead of the simulated car.
-    #[arg(long, value_name = "FILE.toml")]
+    #[arg(
+        long,
+        value_name = "NAME|FILE.toml",
+        default_value = "bluetooth-spp",
+        conflicts_with = "real_robot"
+    )]
+    pub profile: String,
+    /// A recording's descriptor (config/recordings/tof-wall.toml) or a recording of ours, instead of the simulated car.
+    #[arg(long, value_name = "FILE.toml|FILE.mcap", group = "real_robot")]
     pub recording: Option<PathBuf>,
+    /// A live robot.
+    #[command(flatten)]
+    pub live: LiveArgs,
     /// Where the descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
     /// Which runs of the descriptor: all whose names begin so; without it all.
     #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
     pub run: Option<String>,
-    /// Set one key of the robot's table, e.g. noise.wall_range_m=0.02; may be repeated.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "recording")]
+    /// Set one key of the robot's table, e.g. noise.wall_range_m=0.02; may be repeated. For a recording of ours and a live robot: a
+    /// key of the configuration, e.g. robot.noise.wall_range_m=0.02.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
     pub settings: Vec<Setting>,
     /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
@@ -69,8 +79,7 @@ pub struct LabWallArgs {
 /// # Errors
 /// A file cannot be read or makes no sense, a step tells nothing, or an output cannot be written.
 pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
-    if let Some(descriptor) = &args.recording {
-        let prepared = recorded::prepare(descriptor, args).at_start()?;
+    if let Some(prepared) = real(args)? {
         let folder = args.output.folder()?;
         let outcome = recorded::run(&prepared).while_running()?;
         return args.output.deliver(&folder, &outcome);
@@ -79,12 +88,27 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
         scene: scene(args).at_start()?,
         steps: args.steps,
         runs: args.runs,
-        link_name: args.link.clone(),
-        link: link_profile::load(&args.link).at_start()?,
+        profile_name: args.profile.clone(),
+        link: link_profile::load(&args.profile).at_start()?,
     };
     let folder = args.output.folder()?;
     let outcome = simulated::run(&prepared).while_running()?;
     args.output.deliver(&folder, &outcome)
+}
+
+/// What a real robot did, live or recorded.
+fn real(args: &LabWallArgs) -> Result<Option<recorded::Prepared>, Failure> {
+    let robot = LiveRobot {
+        file: None,
+        settings: &args.settings,
+    };
+    if let Some(recording) = args.live.record(&args.output, robot, recorded::TASK)? {
+        let prepared = recorded::prepare(&recording, args);
+        return prepared.map(Some).while_running();
+    }
+    let recording = args.recording.as_ref();
+    let prepared = recording.map(|path| recorded::prepare(path, args));
+    prepared.transpose().at_start()
 }
 
 fn scene(args: &LabWallArgs) -> anyhow::Result<WallScene> {

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 use posebridge_analysis::wall::{
-    Foreseen, HandStep, PlantSearch, Said, Score, StepError, StepFit, WallEntry, WallLog, by_hand,
-    fit_steps, foresee, score,
+    Foreseen, GateUse, HandStep, PlantSearch, Said, Score, StepError, StepFit, WallEntry, WallLog,
+    by_hand, fit_steps, foresee, gate_use, score,
 };
 use posebridge_recording::dataset::{Descriptor, Run};
-use posebridge_telemetry::{Observed, SensorId};
+use posebridge_telemetry::{Observation, Observed, SensorId};
 
 use super::LabWallArgs;
 use super::columns::{Extra, THEIR_FILTER, with_extra};
@@ -17,6 +17,7 @@ use super::steps::PIECE;
 use crate::cli::DataFlags;
 use crate::commands::lab::outcome::Outcome;
 use crate::data::{DataSet, tell_bad_rows};
+use crate::own_recording::{self, Overlay};
 use crate::parallel::run_all;
 use crate::progress;
 
@@ -51,14 +52,22 @@ pub(super) struct RunFound {
     pub(super) fit: Result<StepFit, StepError>,
     pub(super) foreseen: Vec<Foreseen>,
     pub(super) theirs: Vec<(f64, f64)>,
+    /// What the filter's gate did.
+    pub(super) gate: Option<GateUse>,
     /// Against the line through two.
     pub(super) against_line: Option<Score>,
     /// Against somebody else's filter.
     pub(super) against_theirs: Option<Score>,
 }
 
-/// Reads every run that was asked for.
+/// What a person with a live robot is told to do.
+pub(super) const TASK: &str = "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
+
+/// Reads every run that was asked for: of a descriptor, or a recording of ours, which is one run.
 pub(super) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
+    if own_recording::is_own(path) {
+        return prepare_own(path, args);
+    }
     let flags = DataFlags {
         data: args.data.clone(),
         run: Some(args.run.clone().unwrap_or_default()),
@@ -84,6 +93,38 @@ pub(super) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
     })
 }
 
+/// A robot of ours tells its ranges but not what its motors were told: full drive is assumed, as for others who wrote it down nowhere.
+fn prepare_own(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
+    ensure!(
+        args.run.is_none() && args.command_column.is_none() && args.kalman_column.is_none(),
+        "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
+        path.display()
+    );
+    let overlay = Overlay {
+        robot: None,
+        settings: &args.settings,
+    };
+    let run = own_recording::read(path, overlay)?;
+    let ranges = said(run.observations.iter(), |_, observed| {
+        range_m(observed).map(Said::Range)
+    });
+    ensure!(
+        !ranges.is_empty(),
+        "`{}` holds no range to a wall: let the robot send DISTANCE_SENSOR and record it again",
+        run.name
+    );
+    Ok(Prepared {
+        descriptor: run.name.clone(),
+        runs: vec![RunLog {
+            name: run.name,
+            knows_input: false,
+            log: WallLog::new(ranges).with_assumed_drive(),
+            theirs: Vec::new(),
+            range_sigma_m: run.config.noise.wall_range_m,
+        }],
+    })
+}
+
 struct Reader<'a> {
     set: &'a mut DataSet,
     flags: &'a DataFlags,
@@ -99,7 +140,7 @@ impl Reader<'_> {
         let commanded = self.column(asked, &COMMAND_COLUMNS, Extra::Command)?;
         let asked = args.kalman_column.as_deref();
         let filtered = self.column(asked, &KALMAN_COLUMNS, Extra::Filtered)?;
-        let ranges = said(&plain.run, |sensor, observed| {
+        let ranges = said(of_run(&plain.run), |sensor, observed| {
             range_m(observed)
                 .filter(|_| sensor != THEIR_FILTER)
                 .map(Said::Range)
@@ -110,7 +151,7 @@ impl Reader<'_> {
             self.run
         );
         let inputs = commanded.map_or_else(Vec::new, |run| {
-            said(&run, |_, observed| {
+            said(of_run(&run), |_, observed| {
                 let Observed::BodyVelocity { forward, .. } = observed else {
                     return None;
                 };
@@ -118,7 +159,7 @@ impl Reader<'_> {
             })
         });
         let theirs = filtered.map_or_else(Vec::new, |run| {
-            let entries = said(&run, |sensor, observed| {
+            let entries = said(of_run(&run), |sensor, observed| {
                 range_m(observed)
                     .filter(|_| sensor == THEIR_FILTER)
                     .map(Said::Range)
@@ -173,8 +214,14 @@ fn range_m(observed: &Observed) -> Option<f64> {
     Some(range.0)
 }
 
-fn said(run: &Run, of: impl Fn(SensorId, &Observed) -> Option<Said>) -> Vec<WallEntry> {
-    let observations = run.observations.iter().map(|timed| &timed.observation);
+fn of_run(run: &Run) -> impl Iterator<Item = &Observation> {
+    run.observations.iter().map(|timed| &timed.observation)
+}
+
+fn said<'a>(
+    observations: impl Iterator<Item = &'a Observation>,
+    of: impl Fn(SensorId, &Observed) -> Option<Said>,
+) -> Vec<WallEntry> {
     observations
         .filter_map(|observation| {
             Some(WallEntry {
@@ -212,6 +259,7 @@ fn evaluate(run: &RunLog) -> RunFound {
         knows_input: run.knows_input,
         by_hand: by_hand(&run.log, PIECE),
         fit: fit_steps(std::slice::from_ref(&run.log)),
+        gate: gate_use(&foreseen),
         against_line: score(&foreseen, |foreseen| foreseen.line_m),
         against_theirs: score(&foreseen, before),
         theirs: run.theirs.clone(),

@@ -17,11 +17,13 @@ const STEP_HEADER: [&str; 6] = [
     "v_ss by fit",
     "t90 by fit",
 ];
-const SCORE_HEADER: [&str; 7] = [
+const SCORE_HEADER: [&str; 9] = [
     "run",
     "readings",
     "filter mm",
     "line mm",
+    "gate mm",
+    "refused",
     "readings",
     "filter mm",
     "theirs mm",
@@ -30,10 +32,11 @@ const SCORE_HEADER: [&str; 7] = [
 /// Tables, page and object.
 pub(super) fn outcome(descriptor: &str, found: &[RunFound]) -> Outcome {
     let steps: Vec<[String; 6]> = found.iter().map(step_row).collect();
-    let scores: Vec<[String; 7]> = found.iter().map(score_row).collect();
+    let scores: Vec<[String; 9]> = found.iter().map(score_row).collect();
     let step_line =
         "step: m/s and s under the input 1 (PWM 80, or the whole drive where nobody wrote it down)";
-    let score_line = "each reading foretold from those before it, rms; against a line through two, and against their own filter";
+    let score_line = "each reading foretold from those before it, rms; against a line through two, and against their own filter; \
+         gate: its mean half-width, and how many readings it refused";
     let text = format!(
         "{step_line}\n{}\n{score_line}\n{}",
         aligned(STEP_HEADER, &steps),
@@ -95,7 +98,7 @@ fn step_row(run: &RunFound) -> [String; 6] {
     ]
 }
 
-fn score_row(run: &RunFound) -> [String; 7] {
+fn score_row(run: &RunFound) -> [String; 9] {
     let cells = |score: Option<Score>| match score {
         Some(score) => [
             score.readings.to_string(),
@@ -111,6 +114,9 @@ fn score_row(run: &RunFound) -> [String; 7] {
         count,
         kalman,
         line,
+        run.gate
+            .map_or_else(none, |gate| format!("{:.0}", 1e3 * gate.mean_m)),
+        run.gate.map_or_else(none, |gate| gate.refused.to_string()),
         their_count,
         their_kalman,
         theirs,
@@ -139,6 +145,11 @@ fn object(run: &RunFound) -> Value {
         })),
         "no_fit": run.fit.as_ref().err().map(ToString::to_string),
         "no_hand": run.by_hand.as_ref().err().map(ToString::to_string),
+        "gate": run.gate.map(|gate| json!({
+            "readings": gate.readings,
+            "refused": gate.refused,
+            "mean_m": gate.mean_m,
+        })),
         "against_line": scored(run.against_line),
         "against_theirs": scored(run.against_theirs),
         "foreseen": run.foreseen.iter().map(|foreseen| json!({
@@ -146,6 +157,8 @@ fn object(run: &RunFound) -> Value {
             "range_m": foreseen.range_m,
             "filter_m": foreseen.kalman_m,
             "line_m": foreseen.line_m,
+            "gate_m": foreseen.gate_m,
+            "refused": foreseen.is_refused,
             "steady_m_per_s": foreseen.plant.steady_m_per_s,
             "time_constant_s": foreseen.plant.time_constant_s,
             "process_m": foreseen.plant.noise.process_m,

@@ -24,7 +24,7 @@ pub(super) struct Prepared {
     pub(super) scene: WallScene,
     pub(super) steps: u32,
     pub(super) runs: u32,
-    pub(super) link_name: String,
+    pub(super) profile_name: String,
     pub(super) link: LinkProfile,
 }
 
@@ -260,7 +260,7 @@ fn approaches(prepared: &Prepared, driven: &[Driven]) -> Told {
             1e3 * prepared.scene.approach.target_m,
             prepared.runs,
             prepared.scene.seed,
-            prepared.link_name,
+            prepared.profile_name,
             prepared.scene.approach.most_pwm
         ),
         header: vec![
@@ -288,8 +288,8 @@ fn page(prepared: &Prepared, steps: &Steps, driven: &[Driven], tables: Tables) -
                 .to_owned(),
         ),
         Part::Lines(format!(
-            "posebridge lab wall --steps {} --runs {} --seed {} --link {}",
-            prepared.steps, prepared.runs, prepared.scene.seed, prepared.link_name
+            "posebridge lab wall --steps {} --runs {} --seed {} --profile {}",
+            prepared.steps, prepared.runs, prepared.scene.seed, prepared.profile_name
         )),
     ];
     let figures = [
@@ -364,7 +364,7 @@ fn object(prepared: &Prepared, steps: &Steps, driven: &[Driven]) -> Value {
         "validation": validations.collect::<Vec<_>>(),
         "gate": gate.collect::<Vec<_>>(),
         "near_m": NEAR_M,
-        "link": prepared.link_name,
+        "link": prepared.profile_name,
         "approaches": driven.iter().map(approach_object).collect::<Vec<_>>(),
     })
 }

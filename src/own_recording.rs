@@ -1,0 +1,122 @@
+//! A recording of ours as calibrations and experiments want it: what its pipeline made of the bytes, and of which robot.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use posebridge_estimator::FilterConfig;
+use posebridge_pipeline::Pipeline;
+use posebridge_recording::container::{Ending, Reader};
+use posebridge_telemetry::{Observation, Output, Stamp};
+
+use crate::collect::Collector;
+use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
+use crate::signing;
+use crate::stderr::say;
+
+/// Everything that was observed in one session.
+#[derive(Clone, Debug)]
+pub struct OwnRun {
+    /// The file.
+    pub name: String,
+    /// The robot, with the geometry that its brick has described.
+    pub robot: RobotFile,
+    /// What a filter of this robot is built from.
+    pub config: FilterConfig,
+    /// What was observed, in the order of arrival, in brick time.
+    pub observations: Vec<Observation>,
+}
+
+/// What is laid over the configuration that a recording was made with.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Overlay<'a> {
+    /// Another robot.
+    pub robot: Option<&'a Path>,
+    /// Single keys; they go over the robot, too.
+    pub settings: &'a [Setting],
+}
+
+/// Whether a path names a recording of ours and not a descriptor of somebody else's.
+#[must_use]
+pub fn is_own(path: &Path) -> bool {
+    path.extension().is_none_or(|extension| extension != "toml")
+}
+
+/// Reads a recording as far as it goes; what is cut off or damaged is said on stderr.
+///
+/// # Errors
+/// The file cannot be read, is no recording, holds no observation, or its brick was restarted; or what is laid over it makes no
+/// sense.
+pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
+    let name = path.display().to_string();
+    let bytes = std::fs::read(path).with_context(|| format!("reading the recording `{name}`"))?;
+    let mut reader = Reader::open(&bytes).with_context(|| {
+        format!(
+            "recording `{name}` ({} bytes): `posebridge run` writes recordings",
+            bytes.len()
+        )
+    })?;
+    let config = laid_over(&reader.header().config_toml, overlay)?;
+    let mut pipeline_config = config.pipeline()?;
+    signing::recall(&config, &[], &mut pipeline_config)?;
+    let mut pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
+    let mut collector = Collector::keeping_observations();
+    for item in &mut reader {
+        match item {
+            Ok((now, input)) => pipeline.handle(now, &input),
+            Err(error) => say(&format!("{name}: {error}; what is whole is used")),
+        }
+        while let Some(output) = pipeline.poll() {
+            if let Output::Event(event) = output {
+                collector.take(&event);
+            }
+        }
+    }
+    if let Ending::Torn { offset, what } = reader.ending() {
+        say(&format!(
+            "{name}: cut off at byte {offset} ({what}); everything before is used"
+        ));
+    }
+    ensure!(
+        !collector.kept.is_empty(),
+        "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \
+         record again"
+    );
+    if collector.restarts > 0 {
+        bail!(
+            "`{name}`: the brick restarted {} time(s), its clock began anew; record a drive without a restart",
+            collector.restarts
+        );
+    }
+    let mut filter_config = config.filter_config()?;
+    filter_config.geometry = pipeline.geometry();
+    Ok(OwnRun {
+        name,
+        robot: described(&config.robot, &filter_config),
+        config: filter_config,
+        observations: collector.kept,
+    })
+}
+
+/// The recording's configuration with another robot, if there is one, and single keys on top.
+fn laid_over(header: &str, overlay: Overlay<'_>) -> Result<Config> {
+    let origin = "the recording's own configuration";
+    let mut config = config::load_text(origin, header, overlay.settings)?.config;
+    if let Some(path) = overlay.robot {
+        config = config.with_robot(RobotProfile::read(path)?);
+        for setting in overlay.settings {
+            config = config::lay_over(&config, setting)?;
+        }
+    }
+    Ok(config)
+}
+
+/// The robot with the geometry that its brick has described.
+fn described(robot: &RobotFile, config: &FilterConfig) -> RobotFile {
+    RobotFile {
+        left_wheel_radius_m: config.geometry.left_wheel_radius.0,
+        right_wheel_radius_m: config.geometry.right_wheel_radius.0,
+        track_width_m: config.geometry.track_width.0,
+        ticks_per_turn: std::f64::consts::TAU / config.geometry.tick.0,
+        ..robot.clone()
+    }
+}
