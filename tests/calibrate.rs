@@ -13,6 +13,11 @@ mod support;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use posebridge::config::{Config, RobotProfile};
+use posebridge_pipeline::Pipeline;
+use posebridge_recording::container::{FORMAT, Header, Writer};
+use posebridge_sim::{Scenario, Simulation};
+use posebridge_telemetry::{Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 
@@ -96,7 +101,7 @@ fn ends_that_a_person_typed_make_a_profile_that_a_station_reads() {
     let profile = std::fs::read_to_string(folder.path().join("r.toml")).unwrap();
     assert!(profile.contains("# systematic error 339.4 mm") && profile.contains("date = 2"));
     // The same reader as that of `run --robot`.
-    let robot = posebridge::config::RobotProfile::read(&folder.path().join("r.toml"));
+    let robot = RobotProfile::read(&folder.path().join("r.toml"));
     let robot = robot.unwrap().robot;
     // 0.112 * 90 / (90 - 1.1459).
     assert!(
@@ -111,20 +116,29 @@ fn ends_that_a_person_typed_make_a_profile_that_a_station_reads() {
 
 /// Position rms, max and end of dead reckoning over runs of OptiOdom, in metres, by `replay`.
 fn dead_reckoning(data: &Path, run: &str, robot: &Value) -> [f64; 3] {
+    let keys = [
+        "left_wheel_radius_m",
+        "right_wheel_radius_m",
+        "track_width_m",
+    ];
+    let settings = keys.map(|key| format!("{key}={}", robot[key]));
+    let args: Vec<&str> = settings
+        .iter()
+        .flat_map(|setting| ["--set", setting])
+        .collect();
+    replay_optiodom(data, run, &args)
+}
+
+/// The same with other flags for the robot.
+fn replay_optiodom(data: &Path, run: &str, robot: &[&str]) -> [f64; 3] {
     let folder = tempfile::tempdir().unwrap();
     let mut command = posebridge(folder.path());
     command
         .args(["replay", "--json", "--filter", "odometry", "--run", run])
         .arg(recording("optiodom.toml"))
         .arg("--data")
-        .arg(data);
-    for key in [
-        "left_wheel_radius_m",
-        "right_wheel_radius_m",
-        "track_width_m",
-    ] {
-        command.args(["--set", &format!("{key}={}", robot[key])]);
-    }
+        .arg(data)
+        .args(robot);
     let report: Value = serde_json::from_str(&stdout_of(&mut command)).unwrap();
     ["position_rms_m", "position_max_m", "position_end_m"]
         .map(|key| report["estimators"][0][key].as_f64().unwrap())
@@ -134,7 +148,13 @@ fn dead_reckoning(data: &Path, run: &str, robot: &Value) -> [f64; 3] {
 fn circles_alone_calibrate_as_well_as_the_published_calibration_on_other_drives() {
     let folder = tempfile::tempdir().unwrap();
     let committed = root().join("tests/data");
-    let found = calibrate_path(folder.path(), &recording("optiodom.toml"), &committed, &[]);
+    let save = ["--save", "circles.toml"];
+    let found = calibrate_path(
+        folder.path(),
+        &recording("optiodom.toml"),
+        &committed,
+        &save,
+    );
     assert_eq!(found["findings"].as_array().unwrap().len(), 0, "{found}");
     // README of the data: dead reckoning with the published calibration of the same circles; a twentieth on top.
     let published = [
@@ -145,6 +165,15 @@ fn circles_alone_calibrate_as_well_as_the_published_calibration_on_other_drives(
     ];
     let own = dead_reckoning(&committed, published[0].0, &found["robot"]);
     assert!(own[0] <= 1.05 * published[0].1[0], "{own:?}");
+    let by_profile = replay_optiodom(
+        &committed,
+        published[0].0,
+        &[
+            "--robot",
+            folder.path().join("circles.toml").to_str().unwrap(),
+        ],
+    );
+    assert_eq!(by_profile, own, "the profile is the robot");
     let Some(data) = shared_data() else { return };
     for (run, published) in &published[1..] {
         let ours = dead_reckoning(&data, run, &found["robot"]);
@@ -317,4 +346,250 @@ fn what_cannot_be_done_is_said_with_what_to_do() {
         code == 1 && said.contains("record a minute of rest"),
         "{said}"
     );
+}
+
+/// How far the wheels and the track of the simulated robot are off, as shares: mean radius, difference of the radii, track.
+const OFF: [f64; 3] = [0.02, 0.008, 0.04];
+/// For so long the robot stands when its path has ended.
+const REST: Span = Span::from_millis(60_000);
+
+/// A figure of eight by a robot that is not what its brick says, and a minute of rest, as `posebridge run` would have recorded it:
+/// brick and station in virtual time, every input of the station written down.
+fn recorded_drive(folder: &Path) {
+    let mut scenario = Scenario::bundled("figure-eight").unwrap().with_laps(2);
+    scenario.errors.radius_error = OFF[0];
+    scenario.errors.radius_mismatch = OFF[1];
+    scenario.errors.track_error = OFF[2];
+    let config = Config::default().with_tag_of(&scenario);
+    let header = Header {
+        format: FORMAT,
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        utc_start_micros: 0,
+        config_toml: toml::to_string(&config).unwrap(),
+        links: vec!["sim://figure-eight".to_owned()],
+    };
+    let mut pipeline = Pipeline::new(config.pipeline().unwrap(), Stamp::ZERO).unwrap();
+    let mut simulation = Simulation::new(scenario);
+    let file = std::fs::File::create(folder.join("drive.mcap")).unwrap();
+    let mut writer = Writer::create(file, &header).unwrap();
+    let link = LinkId(0);
+    let mut inputs = vec![Input::Link {
+        link,
+        state: LinkState::Up,
+    }];
+    let mut ends_at = None;
+    while ends_at.is_none_or(|end| simulation.elapsed() < end) {
+        let now = Stamp::ZERO + simulation.elapsed();
+        if pipeline.deadline().is_some_and(|deadline| deadline <= now) {
+            inputs.push(Input::Tick);
+        }
+        for input in inputs.drain(..) {
+            writer.record(now, &input).unwrap();
+            pipeline.handle(now, &input);
+            while let Some(output) = pipeline.poll() {
+                if let Output::Transmit { bytes, .. } = output {
+                    simulation.receive(&bytes);
+                }
+            }
+        }
+        simulation.step();
+        while let Some(bytes) = simulation.poll() {
+            let peer = PeerId::default();
+            inputs.push(Input::Bytes { link, peer, bytes });
+        }
+        if simulation.is_finished() && ends_at.is_none() {
+            ends_at = Some(simulation.elapsed() + REST);
+        }
+    }
+    writer.finish().unwrap();
+}
+
+/// Whether a profile's robot is the simulated one, to a share of each number.
+fn is_the_robot(profile: &Path, share: f64) {
+    let robot = RobotProfile::read(profile).unwrap().robot;
+    let mean = f64::midpoint(robot.left_wheel_radius_m, robot.right_wheel_radius_m);
+    let difference = (robot.right_wheel_radius_m - robot.left_wheel_radius_m) / mean;
+    for (found, truth) in [
+        (mean / 0.028 - 1.0, OFF[0]),
+        (difference, OFF[1]),
+        (robot.track_width_m / 0.112 - 1.0, OFF[2]),
+    ] {
+        assert!((found - truth).abs() < share, "{found}, true {truth}");
+    }
+    assert!(!robot.adopt_description);
+}
+
+#[test]
+fn a_recording_of_ours_calibrates_the_robot_that_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    recorded_drive(folder.path());
+    let found = calibrate(folder.path(), &["path", "drive.mcap", "--save", "r.toml"]);
+    assert_eq!(found["sanity"]["is_sound"], true, "{found}");
+    // Two laps of six metres: the sigmas of wheels and track are some tenths of a per cent.
+    is_the_robot(&folder.path().join("r.toml"), 0.004);
+    // That of the wheels' difference does not cover: docs/lab/calibrate.md, section 7.
+    for (key, truth) in [("radius_scale", OFF[0]), ("track_scale", OFF[2])] {
+        let of = |part: &str| number(&found, &format!("/numbers/{key}/{part}"));
+        assert!(
+            (of("value") - truth).abs() < 4.0 * of("sigma"),
+            "{key}: {found}"
+        );
+    }
+    // The profile goes over what the brick says of itself, on the recording and live.
+    let replayed = stdout_of(posebridge(folder.path()).args([
+        "replay",
+        "drive.mcap",
+        "--robot",
+        "r.toml",
+        "--json",
+    ]));
+    assert!(serde_json::from_str::<Value>(&replayed).is_ok());
+}
+
+#[test]
+fn a_recording_of_ours_has_wheels_whose_step_can_be_identified() {
+    let folder = tempfile::tempdir().unwrap();
+    recorded_drive(folder.path());
+    let step = ["identify", "step", "--recording", "drive.mcap", "--json"];
+    let wheel = ["--channel", "left-wheel", "--to", "6"];
+    let printed = stdout_of(posebridge(folder.path()).args(step).args(wheel));
+    let found: Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(found["sensor"], "left wheel");
+    assert_eq!(found["runs"][0]["way"], "up");
+    let mut command = posebridge(folder.path());
+    let output = command.args(step).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(
+        said.contains("left-wheel, right-wheel, turn-rate"),
+        "{said}"
+    );
+}
+
+#[test]
+fn what_the_filter_has_learned_on_line_is_a_profile_too() {
+    let folder = tempfile::tempdir().unwrap();
+    recorded_drive(folder.path());
+    let online = ["path", "drive.mcap", "--online", "--save", "on.toml"];
+    let found = calibrate(folder.path(), &online);
+    for (key, truth) in [
+        ("radius_scale", OFF[0]),
+        ("radius_difference", OFF[1]),
+        ("track_scale", OFF[2]),
+    ] {
+        let of = |part: &str| number(&found, &format!("/online/{key}/{part}"));
+        assert!(
+            (of("value") - truth).abs() < 4.0 * of("sigma"),
+            "{key}: {found}"
+        );
+        // Better known than the prior that the profile of the default robot gives: it has learned.
+        assert!(of("sigma") > 0.0 && of("sigma") < 0.01, "{key}: {found}");
+    }
+    is_the_robot(&folder.path().join("on.toml"), 0.01);
+    let page = std::fs::read_to_string(folder.path().join("calibrate-path.html")).unwrap();
+    assert!(page.contains("What the filter has learned"));
+    // What it takes is one run that was watched.
+    let committed = root().join("tests/data");
+    let optiodom = recording("optiodom.toml");
+    let of = [
+        "path",
+        optiodom.to_str().unwrap(),
+        "--data",
+        committed.to_str().unwrap(),
+        "--online",
+    ];
+    let (code, said) = refused(folder.path(), &of);
+    assert!(
+        code == 2 && said.contains("choose one with --run"),
+        "{said}"
+    );
+    let one = ["--run", "circular/250620202104/run-01"];
+    let (code, said) = refused(folder.path(), &[&of[..], &one].concat());
+    assert!(code == 1 && said.contains("has no fixes"), "{said}");
+}
+
+#[test]
+fn the_gyro_of_a_recorded_rest_has_the_noise_of_the_simulated_one() {
+    let folder = tempfile::tempdir().unwrap();
+    recorded_drive(folder.path());
+    let found = calibrate(folder.path(), &["rest", "drive.mcap", "--save", "g.toml"]);
+    let gyro = &found["channels"][0];
+    assert_eq!(gyro["sensor"], "gyro", "{found}");
+    let scenario = Scenario::bundled("figure-eight").unwrap();
+    let noise = scenario.sensor_noise();
+    let (sigma, step) = (noise.gyro_rad_per_s, noise.gyro_resolution_rad_per_s);
+    // White noise that is rounded; of 1200 readings its sigma is known to 2 %. The link's own unit smears the step by a thousandth.
+    let expected = sigma.hypot(step / 12.0_f64.sqrt());
+    let found_sigma = number(gyro, "/noise");
+    assert!(
+        (found_sigma / expected - 1.0).abs() < 0.1,
+        "{found_sigma} {expected}"
+    );
+    assert!((number(gyro, "/step") / step - 1.0).abs() < 0.01, "{found}");
+    assert!(number(gyro, "/rest_s") > 55.0, "{found}");
+    let bias = number(gyro, "/bias").abs();
+    assert!(bias < 5.0 * noise.gyro_bias_rad_per_s, "{bias}");
+    let robot = RobotProfile::read(&folder.path().join("g.toml"))
+        .unwrap()
+        .robot;
+    assert!((robot.noise.gyro_rad_per_s - found_sigma).abs() < 1e-12);
+    let saved = robot.calibration.gyro_bias_rad_per_s.unwrap();
+    assert!((saved.value - number(gyro, "/bias")).abs() < 1e-12);
+    let page = std::fs::read_to_string(folder.path().join("calibrate-rest.html")).unwrap();
+    assert!(page.contains("At rest") && page.contains("<img"));
+}
+
+/// A gyro of a bias of 0.02 rad/s and steps of 0.001 rad/s on a robot that stands for a minute, then drives.
+const RESTING: &str = r#"
+name = "by-hand"
+source = "written by this test"
+licence = "-"
+default_run = "rest"
+
+[robot]
+left_wheel_radius_m = 0.1
+right_wheel_radius_m = 0.1
+track_width_m = 0.2
+ticks_per_turn = 360.0
+
+[[runs]]
+name = "rest"
+
+[[gyro]]
+file = "wheels"
+turn_rate = "gyro"
+"#;
+
+#[test]
+fn the_bias_of_a_gyro_at_rest_is_found_and_its_drive_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut table = String::from("t_s,left,right,gyro\n");
+    for tenth in 0..900_u32 {
+        let driven = tenth.saturating_sub(600);
+        // A pattern without a mean: 0, 1, 2, -2, -1 steps.
+        let pattern = [0.0, 1.0, 2.0, -2.0, -1.0][tenth as usize % 5];
+        let rate = 0.02 + 0.001 * pattern + if driven > 0 { 0.5 } else { 0.0 };
+        writeln!(
+            table,
+            "{},{driven},{},{rate}",
+            f64::from(tenth) / 10.0,
+            3 * driven
+        )
+        .unwrap();
+    }
+    std::fs::write(folder.path().join("wheels.csv"), table).unwrap();
+    let text = RESTING.to_owned() + support::WHEELS_CSV;
+    std::fs::write(folder.path().join("rest.toml"), text).unwrap();
+    let found = calibrate(folder.path(), &["rest", "rest.toml", "--data", "."]);
+    let gyro = &found["channels"][0];
+    assert!((number(gyro, "/bias") - 0.02).abs() < 1e-5, "{found}");
+    assert!((number(gyro, "/step") - 0.001).abs() < 1e-6, "{found}");
+    // Mean square of the steps from sample to sample, 1, 1, -4, 1, 1, over two: 2.
+    let white = 0.001 * 2.0_f64.sqrt();
+    assert!(
+        (number(gyro, "/noise") / white - 1.0).abs() < 0.01,
+        "{found}"
+    );
+    let rest_s = number(gyro, "/rest_s");
+    assert!((55.0..60.5).contains(&rest_s), "{found}");
 }

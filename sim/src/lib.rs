@@ -22,6 +22,7 @@
 //! # Ok::<(), posebridge_sim::ScenarioError>(())
 //! ```
 
+pub mod bench;
 mod bundled;
 mod camera;
 mod checks;

@@ -5,14 +5,14 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 
 /// A file of rows.
-pub(super) struct Listing {
+pub(crate) struct Listing {
     name: String,
     columns: Vec<String>,
     rows: Vec<(usize, Vec<String>)>,
 }
 
 /// One row, which knows its line.
-pub(super) struct Row<'a> {
+pub(crate) struct Row<'a> {
     listing: &'a Listing,
     line: usize,
     cells: &'a [String],
@@ -20,7 +20,7 @@ pub(super) struct Row<'a> {
 
 impl Listing {
     /// Reads a file; lines that begin with `#` and empty ones are left out.
-    pub(super) fn read(path: &Path) -> Result<Self> {
+    pub(crate) fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading `{name}`"))?;
         let text = text.trim_start_matches('\u{feff}');
@@ -44,12 +44,17 @@ impl Listing {
     }
 
     /// Whether there is such a column.
-    pub(super) fn has(&self, column: &str) -> bool {
+    pub(crate) fn has(&self, column: &str) -> bool {
         self.columns.iter().any(|name| name == column)
     }
 
+    /// The names of the columns, as the first line has them.
+    pub(crate) fn columns(&self) -> &[String] {
+        &self.columns
+    }
+
     /// The rows in their order.
-    pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+    pub(crate) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
         self.rows.iter().map(|(line, cells)| Row {
             listing: self,
             line: *line,
@@ -60,7 +65,7 @@ impl Listing {
 
 impl Row<'_> {
     /// The text in a column.
-    pub(super) fn text(&self, column: &str) -> Result<&str> {
+    pub(crate) fn text(&self, column: &str) -> Result<&str> {
         let Listing { name, columns, .. } = self.listing;
         let Some(place) = columns.iter().position(|known| known == column) else {
             bail!(
@@ -75,7 +80,7 @@ impl Row<'_> {
     }
 
     /// The number in a column.
-    pub(super) fn number(&self, column: &str) -> Result<f64> {
+    pub(crate) fn number(&self, column: &str) -> Result<f64> {
         let text = self.text(column)?;
         match text.parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(number),
@@ -88,7 +93,7 @@ impl Row<'_> {
     }
 
     /// Where the row stands, for a complaint.
-    pub(super) fn place(&self) -> String {
+    pub(crate) fn place(&self) -> String {
         format!("`{}` line {}", self.listing.name, self.line)
     }
 }

@@ -4,14 +4,14 @@
 //! files are read, and profiles, tables and pages written.
 
 mod camera;
-mod listing;
+pub(super) mod listing;
 mod path;
 mod path_online;
 mod path_report;
 mod profile;
 mod rest;
 mod segments;
-mod source;
+pub(super) mod source;
 mod umbmark;
 mod umbmark_source;
 

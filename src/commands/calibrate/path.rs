@@ -72,7 +72,7 @@ pub struct PathArgs {
     /// Take what the filter `pose` has learned while it drove instead, of one run.
     #[arg(long, conflicts_with_all = ["segments", "try_on", "unknown_start"])]
     pub online: bool,
-    /// Write the robot as a profile for `run --robot`.
+    /// Write the robot as a profile for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save: Option<PathBuf>,
     /// Where results go.

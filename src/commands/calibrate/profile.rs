@@ -1,4 +1,4 @@
-//! The robot profile that a calibration leaves: `run --robot FILE` takes it.
+//! The robot profile that a calibration leaves: `run --robot FILE` and `replay --robot FILE` take it.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -41,11 +41,8 @@ impl Calibrated {
                 let _ = writeln!(text, "# {line}");
             }
         }
-        let robot = &self.robot;
-        let _ = writeln!(
-            text,
-            "# For a replay of the same robot: --set left_wheel_radius_m={} --set right_wheel_radius_m={} --set track_width_m={}",
-            robot.left_wheel_radius_m, robot.right_wheel_radius_m, robot.track_width_m
+        text.push_str(
+            "# For a recording of the same robot: `posebridge replay RECORDING --robot FILE`.\n",
         );
         Ok(text + &calibrated.to_toml()?)
     }
@@ -115,6 +112,9 @@ mod tests {
         };
         let text = calibrated.to_toml(0).unwrap();
         assert!(text.starts_with("# rms 3 mm\n# of 2 runs\n"), "{text}");
+        for command in ["run --robot FILE", "replay RECORDING --robot FILE"] {
+            assert!(text.contains(command), "{text}");
+        }
         let robot = RobotProfile::from_toml(&text).unwrap().robot;
         assert!((robot.left_wheel_radius_m - 0.028 * 1.09).abs() < 1e-15);
         assert!((robot.right_wheel_radius_m - 0.028 * 1.11).abs() < 1e-15);

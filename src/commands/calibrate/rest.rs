@@ -35,7 +35,7 @@ pub struct RestArgs {
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
-    /// Write the robot with its noise as a profile for `run --robot`.
+    /// Write the robot with its noise as a profile for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save: Option<PathBuf>,
     /// Where results go.

@@ -25,36 +25,36 @@ pub enum Against {
 }
 
 /// One run with everything that was known of its robot.
-pub(super) struct Drive {
-    pub(super) name: String,
-    pub(super) robot: RobotFile,
-    pub(super) config: FilterConfig,
-    pub(super) observations: Vec<Observation>,
+pub(crate) struct Drive {
+    pub(crate) name: String,
+    pub(crate) robot: RobotFile,
+    pub(crate) config: FilterConfig,
+    pub(crate) observations: Vec<Observation>,
     /// Where the robot was seen, and by what.
-    pub(super) sights: Vec<Sight>,
-    pub(super) against: Against,
+    pub(crate) sights: Vec<Sight>,
+    pub(crate) against: Against,
 }
 
 /// Drives of one robot.
-pub(super) struct Drives {
+pub(crate) struct Drives {
     /// The recording's name.
-    pub(super) recording: String,
-    pub(super) drives: Vec<Drive>,
+    pub(crate) recording: String,
+    pub(crate) drives: Vec<Drive>,
 }
 
 /// Which sights are taken, and how good a truth is.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Watch {
+pub(crate) struct Watch {
     /// `None`: fixes if there are any.
-    pub(super) against: Option<Against>,
-    pub(super) truth_sigma_m: f64,
+    pub(crate) against: Option<Against>,
+    pub(crate) truth_sigma_m: f64,
 }
 
 /// Loads the runs that the flags choose.
 ///
 /// # Errors
 /// The recording cannot be read or makes no sense.
-pub(super) fn load(recording: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives, Failure> {
+pub(crate) fn load(recording: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives, Failure> {
     if !own_recording::is_own(recording) {
         let flags = DataFlags {
             use_every: flags.use_every.or(Some(1)),

@@ -60,7 +60,7 @@ pub struct UmbmarkArgs {
     /// Seed of the simulated robot, instead of its scenario's.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Write the robot as a profile for `run --robot`.
+    /// Write the robot as a profile for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save: Option<PathBuf>,
     /// Where results go.

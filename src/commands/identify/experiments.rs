@@ -55,7 +55,8 @@ pub(super) fn rest(seen: &Seen) -> Result<Findings> {
         title: "A gyro at rest".to_owned(),
         quantities,
         notes,
-        plot,
+        plots: vec![plot],
+        more: serde_json::Map::new(),
     })
 }
 
@@ -180,7 +181,8 @@ pub(super) fn straight(seen: &Seen) -> Result<Findings> {
         title: "Encoder speed of a straight run".to_owned(),
         quantities,
         notes,
-        plot,
+        plots: vec![plot],
+        more: serde_json::Map::new(),
     })
 }
 
@@ -246,7 +248,8 @@ pub(super) fn delay(seen: &Seen, by: Clock, search: &DelaySearch) -> Result<Find
         title: "Delay of a camera".to_owned(),
         quantities,
         notes,
-        plot,
+        plots: vec![plot],
+        more: serde_json::Map::new(),
     })
 }
 

@@ -1,11 +1,19 @@
-//! `posebridge identify`: what a sensor's noise is, and how late a camera speaks.
+//! `posebridge identify`: what a sensor's noise is, how late a camera speaks, how a sensor or a motor answers a step, and what drives a
+//! car before a wall.
 //!
-//! Without a recording each experiment looks at a simulated robot whose numbers are known, and says how far it was off.
+//! Without a recording each experiment looks at something simulated whose numbers are known, and says how far it was off.
 //! docs/lab/identify.md has the equations.
 
 mod experiments;
 mod report;
 mod source;
+mod step;
+mod step_report;
+mod step_simulated;
+mod step_source;
+mod wall;
+
+use std::path::Path;
 
 use anyhow::Result;
 use posebridge_analysis::noise_identification::DelaySearch;
@@ -32,6 +40,10 @@ pub enum What {
     Straight(NoiseArgs),
     /// Camera of a robot that turns to and fro: its delay against the wheels.
     Delay(DelayArgs),
+    /// A sensor or a motor that answers a step: gain, dead time, lags and their number, each with a sigma, up and down told apart.
+    Step(step::StepArgs),
+    /// A car that drives at a wall: d and m of its drive, steady speed, rise time and measured dt, each with a sigma.
+    Wall(wall::WallArgs),
 }
 
 /// Flags of `identify rest` and `identify straight`.
@@ -84,6 +96,8 @@ pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
                 experiments::delay(seen, args.by, &search)
             })
         }
+        What::Step(args) => step::execute(args),
+        What::Wall(args) => wall::execute(args),
     }
 }
 
@@ -96,12 +110,22 @@ fn run(
     let seen = source.read(bundled).at_start()?;
     let folder = output.folder()?;
     let findings = experiment(&seen).while_running()?;
-    let text = report::text(&findings, &seen.name);
+    deliver(output, &folder, &findings, &seen.name)
+}
+
+/// Prints and writes what was found of something.
+fn deliver(
+    output: &OutputArgs,
+    folder: &Path,
+    findings: &Findings,
+    of: &str,
+) -> Result<(), Failure> {
+    let text = report::text(findings, of);
     let outcome = Outcome {
         name: findings.name,
-        page: report::page(&findings, &text),
-        json: report::json(&findings, &seen.name),
+        page: report::page(findings, &text),
+        json: report::json(findings, of),
         text,
     };
-    output.deliver(&folder, &outcome)
+    output.deliver(folder, &outcome)
 }

@@ -5,10 +5,12 @@ use std::fmt::Write as _;
 use posebridge_analysis::figures::{Plot, plot};
 use posebridge_analysis::report::page::{Page, Part};
 use posebridge_analysis::report::{NO_VALUE, Table};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 /// A number that was found.
 pub(super) struct Quantity {
+    /// Of which run, where there are several.
+    of: Option<String>,
     name: String,
     unit: &'static str,
     value: Option<f64>,
@@ -24,6 +26,7 @@ impl Quantity {
         sigma: Option<f64>,
     ) -> Self {
         Self {
+            of: None,
             name: name.into(),
             unit,
             value: Some(value),
@@ -39,12 +42,19 @@ impl Quantity {
         found: Option<(f64, Option<f64>)>,
     ) -> Self {
         Self {
+            of: None,
             name: name.to_owned(),
             unit,
             value: found.map(|(value, _)| value),
             sigma: found.and_then(|(_, sigma)| sigma),
             truth: None,
         }
+    }
+
+    /// The same of one of several runs.
+    pub(super) fn of(mut self, run: &str) -> Self {
+        self.of = Some(run.to_owned());
+        self
     }
 
     /// The same with what is true.
@@ -60,7 +70,9 @@ pub(super) struct Findings {
     pub(super) title: String,
     pub(super) quantities: Vec<Quantity>,
     pub(super) notes: Vec<String>,
-    pub(super) plot: Plot,
+    pub(super) plots: Vec<Plot>,
+    /// What programs get besides.
+    pub(super) more: Map<String, Value>,
 }
 
 pub(super) fn text(findings: &Findings, run: &str) -> String {
@@ -69,7 +81,10 @@ pub(super) fn text(findings: &Findings, run: &str) -> String {
         let number =
             |value: Option<f64>| value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.6}"));
         table.push([
-            quantity.name.clone(),
+            quantity.of.as_ref().map_or_else(
+                || quantity.name.clone(),
+                |of| format!("{of}: {}", quantity.name),
+            ),
             number(quantity.value),
             number(quantity.sigma),
             quantity.unit.to_owned(),
@@ -85,15 +100,15 @@ pub(super) fn text(findings: &Findings, run: &str) -> String {
 }
 
 pub(super) fn page(findings: &Findings, text: &str) -> Page {
+    let figures = findings.plots.iter().map(|picture| Part::Figure {
+        svg: plot(picture),
+        caption: picture.title.clone(),
+    });
     Page {
         title: findings.title.clone(),
-        parts: vec![
-            Part::Lines(text.to_owned()),
-            Part::Figure {
-                svg: plot(&findings.plot),
-                caption: findings.plot.title.clone(),
-            },
-        ],
+        parts: std::iter::once(Part::Lines(text.to_owned()))
+            .chain(figures)
+            .collect(),
     }
 }
 
@@ -103,9 +118,18 @@ pub(super) fn json(findings: &Findings, run: &str) -> Value {
         .iter()
         .map(|quantity| {
             json!({
-                "name": quantity.name, "unit": quantity.unit, "value": quantity.value, "sigma": quantity.sigma, "truth": quantity.truth,
+                "of": quantity.of, "name": quantity.name, "unit": quantity.unit,
+                "value": quantity.value, "sigma": quantity.sigma, "truth": quantity.truth,
             })
         })
         .collect();
-    json!({"experiment": findings.name, "run": run, "quantities": quantities, "notes": findings.notes})
+    let mut object = findings.more.clone();
+    let own = [
+        ("experiment", json!(findings.name)),
+        ("run", json!(run)),
+        ("quantities", json!(quantities)),
+        ("notes", json!(findings.notes)),
+    ];
+    object.extend(own.map(|(key, value)| (key.to_owned(), value)));
+    Value::Object(object)
 }

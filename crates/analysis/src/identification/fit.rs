@@ -253,7 +253,7 @@ impl Problem<'_> {
 }
 
 /// Parameters of a response of the highest order.
-const MAX_PARAMETERS: usize = row::LAGS + 2 * MAX_ORDER - 1;
+pub(super) const MAX_PARAMETERS: usize = row::LAGS + 2 * MAX_ORDER - 1;
 
 /// The upper triangle of the normal equations, in place of a matrix for each sample.
 #[derive(Default)]
@@ -342,6 +342,16 @@ impl Constants {
         }
         (self.start + self.step * by[row::STEP], by)
     }
+}
+
+/// y(t) of a response and its derivatives by the parameters; `None` for an order that no response may have.
+pub(super) fn value_and_slopes(
+    response: &StepResponse,
+    at_s: f64,
+) -> Option<(f64, [f64; MAX_PARAMETERS])> {
+    let order = response.lags.len();
+    let is_possible = (1..=MAX_ORDER).contains(&order);
+    is_possible.then(|| Constants::of(&parameters_of(response), order).value_and_slopes(at_s))
 }
 
 fn left_of(samples: &[Sample], response: &StepResponse) -> Vec<f64> {

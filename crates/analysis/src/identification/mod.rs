@@ -10,6 +10,9 @@
 //! | the response as a sum of exponentials | [`step_response`] |
 //! | weighted least squares for its parameters, with a prior | [`fit`], [`prior`] |
 //! | gain, delay, lags, their sigmas and the order of one run | [`step`](mod@step) |
+//! | what an observation stream says of one sensor, and its noise | [`channel`], [`noise`] |
+//! | sigmas that hold where errors of neighbours are alike | [`spread`] |
+//! | steps up against steps down | [`ways`] |
 //! | several runs of one kind: what to expect of the next | [`kind`] |
 //! | the final value with bounds, from sample to sample | [`prediction`] |
 //! | known dynamics: block and recursive least squares | [`known`] |
@@ -35,24 +38,32 @@
 //! # Sources
 //! Paper 2 (Markovsky); docs/lab/thermometer.md, whose equations the modules cite.
 
+pub mod channel;
 pub mod fit;
 pub mod kind;
 pub mod known;
 pub mod lesson;
+pub mod noise;
 pub mod onset;
 pub mod prediction;
 pub mod prior;
 pub mod settling;
 pub mod simulated;
+pub mod spread;
 pub mod step;
 pub mod step_response;
+pub mod ways;
 
+pub use channel::Channel;
 pub use kind::{Kind, KindError, Way};
+pub use noise::noise_of;
 pub use onset::{FoundStep, find_step};
 pub use prediction::{Prediction, predict};
 pub use settling::settled_after_s;
+pub use spread::{Sampling, StepNumbers};
 pub use step::{IdentifiedLag, IdentifiedStep, Order, StepError, StepOptions, identify_step};
 pub use step_response::{Lag, StepResponse};
+pub use ways::{WaysCompared, compare_ways};
 
 /// What a sensor showed at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -47,6 +47,32 @@ impl StepFit {
     }
 }
 
+impl StepFit {
+    /// The share of the steady speed that the car has so many seconds after the drive began: a fit to steps that end early extrapolates.
+    #[must_use]
+    pub fn share_reached(&self, after_s: f64) -> f64 {
+        -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.0).exp_m1()
+    }
+
+    /// Time, reading and what this drive makes of it, in s, m and m; the distance at rest is the one that fits the log best.
+    #[must_use]
+    pub fn explained(&self, log: &WallLog) -> Vec<(f64, f64, f64)> {
+        let (steady, rate_per_s) = (
+            self.steady_m_per_s.0,
+            std::f64::consts::LN_10 / self.rise_90_s.0,
+        );
+        let readings = responses(log, rate_per_s);
+        let Some((way_m, range_m)) = means(&readings) else {
+            return Vec::new();
+        };
+        let fitted = readings.iter().map(|reading| {
+            let fitted_m = range_m - steady * (reading.way_m - way_m);
+            (reading.at_s, reading.range_m, fitted_m)
+        });
+        fitted.collect()
+    }
+}
+
 /// Finds the drive that explains all steps best. Each begins at rest, at a distance of its own.
 ///
 /// # Errors
@@ -214,6 +240,12 @@ mod tests {
         assert!((fit.drag_s_per_m.0 - 0.816_33).abs() < 1e-5);
         assert!((fit.mass_s2_per_m.0 - 0.353_46).abs() < 1e-5);
         assert!(fit.range_sigma_m < 1e-6);
+        for (_, range_m, fitted_m) in fit.explained(&drawn(1, 0.0)) {
+            assert!((range_m - fitted_m).abs() < 1e-6);
+        }
+        assert!((fit.share_reached(0.997) - 0.9).abs() < 1e-5);
+        assert_eq!(fit.share_reached(-1.0), 0.0);
+        assert_eq!(fit.explained(&WallLog::default()), []);
     }
 
     #[test]

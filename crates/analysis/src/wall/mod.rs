@@ -18,6 +18,7 @@ mod fit;
 mod foresee;
 mod lines;
 mod log;
+mod periods;
 mod plant;
 mod response;
 mod stops;
@@ -30,6 +31,7 @@ pub use lines::{
     HandStep, SpeedAt, StepError, by_hand, differences, mean_by_hand, overlapping_lines,
 };
 pub use log::{Said, WallEntry, WallLog};
+pub use periods::{loop_period, reading_period};
 pub use plant::{Plant, PlantSearch};
 pub use stops::{NEAR_M, Paired, StopSummary, Stopped, paired, summarise_stops};
 pub use validate::{GateTrial, Validation, gate_trial, validate};

@@ -7,10 +7,10 @@
 mod approaches;
 mod columns;
 mod pictures;
-mod recorded;
+pub(in crate::commands) mod recorded;
 mod recorded_report;
 mod simulated;
-mod steps;
+pub(in crate::commands) mod steps;
 
 use std::path::PathBuf;
 

@@ -27,17 +27,17 @@ const COMMAND_COLUMNS: [&str; 4] = ["pwm", "PWM", "motor_pwm", "Speed"];
 const KALMAN_COLUMNS: [&str; 4] = ["kf_mm", "kf", "kalman_mm", "kalman"];
 
 /// The runs of a recording, read.
-pub(super) struct Prepared {
+pub(in crate::commands) struct Prepared {
     pub(super) descriptor: String,
-    runs: Vec<RunLog>,
+    pub(in crate::commands) runs: Vec<RunLog>,
 }
 
 /// One run, as far as this experiment is concerned.
-struct RunLog {
-    name: String,
-    log: WallLog,
+pub(in crate::commands) struct RunLog {
+    pub(in crate::commands) name: String,
+    pub(in crate::commands) log: WallLog,
     /// Whether the files say what the motors were told.
-    knows_input: bool,
+    pub(in crate::commands) knows_input: bool,
     /// Time and distance of somebody else's filter, in order.
     theirs: Vec<(f64, f64)>,
     range_sigma_m: f64,
@@ -64,7 +64,7 @@ pub(super) struct RunFound {
 pub(super) const TASK: &str = "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
 /// Reads every run that was asked for: of a descriptor, or a recording of ours, which is one run.
-pub(super) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
+pub(in crate::commands) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
     if own_recording::is_own(path) {
         return prepare_own(path, args);
     }

@@ -10,7 +10,7 @@ use posebridge_estimator::models::wall_approach::WallApproach;
 use posebridge_sim::wall::{StepRun, WallScene, step};
 
 /// Readings in a line of the evaluation by hand.
-pub(super) const PIECE: usize = 5;
+pub(in crate::commands) const PIECE: usize = 5;
 /// What is added to a reading to try the gate, m.
 const ADDED_M: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 /// The process sigmas that are compared, m: the paper's three and the noise of its readings.
@@ -88,7 +88,7 @@ pub(super) fn steps(scene: &WallScene, count: u32) -> Result<Steps> {
 }
 
 /// Inputs count from the PWM that the scene calls 1.
-fn log_of(scene: &WallScene, run: &StepRun) -> WallLog {
+pub(in crate::commands) fn log_of(scene: &WallScene, run: &StepRun) -> WallLog {
     let inputs = run.commands.iter().map(|command| WallEntry {
         at_s: command.at_s,
         said: Said::Input(command.pwm / scene.car.reference_pwm),

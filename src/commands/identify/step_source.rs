@@ -1,0 +1,225 @@
+//! Where `identify step` has its samples from: a descriptor, a recording of ours, a table, or a simulated sensor.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use posebridge_analysis::identification::{Sample, Sampling, StepOptions, noise_of};
+
+use super::step::{ChannelName, StepArgs};
+use super::step_simulated;
+use crate::cli::DataFlags;
+use crate::commands::Failure;
+use crate::commands::calibrate::listing::Listing;
+use crate::commands::calibrate::source::{self, Drive, Watch};
+
+/// What is looked at.
+pub(super) struct Material {
+    /// For people.
+    pub(super) source: String,
+    /// The sensor.
+    pub(super) what: String,
+    /// Its unit; empty where nobody said it.
+    pub(super) unit: &'static str,
+    /// That of its gain; empty where nobody said it.
+    pub(super) gain_unit: &'static str,
+    /// The steps.
+    pub(super) runs: Vec<StepRun>,
+}
+
+/// One step.
+#[derive(Clone)]
+pub(super) struct StepRun {
+    pub(super) name: String,
+    /// In seconds after the first sample.
+    pub(super) samples: Vec<Sample>,
+    pub(super) options: StepOptions,
+    pub(super) sampling: Sampling,
+    /// Of a simulated sensor.
+    pub(super) truth: Option<StepTruth>,
+}
+
+/// What is true of a simulated sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct StepTruth {
+    pub(super) gain: f64,
+    pub(super) delay_s: f64,
+    /// Time constants in seconds with their shares, the fastest first.
+    pub(super) lags: Vec<(f64, f64)>,
+}
+
+impl Material {
+    /// Reads or simulates.
+    ///
+    /// # Errors
+    /// A flag or the recording makes no sense.
+    pub(super) fn of(args: &StepArgs) -> Result<Self> {
+        check(args)?;
+        let Some(path) = &args.recording else {
+            return step_simulated::material(args);
+        };
+        let end = path.extension().and_then(|end| end.to_str()).unwrap_or("");
+        match end {
+            "csv" | "txt" => of_table(args, path),
+            "toml" | "mcap" => of_recording(args, path),
+            _ => bail!(
+                "`{}` is no descriptor (*.toml), no recording (*.mcap) and no table (*.csv)",
+                path.display()
+            ),
+        }
+    }
+}
+
+fn check(args: &StepArgs) -> Result<()> {
+    let until_s = args.to.unwrap_or(f64::INFINITY);
+    ensure!(
+        args.from < until_s,
+        "--from is {} and --to is {until_s}: nothing lies between them",
+        args.from
+    );
+    for (flag, value) in [("--noise", args.noise), ("--input-step", args.input_step)] {
+        if let Some(value) = value {
+            let is_usable =
+                value.is_finite() && (value > 0.0 || (value < 0.0 && flag != "--noise"));
+            ensure!(
+                is_usable,
+                "{flag} is {value}: give a number other than zero"
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Samples by the time since the first one, as far as --from and --to let them.
+fn cut(args: &StepArgs, samples: &[Sample]) -> Vec<Sample> {
+    let first_s = samples.first().map_or(0.0, |sample| sample.at_s);
+    let until_s = args.to.unwrap_or(f64::INFINITY);
+    let since = samples.iter().map(|sample| Sample {
+        at_s: sample.at_s - first_s,
+        value: sample.value,
+    });
+    since
+        .filter(|sample| args.from <= sample.at_s && sample.at_s <= until_s)
+        .collect()
+}
+
+fn of_recording(args: &StepArgs, path: &Path) -> Result<Material> {
+    let is_descriptor = path.extension().is_some_and(|end| end == "toml");
+    ensure!(
+        args.time_column.is_none() && args.value_column.is_none(),
+        "--time-column and --value-column belong to a table (*.csv); choose a sensor with --channel"
+    );
+    let flags = DataFlags {
+        data: args.data.clone(),
+        // Every name begins with nothing: all runs. A recording of ours has one.
+        run: is_descriptor.then(|| args.run.clone().unwrap_or_default()),
+        use_every: None,
+        settings: args.settings.clone(),
+    };
+    ensure!(
+        is_descriptor || args.run.is_none(),
+        "--run chooses from a descriptor's runs; a recording of ours has one"
+    );
+    let watch = Watch {
+        against: None,
+        truth_sigma_m: 1.0,
+    };
+    let drives = source::load(path, &flags, watch).map_err(|failure| match failure {
+        Failure::CouldNotStart(error) | Failure::Failed(error) => error,
+    })?;
+    let asked = args.channel.unwrap_or(ChannelName::Temperature);
+    let channel = asked.channel();
+    let runs = drives
+        .drives
+        .iter()
+        .map(|drive| of_drive(args, asked, drive));
+    Ok(Material {
+        source: drives.recording.clone(),
+        what: channel.name().to_owned(),
+        unit: channel.unit(),
+        gain_unit: "",
+        runs: runs.collect::<Result<_>>()?,
+    })
+}
+
+fn of_drive(args: &StepArgs, asked: ChannelName, drive: &Drive) -> Result<StepRun> {
+    let samples = cut(args, &asked.channel().samples(&drive.observations));
+    if samples.is_empty() {
+        let others = ChannelName::ALL.into_iter();
+        let others: Vec<&str> = others
+            .filter(|one| !cut(args, &one.channel().samples(&drive.observations)).is_empty())
+            .map(ChannelName::flag)
+            .collect();
+        bail!(
+            "run `{}` holds no {} there; what it holds for --channel: {}",
+            drive.name,
+            asked.channel().name(),
+            if others.is_empty() {
+                "nothing".to_owned()
+            } else {
+                others.join(", ")
+            }
+        );
+    }
+    let (noise, geometry) = (&drive.config.noise, &drive.config.geometry);
+    let sigma = asked.channel().noise(noise, geometry, &samples);
+    Ok(StepRun {
+        sampling: asked.channel().sampling(),
+        ..of_samples(args, &drive.name, samples, sigma)?
+    })
+}
+
+fn of_samples(
+    args: &StepArgs,
+    name: &str,
+    samples: Vec<Sample>,
+    sigma: Option<f64>,
+) -> Result<StepRun> {
+    let sigma = args.noise.or(sigma).ok_or_else(|| {
+        anyhow!(
+            "`{name}`: its {} samples do not say how noisy they are; give --noise",
+            samples.len()
+        )
+    })?;
+    Ok(StepRun {
+        name: name.to_owned(),
+        samples,
+        options: args.options(sigma),
+        sampling: Sampling::Readings,
+        truth: None,
+    })
+}
+
+fn of_table(args: &StepArgs, path: &Path) -> Result<Material> {
+    ensure!(
+        args.channel.is_none() && args.run.is_none(),
+        "--channel and --run choose from a recording; name a table's columns with --time-column and --value-column"
+    );
+    let listing = Listing::read(path)?;
+    let column = |asked: &Option<String>, place: usize, flag: &str| {
+        let named = asked
+            .clone()
+            .or_else(|| listing.columns().get(place).cloned());
+        named.with_context(|| format!("`{}` has no column for {flag}", path.display()))
+    };
+    let time = column(&args.time_column, 0, "--time-column")?;
+    let value = column(&args.value_column, 1, "--value-column")?;
+    let samples: Vec<Sample> = listing
+        .rows()
+        .map(|row| {
+            Ok(Sample {
+                at_s: row.number(&time)? * args.time_unit.seconds(),
+                value: row.number(&value)?,
+            })
+        })
+        .collect::<Result<_>>()?;
+    let samples = cut(args, &samples);
+    let sigma = noise_of(&samples);
+    let name = path.display().to_string();
+    Ok(Material {
+        runs: vec![of_samples(args, &name, samples, sigma)?],
+        source: name,
+        what: value,
+        unit: "",
+        gain_unit: "",
+    })
+}
