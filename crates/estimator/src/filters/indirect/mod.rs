@@ -9,7 +9,6 @@
 //! dz = z - h(x_ref)        angle by gyro     - heading of the path   = e_th + g   + rounding of the counts
 //!                          angle by accel.   - heading of the path   = e_th + p_w + rounding
 //!                          distance by accel. - distance of the path = e_s + p_s  + rounding
-//!                          speeds by accel. - 0, at rest            = c_v, c_w + creep within a count
 //!                          fix - pose of the path                    = [e_x, e_y, e_th]' and the tag's lever
 //! feed-forward: x_ref is never touched, the estimate is x_ref + e
 //! feedback:     after each update the path's and the geometry's errors move into x_ref, and become zero
@@ -25,7 +24,6 @@ pub mod error_state;
 mod fixes;
 mod instruments;
 mod nominal;
-mod standstill;
 
 use std::collections::BTreeMap;
 

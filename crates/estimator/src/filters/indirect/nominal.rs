@@ -13,7 +13,6 @@ use super::error_state::{
     process_noise, start_row, transition,
 };
 use super::instruments::{Accelerated, GyroAngle, Sampled};
-use super::standstill::Stood;
 use crate::filters::FilterConfig;
 use crate::filters::records::add_innovation;
 use crate::models::differential_drive::WheelTravel;
@@ -57,7 +56,6 @@ pub(super) struct Path {
     pub(super) covariance: Covariance,
     pub(super) gyro: GyroAngle,
     pub(super) accelerated: Accelerated,
-    pub(super) stood: Stood,
     pub(super) forward_m_per_s: f64,
     pub(super) turn_rad_per_s: f64,
     pub(super) moved: Option<Stamp<BrickClock>>,
@@ -88,7 +86,6 @@ impl Path {
             covariance: Covariance::zeros(),
             gyro: GyroAngle::default(),
             accelerated: Accelerated::default(),
-            stood: Stood::default(),
             forward_m_per_s: 0.0,
             turn_rad_per_s: 0.0,
             moved: None,
@@ -175,10 +172,7 @@ impl Path {
                     self.step((until - from).as_secs_f64(), travel, path_var_m2);
                     until
                 }
-                Leg::Gap { until } | Leg::Ahead { until } => {
-                    self.stood.lose_sight();
-                    until
-                }
+                Leg::Gap { until } | Leg::Ahead { until } => until,
             };
             from = until;
         }
@@ -192,7 +186,6 @@ impl Path {
     }
 
     fn step(&mut self, dt_s: f64, travel: WheelTravel, path_var_m2: f64) {
-        self.stood.watch(dt_s, travel);
         let robot = (&self.config.geometry, &self.config.noise);
         let nominal = nominal_step(self.end.angle_rad, travel, &self.scales, robot);
         let settled_rad = self.settle(self.end.angle_rad + nominal.step.turn_rad);
@@ -299,7 +292,6 @@ impl Path {
                 (DISTANCE, ACCELERATED_DISTANCE),
                 rounding.distance_m2,
             );
-            self.use_standstill();
         } else {
             self.start_accelerated(mark, &rounding);
         }
@@ -360,13 +352,13 @@ impl Path {
 
 /// Variance of what a count of the wheels leaves open, each wheel uniform within one.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rounding {
-    pub(super) angle_rad2: f64,
-    pub(super) distance_m2: f64,
+struct Rounding {
+    angle_rad2: f64,
+    distance_m2: f64,
 }
 
 impl Path {
-    pub(super) fn rounding(&self) -> Rounding {
+    fn rounding(&self) -> Rounding {
         let geometry = &self.config.geometry;
         let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
         let count_m2 = (radius_m * geometry.tick.0).powi(2) / 12.0;
@@ -445,7 +437,6 @@ impl Path {
     pub(super) fn forget_instruments(&mut self) {
         self.gyro = GyroAngle::default();
         self.accelerated = Accelerated::default();
-        self.stood.lose_sight();
         self.clear_untracked();
     }
 
