@@ -2,8 +2,9 @@
 //!
 //! Recordings of others are read where POSEBRIDGE_DATA says they are; without it only the committed set is looked at.
 #![expect(
+    clippy::print_stdout,
     clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
+    reason = "helpers outside #[test] print their figures and stop where the set-up is broken"
 )]
 
 mod support;
