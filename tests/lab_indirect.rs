@@ -52,6 +52,14 @@ fn the_fused_ends_are_the_papers_and_better_than_the_wheels() {
     assert!(squares(back) < squares(forward));
     assert!((0.7..1.3).contains(&number(back, "anees")));
     assert!(number(forward, "anees") > number(back, "anees"));
+    // Round by round, in means of squares and their sigmas: nearer in x, and in y no further off; with a gyro nearer in both.
+    let better = |sensors: &str, axis: &str| {
+        let gain = &row(&found, "indirect-feedback", sensors)["better_than_feed_forward_m2"];
+        number(gain, axis) / number(gain, &format!("{axis}_sigma"))
+    };
+    assert!(better("+ accelerometers", "x") > 2.0);
+    assert!(better("+ accelerometers", "y") > -2.0);
+    assert!(better("+ gyro", "x") > 2.0 && better("+ gyro", "y") > 2.0);
 }
 
 #[test]

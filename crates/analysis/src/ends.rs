@@ -111,6 +111,50 @@ pub fn nearer(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> usize
     wins.count()
 }
 
+/// By how much the squared errors of one estimator are smaller than those of another, run by run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Paired {
+    /// Mean of theirs less ours, in x and y, m²: more than zero if ours is nearer.
+    pub mean_m2: (f64, f64),
+    /// One standard deviation of that mean, m².
+    pub sigma_m2: (f64, f64),
+}
+
+/// Compares two estimators over the same runs. The luck of a run is in both, so that the difference is known far better than either
+/// error; `None` with fewer than two runs in which both have an end.
+#[must_use]
+pub fn paired(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> Option<Paired> {
+    let pairs = ours.iter().zip(theirs);
+    let both: Vec<(f64, f64)> = pairs
+        .filter_map(|(ours, theirs)| {
+            let (ours, theirs) = (ours.as_ref()?, theirs.as_ref()?);
+            Some((
+                theirs.dx_m.powi(2) - ours.dx_m.powi(2),
+                theirs.dy_m.powi(2) - ours.dy_m.powi(2),
+            ))
+        })
+        .collect();
+    let (x, y) = (
+        mean_and_sigma(both.iter().map(|pair| pair.0))?,
+        mean_and_sigma(both.iter().map(|pair| pair.1))?,
+    );
+    Some(Paired {
+        mean_m2: (x.0, y.0),
+        sigma_m2: (x.1, y.1),
+    })
+}
+
+/// A mean and its standard deviation; `None` with fewer than two values.
+fn mean_and_sigma(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)> {
+    let count = values.clone().count() as f64;
+    if count < 2.0 {
+        return None;
+    }
+    let mean = values.clone().sum::<f64>() / count;
+    let squares: f64 = values.map(|value| (value - mean).powi(2)).sum();
+    Some((mean, (squares / (count - 1.0) / count).sqrt()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -154,5 +198,20 @@ mod tests {
             None,
         ];
         assert_eq!(nearer(&ours, &theirs), 2);
+    }
+
+    #[test]
+    fn paired_errors_are_compared_run_by_run() {
+        let ours = [Some(end(0.1, 0.0)), None, Some(end(0.2, 0.3))];
+        let theirs = [
+            Some(end(0.3, 0.1)),
+            Some(end(9.0, 9.0)),
+            Some(end(-0.4, 0.0)),
+        ];
+        let found = paired(&ours, &theirs).unwrap();
+        // x: 0.08 and 0.12; y: 0.01 and -0.09.
+        assert!((found.mean_m2.0 - 0.10).abs() < 1e-12 && (found.mean_m2.1 + 0.04).abs() < 1e-12);
+        assert!((found.sigma_m2.0 - 0.02).abs() < 1e-12 && (found.sigma_m2.1 - 0.05).abs() < 1e-12);
+        assert_eq!(paired(&ours[..2], &theirs[..2]), None);
     }
 }

@@ -1,18 +1,22 @@
 //! `posebridge tune`: noise parameters from recordings or from simulated drives, by the likelihood of the innovations.
 //!
-//! docs/lab/tune.md has the equations, what is switched off meanwhile, and how to read the result.
+//! docs/lab/tune.md has the equations, what is switched off meanwhile, how far the numbers may move, and how to read the result.
 
 mod profile;
 mod report;
 mod runs;
+mod trial;
 
 use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, ensure};
-use posebridge_analysis::tuning::{Found, Search, TunedKey, ln_prior, maximise, usual_keys};
-use posebridge_estimator::{Estimates, FilterConfig, FilterEntry, filter_named};
+use posebridge_analysis::tuning::{
+    Choice, Found, Loss, Reason, Search, TunedKey, Worth, usual_keys,
+};
+use posebridge_estimator::{Estimates, FilterEntry, filter_named};
 
 use self::runs::{Material, RunScore, Set, TuneRun};
+use self::trial::Trial;
 use crate::commands::lab::outcome::{Outcome, OutputArgs};
 use crate::commands::{Failure, Stage};
 use crate::config::Setting;
@@ -33,7 +37,8 @@ pub struct TuneArgs {
     /// Runs to tune on: all whose names begin so; may be repeated. Without it the descriptor's usual ones.
     #[arg(long = "run", value_name = "PREFIX")]
     pub run: Vec<String>,
-    /// Runs that are only scored, before and after; may be repeated.
+    /// Runs that are only scored, before and after; if the tuned numbers are worse on them, those to start from are kept. May be
+    /// repeated.
     #[arg(long = "hold-out", value_name = "PREFIX")]
     pub hold_out: Vec<String>,
     /// Where a descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
@@ -75,20 +80,53 @@ pub struct TuneArgs {
     pub output: OutputArgs,
 }
 
-/// Rounds that a search mostly takes, for the bar.
-const USUAL_ROUNDS: u64 = 15;
-
 /// What was tuned, and what it is worth.
 pub(super) struct Tuned {
     keys: Vec<TunedKey>,
     found: Found,
+    /// How far towards what was found, by data that the search did not see.
+    choice: Choice,
+    kept: Kept,
     start_factor: f64,
-    /// Values of the keys in the first training run: before, after.
-    values: Vec<(f64, f64)>,
+    /// Values of the keys in the first training run.
+    values: Vec<Values>,
     before: Vec<RunScore>,
-    after: Vec<RunScore>,
+    /// With the numbers that the choice gives, kept or not.
+    proposed: Vec<RunScore>,
     /// With the numbers of the file, where the search started from others.
     as_given: Option<Vec<RunScore>>,
+}
+
+/// A number on its way.
+pub(super) struct Values {
+    before: f64,
+    /// Where the likelihood of all training runs is largest.
+    at_maximum: f64,
+    /// So far as other data agree.
+    proposed: f64,
+    /// What is written.
+    after: f64,
+}
+
+/// Which numbers are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kept {
+    /// The tuned ones.
+    Tuned,
+    /// Those to start from: on data that the search did not see no other ones were better.
+    StartByFolds(Reason),
+    /// Those to start from: on the runs that were held out the tuned ones are worse.
+    StartByHeldOut(Loss),
+}
+
+impl Tuned {
+    /// The scores with what is kept.
+    fn after(&self) -> &[RunScore] {
+        match self.kept {
+            Kept::Tuned => &self.proposed,
+            Kept::StartByFolds(_) | Kept::StartByHeldOut(_) => &self.before,
+        }
+    }
 }
 
 /// Tunes.
@@ -172,40 +210,20 @@ fn tune(
     keys: Vec<TunedKey>,
 ) -> Result<Tuned> {
     let training: Vec<&TuneRun> = material.training().collect();
-    let polled = 2 * keys.len() as u64 + 3;
-    let bar = progress::bar(USUAL_ROUNDS * polled * training.len() as u64, "filter runs")?;
     let start = args.start_factor.ln();
-    let scaled = |run: &TuneRun, at: &[f64]| -> FilterConfig {
-        let mut config = run.config.clone();
-        for (key, x) in keys.iter().zip(at) {
-            key.scale(&mut config, (start + x).exp());
-        }
-        config
-    };
-    let evaluate = |points: &[Vec<f64>]| -> Vec<f64> {
-        let jobs: Vec<(&Vec<f64>, &TuneRun)> = points
-            .iter()
-            .flat_map(|point| training.iter().map(move |run| (point, *run)))
-            .collect();
-        let fit = |(point, run): &(&Vec<f64>, &TuneRun)| {
-            run.fit(filter, scaled(run, point)).log_likelihood()
-        };
-        let values = run_all(&jobs, fit, || bar.inc(1));
-        let sums = values.chunks(training.len()).zip(points);
-        sums.map(|(values, point)| values.iter().sum::<f64>() + ln_prior(point))
-            .collect()
-    };
-    let found = maximise(keys.len(), &Search::default(), evaluate);
-    let scores = |at: &[f64]| {
-        run_all(
-            &material.runs,
-            |run| run.score(filter, scaled(run, at)),
-            || {},
-        )
-    };
-    let (before, after) = (scores(&vec![0.0; keys.len()]), scores(&found.at));
-    let as_given = (args.start_factor != 1.0).then(|| scores(&vec![-start; keys.len()]));
+    let mut trial = Trial::new(filter, &keys, start, &training);
+    let bar = progress::bar(trial.usual_work(), "filter runs")?;
+    let ended = || bar.inc(1);
+    let found = trial.maximum(&Search::default(), None, &ended);
+    let choice = trial.validate(&Search::default(), &ended);
     bar.finish_and_clear();
+    let scores = |at: &[f64]| {
+        let score = |run: &TuneRun| run.score(filter, trial.config(run, at));
+        run_all(&material.runs, score, || {})
+    };
+    let at: Vec<f64> = found.at.iter().map(|x| choice.share() * x).collect();
+    let (before, proposed) = (scores(&vec![0.0; keys.len()]), scores(&at));
+    let as_given = (args.start_factor != 1.0).then(|| scores(&vec![-start; keys.len()]));
     ensure!(
         before
             .iter()
@@ -213,34 +231,51 @@ fn tune(
         "the filter `{}` held no observation of these runs against a prediction; a recording of wheels alone needs --fixes-from-truth",
         filter.name
     );
-    let values = values_of(&keys, &training, start, &found);
+    let kept = kept(&choice, &before, &proposed);
+    let value = |key: &TunedKey, x: f64| {
+        training.first().map_or(f64::NAN, |run| {
+            let mut config = run.config.clone();
+            key.scale(&mut config, (start + x).exp());
+            key.read(&config)
+        })
+    };
+    let pairs = keys.iter().zip(&found.at).zip(&at);
+    let values = pairs.map(|((key, peak), x)| Values {
+        before: value(key, 0.0),
+        at_maximum: value(key, *peak),
+        proposed: value(key, *x),
+        after: value(key, if kept == Kept::Tuned { *x } else { 0.0 }),
+    });
     Ok(Tuned {
+        values: values.collect(),
         keys,
         found,
+        choice,
+        kept,
         start_factor: args.start_factor,
-        values,
         before,
-        after,
+        proposed,
         as_given,
     })
 }
 
-fn values_of(
-    keys: &[TunedKey],
-    training: &[&TuneRun],
-    start: f64,
-    found: &Found,
-) -> Vec<(f64, f64)> {
-    let Some(first) = training.first() else {
-        return Vec::new();
-    };
-    let value = |key: &TunedKey, ln_factor: f64| {
-        let mut config = first.config.clone();
-        key.scale(&mut config, ln_factor.exp());
-        key.read(&config)
-    };
-    let pairs = keys.iter().zip(&found.at);
-    pairs
-        .map(|(key, x)| (value(key, start), value(key, start + x)))
-        .collect()
+/// The tuned numbers are kept if they moved and are no worse where nobody tuned.
+fn kept(choice: &Choice, before: &[RunScore], proposed: &[RunScore]) -> Kept {
+    if choice.share() == 0.0 {
+        return Kept::StartByFolds(choice.reason);
+    }
+    let lost = worth(proposed).loss_against(&worth(before));
+    lost.map_or(Kept::Tuned, Kept::StartByHeldOut)
+}
+
+/// What the held-out runs are worth.
+fn worth(scores: &[RunScore]) -> Worth {
+    let held_out: Vec<&RunScore> = scores
+        .iter()
+        .filter(|score| score.set == Set::HeldOut)
+        .collect();
+    Worth {
+        ln_p_each: report::each(&report::joined(&held_out)),
+        position_rms_m: report::rms_m(&held_out),
+    }
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use posebridge_analysis::tuning::{NOISE_KEYS, TunedKey};
 
-use super::Tuned;
 use super::runs::Material;
+use super::{Tuned, report};
 
 /// Writes it.
 ///
@@ -29,10 +29,10 @@ fn text(material: &Material, tuned: &Tuned) -> Result<String> {
         }
     }
     let mut filter = toml::Table::new();
-    for (key, (_, value)) in tuned.keys.iter().zip(&tuned.values) {
+    for (key, values) in tuned.keys.iter().zip(&tuned.values) {
         match key {
-            TunedKey::Noise(row) => noise.insert(row.key.to_owned(), (*value).into()),
-            TunedKey::Param(row) => filter.insert(row.key.to_owned(), (*value).into()),
+            TunedKey::Noise(row) => noise.insert(row.key.to_owned(), values.after.into()),
+            TunedKey::Param(row) => filter.insert(row.key.to_owned(), values.after.into()),
         };
     }
     robot.insert("noise".to_owned(), noise.into());
@@ -40,6 +40,7 @@ fn text(material: &Material, tuned: &Tuned) -> Result<String> {
     origin.insert("source".to_owned(), material.source.clone().into());
     let keys: Vec<toml::Value> = tuned.keys.iter().map(|key| key.name().into()).collect();
     origin.insert("keys".to_owned(), keys.into());
+    origin.insert("kept".to_owned(), report::kept(tuned).into());
     let mut page = toml::Table::new();
     page.insert("tuned".to_owned(), origin.into());
     page.insert("robot".to_owned(), robot.into());

@@ -6,11 +6,11 @@ use posebridge_analysis::SourceTally;
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape, plot};
 use posebridge_analysis::report::page::{Page, Part};
 use posebridge_analysis::report::{NO_VALUE, Table};
-use posebridge_analysis::tuning::{Ending, RunFit, joint_rms};
+use posebridge_analysis::tuning::{Ending, Loss, Reason, RunFit, SHARES, joint_rms};
 use serde_json::{Value, json};
 
-use super::Tuned;
 use super::runs::{RunScore, Set};
+use super::{Kept, Tuned};
 
 /// Height of a panel.
 const PANEL_PX: f64 = 220.0;
@@ -36,6 +36,8 @@ pub(super) fn text(tuned: &Tuned) -> String {
         found.value - found.start_value,
         found.rounds.len()
     );
+    text += &way(tuned);
+    let _ = writeln!(text, "\nkept: {}\n", kept(tuned));
     text += &sets(tuned);
     text.push('\n');
     text += &sources(tuned);
@@ -46,19 +48,77 @@ pub(super) fn text(tuned: &Tuned) -> String {
 }
 
 fn parameters(tuned: &Tuned) -> String {
-    let mut table = Table::new(["parameter", "before", "after", "factor", "sigma of ln"]);
-    for (i, key) in tuned.keys.iter().enumerate() {
-        let (before, after) = tuned.values.get(i).copied().unwrap_or((f64::NAN, f64::NAN));
+    let mut table = Table::new([
+        "parameter",
+        "before",
+        "at the maximum",
+        "after",
+        "factor",
+        "sigma of ln",
+    ]);
+    for (i, (key, values)) in tuned.keys.iter().zip(&tuned.values).enumerate() {
         let sigma = tuned.found.sigma.get(i).copied().flatten();
         table.push([
             key.name(),
-            format!("{before:.5}"),
-            format!("{after:.5}"),
-            format!("{:.3}", after / before),
+            format!("{:.5}", values.before),
+            format!("{:.5}", values.at_maximum),
+            format!("{:.5}", values.after),
+            format!("{:.3}", values.after / values.before),
             sigma.map_or("flat".to_owned(), |sigma| format!("{sigma:.2}")),
         ]);
     }
     table.render()
+}
+
+/// How far to go: what data that the search did not see say of each share of the way.
+fn way(tuned: &Tuned) -> String {
+    let choice = &tuned.choice;
+    let mut table = Table::new(["share of the way", "gain of ln p", "position rms", ""]);
+    let rows = SHARES.iter().zip(&choice.gains).zip(&choice.position_rms_m);
+    for (i, ((share, gain), rms_m)) in rows.enumerate() {
+        table.push([
+            format!("{share:.3}"),
+            format!("{gain:+.1}"),
+            millimetres(*rms_m),
+            if i == choice.index { "<-" } else { "" }.to_owned(),
+        ]);
+    }
+    format!(
+        "of parts of the runs that the search did not see (standard error of the largest gain: {:.1})\n{}",
+        choice.standard_error,
+        table.render()
+    )
+}
+
+/// Which numbers are kept, and why.
+pub(super) fn kept(tuned: &Tuned) -> String {
+    let share = tuned.choice.share();
+    let start = "the numbers to start from, because";
+    match tuned.kept {
+        Kept::Tuned => format!(
+            "the tuned numbers, {share:.3} of the way to the maximum{}",
+            match tuned.choice.reason {
+                Reason::Likelihood => "",
+                Reason::Position =>
+                    ": beyond that, positions that were not shown are missed by more than at the start",
+                Reason::NoFolds => "; the runs are too short to ask what the search did not see",
+            }
+        ),
+        Kept::StartByFolds(Reason::Position) => format!(
+            "{start} tuned ones miss positions by more, on parts of the runs that the search did not see"
+        ),
+        Kept::StartByFolds(_) => format!(
+            "{start} the gain of tuned ones is not beyond chance, on parts of the runs that the search did not see"
+        ),
+        Kept::StartByHeldOut(loss) => format!(
+            "{start} the runs that were held out are {} by the tuned ones, {share:.3} of the way",
+            match loss {
+                Loss::Likelihood => "explained less well",
+                Loss::Position => "missed by more",
+                Loss::Both => "explained less well and missed by more",
+            }
+        ),
+    }
 }
 
 /// Columns of what is compared.
@@ -71,7 +131,14 @@ fn columns(tuned: &Tuned) -> Vec<(&'static str, &[RunScore])> {
         .into_iter()
         .chain([
             ("before", tuned.before.as_slice()),
-            ("after", tuned.after.as_slice()),
+            (
+                if tuned.kept == Kept::Tuned {
+                    "after"
+                } else {
+                    "tuned, not kept"
+                },
+                tuned.proposed.as_slice(),
+            ),
         ])
         .collect()
 }
@@ -139,8 +206,8 @@ fn sources(tuned: &Tuned) -> String {
 }
 
 fn by_run(tuned: &Tuned) -> String {
-    let mut table = Table::new(["run", "ln p before", "after", "gain", "rms before", "after"]);
-    for (before, after) in tuned.before.iter().zip(&tuned.after) {
+    let mut table = Table::new(["run", "ln p before", "tuned", "gain", "rms before", "tuned"]);
+    for (before, after) in tuned.before.iter().zip(&tuned.proposed) {
         let (was, is) = (before.fit.log_likelihood(), after.fit.log_likelihood());
         table.push([
             before.name.clone(),
@@ -154,7 +221,7 @@ fn by_run(tuned: &Tuned) -> String {
     table.render()
 }
 
-fn joined(scores: &[&RunScore]) -> RunFit {
+pub(super) fn joined(scores: &[&RunScore]) -> RunFit {
     let mut all = RunFit::default();
     for score in scores {
         all.absorb(&score.fit);
@@ -173,11 +240,11 @@ fn live_tallies(scores: &[&RunScore]) -> Vec<SourceTally> {
     all
 }
 
-fn each(fit: &RunFit) -> Option<f64> {
+pub(super) fn each(fit: &RunFit) -> Option<f64> {
     (fit.components() > 0).then(|| fit.log_likelihood() / fit.components() as f64)
 }
 
-fn rms_m(scores: &[&RunScore]) -> Option<f64> {
+pub(super) fn rms_m(scores: &[&RunScore]) -> Option<f64> {
     let of_runs: Vec<f64> = scores
         .iter()
         .filter_map(|score| score.position_rms_m)
@@ -200,8 +267,8 @@ pub(super) fn page(tuned: &Tuned, tables: &str) -> Page {
         title: "Noise parameters by the likelihood of the innovations".to_owned(),
         parts: vec![
             Part::Text(
-                "The better noise is the one under which what came was more probable, each time before it was used. Runs that are held out \
-                 were not seen by the search."
+                "The better noise is the one under which what came was more probable, each time before it was used. How far to go towards them is decided by parts \
+                 of the runs that the search did not see. Runs that are held out were not seen at all."
                     .to_owned(),
             ),
             Part::Lines(tables.to_owned()),
@@ -261,7 +328,12 @@ pub(super) fn json(tuned: &Tuned) -> Value {
         .iter()
         .zip(&tuned.values)
         .zip(&tuned.found.sigma)
-        .map(|((key, (before, after)), sigma)| json!({"key": key.name(), "before": before, "after": after, "sigma_ln": sigma}))
+        .map(|((key, values), sigma)| {
+            json!({
+                "key": key.name(), "before": values.before, "at_maximum": values.at_maximum, "proposed": values.proposed,
+                "after": values.after, "sigma_ln": sigma,
+            })
+        })
         .collect();
     let runs = |scores: &[RunScore]| -> Vec<Value> {
         scores
@@ -286,8 +358,18 @@ pub(super) fn json(tuned: &Tuned) -> Value {
         "log_likelihood": {"before": tuned.found.start_value, "after": tuned.found.value},
         "settled": tuned.found.ending == Ending::Settled,
         "rounds": tuned.found.rounds.len(),
+        "kept": kept(tuned),
+        "is_tuned": tuned.kept == Kept::Tuned,
+        "share": tuned.choice.share(),
+        "unseen": {
+            "shares": SHARES,
+            "gains": tuned.choice.gains,
+            "standard_error": tuned.choice.standard_error,
+            "position_rms_m": tuned.choice.position_rms_m,
+        },
         "as_given": tuned.as_given.as_deref().map(runs),
         "before": runs(&tuned.before),
-        "after": runs(&tuned.after),
+        "proposed": runs(&tuned.proposed),
+        "after": runs(tuned.after()),
     })
 }

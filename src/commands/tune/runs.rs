@@ -3,10 +3,12 @@
 use std::path::Path;
 
 use anyhow::{Result, ensure};
-use posebridge_analysis::SourceTally;
 use posebridge_analysis::accuracy::{KnownDrive, score};
 use posebridge_analysis::metrics::{count_in, summarise};
-use posebridge_analysis::tuning::{Glimpses, RunFit, fit_run, fixes_from_truth, offline_params};
+use posebridge_analysis::tuning::{
+    Blocks, Glimpses, RunFit, Squares, fit_in_blocks, fit_run, fixes_from_truth, offline_params,
+};
+use posebridge_analysis::{PoseError, SourceTally, TimedPose};
 use posebridge_estimator::{Filter, FilterConfig, FilterEntry};
 use posebridge_recording::dataset::Run;
 use posebridge_sim::montecarlo::Drive;
@@ -255,6 +257,51 @@ impl TuneRun {
         fit_run(&self.observations, (entry.build)(&config).as_mut())
     }
 
+    /// The same, each block of time by itself.
+    pub(super) fn fit_in_blocks(
+        &self,
+        entry: &FilterEntry,
+        mut config: FilterConfig,
+        blocks: &Blocks,
+    ) -> Vec<RunFit> {
+        config.params = offline_params(config.params);
+        fit_in_blocks(&self.observations, (entry.build)(&config).as_mut(), blocks)
+    }
+
+    /// The squared position errors of the filter as it runs live, each block of time by itself; empty sums where nothing is known
+    /// of where the robot was.
+    pub(super) fn squares_in_blocks(
+        &self,
+        entry: &FilterEntry,
+        config: &FilterConfig,
+        blocks: &Blocks,
+    ) -> Vec<Squares> {
+        let mut live = (entry.build)(config);
+        let mut squares = vec![Squares::default(); blocks.count()];
+        let mut add = |stamp, error: &PoseError| {
+            if let Some(squares) = squares.get_mut(blocks.index(stamp)) {
+                squares.add(error.position_m());
+            }
+        };
+        match &self.yardstick {
+            Yardstick::Drawn(known) => {
+                score_steps(known, live.as_mut(), |truth, error| add(truth.stamp, error));
+            }
+            Yardstick::Recorded(run) => {
+                let mut scorer = Scorer::new(run, &config.calibration);
+                for observation in &self.observations {
+                    live.observe(observation);
+                    let told = scorer.errors.len();
+                    scorer.observed(&observation.observed, observation.stamp, &Believed(&*live));
+                    for error in scorer.errors.iter().skip(told) {
+                        add(observation.stamp, error);
+                    }
+                }
+            }
+        }
+        squares
+    }
+
     /// The likelihood as the search sees it, and the error of the filter as it runs live.
     pub(super) fn score(&self, entry: &FilterEntry, config: FilterConfig) -> RunScore {
         let mut live = (entry.build)(&config);
@@ -288,6 +335,26 @@ impl TuneRun {
         }
         scorer.finish(&Believed(&*live));
         (summarise(&scorer.errors).position_rms_m, sources)
+    }
+}
+
+/// Gives a drive to a filter as it arrives, and hands over its error at the end of each step that counts.
+fn score_steps(
+    drive: &KnownDrive,
+    filter: &mut dyn Filter,
+    mut error: impl FnMut(&TimedPose, &PoseError),
+) {
+    let mut arrivals = drive.arrivals.iter().peekable();
+    for (step, truth) in drive.truth.iter().enumerate() {
+        while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
+            filter.observe(&arrival.observation);
+        }
+        let estimate = filter.estimate_at(truth.stamp);
+        if let Some(estimate) =
+            estimate.filter(|estimate| step >= drive.scored_from && estimate.validity.position)
+        {
+            error(truth, &PoseError::of_estimate(&estimate, truth.pose));
+        }
     }
 }
 

@@ -3,6 +3,8 @@
 use posebridge_estimator::{Filter, Params};
 use posebridge_telemetry::{FusionRecord, Observation, SensorId};
 
+use super::folds::Blocks;
+
 /// Share of observations that are taken for outliers: a good camera's mismatches (about 1 % in the sets of docs/recordings.md).
 const OUTLIER_SHARE: f64 = 0.01;
 /// By so much wider are they; Huber's contamination with a spread that a gate at 99.9 % refuses.
@@ -147,6 +149,23 @@ impl RunFit {
     fn source_mut(&mut self, sensor: SensorId) -> Option<&mut SourceFit> {
         self.sources.iter_mut().find(|fit| fit.sensor == sensor)
     }
+}
+
+/// Gives a run to a filter, in the order of arrival, and judges each block of time by itself: one entry per block. The filter runs
+/// through.
+pub fn fit_in_blocks(
+    observations: &[Observation],
+    filter: &mut dyn Filter,
+    blocks: &Blocks,
+) -> Vec<RunFit> {
+    let mut fits = vec![RunFit::default(); blocks.count()];
+    for observation in observations {
+        let record = filter.observe(observation);
+        if let Some(fit) = fits.get_mut(blocks.index(record.stamp)) {
+            fit.add(&record);
+        }
+    }
+    fits
 }
 
 /// Gives a run to a filter, in the order of arrival.

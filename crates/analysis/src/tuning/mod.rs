@@ -18,19 +18,26 @@
 //! Equation (2) is the normal density with one observation in a hundred taken for an outlier ten times as wide: refused observations
 //! count, so that nothing is gained by refusing them, and a few gross ones do not decide.
 //!
+//! How far to go from the start towards x^ is then decided by data that the search did not see: the module `folds` has the equations.
+//!
 //! # Source
 //! (1): F. C. Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inform. Theory 11(1), 1965.
 //! (2): P. J. Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35(1), 1964.
 //! (3): R. Hooke, T. A. Jeeves, "Direct search" solution of numerical and statistical problems, J. ACM 8(2), 1961.
 
+mod folds;
 mod keys;
 mod likelihood;
 mod search;
 mod synthetic;
 
+pub use folds::{
+    Blocks, Choice, FoldScore, Loss, Reason, SHARES, Squares, Worth, blocks_per_run, choose,
+    folds_of,
+};
 pub use keys::{NOISE_KEYS, NoiseKey, TunedKey, UnknownKey, usual_keys};
 pub use likelihood::{
-    PRIOR_SIGMA, RunFit, SourceFit, fit_run, joint_rms, ln_prior, offline_params,
+    PRIOR_SIGMA, RunFit, SourceFit, fit_in_blocks, fit_run, joint_rms, ln_prior, offline_params,
 };
 pub use search::{Ending, Found, Round, Search, maximise};
 pub use synthetic::{Glimpses, fixes_from_truth};

@@ -1,5 +1,6 @@
 //! How the rounds of the square are told.
 
+use posebridge_analysis::ends::Paired;
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape, plot};
 use posebridge_analysis::report::page::{Page, Part};
 use posebridge_analysis::report::{NO_VALUE, Table};
@@ -10,7 +11,7 @@ use super::rounds::{Found, PAPER_END_M, RowFound, Sensors};
 use crate::commands::lab::outcome::Outcome;
 use crate::commands::lab::recorded::RobotDrives;
 
-const HEADER: [&str; 9] = [
+const HEADER: [&str; 10] = [
     "filter",
     "sensors",
     "rms x/y m",
@@ -19,6 +20,7 @@ const HEADER: [&str; 9] = [
     "within x/y/both",
     "nearer than wheels",
     "than feed-forward",
+    "better by x/y cm2",
     "NEES/3",
 ];
 
@@ -73,7 +75,7 @@ pub(super) fn outcome(told: &Told, found: &Found) -> Outcome {
         100.0 * PAPER_END_M.0,
         100.0 * PAPER_END_M.1
     );
-    let rows: Vec<[String; 9]> = found.rows.iter().map(cells).collect();
+    let rows: Vec<[String; 10]> = found.rows.iter().map(cells).collect();
     let mut table = Table::new(HEADER);
     for row in &rows {
         table.push(row.clone());
@@ -105,7 +107,7 @@ pub(super) fn outcome(told: &Told, found: &Found) -> Outcome {
     }
 }
 
-fn cells(found: &RowFound) -> [String; 9] {
+fn cells(found: &RowFound) -> [String; 10] {
     let sum = &found.summary;
     let pair = |(x, y): (f64, f64)| format!("{x:.3} / {y:.3}");
     let is_fused = found.row.sensors != Sensors::Wheels;
@@ -119,9 +121,22 @@ fn cells(found: &RowFound) -> [String; 9] {
         format!("{} / {} / {}", sum.within.0, sum.within.1, sum.within.2),
         count(is_fused.then_some(found.nearer_than_wheels)),
         count(found.nearer_than_twin),
+        found
+            .gain_on_twin
+            .map_or_else(|| NO_VALUE.to_owned(), |gain| gain_cm2(&gain)),
         sum.anees
             .map_or_else(|| NO_VALUE.to_owned(), |anees| format!("{anees:.2}")),
     ]
+}
+
+/// Means of squares and their standard deviations.
+fn gain_cm2(gain: &Paired) -> String {
+    let of = |mean_m2: f64, sigma_m2: f64| format!("{:+.1}±{:.1}", 1e4 * mean_m2, 1e4 * sigma_m2);
+    format!(
+        "{} / {}",
+        of(gain.mean_m2.0, gain.sigma_m2.0),
+        of(gain.mean_m2.1, gain.sigma_m2.1)
+    )
 }
 
 fn object(found: &RowFound) -> Value {
@@ -140,6 +155,9 @@ fn object(found: &RowFound) -> Value {
         "within_both": sum.within.2,
         "nearer_than_wheels": found.nearer_than_wheels,
         "nearer_than_feed_forward": found.nearer_than_twin,
+        "better_than_feed_forward_m2": found.gain_on_twin.map(|gain| json!({
+            "x": gain.mean_m2.0, "x_sigma": gain.sigma_m2.0, "y": gain.mean_m2.1, "y_sigma": gain.sigma_m2.1,
+        })),
         "anees": sum.anees,
         "ends_m": found.ends.iter().map(|end| end.map(|end| [end.dx_m, end.dy_m])).collect::<Vec<_>>(),
     })

@@ -1,6 +1,8 @@
 //! Rounds of the square by every row, on all cores.
 
-use posebridge_analysis::ends::{Course, EndSummary, nearer, run_course, summarise_ends};
+use posebridge_analysis::ends::{
+    Course, EndSummary, Paired, nearer, paired, run_course, summarise_ends,
+};
 use posebridge_analysis::metrics::PoseError;
 use posebridge_estimator::filter_named;
 use posebridge_sim::frame_accelerometers::FrameAccelerometers;
@@ -82,6 +84,8 @@ pub(super) struct RowFound {
     pub(super) nearer_than_wheels: usize,
     /// Rounds in which it ends nearer than the other way to feed back, from the same sensors.
     pub(super) nearer_than_twin: Option<usize>,
+    /// By how much its squared errors are smaller than those of the other way.
+    pub(super) gain_on_twin: Option<Paired>,
     /// The way of the first round.
     pub(super) way_m: Vec<(f64, f64)>,
 }
@@ -120,14 +124,21 @@ pub(super) fn found_of(wanted: &[Row], rounds: &[Vec<Course>], truth_m: Vec<(f64
             row,
             summary: summarise_ends(&ends, PAPER_END_M),
             nearer_than_wheels: of(&rows, &|other| other.sensors == Sensors::Wheels).unwrap_or(0),
-            nearer_than_twin: of(&rows, &|other| {
-                other.sensors == row.sensors && other.filter != row.filter
-            }),
+            nearer_than_twin: of(&rows, &|other| is_twin(other, row)),
+            gain_on_twin: rows
+                .iter()
+                .find(|found| is_twin(&found.row, row))
+                .and_then(|twin| paired(&ends, &twin.ends)),
             way_m: first.map_or_else(Vec::new, |course| course.way_m.clone()),
             ends,
         });
     }
     Found { rows, truth_m }
+}
+
+/// Whether another row sees the same sensors by the other filter.
+fn is_twin(other: &Row, row: Row) -> bool {
+    other.sensors == row.sensors && other.filter != row.filter
 }
 
 /// Run `run` of the scenario, with its accelerometers on the frame.
