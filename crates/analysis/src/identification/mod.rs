@@ -8,7 +8,8 @@
 //! |---|---|
 //! | where in a recording the step is | [`onset`] |
 //! | the response as a sum of exponentials | [`step_response`] |
-//! | weighted least squares for its parameters, with a prior | [`fit`], [`prior`] |
+//! | least squares for its parameters, with a prior | [`fit`], [`prior`] |
+//! | noise, and errors of the model that hold for a while | [`model_error`] |
 //! | gain, delay, lags, their sigmas and the order of one run | [`step`](mod@step) |
 //! | several runs of one kind: what to expect of the next | [`kind`] |
 //! | the final value with bounds, from sample to sample | [`prediction`] |
@@ -39,6 +40,7 @@ pub mod fit;
 pub mod kind;
 pub mod known;
 pub mod lesson;
+pub mod model_error;
 pub mod onset;
 pub mod prediction;
 pub mod prior;
