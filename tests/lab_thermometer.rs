@@ -83,18 +83,19 @@ fn write_recording(folder: &Path) -> PathBuf {
         write(name, &sensor, 3.0 + index as f64);
     }
     write("idle", &SimulatedSensor::first_order(5.0, 0.05, 0.5), 20.0);
-    write_descriptor(folder, r#""one", "two", "three", "idle""#, 0.05)
+    write_descriptor(folder, &["one", "two", "three", "idle"], 0.05)
 }
 
 /// Of runs that are each a file of seconds and degrees, with this noise.
-fn write_descriptor(folder: &Path, runs: &str, sigma_k: f64) -> PathBuf {
+fn write_descriptor(folder: &Path, runs: &[&str], sigma_k: f64) -> PathBuf {
+    let first = runs[0];
     let descriptor = folder.join("thermometers.toml");
     let text = format!(
         r#"
 name = "thermometers"
 source = "this test"
 licence = "none needed"
-default_run = "one"
+default_run = "{first}"
 [robot]
 name = "bench"
 left_wheel_radius_m = 0.03
@@ -105,7 +106,7 @@ ticks_per_turn = 360.0
 temperature_k = {sigma_k}
 [[runs]]
 name = "{{each}}"
-each = [{runs}]
+each = {runs:?}
 [files.log]
 path = "{{each}}.csv"
 header_lines = 1
@@ -293,7 +294,7 @@ fn a_real_probe_that_cools_is_known_within_two_seconds_if_cooling_was_identified
         let text = "t_s,celsius\n".to_owned() + &rows.collect::<String>();
         std::fs::write(folder.path().join(format!("{name}.csv")), text).unwrap();
     }
-    let descriptor = write_descriptor(folder.path(), r#""even", "odd""#, 1.2);
+    let descriptor = write_descriptor(folder.path(), &["even", "odd"], 1.2);
     let args = ["--same-sensor", "--recording", descriptor.to_str().unwrap()];
     let object = json(folder.path(), &args);
     for name in ["even", "odd"] {
