@@ -40,7 +40,7 @@ fn the_simulated_lesson_leaves_a_page_with_pictures_and_the_same_numbers_each_ti
     let two = number(&object, "worked_example", "two_samples_known_q").unwrap();
     assert_eq!(format!("{two:.6}"), "3.000000");
     assert!(number(&object, "three_ways", "kalman_difference").unwrap() < 1e-9);
-    assert_eq!(object["sections"].as_object().unwrap().len(), 12);
+    assert_eq!(object["sections"].as_object().unwrap().len(), 13);
     assert_eq!(json(folder.path(), &few), object);
     let made = folder.path().join("made/here");
     let page = std::fs::read_to_string(made.join("lab-thermometer.html")).unwrap();
@@ -83,12 +83,19 @@ fn write_recording(folder: &Path) -> PathBuf {
         write(name, &sensor, 3.0 + index as f64);
     }
     write("idle", &SimulatedSensor::first_order(5.0, 0.05, 0.5), 20.0);
-    let descriptor = folder.join("simulated.toml");
-    let text = r#"
-name = "simulated"
+    write_descriptor(folder, &["one", "two", "three", "idle"], 0.05)
+}
+
+/// Of runs that are each a file of seconds and degrees, with this noise.
+fn write_descriptor(folder: &Path, runs: &[&str], sigma_k: f64) -> PathBuf {
+    let first = runs[0];
+    let descriptor = folder.join("thermometers.toml");
+    let text = format!(
+        r#"
+name = "thermometers"
 source = "this test"
 licence = "none needed"
-default_run = "one"
+default_run = "{first}"
 [robot]
 name = "bench"
 left_wheel_radius_m = 0.03
@@ -96,18 +103,19 @@ right_wheel_radius_m = 0.03
 track_width_m = 0.1
 ticks_per_turn = 360.0
 [robot.noise]
-temperature_k = 0.05
+temperature_k = {sigma_k}
 [[runs]]
-name = "{each}"
-each = ["one", "two", "three", "idle"]
+name = "{{each}}"
+each = {runs:?}
 [files.log]
-path = "{each}.csv"
+path = "{{each}}.csv"
 header_lines = 1
-time = { column = "t_s" }
+time = {{ column = "t_s" }}
 [[temperature]]
 file = "log"
 temperature = "celsius"
-"#;
+"#
+    );
     std::fs::write(&descriptor, text).unwrap();
     descriptor
 }
@@ -245,6 +253,59 @@ fn a_real_probe_is_known_within_a_second_of_heating() {
             &format!("{judged}.predicted_5_percent_s"),
         );
         assert!(settled_s.unwrap() <= 1.0, "{judged}: {settled_s:?}");
+    }
+}
+
+/// By default, as one of a kind and with the cooling run among the others.
+#[test]
+fn a_real_probe_of_a_kind_is_known_within_a_second_of_heating() {
+    let heating = ["heating-20-56", "heating-21-76"];
+    let Some(object) = on_recording(
+        "rtd-step.toml",
+        &[&["--predict"][..], &heating[..]].concat(),
+    ) else {
+        return;
+    };
+    for judged in heating {
+        check_faster(&object, judged, &["10", "5"]);
+        let settled = format!("{judged}.predicted_5_percent_s");
+        let settled_s = number(&object, "predicted", &settled).unwrap();
+        assert!(settled_s <= 1.0, "{judged}: {settled_s}");
+    }
+}
+
+/// What one run of cooling is worth. There is but one, so that every second sample of it stands in for another run: the same dynamics,
+/// other noise.
+#[test]
+fn a_real_probe_that_cools_is_known_within_two_seconds_if_cooling_was_identified() {
+    let Some(data) = std::env::var_os("POSEBRIDGE_DATA") else {
+        println!("POSEBRIDGE_DATA is not set: the cooling run was not looked at");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let log = std::fs::read_to_string(Path::new(&data).join("rtd-step/rtd_log8.csv")).unwrap();
+    for (first, name) in ["even", "odd"].into_iter().enumerate() {
+        let rows = log.lines().skip(1 + first).step_by(2).map(|row| {
+            let (at_s, volts) = row.split_once(',').unwrap();
+            // The line of config/recordings/rtd-step.toml.
+            let celsius = 3077.120671 * volts.parse::<f64>().unwrap() + 114.844118;
+            format!("{at_s},{celsius}\n")
+        });
+        let text = "t_s,celsius\n".to_owned() + &rows.collect::<String>();
+        std::fs::write(folder.path().join(format!("{name}.csv")), text).unwrap();
+    }
+    let descriptor = write_descriptor(folder.path(), &["even", "odd"], 1.2);
+    let args = ["--same-sensor", "--recording", descriptor.to_str().unwrap()];
+    let object = json(folder.path(), &args);
+    for name in ["even", "odd"] {
+        check_faster(&object, name, &["10", "5", "2"]);
+        let settled_s = number(
+            &object,
+            "predicted",
+            &format!("{name}.predicted_5_percent_s"),
+        );
+        assert!(settled_s.unwrap() <= 2.0, "{name}: {settled_s:?}");
+        assert!(number(&object, "predicted", &format!("{name}.inside")).unwrap() > 0.9);
     }
 }
 

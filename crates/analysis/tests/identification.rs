@@ -283,6 +283,37 @@ fn a_kind_learns_from_its_runs_how_much_they_differ() {
     assert!(Kind::of(&[], Likeness::SameKind).is_err());
 }
 
+/// A step the other way is expected to stretch all lags alike, which leaves less room than if each went its own way.
+#[test]
+fn the_other_way_all_lags_share_one_scale() {
+    let run = identified(&dipped(&[(3.0, 0.35), (15.0, 0.65)], 1, (20.0, 4.0)));
+    let kind = Kind::of_order(&[run], 2, Likeness::SameKind).unwrap();
+    let [own, other] = [Way::Down, Way::Up].map(|way| kind.expectation(way).unwrap().dynamics);
+    // By hand: root of 0.005 for the slow lag, and with the scale of 0.2 root of 0.045.
+    assert!((own.slowest().sigma - 0.0707).abs() < 0.003);
+    assert!((other.slowest().sigma - 0.2121).abs() < 0.003);
+    // 1 + 0.04 (1 / 0.005 + 1 / 0.005) = 17 times the determinant; two scales apart would have 81 times.
+    let wider = 2.0 * (other.ln_room() - own.ln_room());
+    assert!((wider - 17.0_f64.ln()).abs() < 0.15, "{wider}");
+}
+
+/// A run that shows no fault of its model is still no proof that the next one will show none.
+#[test]
+fn within_a_kind_no_model_is_without_fault() {
+    let run = identified(&dipped(&[(3.0, 0.35), (15.0, 0.65)], 1, (20.0, 4.0)));
+    assert_eq!(run.chosen().model_share, 0.0);
+    let expected = |likeness| {
+        let kind = Kind::of_order(std::slice::from_ref(&run), 2, likeness).unwrap();
+        kind.expectation(Way::Down).unwrap()
+    };
+    let kind = expected(Likeness::SameKind);
+    assert!((kind.model_share - 0.04 * 0.75_f64.sqrt()).abs() < 1e-12);
+    // The mean lag: 0.35 of 3 s and 0.65 of 15 s.
+    assert!((kind.held_s - 10.8).abs() < 0.2, "{}", kind.held_s);
+    let same = expected(Likeness::SameDynamics);
+    assert_eq!((same.model_share, same.held_s), (0.0, 0.0));
+}
+
 /// Sensors of one kind that differ from each other: each is predicted by the others, faster than it shows, and its bound holds.
 #[test]
 fn sensors_of_a_kind_predict_each_other() {

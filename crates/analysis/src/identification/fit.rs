@@ -6,15 +6,18 @@
 //! # Model
 //! ```text
 //! p = [y_0, D, t_0, ln tau_1 .. ln tau_n, s_1 .. s_(n-1)]        s_n = 1 - the others
-//! minimise   sum over k of (y_k - y(t_k; p))^2 / (2 R_k)  +  (t_0 - m_t)^2 / (2 q_t^2)  +  rho(d)  +  (y_0 + D - u)^2 / (2 q_u^2)   (3)
-//! R_k = sigma^2 + c (delta D r(t_k - t_0))^2                                                                            (4)
+//! minimise   sum over k of nu_k^2 / (2 S_k)  +  (t_0 - m_t)^2 / (2 q_t^2)  +  rho(d)  +  (y_0 + D - u)^2 / (2 q_u^2)    (3)
+//! y_k - y(t_k; p) = n_k + D r(t_k - t_0) g_k                                                                            (4)
+//!     n white, sigma        g(t_0) = 0, dg = -g/T dt + white: within delta of 0, where an error holds for T
+//!     nu_k, S_k: what a Kalman filter of the one state g makes of the errors (4), with their variances
 //! rho(d) = a/2 ln(1 + d' S^-1 d / a)     d = [ln tau, s] - m     a = nu + rows of d       d' S^-1 d / 2 for nu = infinity   (5)
-//! P = (sum of J' J / R + weights of the prior)^-1            var u = P_00 + 2 P_01 + P_11                               (6)
+//! P = (sum of J' J / S + weights of the prior)^-1            var u = P_00 + 2 P_01 + P_11                               (6)
 //! ```
-//! (4) says what a model is worth: it errs by a share delta of what is left of the transient, in errors that hold for c samples.
-//! What the sensor shows once it has settled therefore counts in full, and what it showed on its way counts as far as the model can
-//! be trusted. (5) is Student's t, scaled so that its peak is as sharp as the Gaussian's: what is far from what was expected is
-//! unlikely, but not impossible. The last term of (3) is there where the end of the step is known.
+//! (4) says what a model is worth: it errs by a share delta of what is left of the transient, not at once, and in errors that hold for
+//! a time T. Many samples within T therefore say no more about the end than a few, while what is faster than T is seen in full, and so
+//! is what the sensor shows once it has settled. [`super::model_error`] has the filter; the columns of J go through it as the errors do.
+//! (5) is Student's t, scaled so that its peak is as sharp as the Gaussian's: what is far from what was expected is unlikely, but not
+//! impossible. The last term of (3) is there where the end of the step is known.
 //!
 //! # Assumptions
 //! The sensor rested before the step. Errors are Gaussian around the best fit (Laplace's approximation).
@@ -24,36 +27,12 @@
 
 use nalgebra::{DMatrix, DVector};
 
+pub use super::model_error::Noise;
+
 use super::Sample;
+use super::model_error::{Columns, Whitened, ln_spread, whitened};
 use super::prior::{MAX_ORDER, Prior, response_of, row};
 use super::step_response::StepResponse;
-
-/// How far samples may lie from the model, equation (4).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
-    /// sigma, white noise of a sample in the sensor's unit; positive.
-    pub sigma: f64,
-    /// delta, by which share of what is left of the transient the model errs.
-    pub model_share: f64,
-    /// c, over how many samples such an error holds, at least 1.
-    pub held_samples: f64,
-}
-
-impl Noise {
-    /// White noise and a model without fault.
-    #[must_use]
-    pub const fn white(sigma: f64) -> Self {
-        Self {
-            sigma,
-            model_share: 0.0,
-            held_samples: 1.0,
-        }
-    }
-
-    fn variance(&self, left: f64) -> f64 {
-        self.sigma * self.sigma + self.held_samples * (self.model_share * left).powi(2)
-    }
-}
 
 /// A response with what is known about it.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,7 +41,7 @@ pub struct Fit {
     pub response: StepResponse,
     /// P of equation (6), in the order of p.
     pub covariance: DMatrix<f64>,
-    /// The value of (3) there.
+    /// The value of (3) there, and half the sum of ln (S / sigma^2): minus the logarithm of how likely the samples are.
     pub cost: f64,
 }
 
@@ -123,18 +102,18 @@ pub fn fit(samples: &[Sample], noise: &Noise, prior: &Prior, guess: &StepRespons
     }
     let mut at = parameters_of(guess);
     let mut found = None;
-    // What is left of the transient, and with it R, follows from the response before.
+    // What is left of the transient, and with it S, follows from the response before.
     for _ in 0..REWEIGHTINGS {
-        let left = left_of(samples, &response_from(&at, order));
+        let whitened = whitened(samples, &response_from(&at, order), noise);
         let problem = Problem {
             samples,
-            left: &left,
+            whitened: &whitened,
             noise,
             prior,
         };
         let (better, normal, cost) = problem.descend(at)?;
         at = better;
-        found = Some((normal, cost));
+        found = Some((normal, cost + 0.5 * ln_spread(&whitened)));
     }
     let (normal, cost) = found?;
     Some(Fit {
@@ -144,7 +123,7 @@ pub fn fit(samples: &[Sample], noise: &Noise, prior: &Prior, guess: &StepRespons
     })
 }
 
-/// How often R is computed anew.
+/// How often S is computed anew.
 const REWEIGHTINGS: usize = 2;
 /// Steps of one descent; far more than a descent that goes well takes.
 const STEPS: usize = 60;
@@ -160,8 +139,8 @@ const LN_LAG_LIMIT: f64 = 30.0;
 
 struct Problem<'a> {
     samples: &'a [Sample],
-    /// D r(t_k) of each sample.
-    left: &'a [f64],
+    /// The filter of (4) at each sample.
+    whitened: &'a [Whitened],
     noise: &'a Noise,
     prior: &'a Prior,
 }
@@ -206,15 +185,16 @@ impl Problem<'_> {
         ln_lags.iter().all(|ln_lag| ln_lag.abs() < LN_LAG_LIMIT)
     }
 
-    /// Sum of J'J/R, of J'e/R, and the cost (3).
+    /// Sum of J'J/S, of J'nu/S, and the cost (3).
     fn normal_equations(&self, at: &DVector<f64>) -> (DMatrix<f64>, DVector<f64>, f64) {
         let count = self.prior.parameters();
         let mut sums = Sums::default();
         let constants = Constants::of(at, self.prior.dynamics.order());
-        for (sample, left) in self.samples.iter().zip(self.left) {
-            let weight = 1.0 / self.noise.variance(*left);
+        let mut columns = Columns::new();
+        for (sample, white) in self.samples.iter().zip(self.whitened) {
             let (value, by) = constants.value_and_slopes(sample.at_s);
-            sums.add(count, &by, sample.value - value, weight);
+            let (error, by) = columns.innovations(white, sample.value - value, by);
+            sums.add(count, &by, error, white.weight);
         }
         if let Some(end) = self.prior.end {
             let mut by = [0.0; MAX_PARAMETERS];
@@ -352,18 +332,6 @@ pub(super) fn value_and_slopes(
     let order = response.lags.len();
     let is_possible = (1..=MAX_ORDER).contains(&order);
     is_possible.then(|| Constants::of(&parameters_of(response), order).value_and_slopes(at_s))
-}
-
-fn left_of(samples: &[Sample], response: &StepResponse) -> Vec<f64> {
-    let of = |sample: &Sample| {
-        let since_s = sample.at_s - response.onset_s;
-        // Before the onset there is no transient of which a model could be wrong.
-        if since_s <= 0.0 {
-            return 0.0;
-        }
-        response.step * response.remaining(since_s)
-    };
-    samples.iter().map(of).collect()
 }
 
 fn parameters_of(response: &StepResponse) -> DVector<f64> {

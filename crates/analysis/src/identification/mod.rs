@@ -8,7 +8,8 @@
 //! |---|---|
 //! | where in a recording the step is | [`onset`] |
 //! | the response as a sum of exponentials | [`step_response`] |
-//! | weighted least squares for its parameters, with a prior | [`fit`], [`prior`] |
+//! | least squares for its parameters, with a prior | [`fit`], [`prior`] |
+//! | noise, and errors of the model that hold for a while | [`model_error`] |
 //! | gain, delay, lags, their sigmas and the order of one run | [`step`](mod@step) |
 //! | what an observation stream says of one sensor, and its noise | [`channel`], [`noise`] |
 //! | sigmas that hold where errors of neighbours are alike | [`spread`] |
@@ -43,6 +44,7 @@ pub mod fit;
 pub mod kind;
 pub mod known;
 pub mod lesson;
+pub mod model_error;
 pub mod noise;
 pub mod onset;
 pub mod prediction;

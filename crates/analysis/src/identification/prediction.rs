@@ -7,8 +7,8 @@
 //! Equations (3) to (6) of [`super::fit`], over all samples so far. The bound is u plus and minus 1.96 of its sigma, which holds the
 //! noise, the lags, and the faults of the model.
 //!
-//! At rest, before a step is seen, the reading is the quantity. Long after it, R is that of the noise alone for the latest samples and
-//! larger for the earlier ones, so that the reading is the quantity again: nothing switches.
+//! At rest, before a step is seen, the reading is the quantity. Long after it nothing is left of which the model could be wrong, so that
+//! the reading is the quantity again: nothing switches.
 
 use super::fit::{Fit, Noise, fit};
 use super::kind::{Expectation, Kind, Way};
@@ -134,9 +134,7 @@ fn at_rest(so_far: &[Sample], sigma: f64) -> Option<Prediction> {
 /// A step that is under way: a bank of models, one for each of several values of the slowest lag.
 struct Running {
     noise: Noise,
-    held_s: f64,
     sigma_factor: f64,
-    onset_s: f64,
     members: Vec<Member>,
 }
 
@@ -181,11 +179,9 @@ impl Running {
             noise: Noise {
                 sigma,
                 model_share: expectation.model_share,
-                held_samples: 1.0,
+                held_s: expectation.held_s,
             },
-            held_s: expectation.held_s,
             sigma_factor: expectation.sigma_factor,
-            onset_s: detected.onset_s,
             members: members.collect(),
         })
     }
@@ -193,9 +189,6 @@ impl Running {
     /// Fits all samples so far by each member, and weighs them by how likely they make the samples.
     fn prediction(&mut self, so_far: &[Sample]) -> Option<Prediction> {
         let latest = so_far.last()?;
-        let since = so_far.iter().filter(|sample| sample.at_s > self.onset_s);
-        let distance_s = (latest.at_s - self.onset_s) / since.count().max(1) as f64;
-        self.noise.held_samples = (self.held_s / distance_s).clamp(1.0, MOST_HELD);
         let fits: Vec<(f64, Fit)> = self
             .members
             .iter_mut()
@@ -270,16 +263,14 @@ const ONE_NODE_BELOW: f64 = 1e-3;
 
 /// A first guess takes no less than this share of the step for gone.
 const LEAST_GONE: f64 = 0.02;
-/// Errors that hold longer than so many samples are counted as if they did not.
-const MOST_HELD: f64 = 1e4;
 
 /// What predictions of a run were worth, from the onset until the sensor itself was within 2 % of the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judged {
     /// How far they were off, as a mean share of the step over time, none counted beyond one.
     pub mean_miss: f64,
-    /// How far they were off, root mean square in their own sigmas.
-    pub rms_sigmas: f64,
+    /// How many of their own sigmas hold [`BOUND_RATE`] of them, as a multiple of [`BOUND_SIGMAS`]; 1 for bounds that hold at their rate.
+    pub bound_factor: f64,
 }
 
 impl Default for Judged {
@@ -287,7 +278,7 @@ impl Default for Judged {
     fn default() -> Self {
         Self {
             mean_miss: 1.0,
-            rms_sigmas: 0.0,
+            bound_factor: 0.0,
         }
     }
 }
@@ -302,21 +293,31 @@ pub fn judge(predictions: &[Prediction], run: &IdentifiedStep) -> Option<Judged>
     let in_time = predictions
         .windows(2)
         .filter(|pair| pair[1].at_s > response.onset_s && pair[1].at_s <= until_s);
-    let (mut all_s, mut miss_s, mut squares, mut count) = (0.0, 0.0, 0.0, 0.0);
+    let (mut all_s, mut miss_s) = (0.0, 0.0);
+    let mut in_sigmas = Vec::new();
     for pair in in_time {
         let (off, lasts_s) = ((pair[1].value - run.end).abs(), pair[1].at_s - pair[0].at_s);
         all_s += lasts_s;
         miss_s += lasts_s * (off / step).min(1.0);
         if pair[1].is_on_its_way {
-            squares += (off / pair[1].sigma).powi(2);
-            count += 1.0;
+            in_sigmas.push(off / pair[1].sigma);
         }
     }
     let judged = Judged {
         mean_miss: miss_s / all_s,
-        rms_sigmas: f64::sqrt(squares / f64::max(count, 1.0)),
+        bound_factor: quantile(in_sigmas, BOUND_RATE) / BOUND_SIGMAS,
     };
     judged.mean_miss.is_finite().then_some(judged)
+}
+
+/// The value below or at which this share of the values is; 0 without values.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let count = (share * values.len() as f64).ceil() as usize;
+    values
+        .get(count.saturating_sub(1))
+        .copied()
+        .unwrap_or_default()
 }
 
 /// Within this share of the step a sensor has settled.

@@ -6,8 +6,9 @@
 //! order    least  m ln(e'e / N) + k ln m        m = N / c independent residuals, k parameters            (7)
 //! delta    from neighbours: white noise has no covariance with the next sample, a wrong model has
 //!          delta^2 = mean(e_k e_(k+1)) / mean((D r_k)^2)        c = 1 + 2 sum over i of rho_i            (8)
+//!          T = c / 2 times the distance of samples: what correlations of e^(-t / T) add up to
 //! ```
-//! A second fit with delta and c gives the sigmas: those of a fit that takes the residuals of a wrong model for white noise are too small.
+//! A second fit with delta and T gives the sigmas: those of a fit that takes the residuals of a wrong model for white noise are too small.
 //!
 //! # Sources
 //! Schwarz (1978), (7); docs/lab/thermometer.md section 3.
@@ -79,7 +80,7 @@ pub struct Candidate {
     pub residual_rms: f64,
     /// delta of equation (8).
     pub model_share: f64,
-    /// How long an error of the model holds, in seconds: c of equation (8) times the distance of samples.
+    /// T of equation (8): how long an error of the model holds, in seconds; 0 where none was found.
     pub held_s: f64,
     /// The criterion (7); the least is best.
     pub criterion: f64,
@@ -327,11 +328,11 @@ impl<'a> Work<'a> {
         let fits = starts.iter().filter_map(|shares| self.fit_from(shares));
         let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         let residuals = self.residuals(&best.response);
-        let (model_share, held_samples) = self.model_error(&best.response, &residuals);
+        let (model_share, held_s) = self.model_error(&best.response, &residuals);
         let noise = Noise {
             sigma: self.sigma,
             model_share,
-            held_samples,
+            held_s,
         };
         let prior = self.loose(starts[0])?;
         let honest = fit(&self.found.samples, &noise, &prior, &best.response).unwrap_or(best);
@@ -340,7 +341,7 @@ impl<'a> Work<'a> {
             residual_rms: (squares / residuals.len() as f64).sqrt(),
             fit: honest,
             model_share,
-            held_s: held_samples * self.distance_s,
+            held_s,
             criterion: f64::INFINITY,
         })
     }
@@ -392,7 +393,7 @@ impl<'a> Work<'a> {
             .collect()
     }
 
-    /// delta and c, equation (8).
+    /// delta and T in seconds, equation (8).
     fn model_error(&self, response: &StepResponse, residuals: &[f64]) -> (f64, f64) {
         let left = self.found.samples.iter().filter_map(|sample| {
             let since_s = sample.at_s - self.found.onset_s;
@@ -401,9 +402,10 @@ impl<'a> Work<'a> {
         let mean_left = left.sum::<f64>() / residuals.len().max(1) as f64;
         let held = Held::of(residuals);
         if held.model_variance <= 0.0 || mean_left <= 0.0 {
-            return (0.0, 1.0);
+            return (0.0, 0.0);
         }
-        ((held.model_variance / mean_left).sqrt(), held.of_model)
+        let held_s = 0.5 * held.of_model * self.distance_s;
+        ((held.model_variance / mean_left).sqrt(), held_s)
     }
 
     /// Gives each candidate its criterion (7), with as many independent residuals as the best one leaves.

@@ -11,9 +11,9 @@ use super::{Section, header, seconds};
 const SIGMA_K: f64 = 0.05;
 const PERIOD_S: f64 = 0.5;
 /// When the thermometer is dipped in, in seconds.
-const DIPPED_S: f64 = 20.0;
+pub(super) const DIPPED_S: f64 = 20.0;
 /// A probe in a sleeve: a third of it follows quickly.
-const LAGS: [(f64, f64); 2] = [(3.0, 0.35), (15.0, 0.65)];
+pub(super) const LAGS: [(f64, f64); 2] = [(3.0, 0.35), (15.0, 0.65)];
 
 fn sensor(lags: &[(f64, f64)]) -> SimulatedSensor {
     SimulatedSensor {
@@ -24,7 +24,7 @@ fn sensor(lags: &[(f64, f64)]) -> SimulatedSensor {
     }
 }
 
-fn dipped(lags: &[(f64, f64)], seed: u64, (before, after): (f64, f64)) -> Vec<Sample> {
+pub(super) fn dipped(lags: &[(f64, f64)], seed: u64, (before, after): (f64, f64)) -> Vec<Sample> {
     let count = (8.0 * slowest(lags) / PERIOD_S) as usize + 40;
     sensor(lags).run(seed, count, step(before, after, DIPPED_S))
 }
@@ -183,13 +183,13 @@ pub(super) fn other_data(seed: u64) -> Section {
 }
 
 /// What one run says about the next: for certain, and as far as it can.
-struct Models {
+pub(super) struct Models {
     certain: Expectation,
     kind: Kind,
 }
 
 impl Models {
-    fn of(samples: &[Sample]) -> Result<Self, String> {
+    pub(super) fn of(samples: &[Sample]) -> Result<Self, String> {
         let found = identify(samples).map_err(|error| error.to_string())?;
         let lags = found.lags();
         let lags: Vec<(f64, f64)> = lags
@@ -201,10 +201,19 @@ impl Models {
         Ok(Self { certain, kind })
     }
 
+    /// By the lags taken for certain, and with the lags estimated along.
+    pub(super) fn predictions(&self, samples: &[Sample]) -> (Vec<Prediction>, Vec<Prediction>) {
+        (
+            predict_as_expected(samples, SIGMA_K, &self.certain),
+            predict(samples, SIGMA_K, &self.kind),
+        )
+    }
+
     fn follow(&self, samples: &[Sample]) -> Followed {
+        let (certain, estimated) = self.predictions(samples);
         Followed {
-            certain: on_its_way(&predict_as_expected(samples, SIGMA_K, &self.certain)),
-            estimated: on_its_way(&predict(samples, SIGMA_K, &self.kind)),
+            certain: on_its_way(&certain),
+            estimated: on_its_way(&estimated),
         }
     }
 }

@@ -8,6 +8,7 @@ mod changing;
 mod first;
 mod identified;
 mod live;
+mod mismatch;
 mod recorded;
 
 pub use bounds::{BoundRun, BoundTally, bound_run, bounds};
@@ -52,7 +53,7 @@ impl Section {
 pub type MakeSection = fn(u64) -> Section;
 
 /// The sections on the simulated sensor in their order, but for [`bounds`], which is added up from many runs.
-pub const SECTIONS: [MakeSection; 11] = [
+pub const SECTIONS: [MakeSection; 12] = [
     first::worked_example,
     first::three_ways,
     first::start,
@@ -64,6 +65,7 @@ pub const SECTIONS: [MakeSection; 11] = [
     changing::walking,
     first::several_sensors,
     changing::quantised,
+    mismatch::mismatch,
 ];
 
 fn header(names: &[&str]) -> Vec<String> {
