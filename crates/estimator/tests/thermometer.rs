@@ -151,7 +151,7 @@ fn the_bound_holds_what_it_promises_half_one_and_two_time_constants_after_the_di
 }
 
 #[test]
-fn the_bound_of_a_sensor_with_quite_other_lags_holds_in_most_cases_only() {
+fn the_bound_of_a_sensor_with_quite_other_lags_holds_in_most_cases_and_not_in_95_percent() {
     let others = dips(120).map(|dip| {
         let slow_s = dip.slowest_s();
         let ratio = [3.0, 6.0, 10.0][dip.seed as usize % 3];
@@ -163,7 +163,8 @@ fn the_bound_of_a_sensor_with_quite_other_lags_holds_in_most_cases_only() {
     });
     let found = held_and_median(others);
     assert!(found.iter().all(|(share, _)| *share >= 0.5), "{found:?}");
-    assert!(found[2].1 < 0.05, "{found:?}");
+    // No worse than the sensor itself, which is then off by 9 to 12 %.
+    assert!(found[2].1 < 0.09, "{found:?}");
 }
 
 #[test]
