@@ -2,7 +2,7 @@
 //!
 //! Gets temperatures as they come, for hours. [`super::dynamic`] answers for one approach to one constant temperature, with dynamics
 //! that are given; here stands what it takes to leave it running: dynamics that are learnt where none are given
-//! ([`bank`]), and a test that finds where a new approach begins and lets damaged readings pass ([`surprise`]).
+//! (`bank`), and a test that finds where a new approach begins and lets damaged readings pass (`surprise`).
 //!
 //! # Model
 //! ```text
