@@ -142,7 +142,7 @@ pub struct StationLink {
 /// Flags of `sim`.
 #[derive(Args, Clone, Debug)]
 pub struct SimArgs {
-    /// A bundled scenario's name (square, circle, figure-eight, waypoints, straight, rough) or a TOML file.
+    /// A bundled scenario's name (square, circle, figure-eight, waypoints, straight, rough, thermometer) or a TOML file.
     #[arg(default_value = "square")]
     pub scenario: String,
     /// The link to the station.

@@ -102,6 +102,7 @@ impl Collector {
             Event::BrickRestarted { .. } => self.restarts += 1,
             Event::RobotSeen { .. }
             | Event::RobotLost { .. }
+            | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }
             | Event::Link { .. }

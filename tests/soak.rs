@@ -366,6 +366,7 @@ impl Told {
             | Event::RobotLost { .. }
             | Event::Observed { .. }
             | Event::Fused { .. }
+            | Event::Temperature { .. }
             | Event::CameraClockAligned { .. }
             | Event::Link { .. }
             | Event::Defect { .. }

@@ -5,8 +5,9 @@
 //! stamps, those of fixes too, are of the recording's one clock, so everything comes from one address.
 
 use posebridge_telemetry::{
-    Address, Body, BrickClock, DriveGeometry, EncoderTicks, Heading, HostClock, Meters,
-    MetersPerSecond, Observation, Observed, Odom, Pose, RadiansPerSecond, Span, Stamp, Transform2,
+    Address, Body, BrickClock, ChannelName, DriveGeometry, EncoderTicks, Heading, HostClock,
+    Meters, MetersPerSecond, Observation, Observed, Odom, Pose, RadiansPerSecond, Span, Stamp,
+    Transform2,
 };
 
 use crate::dialect::{Encoder, decode};
@@ -36,6 +37,8 @@ const DESCRIPTION_PERIOD: Span = Span::from_millis(5_000);
 const HEARTBEAT_PERIOD: Span = Span::from_millis(1_000);
 /// Nobody is lost while a recording plays.
 const PEER_TIMEOUT: Span = Span::from_millis(3_600_000);
+/// The channel of a recorded thermometer. A named value keeps the digits that SCALED_PRESSURE would round.
+const THERMOMETER: &[u8] = b"temp";
 /// Angles this near to a whole number of counts are counts.
 const COUNT_TOLERANCE: f64 = 1e-6;
 
@@ -180,6 +183,11 @@ impl BrickPlayer {
                     .map(|own| [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]),
                 reset_counter: fix.reset_counter,
             })),
+            Observed::Temperature(temperature) => Some(Message::Thermometer {
+                stamp,
+                channel: ChannelName::from_bytes(THERMOMETER),
+                temperature,
+            }),
             Observed::WallRange(range) => Some(Message::DistanceSensor {
                 stamp,
                 range,
@@ -188,8 +196,7 @@ impl BrickPlayer {
             Observed::WheelAccelerations { .. }
             | Observed::Landmark { .. }
             | Observed::BeaconRange { .. }
-            | Observed::CompassHeading(_)
-            | Observed::Temperature(_) => None,
+            | Observed::CompassHeading(_) => None,
         }
     }
 

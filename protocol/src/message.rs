@@ -5,8 +5,8 @@
 //! decoded and encoded.
 
 use posebridge_telemetry::{
-    Address, Arena, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Odom,
-    Pose, Radians, RadiansPerSecond, SensorId, Span,
+    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond,
+    MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, Span,
 };
 
 /// A time stamp as it stood on the wire, before unwrapping and alignment.
@@ -19,6 +19,9 @@ pub enum WireStamp {
     /// Microseconds in 64 bits.
     Micros64(u64),
 }
+
+/// The channel of the thermometer in SCALED_PRESSURE, which has no name on the wire.
+pub const SCALED_PRESSURE_CHANNEL: &[u8] = b"scaled_pressure";
 
 /// A message that the station, the simulated brick or the camera says or understands.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,6 +81,16 @@ pub enum Message {
         range: Meters,
         /// Standard deviation, if the sender knows it.
         sigma: Option<Meters>,
+    },
+    /// SCALED_PRESSURE (29), the temperature alone; its channel is called [`SCALED_PRESSURE_CHANNEL`]. NAMED_VALUE_FLOAT (251) with a
+    /// name that begins with `temp`, in degrees Celsius.
+    Thermometer {
+        /// Time since the sender's boot.
+        stamp: WireStamp,
+        /// Which of the sender's thermometers; at most ten bytes on the wire.
+        channel: ChannelName,
+        /// What it shows.
+        temperature: Celsius,
     },
     /// VISION_POSITION_ESTIMATE (102): a fix from outside, of the body's origin.
     VisionPosition(VisionFix),
@@ -159,6 +172,7 @@ impl Message {
             | Self::ScaledImu(PlanarImu { stamp, .. })
             | Self::HighresImu(PlanarImu { stamp, .. })
             | Self::DistanceSensor { stamp, .. }
+            | Self::Thermometer { stamp, .. }
             | Self::VisionPosition(VisionFix { stamp, .. })
             | Self::MocapPosition(VisionFix { stamp, .. })
             | Self::Odometry(Odometry { stamp, .. })

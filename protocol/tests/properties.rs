@@ -17,12 +17,12 @@ use posebridge_protocol::framing::{
 };
 use posebridge_protocol::message::{
     CommandAck, CommandLong, EstimatorStatus, FusionHealth, Heartbeat, Inertial, Message, Odometry,
-    OdometryPose, PlanarImu, PlanarPose, PoseFlags, RobotDescription, SetMessageInterval, TimeSync,
-    VisionFix, WheelTicks, WireStamp,
+    OdometryPose, PlanarImu, PlanarPose, PoseFlags, RobotDescription, SCALED_PRESSURE_CHANNEL,
+    SetMessageInterval, TimeSync, VisionFix, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
-    Address, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp,
+    Address, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond,
+    MetersPerSecondSquared, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -299,7 +299,21 @@ fn coarse() -> BoxedStrategy<Message> {
             sigma: variance.map(|variance| Meters(f64::from(variance).sqrt() * 1e-2)),
         },
     );
-    prop_oneof![imu, precise, wheels, range, fixes(), poses()].boxed()
+    let named = (stamp_millis(), "temp[ -~]{0,6}", -200.0_f32..3_000.0).prop_map(
+        |(stamp, name, temperature)| Message::Thermometer {
+            stamp,
+            channel: ChannelName::from_bytes(name.as_bytes()),
+            temperature: Celsius(f64::from(temperature)),
+        },
+    );
+    let pressure =
+        (stamp_millis(), -27_315_i16..).prop_map(|(stamp, cdeg_c)| Message::Thermometer {
+            stamp,
+            channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
+            temperature: Celsius(f64::from(cdeg_c) * 1e-2),
+        });
+    let thermometers = prop_oneof![named, pressure];
+    prop_oneof![imu, precise, wheels, range, thermometers, fixes(), poses()].boxed()
 }
 
 fn fixes() -> impl Strategy<Value = Message> {
@@ -466,7 +480,7 @@ proptest! {
     }
 
     #[test]
-    fn no_payload_panics(id in 0_usize..25, payload in prop::collection::vec(any::<u8>(), 0..256)) {
+    fn no_payload_panics(id in 0..posebridge_protocol::dialect::MESSAGES.len(), payload in prop::collection::vec(any::<u8>(), 0..256)) {
         let info = posebridge_protocol::dialect::MESSAGES[id];
         let frame = posebridge_protocol::framing::FrameRef {
             version: WireVersion::V2,
@@ -479,6 +493,51 @@ proptest! {
         if let Err(error) = decode(&frame) {
             prop_assert_eq!(error.message_id(), info.id);
         }
+    }
+
+    /// Any bits of a number, any bytes of a name, cut anywhere: a temperature that can be, a defect, or of no use.
+    #[test]
+    fn no_thermometer_shows_what_cannot_be(
+        is_named in any::<bool>(),
+        number in prop_oneof![any::<u32>(), (-500.0_f32..5_000.0).prop_map(f32::to_bits)],
+        name in prop_oneof![any::<[u8; 10]>(), any::<[u8; 6]>().prop_map(|end| {
+            let mut name = *b"temp______";
+            name[4..].copy_from_slice(&end);
+            name
+        })],
+        length in 0_usize..19,
+    ) {
+        let mut payload = vec![1, 2, 3, 4];
+        payload.extend_from_slice(&number.to_le_bytes());
+        payload.extend_from_slice(&name);
+        payload.truncate(length);
+        let frame = posebridge_protocol::framing::FrameRef {
+            version: WireVersion::V2,
+            message_id: if is_named { 251 } else { 29 },
+            source: Address::new(1, 1),
+            sequence: 0,
+            payload: &payload,
+            raw: &[],
+        };
+        let shown = match decode(&frame) {
+            Ok(Some(Message::Thermometer { channel, temperature, .. })) => {
+                let said = channel.as_str();
+                let is_printable = said.bytes().all(|byte| byte.is_ascii_graphic());
+                prop_assert!(is_printable && !said.is_empty(), "{said:?}");
+                prop_assert_eq!(is_named, said.starts_with("temp"));
+                temperature.0
+            }
+            Ok(other) => {
+                prop_assert_eq!(other, None);
+                prop_assert!(is_named && (length < 12 || !name.starts_with(b"temp")));
+                return Ok(());
+            }
+            Err(error) => {
+                prop_assert_eq!(error.message_id(), frame.message_id);
+                return Ok(());
+            }
+        };
+        prop_assert!((-273.15..=3_500.0).contains(&shown), "{shown}");
     }
 
     #[test]

@@ -38,6 +38,7 @@ mod random;
 pub mod scenario;
 mod sensors;
 mod simulation;
+mod thermometer;
 pub mod wall;
 mod wheels;
 mod world;

@@ -4,6 +4,7 @@
 
 use crate::random::Stream;
 use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario, TICK_RAD};
+use crate::thermometer::Thermometer;
 use crate::wheels::Pair;
 use crate::world::{Body, STEP_S};
 
@@ -24,6 +25,7 @@ pub(crate) struct SensorBoard {
     encoders: Pair<Encoder>,
     gyro: Gyro,
     accelerometers: Accelerometers,
+    thermometer: Option<Thermometer>,
     turned_rad: f64,
     wheel_speed_m_per_s: Pair<f64>,
     last: InertialReading,
@@ -42,6 +44,10 @@ impl SensorBoard {
                 scenario.accelerometer,
                 Stream::new(scenario.seed, "accelerometers"),
             ),
+            thermometer: scenario
+                .thermometer
+                .as_ref()
+                .map(|settings| Thermometer::new(settings, scenario.seed)),
             turned_rad: 0.0,
             wheel_speed_m_per_s: Pair::default(),
             last: InertialReading::default(),
@@ -60,6 +66,9 @@ impl SensorBoard {
         self.turned_rad = body.turned_rad();
         self.wheel_speed_m_per_s = body.wheel_speed_m_per_s();
         self.steps_since_last += 1;
+        if let Some(thermometer) = &mut self.thermometer {
+            thermometer.step();
+        }
     }
 
     /// Counts of both encoders since power-up.
@@ -86,6 +95,11 @@ impl SensorBoard {
         };
         self.begin_interval();
         self.last
+    }
+
+    /// What the thermometer shows, in degrees Celsius, if there is one.
+    pub(crate) fn read_temperature(&mut self) -> Option<f64> {
+        self.thermometer.as_mut().map(Thermometer::read)
     }
 
     /// A power cycle: counters and the gyro's integral at zero, biases drawn anew.

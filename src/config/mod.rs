@@ -15,6 +15,7 @@ mod robot;
 mod routing;
 mod signing;
 mod station;
+mod thermometer;
 mod world;
 
 pub use calibrated::{CalibratedRobot, Provenance};
@@ -31,6 +32,7 @@ pub use station::{
     AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
     StationConfig,
 };
+pub use thermometer::RobotThermometer;
 pub use world::{NumberedPlace, PointPlace, WallPlace, WorldConfig};
 
 /// The configuration that `posebridge` alone uses, and the documentation of every key.

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibration::RobotCalibration;
 use super::noise::RobotNoise;
+use super::thermometer::RobotThermometer;
 
 /// A robot's geometry, noise and calibration; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -33,6 +34,9 @@ pub struct RobotFile {
     pub calibration: RobotCalibration,
     /// Where it starts; without it the first fixes decide.
     pub start: Option<RobotStart>,
+    /// Its thermometers, as far as they are known.
+    #[serde(rename = "thermometer", skip_serializing_if = "Vec::is_empty")]
+    pub thermometers: Vec<RobotThermometer>,
 }
 
 /// Where a robot starts, and how well that is known.
@@ -64,6 +68,7 @@ impl Default for RobotFile {
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
             start: None,
+            thermometers: Vec::new(),
         }
     }
 }

@@ -275,6 +275,7 @@ impl Config {
             timesync_period: Span::from_millis(i64::from(self.clock.timesync_period_ms)),
             wanted,
             duplicate_window: self.routing.window()?,
+            thermometers: super::thermometer::checked(&self.robot.thermometers)?,
             links: links.collect::<Result<_>>()?,
         })
     }

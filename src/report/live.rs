@@ -1,10 +1,13 @@
-//! The live status block: time, link, clocks, pose, last fix.
+//! The live status block: time, link, clocks, pose, last fix, thermometers.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use posebridge_telemetry::{Estimate, Event, HostClock, LinkId, LinkState, Span, Stamp, Verdict};
+use posebridge_telemetry::{
+    Celsius, ChannelName, Estimate, Event, HostClock, LinkId, LinkState, RobotId, ScalarEstimate,
+    Span, Stamp, Verdict,
+};
 use tokio::sync::watch;
 
 use super::links::{LinkReport, condition};
@@ -25,6 +28,8 @@ pub struct LiveView {
     clock: Option<(Span, f64, Span)>,
     estimate: Option<Estimate>,
     last_fix: Option<(Verdict, Span)>,
+    /// What each thermometer shows, and what it will show in the end.
+    thermometers: BTreeMap<(RobotId, ChannelName), (Celsius, Option<ScalarEstimate>)>,
     voice: Voice,
 }
 
@@ -86,6 +91,7 @@ impl LiveView {
             clock: None,
             estimate: None,
             last_fix: None,
+            thermometers: BTreeMap::new(),
             voice: Voice::Speaking,
         }
     }
@@ -124,6 +130,16 @@ impl LiveView {
                 self.last_fix = Some((record.verdict, record.lag));
             }
             Event::Estimated { estimate, .. } => self.estimate = Some(*estimate),
+            Event::Temperature {
+                brick,
+                channel,
+                shown,
+                settled,
+                ..
+            } => {
+                self.thermometers
+                    .insert((*brick, *channel), (*shown, *settled));
+            }
             Event::RobotSeen { robot } => self.say(&format!("heard {robot}")),
             Event::RobotLost { robot, silence } => {
                 self.say(&format!(
@@ -220,8 +236,26 @@ impl LiveView {
             }
             None => block.push_str("   no fix yet"),
         }
+        for ((brick, channel), (shown, settled)) in &self.thermometers {
+            block.push_str(&thermometer_line(*brick, *channel, *shown, *settled));
+        }
         block
     }
+}
+
+/// What a thermometer shows, what it will show in the end, and the bound that holds that with 95 %.
+fn thermometer_line(
+    brick: RobotId,
+    channel: ChannelName,
+    shown: Celsius,
+    settled: Option<ScalarEstimate>,
+) -> String {
+    let place = brick.address;
+    let settled = settled.map_or_else(
+        || "unknown".to_owned(),
+        |settled| format!("{:.2} ± {:.2} °C", settled.value, settled.bound_95()),
+    );
+    format!("\n  {channel} of {place}  {:.2} °C -> {settled}", shown.0)
 }
 
 fn pose_line(estimate: &Estimate) -> String {
@@ -239,4 +273,43 @@ fn pose_line(estimate: &Estimate) -> String {
         estimate.pose.heading.rad().to_degrees(),
         estimate.heading_sigma_rad().to_degrees(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::Address;
+
+    #[test]
+    fn a_thermometer_has_a_line_of_its_own_with_the_bound_of_its_end() {
+        let mut view = LiveView::silent();
+        let brick = RobotId {
+            link: LinkId(0),
+            address: Address::new(7, 158),
+        };
+        for (shown, settled) in [(20.0, None), (36.2, Some((48.7, 0.306)))] {
+            let settled = settled.map(|(value, sigma)| ScalarEstimate {
+                stamp: Stamp::ZERO,
+                value,
+                sigma,
+                rate_per_s: 0.0,
+                unit: "°C",
+            });
+            let event = Event::Temperature {
+                brick,
+                channel: ChannelName::from_bytes(b"temp1"),
+                arrival: Stamp::ZERO,
+                stamp: Stamp::ZERO,
+                shown: Celsius(shown),
+                verdict: Verdict::Accepted,
+                settled,
+            };
+            view.take(Stamp::ZERO, &event);
+            let expected = match settled {
+                None => "\n  temp1 of 7/158  20.00 °C -> unknown",
+                Some(_) => "\n  temp1 of 7/158  36.20 °C -> 48.70 ± 0.60 °C",
+            };
+            assert!(view.block().ends_with(expected), "{}", view.block());
+        }
+    }
 }

@@ -1,10 +1,11 @@
 //! What a pipeline is built from. Plain values: parsing and merging of files is the program's business.
 
 use posebridge_estimator::FilterConfig;
+use posebridge_estimator::filters::thermometer::ThermometerSettings;
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_protocol::routing::LinkRules;
 use posebridge_protocol::signing::SigningConfig;
-use posebridge_telemetry::{Address, Body, LinkId, Point2, Span, SystemId};
+use posebridge_telemetry::{Address, Body, ChannelName, LinkId, Point2, Span, SystemId};
 
 /// Everything that decides what a pipeline does with its inputs. Same configuration and same inputs: same outputs.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,8 +28,19 @@ pub struct PipelineConfig {
     pub wanted: Vec<(u32, Span)>,
     /// How long a frame is remembered, to know it again when it comes by another way; zero turns this off.
     pub duplicate_window: Span,
+    /// What is known of thermometers, by their channels; the others are learnt from what they show.
+    pub thermometers: Vec<ThermometerConfig>,
     /// The links, by id.
     pub links: Vec<LinkConfig>,
+}
+
+/// What is known of one thermometer, whichever brick it sits on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ThermometerConfig {
+    /// The channel that it is read by.
+    pub channel: ChannelName,
+    /// Its dynamics and noise.
+    pub settings: ThermometerSettings,
 }
 
 /// Whether a robot's own description is believed.

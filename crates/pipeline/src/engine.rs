@@ -8,6 +8,7 @@ mod deliver;
 mod forward;
 mod intake;
 mod receive;
+mod warmth;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -24,6 +25,7 @@ use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
 use crate::interpret::Interpreter;
 use crate::link_state::Link;
+use crate::thermometers::Thermometers;
 use forward::Seen;
 
 /// Health of every link is told once per second.
@@ -65,6 +67,7 @@ pub struct Pipeline {
     brick_clock: ClockAligner<BrickClock>,
     observers: BTreeMap<(LinkId, Address), ClockAligner<CameraClock>>,
     last_gyro_turn: Option<(Stamp<BrickClock>, Radians)>,
+    thermometers: Thermometers,
     /// Normalised innovation squared of the last fix over its gate; 0 before the first.
     fix_ratio: f64,
     described: bool,
@@ -119,6 +122,7 @@ impl Pipeline {
             brick_clock: ClockAligner::default(),
             observers: BTreeMap::new(),
             last_gyro_turn: None,
+            thermometers: Thermometers::default(),
             fix_ratio: 0.0,
             described: false,
             is_news: false,
@@ -187,6 +191,7 @@ impl Pipeline {
         for (link, seen) in std::mem::take(&mut self.passages) {
             self.finish_passage(now, link, &seen);
         }
+        self.settle_temperatures();
     }
 
     /// The next output: our own and what happened, oldest first, then what is passed on, oldest first.

@@ -67,6 +67,8 @@ impl Interpreter {
             | Message::Command(_)
             | Message::CommandAck(_)
             | Message::StatusText { .. }
+            // Thermometers have filters of their own.
+            | Message::Thermometer { .. }
             | Message::PlanarPose(_)
             | Message::FusionHealth(_)
             | Message::RobotDescription(_)

@@ -14,9 +14,10 @@ mod interpret;
 mod link_state;
 mod peers;
 mod publish;
+mod thermometers;
 
 pub use config::{
     AcceptedVersions, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputKind,
-    OutputStream, PipelineConfig,
+    OutputStream, PipelineConfig, ThermometerConfig,
 };
 pub use engine::{BuildError, Pipeline};

@@ -83,6 +83,9 @@ pub struct PoseJump {
     pub turn: Radians,
 }
 
+/// The 97.5 % point of the standard normal distribution: so many standard deviations to either side hold 95 %.
+const NORMAL_95: f64 = 1.959_963_984_540_054;
+
 /// The belief of a filter that follows one quantity: a distance, a temperature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarEstimate {
@@ -96,4 +99,12 @@ pub struct ScalarEstimate {
     pub rate_per_s: f64,
     /// Its unit, as it is printed.
     pub unit: &'static str,
+}
+
+impl ScalarEstimate {
+    /// Half the width of the interval around the value that holds the quantity with a probability of 95 %, in its unit.
+    #[must_use]
+    pub const fn bound_95(&self) -> f64 {
+        NORMAL_95 * self.sigma
+    }
 }

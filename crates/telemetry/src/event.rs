@@ -1,11 +1,12 @@
 //! What happened, in the order in which it happened: the pipeline's output for people, recorders and dashboards.
 
 use crate::clock::{BrickClock, CameraClock, HostClock, Span, Stamp};
-use crate::estimate::Estimate;
-use crate::fusion::FusionRecord;
-use crate::ids::{Address, LinkId, RobotId};
+use crate::estimate::{Estimate, ScalarEstimate};
+use crate::fusion::{FusionRecord, Verdict};
+use crate::ids::{Address, ChannelName, LinkId, RobotId};
 use crate::link_health::{LinkHealth, SourceHealth};
 use crate::observation::Observation;
+use crate::quantities::Celsius;
 
 /// One thing that happened.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,6 +52,23 @@ pub enum Event {
         robot: RobotId,
         /// The belief.
         estimate: Estimate,
+    },
+    /// A thermometer was read: what it shows, and what it will show in the end. It has a filter of its own beside the robot's.
+    Temperature {
+        /// Who sent it, the robot or any other brick.
+        brick: RobotId,
+        /// Which of its thermometers.
+        channel: ChannelName,
+        /// When its last byte arrived.
+        arrival: Stamp<HostClock>,
+        /// When it was read, by the clock of that brick.
+        stamp: Stamp<BrickClock>,
+        /// What it shows.
+        shown: Celsius,
+        /// What became of it.
+        verdict: Verdict,
+        /// What it will show once it has settled; `None` before the first that could be used.
+        settled: Option<ScalarEstimate>,
     },
     /// The clocks of host and brick were aligned anew.
     BrickClockAligned {

@@ -76,6 +76,53 @@ impl SensorId {
     }
 }
 
+/// The name of one channel of a sender, as people see it and as the configuration spells it: at most sixteen printable ASCII
+/// characters, held in place.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ChannelName {
+    /// Zero behind the end.
+    bytes: [u8; Self::LONGEST],
+}
+
+impl ChannelName {
+    /// So many bytes are kept; MAVLink's own names have ten or sixteen.
+    pub const LONGEST: usize = 16;
+
+    /// The name that stands in these bytes: up to the first zero, or all of them where no terminator is. Whatever is not printable
+    /// ASCII becomes a question mark, because names end up on terminals.
+    #[must_use]
+    pub fn from_bytes(bytes: &[u8]) -> Self {
+        let mut name = Self::default();
+        let said = bytes.iter().take_while(|byte| **byte != 0);
+        for (slot, byte) in name.bytes.iter_mut().zip(said) {
+            *slot = if byte.is_ascii_graphic() { *byte } else { b'?' };
+        }
+        name
+    }
+
+    /// The name as text.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        let end = self.bytes.iter().position(|byte| *byte == 0);
+        let said = self.bytes.get(..end.unwrap_or(Self::LONGEST));
+        // Every byte is ASCII, by construction.
+        said.and_then(|said| std::str::from_utf8(said).ok())
+            .unwrap_or_default()
+    }
+}
+
+impl fmt::Display for ChannelName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl fmt::Debug for ChannelName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(self.as_str(), f)
+    }
+}
+
 /// One MAVLink participant: a component of a system.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Address {
@@ -114,5 +161,20 @@ pub struct RobotId {
 impl fmt::Display for RobotId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "link {} {}", self.link, self.address)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_ends_at_its_terminator_or_with_its_room_and_cannot_command_a_terminal() {
+        let name = |bytes: &[u8]| ChannelName::from_bytes(bytes).to_string();
+        assert_eq!(name(b"temp1\0left over"), "temp1");
+        assert_eq!(name(b"temp_water"), "temp_water");
+        assert_eq!(name(b"temp\x1b[2J\xff"), "temp?[2J?");
+        assert_eq!(name(b"longer than sixteen"), "longer?than?sixt");
+        assert_eq!(name(b""), "");
     }
 }

@@ -30,7 +30,8 @@ pub use estimate::{Estimate, PoseJump, ScalarEstimate, Validity};
 pub use event::{Defect, Event, LinkState, Refusal};
 pub use fusion::{FusionRecord, Verdict};
 pub use ids::{
-    Address, BeaconId, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId, SystemId,
+    Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId,
+    SystemId,
 };
 pub use link_health::{LinkHealth, PortCounts, SourceHealth};
 pub use observation::{Fix, Observation, Observed, PositionCovariance};

@@ -127,7 +127,8 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
         Message::WheelDistance { .. }
         | Message::ScaledImu(_)
         | Message::HighresImu(_)
-        | Message::DistanceSensor { .. } => return sensors::write(version, message),
+        | Message::DistanceSensor { .. }
+        | Message::Thermometer { .. } => return sensors::write(version, message),
         Message::VisionPosition(_)
         | Message::MocapPosition(_)
         | Message::Odometry(_)

@@ -42,6 +42,16 @@ pub enum PayloadError {
         /// Its value.
         value: f64,
     },
+    /// A temperature that no matter has.
+    #[error(
+        "message {message_id}: a temperature of {degrees_c} degrees Celsius is below absolute zero or above the range of any sensor"
+    )]
+    Temperature {
+        /// The message's id.
+        message_id: u32,
+        /// The value.
+        degrees_c: f64,
+    },
     /// ODOMETRY in a coordinate frame that has no counterpart here.
     #[error(
         "message {message_id}: no conversion from MAV_FRAME {frame}; send 1, 4, 20 or 21 with child 8, 12 or 13"
@@ -84,6 +94,7 @@ impl PayloadError {
     pub const fn message_id(&self) -> u32 {
         match *self {
             Self::NotFinite { message_id, .. }
+            | Self::Temperature { message_id, .. }
             | Self::Space { message_id, .. }
             | Self::TooFewWheels { message_id, .. }
             | Self::ParameterType { message_id, .. }
@@ -98,7 +109,7 @@ type Decoded = Result<Option<Message>, PayloadError>;
 /// Decodes a verified frame.
 ///
 /// `None` means that the message is of no use here: an id without a row in [`MESSAGES`], a range finder that looks
-/// sideways, a reading that its sender marks as invalid, an integer parameter.
+/// sideways, a named value that is no temperature, a reading that its sender marks as invalid, an integer parameter.
 ///
 /// # Errors
 /// A [`PayloadError`] when the frame is whole but its content makes no sense.
@@ -116,6 +127,8 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::TIMESYNC => conversation::time_sync(payload),
         ids::STATUSTEXT => Ok(Some(conversation::status_text(payload))),
         ids::SCALED_IMU => sensors::scaled_imu(payload),
+        ids::SCALED_PRESSURE => sensors::scaled_pressure(payload),
+        ids::NAMED_VALUE_FLOAT => sensors::named_value(payload),
         ids::HIGHRES_IMU => sensors::highres_imu(payload),
         ids::DISTANCE_SENSOR => Ok(sensors::distance_sensor(payload)),
         ids::WHEEL_DISTANCE => sensors::wheel_distance(payload),

@@ -77,6 +77,14 @@ impl<'a> Reader<'a> {
         i8::from_le_bytes(self.array())
     }
 
+    pub(super) fn i16(&mut self) -> i16 {
+        i16::from_le_bytes(self.array())
+    }
+
+    pub(super) fn bytes<const N: usize>(&mut self) -> [u8; N] {
+        self.array()
+    }
+
     pub(super) fn u16(&mut self) -> u16 {
         u16::from_le_bytes(self.array())
     }
@@ -141,6 +149,10 @@ impl Writer {
     }
 
     pub(super) fn i8(self, value: i8) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn i16(self, value: i16) -> Self {
         self.raw(&value.to_le_bytes())
     }
 

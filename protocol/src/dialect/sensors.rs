@@ -1,17 +1,19 @@
-//! Standard messages of sensors: wheels, inertial units, range finders.
+//! Standard messages of sensors: wheels, inertial units, range finders, thermometers.
 //!
 //! Body rates come as forward-right-down and turn their sign here. Source: MAVLink common.xml.
 
 use mavlink::dialects::common::{
     HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA,
 };
-use posebridge_telemetry::{Meters, MetersPerSecondSquared, RadiansPerSecond};
+use posebridge_telemetry::{
+    Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond,
+};
 
 use super::payload::{Payload, Reader, Writer, micros64, millis32, read};
 use super::spaces::flip;
 use super::{Decoded, PayloadError, finite, ids};
 use crate::framing::WireVersion;
-use crate::message::{Message, PlanarImu, WireStamp};
+use crate::message::{Message, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
 /// Unit of SCALED_IMU.xacc, a thousandth of the standard gravity (CGPM 1901).
 const MILLI_GRAVITY_M_PER_S2: f64 = 9.806_65e-3;
@@ -25,6 +27,16 @@ const LOOKS_FORWARD: u8 = 0;
 const VARIANCE_UNKNOWN: u8 = u8::MAX;
 /// DISTANCE_SENSOR.signal_quality of a reading that must not be used.
 const QUALITY_INVALID: u8 = 1;
+/// Unit of SCALED_PRESSURE.temperature.
+const CENTIDEGREE_C: f64 = 1e-2;
+/// Bytes of NAMED_VALUE_FLOAT.name.
+const NAME: usize = 10;
+/// A named value whose name begins so is a temperature in degrees Celsius; the definition of the message leaves that to its sender.
+const TEMPERATURE_NAME: &[u8] = b"temp";
+/// Absolute zero (SI brochure, section 2.3.1).
+const COLDEST_C: f64 = -273.15;
+/// Above the melting point of tungsten (3422 degrees): no thermometer of contact shows more.
+const HOTTEST_C: f64 = 3_500.0;
 /// MAV_DISTANCE_SENSOR_UNKNOWN.
 const RANGER_UNKNOWN: u8 = 4;
 
@@ -174,6 +186,76 @@ fn write_distance(
         .finish(version)
 }
 
+/// The temperature beside the pressures, which are of no use here and are not looked at.
+pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
+    let mut reader = Reader::new(payload);
+    let stamp = WireStamp::Millis32(reader.u32());
+    reader.skip::<8>();
+    let temperature_cdeg_c = reader.i16();
+    Ok(Some(Message::Thermometer {
+        stamp,
+        channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
+        temperature: believable(
+            ids::SCALED_PRESSURE,
+            f64::from(temperature_cdeg_c) * CENTIDEGREE_C,
+        )?,
+    }))
+}
+
+/// Named values are for people; those that are temperatures by their names are of use.
+pub(super) fn named_value(payload: &[u8]) -> Decoded {
+    let mut reader = Reader::new(payload);
+    let stamp = WireStamp::Millis32(reader.u32());
+    let value = f64::from(reader.f32());
+    let name = reader.bytes::<NAME>();
+    if !name.starts_with(TEMPERATURE_NAME) {
+        return Ok(None);
+    }
+    let degrees_c = finite(ids::NAMED_VALUE_FLOAT, "value", value)?;
+    Ok(Some(Message::Thermometer {
+        stamp,
+        channel: ChannelName::from_bytes(&name),
+        temperature: believable(ids::NAMED_VALUE_FLOAT, degrees_c)?,
+    }))
+}
+
+fn believable(message_id: u32, degrees_c: f64) -> Result<Celsius, PayloadError> {
+    if (COLDEST_C..=HOTTEST_C).contains(&degrees_c) {
+        Ok(Celsius(degrees_c))
+    } else {
+        Err(PayloadError::Temperature {
+            message_id,
+            degrees_c,
+        })
+    }
+}
+
+fn write_thermometer(
+    version: WireVersion,
+    stamp: WireStamp,
+    channel: &ChannelName,
+    temperature: Celsius,
+) -> (u32, Payload) {
+    let writer = Writer::new().u32(millis32(stamp));
+    if channel.as_str().as_bytes() == SCALED_PRESSURE_CHANNEL {
+        let (absolute_hpa, differential_hpa, of_differential_cdeg_c) = (0.0, 0.0, 0);
+        let payload = writer
+            .f32(absolute_hpa)
+            .f32(differential_hpa)
+            .i16((temperature.0 / CENTIDEGREE_C).round() as i16)
+            .extensions()
+            .i16(of_differential_cdeg_c)
+            .finish(version);
+        (ids::SCALED_PRESSURE, payload)
+    } else {
+        let payload = writer
+            .f32(temperature.0 as f32)
+            .text::<NAME>(channel.as_str())
+            .finish(version);
+        (ids::NAMED_VALUE_FLOAT, payload)
+    }
+}
+
 /// Writes the messages of this module; `None` for all others.
 #[expect(
     clippy::wildcard_enum_match_arm,
@@ -191,6 +273,11 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
             ids::DISTANCE_SENSOR,
             write_distance(version, *stamp, *range, *sigma),
         ),
+        Message::Thermometer {
+            stamp,
+            channel,
+            temperature,
+        } => write_thermometer(version, *stamp, channel, *temperature),
         Message::WheelDistance { stamp, left, right } => {
             let mut distance = [0.0; 16];
             distance[0] = left.0;

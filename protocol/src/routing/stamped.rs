@@ -14,7 +14,7 @@ const STAMPED: &[u32] = &[
     ids::SCALED_IMU,
     27, // RAW_IMU
     28, // RAW_PRESSURE
-    29, // SCALED_PRESSURE
+    ids::SCALED_PRESSURE,
     ids::ATTITUDE,
     31, // ATTITUDE_QUATERNION
     ids::LOCAL_POSITION_NED,
@@ -33,6 +33,7 @@ const STAMPED: &[u32] = &[
     ids::DISTANCE_SENSOR,
     ids::ATT_POS_MOCAP,
     ids::ESTIMATOR_STATUS,
+    ids::NAMED_VALUE_FLOAT,
     ids::ODOMETRY,
     ids::WHEEL_DISTANCE,
     ids::PB_WHEEL_TICKS,

@@ -145,6 +145,23 @@ def sensor_cases(std):
         std, "distance_sensor", 1, 1, 22, covariance=4, **dict(ranger, signal_quality=1))
 
 
+def thermometer_cases(std):
+    pressure = dict(time_boot_ms=123456, press_abs=1013.25, press_diff=-0.5, temperature_press_diff=0)
+    yield "scaled_pressure", frame(std, "scaled_pressure", 1, 1, 34, temperature=-1234, **pressure)
+    yield "scaled_pressure_without_pressures", frame(
+        std, "scaled_pressure", 1, 1, 35, temperature=4871, **dict(pressure, press_abs=0.0, press_diff=0.0))
+    yield "scaled_pressure_below_absolute_zero", frame(std, "scaled_pressure", 1, 1, 36, temperature=-32768, **pressure)
+    named = dict(time_boot_ms=4294967295)
+    yield "named_temperature", frame(std, "named_value_float", 1, 1, 37, name=b"temp1", value=36.25, **named)
+    yield "named_temperature_without_terminator", frame(
+        std, "named_value_float", 7, 158, 38, name=b"temp_water", value=-40.5, **named)
+    yield "named_temperature_not_a_number", frame(std, "named_value_float", 1, 1, 39, name=b"temp", value=NAN, **named)
+    yield "named_temperature_infinite", frame(
+        std, "named_value_float", 1, 1, 40, name=b"temp", value=float("inf"), **named)
+    yield "named_temperature_too_hot", frame(std, "named_value_float", 1, 1, 41, name=b"temp", value=1e9, **named)
+    yield "named_value_of_another_kind", frame(std, "named_value_float", 1, 1, 42, name=b"voltage", value=7.5, **named)
+
+
 def pose_cases(std):
     # North 2, east 1; looking 30 degrees east of north.
     yaw = math.radians(30.0)
@@ -190,7 +207,8 @@ def main():
     std = load(sys.argv[2], "2.0")
     std_v1 = load(sys.argv[2], "1.0")
     cases = {}
-    for group in (own_cases(own), conversation_cases(std), sensor_cases(std), pose_cases(std), v1_cases(std_v1)):
+    for group in (own_cases(own), conversation_cases(std), sensor_cases(std), pose_cases(std), v1_cases(std_v1),
+                  thermometer_cases(std)):
         cases.update(group)
     json.dump(cases, sys.stdout, indent=1)
     print()

@@ -14,8 +14,8 @@ use posebridge_protocol::message::{
     Heartbeat, Inertial, Message, OdometryPose, PlanarImu, RobotDescription, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
-    Address, Arena, BrickClock, DriveGeometry, EncoderTicks, Meters, MetersPerSecondSquared, Pose,
-    Radians, RadiansPerSecond, SensorNoise, Span, Stamp,
+    Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, EncoderTicks, Meters,
+    MetersPerSecondSquared, Pose, Radians, RadiansPerSecond, SensorNoise, Span, Stamp,
 };
 
 use self::belief::Belief;
@@ -26,7 +26,7 @@ use self::speed_control::SpeedControl;
 use crate::clock::register_micros;
 use crate::node::Node;
 use crate::path::Path;
-use crate::scenario::{BrickSettings, Scenario, Steering, Wire};
+use crate::scenario::{BrickSettings, Scenario, Steering, ThermometerSettings, Wire};
 use crate::sensors::SensorBoard;
 use crate::wheels::Pair;
 
@@ -48,6 +48,7 @@ const CONTROL_PERIOD: Span = Span::from_millis(10);
 #[derive(Debug)]
 pub(crate) struct Firmware {
     settings: BrickSettings,
+    thermometer: Option<ThermometerSettings>,
     geometry: DriveGeometry,
     noise: SensorNoise,
     node: Node<BrickClock>,
@@ -66,9 +67,11 @@ impl Firmware {
     pub(crate) fn new(scenario: &Scenario, path: Path, now: Stamp<BrickClock>) -> Self {
         let geometry = scenario.drive_geometry();
         let control = SpeedControl::new(&scenario.robot);
-        let schedule = Schedule::new(&scenario.brick, now);
+        let thermometer = scenario.thermometer.clone();
+        let schedule = Schedule::new(&scenario.brick, thermometer.as_ref(), now);
         Self {
             settings: scenario.brick,
+            thermometer,
             geometry,
             noise: scenario.sensor_noise(),
             node: Node::new(
@@ -102,11 +105,14 @@ impl Firmware {
         }
         while let Some(topic) = self.schedule.next(now) {
             let message = match topic {
-                Topic::Wheels => self.wheels(now, board.counts()),
-                Topic::Inertial => self.inertial(now, board),
-                Topic::Description => self.description(),
+                Topic::Wheels => Some(self.wheels(now, board.counts())),
+                Topic::Inertial => Some(self.inertial(now, board)),
+                Topic::Description => Some(self.description()),
+                Topic::Thermometer => self.temperature(now, board),
             };
-            self.node.send(&message);
+            if let Some(message) = message {
+                self.node.send(&message);
+            }
         }
         self.duty
     }
@@ -130,7 +136,7 @@ impl Firmware {
     /// A power cycle: clock, counters, session and message intervals begin anew. The program's place on the path and its
     /// odometry are kept, as a program that stores its progress would keep them.
     pub(crate) fn restart(&mut self, now: Stamp<BrickClock>) {
-        self.schedule = Schedule::new(&self.settings, now);
+        self.schedule = Schedule::new(&self.settings, self.thermometer.as_ref(), now);
         self.node = Node::new(
             BRICK,
             HEARTBEAT,
@@ -236,6 +242,15 @@ impl Firmware {
                 )),
             }),
         }
+    }
+
+    fn temperature(&self, now: Stamp<BrickClock>, board: &mut SensorBoard) -> Option<Message> {
+        let channel = &self.thermometer.as_ref()?.channel;
+        Some(Message::Thermometer {
+            stamp: WireStamp::Millis32((now.as_micros() / 1_000) as u32),
+            channel: ChannelName::from_bytes(channel.as_bytes()),
+            temperature: Celsius(board.read_temperature()?),
+        })
     }
 
     fn description(&self) -> Message {

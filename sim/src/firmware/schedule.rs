@@ -4,7 +4,7 @@ use posebridge_protocol::dialect::ids;
 use posebridge_telemetry::{BrickClock, Span, Stamp};
 
 use crate::node::IntervalRequest;
-use crate::scenario::{BrickSettings, Wire};
+use crate::scenario::{BrickSettings, ThermometerSettings, Wire};
 
 /// The description comes this often, so that a station that starts late has it soon.
 const DESCRIPTION_PERIOD: Span = Span::from_millis(5_000);
@@ -20,6 +20,8 @@ pub(crate) enum Topic {
     Inertial,
     /// The robot's build.
     Description,
+    /// The thermometer.
+    Thermometer,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -34,12 +36,16 @@ struct Slot {
 /// All messages with their intervals.
 #[derive(Clone, Debug)]
 pub(crate) struct Schedule {
-    slots: [Slot; 3],
+    slots: Vec<Slot>,
 }
 
 impl Schedule {
     /// The defaults of a brick that was powered up at `now`; everything is due at once.
-    pub(crate) fn new(settings: &BrickSettings, now: Stamp<BrickClock>) -> Self {
+    pub(crate) fn new(
+        settings: &BrickSettings,
+        thermometer: Option<&ThermometerSettings>,
+        now: Stamp<BrickClock>,
+    ) -> Self {
         let telemetry = Span::from_secs_f64(1.0 / settings.telemetry_hz);
         let (wheels, inertial) = match settings.wire {
             Wire::Compact => (ids::PB_WHEEL_TICKS, ids::PB_INERTIAL),
@@ -52,6 +58,15 @@ impl Schedule {
             interval: Some(default),
             due: now,
         };
+        let thermometer = thermometer.map(|settings| {
+            let message_id = if settings.is_scaled_pressure() {
+                ids::SCALED_PRESSURE
+            } else {
+                ids::NAMED_VALUE_FLOAT
+            };
+            let period = Span::from_secs_f64(1.0 / settings.rate_hz);
+            slot(Topic::Thermometer, message_id, period)
+        });
         Self {
             slots: [
                 slot(
@@ -61,7 +76,10 @@ impl Schedule {
                 ),
                 slot(Topic::Wheels, wheels, telemetry),
                 slot(Topic::Inertial, inertial, telemetry),
-            ],
+            ]
+            .into_iter()
+            .chain(thermometer)
+            .collect(),
         }
     }
 
@@ -120,7 +138,7 @@ mod tests {
 
     #[test]
     fn defaults_requests_and_stops_are_kept() {
-        let mut schedule = Schedule::new(&BrickSettings::default(), Stamp::ZERO);
+        let mut schedule = Schedule::new(&BrickSettings::default(), None, Stamp::ZERO);
         assert_eq!(count(&mut schedule, Topic::Wheels, 0, 1_000), 20);
         let ask = |interval| IntervalRequest {
             message_id: ids::PB_WHEEL_TICKS,
@@ -136,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_request_for_a_foreign_message_changes_nothing() {
-        let mut schedule = Schedule::new(&BrickSettings::default(), Stamp::ZERO);
+        let mut schedule = Schedule::new(&BrickSettings::default(), None, Stamp::ZERO);
         schedule.follow(
             IntervalRequest {
                 message_id: ids::HEARTBEAT,

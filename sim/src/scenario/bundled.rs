@@ -26,4 +26,8 @@ pub const BUNDLED: &[(&str, &str)] = &[
         "rough",
         include_str!("../../../config/scenarios/rough.toml"),
     ),
+    (
+        "thermometer",
+        include_str!("../../../config/scenarios/thermometer.toml"),
+    ),
 ];

@@ -8,6 +8,7 @@ pub(crate) mod checks;
 mod course;
 mod observers;
 mod robot;
+mod thermometer;
 mod waypoints;
 
 use std::io;
@@ -22,6 +23,7 @@ pub use bundled::BUNDLED;
 pub use course::{Course, Direction, DriveSettings, StartPose};
 pub use observers::{AccelerometerSettings, Blackout, CameraOrder, CameraSettings, GyroSettings};
 pub use robot::{BrickSettings, ErrorSettings, MotorSettings, RobotSettings, Wire};
+pub use thermometer::ThermometerSettings;
 
 /// What the brick steers by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -60,6 +62,9 @@ pub struct Scenario {
     pub brick: BrickSettings,
     /// The overhead camera.
     pub camera: CameraSettings,
+    /// A thermometer on the brick, if there is one.
+    #[serde(deserialize_with = "thermometer::checked")]
+    pub thermometer: Option<ThermometerSettings>,
 }
 
 impl Scenario {

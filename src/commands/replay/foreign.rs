@@ -153,6 +153,7 @@ fn replay_run(
         timesync_period: Span::from_millis(1_000),
         wanted: vec![],
         duplicate_window: Span::ZERO,
+        thermometers: vec![],
         links: vec![],
     };
     let Some(first) = robot_run.run.observations.first() else {

@@ -90,6 +90,18 @@ impl DynamicFilter {
         self
     }
 
+    /// What a sensor should show at an instant, and how far a sample may be off, its noise included (one standard deviation squared);
+    /// `None` before the first sample and for a sensor that the model does not know.
+    #[must_use]
+    pub fn expected(&self, sensor: SensorId, stamp: Stamp<BrickClock>) -> Option<(f64, f64)> {
+        let row = self.model.row_of(sensor)?;
+        let state = self.predicted(self.state?, stamp);
+        let by_row = SVector::from(self.led_back(&row, (stamp - state.stamp).as_secs_f64()));
+        let mean = by_row.dot(&state.mean);
+        let variance = (state.covariance * by_row).dot(&by_row) + self.sigma * self.sigma;
+        Some((mean, variance))
+    }
+
     fn use_sample(&mut self, record: &mut FusionRecord, observation: &Observation, y: f64) {
         let Some(row) = self.model.row_of(observation.sensor) else {
             record.verdict = Verdict::Unused;

@@ -11,6 +11,7 @@ pub mod pose;
 pub mod range_kf;
 mod records;
 mod sampled;
+pub mod thermometer;
 mod timeline;
 pub mod ukf5;
 pub mod velocity_kf;
@@ -184,6 +185,16 @@ pub const FILTERS: &[FilterEntry] = &[
         estimates: Estimates::Scalar,
         late: Late::OnArrival,
         build: |config| Box::new(dynamic::DynamicFilter::new(config)),
+    },
+    FilterEntry {
+        name: "dynamic-live",
+        summary: "paper 2 left running: finds each new approach, and learns how slow the thermometer is",
+        estimates: Estimates::Scalar,
+        late: Late::OnArrival,
+        build: |config| {
+            let settings = thermometer::ThermometerSettings::default();
+            Box::new(thermometer::Thermometer::new(config, &settings))
+        },
     },
     FilterEntry {
         name: "range-kf",

@@ -2,7 +2,7 @@
 
 use posebridge_estimator::gate::chi_square_quantile;
 use posebridge_estimator::{StartPose, filter_named};
-use posebridge_protocol::message::{Message, RobotDescription};
+use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::Occurrence;
 use posebridge_telemetry::{
     Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
@@ -45,6 +45,7 @@ impl Pipeline {
         if let Message::RobotDescription(description) = message {
             self.handle_description(id, source, description);
         }
+        self.handle_temperature(arrival, id, arrived);
         for reading in self.interpreter.readings(message).into_iter().flatten() {
             // What went round a loop is news only from the robot, whose telemetry counts on its own link alone.
             if occurrence == Occurrence::First || self.is_of_robot(id, source, &reading) {
@@ -55,6 +56,9 @@ impl Pipeline {
 
     /// What came before by another link of the group says nothing new, but by this link it is one more bound of its sender's clock.
     fn note_copy(&mut self, arrival: Arrival, from: RobotId, message: &Message) {
+        if let Message::Thermometer { stamp, .. } = *message {
+            self.note_copied_stamp(arrival, from, stamp);
+        }
         for reading in self.interpreter.readings(message).into_iter().flatten() {
             if self.robot == Some(from) && reading.stamped_by == StampedBy::Brick {
                 let clock = &mut self.brick_clock;
@@ -62,6 +66,14 @@ impl Pipeline {
             } else if let Some(clock) = self.observers.get_mut(&(from.link, from.address)) {
                 clock.copied(arrival.way, reading.stamp, arrival.at);
             }
+        }
+    }
+
+    fn note_copied_stamp(&mut self, arrival: Arrival, from: RobotId, stamp: WireStamp) {
+        if self.robot == Some(from) {
+            self.brick_clock.copied(arrival.way, stamp, arrival.at);
+        } else if let Some(clock) = self.observers.get_mut(&(from.link, from.address)) {
+            clock.copied(arrival.way, stamp, arrival.at);
         }
     }
 
@@ -107,21 +119,9 @@ impl Pipeline {
     }
 
     fn handle_brick_reading(&mut self, arrival: Arrival, robot: RobotId, reading: &Reading) {
-        let Arrival { way, at } = arrival;
-        let stamp = match self.brick_clock.arrived(way, reading.stamp, at) {
-            Unwrapped::Continued(stamp) => stamp,
-            Unwrapped::Restarted(stamp) => {
-                self.brick_restarted(robot);
-                stamp
-            }
-            Unwrapped::Outlived => {
-                self.tell_unaligned(way.link, robot.address);
-                return;
-            }
+        let Some(stamp) = self.brick_instant(arrival, robot, reading.stamp) else {
+            return;
         };
-        if self.brick_clock.take_contradiction() {
-            self.tell_unaligned(way.link, robot.address);
-        }
         let observed = self.whole_turn_rate(stamp, reading);
         let observation = Observation {
             sensor: reading.sensor,
@@ -129,7 +129,32 @@ impl Pipeline {
             stamp_sigma: Span::ZERO,
             observed,
         };
-        self.observe(robot, robot.address, at, observation);
+        self.observe(robot, robot.address, arrival.at, observation);
+    }
+
+    /// The instant of a stamp by the robot's own clock; `None` if it is from before a restart.
+    pub(super) fn brick_instant(
+        &mut self,
+        arrival: Arrival,
+        robot: RobotId,
+        stamp: WireStamp,
+    ) -> Option<Stamp<BrickClock>> {
+        let Arrival { way, at } = arrival;
+        let instant = match self.brick_clock.arrived(way, stamp, at) {
+            Unwrapped::Continued(instant) => instant,
+            Unwrapped::Restarted(instant) => {
+                self.brick_restarted(robot);
+                instant
+            }
+            Unwrapped::Outlived => {
+                self.tell_unaligned(way.link, robot.address);
+                return None;
+            }
+        };
+        if self.brick_clock.take_contradiction() {
+            self.tell_unaligned(way.link, robot.address);
+        }
+        Some(instant)
     }
 
     /// A fix that the robot passes on, stamped by its own clock: it may be older than any reordering explains.
@@ -254,6 +279,7 @@ impl Pipeline {
     pub(super) fn brick_restarted(&mut self, robot: RobotId) {
         let now = self.now;
         self.filter.restart_clock();
+        self.restart_thermometers(robot);
         self.last_gyro_turn = None;
         for (id, link) in &mut self.links {
             if self.router.lead_to_one(*id, robot.link) {

@@ -49,6 +49,7 @@ pub(crate) fn config() -> PipelineConfig {
             (42_101, Span::from_millis(50)),
         ],
         duplicate_window: Span::from_millis(15_000),
+        thermometers: vec![],
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }
 }
