@@ -288,7 +288,7 @@ fn a_real_probe_that_cools_is_known_within_two_seconds_if_cooling_was_identified
         let rows = log.lines().skip(1 + first).step_by(2).map(|row| {
             let (at_s, volts) = row.split_once(',').unwrap();
             // The line of config/recordings/rtd-step.toml.
-            let celsius = 3077.120671 * volts.parse::<f64>().unwrap() + 114.844118;
+            let celsius = 3_077.120_671 * volts.parse::<f64>().unwrap() + 114.844_118;
             format!("{at_s},{celsius}\n")
         });
         let text = "t_s,celsius\n".to_owned() + &rows.collect::<String>();

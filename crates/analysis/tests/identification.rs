@@ -1,7 +1,8 @@
 //! Identification of sensors and prediction of their end, on simulated sensors whose truth is known.
 #![expect(
     clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
+    clippy::print_stdout,
+    reason = "helpers outside #[test] stop where the set-up is broken, and show the figures that they check"
 )]
 
 use posebridge_analysis::identification::fit::{Noise, fit};
@@ -295,6 +296,79 @@ fn the_other_way_all_lags_share_one_scale() {
     // 1 + 0.04 (1 / 0.005 + 1 / 0.005) = 17 times the determinant; two scales apart would have 81 times.
     let wider = 2.0 * (other.ln_room() - own.ln_room());
     assert!((wider - 17.0_f64.ln()).abs() < 0.15, "{wider}");
+}
+
+/// One standard deviation of the end as a share of the step, so long after the onset, of a probe of 1.16 s (0.41) and 4.0 s that is read a
+/// hundred times a second with a noise of 1.2 K while it cools by 34.5 K; by equation (6). The lags share a scale of this sigma, and
+/// each has another one of its own.
+fn end_sigma(after_s: f64, (scale, own, share): (f64, f64, f64)) -> f64 {
+    let truth = StepResponse {
+        start: 55.0,
+        step: -34.5,
+        onset_s: 0.0,
+        lags: vec![
+            Lag {
+                time_constant_s: 1.16,
+                share: 0.41,
+            },
+            Lag {
+                time_constant_s: 4.0,
+                share: 0.59,
+            },
+        ],
+    };
+    let samples: Vec<Sample> = (-130..(100.0 * after_s) as i32)
+        .map(|k| 0.01 * f64::from(k))
+        .map(|at_s| Sample {
+            at_s,
+            value: truth.value_at(at_s),
+        })
+        .collect();
+    let common = scale * scale;
+    let each = common + own * own;
+    let rows = [
+        each,
+        common,
+        0.0,
+        common,
+        each,
+        0.0,
+        0.0,
+        0.0,
+        share * share,
+    ];
+    let prior = Prior {
+        onset: Belief {
+            mean: 0.0,
+            sigma: 0.1,
+        },
+        dynamics: Dynamics::new(
+            nalgebra::DVector::from_vec(vec![1.16_f64.ln(), 4.0_f64.ln(), 0.41]),
+            nalgebra::DMatrix::from_row_slice(3, 3, &rows),
+            f64::INFINITY,
+        )
+        .unwrap(),
+        slowest: None,
+        end: None,
+    };
+    let found = fit(&samples, &Noise::white(1.2), &prior, &truth).unwrap();
+    let sigma = found.final_sigma() / 34.5;
+    println!(
+        "after {after_s} s, scale {scale}, own {own}: {:.1} % of the step",
+        100.0 * sigma
+    );
+    sigma
+}
+
+/// Why cooling that is known from heating alone is not known to 5 % after two seconds, whatever the method.
+#[test]
+fn the_information_in_the_samples_limits_what_can_be_known() {
+    let (known, scaled, apart) = ((1e-4, 1e-4, 1e-4), (0.2, 0.05, 0.02), (1e-4, 0.2, 0.02));
+    assert!((0.02..0.03).contains(&end_sigma(1.0, known)));
+    assert!(end_sigma(2.0, known) < 0.012);
+    assert!(end_sigma(2.0, scaled) > 0.05);
+    // One scale for all lags is found out sooner than two.
+    assert!(end_sigma(3.0, scaled) < 0.7 * end_sigma(3.0, apart));
 }
 
 /// A run that shows no fault of its model is still no proof that the next one will show none.
