@@ -16,9 +16,9 @@ use posebridge_telemetry::Known;
 use serde_json::Map;
 
 use super::report::{Findings, Quantity};
+use crate::commands::lab::live::LiveArgs;
 use crate::commands::lab::outcome::OutputArgs;
 use crate::commands::lab::wall::steps::{PIECE, log_of};
-use crate::commands::lab::live::LiveArgs;
 use crate::commands::lab::wall::{LabWallArgs, recorded};
 use crate::commands::{Failure, Stage};
 use crate::config::Setting;

@@ -221,7 +221,8 @@ impl Report {
             let shares = reading.order.steps.iter().map(OrderStep::share);
             row.extend(shares.map(percent));
             row.push(percent(share(reading.order.all_hold, reading.order.drives)));
-            row.push(yes_or_no(reading.order.holds_on_average()));
+            let is_so = reading.order.holds_on_average();
+            row.push(if is_so { "yes" } else { "no" }.to_owned());
             row
         });
         let notes = self
@@ -373,10 +374,6 @@ fn share(holds: u64, drives: u64) -> f64 {
 
 fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
-}
-
-fn yes_or_no(is_so: bool) -> String {
-    if is_so { "yes" } else { "no" }.to_owned()
 }
 
 /// A part for a terminal; pictures have none.
