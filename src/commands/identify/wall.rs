@@ -3,7 +3,7 @@
 //! Without a recording on the simulated car, whose numbers are known. docs/lab/identify.md has the equations, `lab wall` what the numbers
 //! are good for.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape};
@@ -11,15 +11,15 @@ use posebridge_analysis::wall::{
     StepFit, WallLog, by_hand, fit_steps, loop_period, reading_period,
 };
 use posebridge_estimator::models::wall_approach::WallApproach;
-use posebridge_sim::wall::{DEFAULT_SCENE, WallScene, step};
+use posebridge_sim::wall::{WallScene, step};
 use posebridge_telemetry::Known;
 use serde_json::Map;
 
 use super::report::{Findings, Quantity};
-use crate::commands::lab::live::LiveArgs;
 use crate::commands::lab::outcome::OutputArgs;
+use crate::commands::lab::wall::recorded::{self, Choice};
+use crate::commands::lab::wall::scene;
 use crate::commands::lab::wall::steps::{PIECE, log_of};
-use crate::commands::lab::wall::{LabWallArgs, recorded};
 use crate::commands::{Failure, Stage};
 use crate::config::Setting;
 
@@ -61,7 +61,7 @@ pub struct WallArgs {
 /// The scene or the recording cannot be had, no step tells anything, or an output cannot be written.
 pub(super) fn execute(args: &WallArgs) -> Result<(), Failure> {
     if let Some(path) = &args.recording {
-        let prepared = recorded::prepare(path, &as_lab(args)).at_start()?;
+        let prepared = recorded::prepare(path, &choice(args)).at_start()?;
         let folder = args.output.folder()?;
         let findings = of_runs(&prepared.runs).while_running()?;
         return super::deliver(
@@ -71,44 +71,21 @@ pub(super) fn execute(args: &WallArgs) -> Result<(), Failure> {
             &path.display().to_string(),
         );
     }
-    let scene = scene(args).at_start()?;
+    let scene = scene(args.scene.as_deref(), args.seed).at_start()?;
     let folder = args.output.folder()?;
     let findings = simulated(&scene, args.steps).while_running()?;
     let source = format!("simulated, {} steps, seed {}", args.steps, scene.seed);
     super::deliver(&args.output, &folder, &findings, &source)
 }
 
-/// What the reader of recorded approaches has to know.
-fn as_lab(args: &WallArgs) -> LabWallArgs {
-    LabWallArgs {
-        scene: None,
-        steps: args.steps,
-        runs: 1,
-        seed: args.seed,
-        profile: "none".to_owned(),
-        recording: args.recording.clone(),
-        live: LiveArgs::default(),
-        data: args.data.clone(),
-        run: args.run.clone(),
-        settings: args.settings.clone(),
-        command_column: args.command_column.clone(),
+fn choice(args: &WallArgs) -> Choice<'_> {
+    Choice {
+        data: args.data.as_deref(),
+        run: args.run.as_deref(),
+        settings: &args.settings,
+        command_column: args.command_column.as_deref(),
         kalman_column: None,
-        output: args.output.clone(),
     }
-}
-
-fn scene(args: &WallArgs) -> Result<WallScene> {
-    let read = |path: &Path| {
-        let name = path.display();
-        let text =
-            std::fs::read_to_string(path).with_context(|| format!("reading the scene `{name}`"))?;
-        WallScene::from_toml(&text).with_context(|| format!("scene `{name}`"))
-    };
-    let scene = match &args.scene {
-        None => WallScene::from_toml(DEFAULT_SCENE)?,
-        Some(path) => read(path)?,
-    };
-    Ok(args.seed.map_or(scene, |seed| scene.with_seed(seed)))
 }
 
 /// What is true of a simulated car.

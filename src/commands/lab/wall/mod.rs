@@ -12,7 +12,7 @@ mod recorded_report;
 mod simulated;
 pub(in crate::commands) mod steps;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
@@ -85,7 +85,7 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
         return args.output.deliver(&folder, &outcome);
     }
     let prepared = simulated::Prepared {
-        scene: scene(args).at_start()?,
+        scene: scene(args.scene.as_deref(), args.seed).at_start()?,
         steps: args.steps,
         runs: args.runs,
         profile_name: args.profile.clone(),
@@ -103,16 +103,30 @@ fn real(args: &LabWallArgs) -> Result<Option<recorded::Prepared>, Failure> {
         settings: &args.settings,
     };
     if let Some(recording) = args.live.record(&args.output, robot, recorded::TASK)? {
-        let prepared = recorded::prepare(&recording, args);
+        let prepared = recorded::prepare(&recording, &choice(args));
         return prepared.map(Some).while_running();
     }
     let recording = args.recording.as_ref();
-    let prepared = recording.map(|path| recorded::prepare(path, args));
+    let prepared = recording.map(|path| recorded::prepare(path, &choice(args)));
     prepared.transpose().at_start()
 }
 
-fn scene(args: &LabWallArgs) -> anyhow::Result<WallScene> {
-    let scene = match &args.scene {
+fn choice(args: &LabWallArgs) -> recorded::Choice<'_> {
+    recorded::Choice {
+        data: args.data.as_deref(),
+        run: args.run.as_deref(),
+        settings: &args.settings,
+        command_column: args.command_column.as_deref(),
+        kalman_column: args.kalman_column.as_deref(),
+    }
+}
+
+/// The scene of a file, or that of the paper, with another seed if one is given.
+pub(in crate::commands) fn scene(
+    file: Option<&Path>,
+    seed: Option<u64>,
+) -> anyhow::Result<WallScene> {
+    let scene = match file {
         None => WallScene::from_toml(DEFAULT_SCENE)?,
         Some(path) => {
             let name = path.display();
@@ -121,5 +135,5 @@ fn scene(args: &LabWallArgs) -> anyhow::Result<WallScene> {
             WallScene::from_toml(&text).with_context(|| format!("scene `{name}`"))?
         }
     };
-    Ok(args.seed.map_or(scene, |seed| scene.with_seed(seed)))
+    Ok(seed.map_or(scene, |seed| scene.with_seed(seed)))
 }

@@ -10,12 +10,12 @@ use posebridge_analysis::wall::{
 use posebridge_recording::dataset::{Descriptor, Run};
 use posebridge_telemetry::{Observation, Observed, SensorId};
 
-use super::LabWallArgs;
 use super::columns::{Extra, THEIR_FILTER, with_extra};
 use super::recorded_report;
 use super::steps::PIECE;
 use crate::cli::DataFlags;
 use crate::commands::lab::outcome::Outcome;
+use crate::config::Setting;
 use crate::data::{DataSet, tell_bad_rows};
 use crate::own_recording::{self, Overlay};
 use crate::parallel::run_all;
@@ -63,16 +63,31 @@ pub(super) struct RunFound {
 /// What a person with a live robot is told to do.
 pub(super) const TASK: &str = "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
+/// What to read of a recording.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::commands) struct Choice<'a> {
+    /// Where a descriptor's relative paths start.
+    pub(in crate::commands) data: Option<&'a Path>,
+    /// The beginning of the names of a descriptor's runs; all without it.
+    pub(in crate::commands) run: Option<&'a str>,
+    /// Keys of the robot's table, or of the configuration of a recording of ours.
+    pub(in crate::commands) settings: &'a [Setting],
+    /// The column of the motor's PWM, instead of one with a usual name.
+    pub(in crate::commands) command_column: Option<&'a str>,
+    /// The column of somebody else's filter, instead of one with a usual name.
+    pub(in crate::commands) kalman_column: Option<&'a str>,
+}
+
 /// Reads every run that was asked for: of a descriptor, or a recording of ours, which is one run.
-pub(in crate::commands) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
+pub(in crate::commands) fn prepare(path: &Path, choice: &Choice<'_>) -> Result<Prepared> {
     if own_recording::is_own(path) {
-        return prepare_own(path, args);
+        return prepare_own(path, choice);
     }
     let flags = DataFlags {
-        data: args.data.clone(),
-        run: Some(args.run.clone().unwrap_or_default()),
+        data: choice.data.map(Path::to_owned),
+        run: Some(choice.run.unwrap_or_default().to_owned()),
         use_every: None,
-        settings: args.settings.clone(),
+        settings: choice.settings.to_vec(),
     };
     let mut set = DataSet::open(path, &flags)?;
     let text = std::fs::read_to_string(path)
@@ -85,7 +100,7 @@ pub(in crate::commands) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Pr
             text: &text,
             run: &name,
         };
-        runs.push(reader.read(args)?);
+        runs.push(reader.read(choice)?);
     }
     Ok(Prepared {
         descriptor: path.display().to_string(),
@@ -94,15 +109,15 @@ pub(in crate::commands) fn prepare(path: &Path, args: &LabWallArgs) -> Result<Pr
 }
 
 /// A robot of ours tells its ranges but not what its motors were told: full drive is assumed, as for others who wrote it down nowhere.
-fn prepare_own(path: &Path, args: &LabWallArgs) -> Result<Prepared> {
+fn prepare_own(path: &Path, choice: &Choice<'_>) -> Result<Prepared> {
     ensure!(
-        args.run.is_none() && args.command_column.is_none() && args.kalman_column.is_none(),
+        choice.run.is_none() && choice.command_column.is_none() && choice.kalman_column.is_none(),
         "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
         path.display()
     );
     let overlay = Overlay {
         robot: None,
-        settings: &args.settings,
+        settings: choice.settings,
     };
     let run = own_recording::read(path, overlay)?;
     let ranges = said(run.observations.iter(), |_, observed| {
@@ -133,13 +148,11 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn read(&mut self, args: &LabWallArgs) -> Result<RunLog> {
+    fn read(&mut self, choice: &Choice<'_>) -> Result<RunLog> {
         let plain = self.set.load(self.run, self.flags)?;
         tell_bad_rows(&plain);
-        let asked = args.command_column.as_deref();
-        let commanded = self.column(asked, &COMMAND_COLUMNS, Extra::Command)?;
-        let asked = args.kalman_column.as_deref();
-        let filtered = self.column(asked, &KALMAN_COLUMNS, Extra::Filtered)?;
+        let commanded = self.column(choice.command_column, &COMMAND_COLUMNS, Extra::Command)?;
+        let filtered = self.column(choice.kalman_column, &KALMAN_COLUMNS, Extra::Filtered)?;
         let ranges = said(of_run(&plain.run), |sensor, observed| {
             range_m(observed)
                 .filter(|_| sensor != THEIR_FILTER)
