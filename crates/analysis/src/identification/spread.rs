@@ -6,7 +6,7 @@
 //!
 //! # Model
 //! ```text
-//! w_k = 1 / R_k of equation (4)      u_k = e_k sqrt(w_k)      g_k = J_k sqrt(w_k)      J_k = dy(t_k)/dp
+//! u_k, g_k   innovations of the errors and of J = dy/dp by the filter of equation (4), over their sigma: those that the fit has summed up
 //! B = (sum of g_k' g_k)^-1           C_l = sum of u_k u_(k+l) / (N - p)
 //! P = B [ sum over l = -L .. L of b_l C_|l| (sum over k of g_k' g_(k+l)) ] B          b_l = 1 - |l| / (L + 1)               (13)
 //! L = 0 if |C_l / C_0| < 2 sqrt(log10 N / N) for l = 1 .. 5, else N / 16
@@ -27,6 +27,7 @@ use nalgebra::{DMatrix, DVector};
 use posebridge_telemetry::Known;
 
 use super::fit::value_and_slopes;
+use super::model_error::{Columns, Noise, whitened};
 use super::prior::row;
 use super::step::{IdentifiedLag, IdentifiedStep};
 use super::step_response::StepResponse;
@@ -170,25 +171,26 @@ impl Residuals {
     fn of(found: &IdentifiedStep) -> Self {
         let response = found.response();
         let rows = row::LAGS + 2 * response.lags.len() - 1;
-        let (model_share, held_samples) = model_error(found);
+        let chosen = found.chosen();
+        let noise = Noise {
+            sigma: found.sigma,
+            model_share: chosen.model_share,
+            held_s: chosen.held_s,
+        };
+        let mut columns = Columns::new();
         let mut weighted = Vec::new();
         let mut slopes = Vec::new();
         let mut errors = Vec::new();
-        for sample in &found.samples {
+        let whitened = whitened(&found.samples, response, &noise);
+        for (sample, white) in found.samples.iter().zip(&whitened) {
             let Some((value, by)) = value_and_slopes(response, sample.at_s) else {
                 continue;
             };
-            let since_s = sample.at_s - response.onset_s;
-            let left = if since_s > 0.0 {
-                response.step * response.remaining(since_s)
-            } else {
-                0.0
-            };
-            let variance = found.sigma.powi(2) + held_samples * (model_share * left).powi(2);
-            let scale = variance.sqrt().recip();
             let error = sample.value - value;
+            let (new, by) = columns.innovations(white, error, by);
+            let scale = white.weight.sqrt();
             errors.push(error);
-            weighted.push(error * scale);
+            weighted.push(new * scale);
             slopes.push(DVector::from_iterator(
                 rows,
                 by.into_iter().take(rows).map(|slope| slope * scale),
@@ -307,21 +309,6 @@ fn paired(slopes: &[DVector<f64>], lag: usize, rows: usize) -> DMatrix<f64> {
         sum.ger(1.0, here, there, 1.0);
     }
     sum
-}
-
-/// delta of equation (8), and c.
-fn model_error(found: &IdentifiedStep) -> (f64, f64) {
-    let chosen = found.chosen();
-    let onset_s = chosen.fit.response.onset_s;
-    let moving = found.samples.iter();
-    let moving = moving.filter(|sample| sample.at_s > onset_s).count();
-    let last_s = found.samples.last().map_or(onset_s, |sample| sample.at_s);
-    let distance_s = (last_s - onset_s) / moving.max(1) as f64;
-    let held = chosen.held_s / distance_s;
-    (
-        chosen.model_share,
-        if held.is_finite() { held.max(1.0) } else { 1.0 },
-    )
 }
 
 /// The sum of products of values so many samples apart.
