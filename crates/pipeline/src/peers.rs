@@ -218,8 +218,13 @@ impl Peers {
 
     fn forget(&mut self, ids: &[PeerId]) {
         for id in ids {
-            if let Some(peer) = self.present.remove(id) {
-                self.wait(*id, peer.scanner.deadline(), None);
+            if let Some(mut peer) = self.present.remove(id) {
+                let waits = peer.scanner.deadline();
+                self.wait(*id, waits, None);
+                if waits.is_none() {
+                    // A frame that stopped in its middle is not completed any more, and nothing hides behind it.
+                    peer.scanner.finish(&mut |_| {});
+                }
                 self.count_gone(&peer);
             }
         }
