@@ -5,85 +5,28 @@
 
 #![expect(clippy::expect_used, reason = "helpers of tests")]
 
-use std::collections::BTreeMap;
+#[path = "support/golden.rs"]
+mod frames;
+
 use std::f64::consts::FRAC_PI_3;
 
-use posebridge_protocol::dialect::{Encoder, PayloadError, decode};
-use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
+use frames::{check, check_encoding, decode_golden, golden, with_frame};
+use posebridge_protocol::dialect::PayloadError;
+use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
     CommandAck, CommandLong, EstimatorStatus, FusionHealth, Heartbeat, Inertial, Message, Odometry,
-    OdometryPose, PlanarImu, PlanarPose, PoseFlags, RobotDescription, SCALED_PRESSURE_CHANNEL,
-    SetMessageInterval, TimeSync, VisionFix, WheelTicks, WireStamp,
+    OdometryPose, PlanarImu, PlanarPose, PoseFlags, RobotDescription, SetMessageInterval, TimeSync,
+    VisionFix, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
-    Address, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    Address, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians,
+    RadiansPerSecond, SensorId, Span,
 };
 
 const ROBOT: Address = Address::new(1, 1);
 const STATION: Address = Address::new(1, 197);
 const GCS: Address = Address::new(255, 190);
 const STANDARD_GRAVITY: f64 = 9.806_65;
-
-fn golden() -> BTreeMap<String, Vec<u8>> {
-    let text = include_str!("data/golden.json");
-    let cases: BTreeMap<String, String> = serde_json::from_str(text).expect("golden.json");
-    cases
-        .into_iter()
-        .map(|(name, hex)| (name, from_hex(&hex)))
-        .collect()
-}
-
-fn from_hex(hex: &str) -> Vec<u8> {
-    hex.as_bytes()
-        .chunks(2)
-        .map(|pair| {
-            let digits = std::str::from_utf8(pair).expect("ASCII");
-            u8::from_str_radix(digits, 16).expect("hexadecimal")
-        })
-        .collect()
-}
-
-/// Scans the bytes, which must be exactly one verified frame, and looks at it.
-fn with_frame<T>(bytes: &[u8], look: impl Fn(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Scanner::new(ScannerConfig {
-        accept_v1: true,
-        ..ScannerConfig::default()
-    });
-    let mut seen = Vec::new();
-    scanner.push(Stamp::ZERO, bytes, &mut |found| {
-        if let Scanned::Frame(frame) = found {
-            seen.push(look(&frame));
-        }
-    });
-    assert_eq!(scanner.counters().frames, 1);
-    assert_eq!(scanner.counters().garbage_bytes, 0);
-    seen.pop().expect("one frame")
-}
-
-fn decode_golden(name: &str) -> Result<Option<Message>, PayloadError> {
-    with_frame(&golden()[name], decode)
-}
-
-/// Decodes to `expected`, and `expected` encodes to the same bytes.
-fn check(name: &str, expected: &Message) {
-    let bytes = &golden()[name];
-    let decoded = with_frame(bytes, decode).expect(name).expect(name);
-    assert_eq!(&decoded, expected, "{name}");
-    check_encoding(name, expected, WireVersion::V2);
-}
-
-fn check_encoding(name: &str, message: &Message, version: WireVersion) {
-    let bytes = &golden()[name];
-    let (source, sequence) = with_frame(bytes, |frame| (frame.source, frame.sequence));
-    let mut encoder = Encoder::new(version);
-    let mut written = Vec::new();
-    for _ in 0..=sequence {
-        written.clear();
-        encoder.encode(source, message, &mut written);
-    }
-    assert_eq!(&written, bytes, "{name}");
-}
 
 #[test]
 fn own_wheel_ticks_and_inertial() {
@@ -561,51 +504,4 @@ fn a_signed_frame_is_taken_with_its_signature() {
     let (raw, payload) = with_frame(bytes, |frame| (frame.raw.to_vec(), frame.payload.len()));
     assert_eq!(&raw, bytes);
     assert_eq!((raw.len(), payload), (9 + 12 + 13, 9));
-}
-
-/// What a thermometer of SCALED_PRESSURE says.
-fn scaled_pressure(temperature: f64) -> Message {
-    Message::Thermometer {
-        stamp: WireStamp::Millis32(123_456),
-        channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
-        temperature: Celsius(temperature),
-    }
-}
-
-/// What a named thermometer says at the last instant of a counter of milliseconds.
-fn named_temperature(name: &str, temperature: f64) -> Message {
-    Message::Thermometer {
-        stamp: WireStamp::Millis32(u32::MAX),
-        channel: ChannelName::from_bytes(name.as_bytes()),
-        temperature: Celsius(temperature),
-    }
-}
-
-#[test]
-fn thermometers() {
-    // The pressures of the frame are of no use here.
-    assert_eq!(
-        decode_golden("scaled_pressure").unwrap(),
-        Some(scaled_pressure(-12.34))
-    );
-    check("scaled_pressure_without_pressures", &scaled_pressure(48.71));
-    check("named_temperature", &named_temperature("temp1", 36.25));
-    check(
-        "named_temperature_without_terminator",
-        &named_temperature("temp_water", -40.5),
-    );
-    assert_eq!(decode_golden("named_value_of_another_kind").unwrap(), None);
-}
-
-#[test]
-fn temperatures_that_cannot_be_are_refused() {
-    for (name, message_id) in [
-        ("scaled_pressure_below_absolute_zero", 29),
-        ("named_temperature_not_a_number", 251),
-        ("named_temperature_infinite", 251),
-        ("named_temperature_too_hot", 251),
-    ] {
-        let refused = decode_golden(name).expect_err(name);
-        assert_eq!(refused.message_id(), message_id, "{name}");
-    }
 }
