@@ -6,9 +6,10 @@ use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::{Ending, Reader};
-use posebridge_telemetry::{Observation, Output, Stamp};
+use posebridge_telemetry::{
+    BrickClock, ChannelName, Event, HostClock, Observation, Observed, Output, RobotId, SensorId, Span, Stamp,
+};
 
-use crate::collect::Collector;
 use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
 use crate::signing;
 use crate::stderr::say;
@@ -24,6 +25,105 @@ pub struct OwnRun {
     pub config: FilterConfig,
     /// What was observed, in the order of arrival, in brick time.
     pub observations: Vec<Observation>,
+    /// When each of them arrived, in brick time; `None` if the brick never answered a question for its time.
+    pub arrivals: Option<Vec<Stamp<BrickClock>>>,
+    /// What each thermometer showed, in the order in which they were first heard.
+    pub thermometers: Vec<Thermometer>,
+}
+
+/// What one thermometer showed.
+#[derive(Clone, Debug)]
+pub struct Thermometer {
+    brick: RobotId,
+    /// Which of the brick's.
+    pub channel: ChannelName,
+    /// Its readings in the order of arrival, by the clock of its brick.
+    pub readings: Vec<Observation>,
+}
+
+/// An instant by both clocks.
+#[derive(Clone, Copy, Debug)]
+struct Aligned {
+    host: Stamp<HostClock>,
+    brick: Stamp<BrickClock>,
+    skew_ppm: f64,
+}
+
+/// What a recording's events said.
+#[derive(Debug, Default)]
+struct Heard {
+    observations: Vec<Observation>,
+    arrivals: Vec<Stamp<HostClock>>,
+    /// In the order of host time.
+    aligned: Vec<Aligned>,
+    thermometers: Vec<Thermometer>,
+    restarts: u64,
+}
+
+impl Heard {
+    fn take(&mut self, event: &Event) {
+        match *event {
+            Event::Observed {
+                arrival,
+                observation,
+                ..
+            } => {
+                self.observations.push(observation);
+                self.arrivals.push(arrival);
+            }
+            Event::Temperature {
+                brick,
+                channel,
+                stamp,
+                shown,
+                ..
+            } => {
+                let reading = Observation {
+                    sensor: SensorId::THERMOMETER,
+                    stamp,
+                    stamp_sigma: Span::ZERO,
+                    observed: Observed::Temperature(shown),
+                };
+                self.take_reading(brick, channel, reading);
+            }
+            Event::BrickClockAligned {
+                host,
+                brick,
+                skew_ppm,
+                ..
+            } => self.aligned.push(Aligned {
+                host,
+                brick,
+                skew_ppm,
+            }),
+            Event::BrickRestarted { .. } => self.restarts += 1,
+            _ => {}
+        }
+    }
+
+    fn take_reading(&mut self, brick: RobotId, channel: ChannelName, reading: Observation) {
+        let is_it = |one: &&mut Thermometer| one.brick == brick && one.channel == channel;
+        match self.thermometers.iter_mut().find(is_it) {
+            Some(known) => known.readings.push(reading),
+            None => self.thermometers.push(Thermometer {
+                brick,
+                channel,
+                readings: vec![reading],
+            }),
+        }
+    }
+
+    /// The arrivals by the brick's clock, each by the alignment that was in force.
+    fn arrivals_in_brick_time(&self) -> Option<Vec<Stamp<BrickClock>>> {
+        let first = self.aligned.first()?;
+        let converted = self.arrivals.iter().map(|arrival| {
+            let after = self.aligned.partition_point(|one| one.host <= *arrival);
+            let by = after.checked_sub(1).and_then(|index| self.aligned.get(index)).unwrap_or(first);
+            let since_s = (*arrival - by.host).as_secs_f64();
+            by.brick + Span::from_secs_f64(since_s * (1.0 + 1e-6 * by.skew_ppm))
+        });
+        Some(converted.collect())
+    }
 }
 
 /// What is laid over the configuration that a recording was made with.
@@ -59,7 +159,7 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
     let mut pipeline_config = config.pipeline()?;
     signing::recall(&config, &[], &mut pipeline_config)?;
     let mut pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
-    let mut collector = Collector::keeping_observations();
+    let mut heard = Heard::default();
     for item in &mut reader {
         match item {
             Ok((now, input)) => pipeline.handle(now, &input),
@@ -67,7 +167,7 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
         }
         while let Some(output) = pipeline.poll() {
             if let Output::Event(event) = output {
-                collector.take(&event);
+                heard.take(&event);
             }
         }
     }
@@ -77,14 +177,14 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
         ));
     }
     ensure!(
-        !collector.kept.is_empty(),
+        !(heard.observations.is_empty() && heard.thermometers.is_empty()),
         "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \
          record again"
     );
-    if collector.restarts > 0 {
+    if heard.restarts > 0 {
         bail!(
             "`{name}`: the brick restarted {} time(s), its clock began anew; record a drive without a restart",
-            collector.restarts
+            heard.restarts
         );
     }
     let mut filter_config = config.filter_config()?;
@@ -93,7 +193,9 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
         name,
         robot: described(&config.robot, &filter_config),
         config: filter_config,
-        observations: collector.kept,
+        arrivals: heard.arrivals_in_brick_time(),
+        observations: heard.observations,
+        thermometers: heard.thermometers,
     })
 }
 

@@ -9,17 +9,18 @@
 )]
 
 mod support;
+#[path = "support/virtual_drive.rs"]
+mod virtual_drive;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use posebridge::config::{Config, RobotProfile};
-use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::{FORMAT, Header, Writer};
-use posebridge_sim::{Scenario, Simulation};
-use posebridge_telemetry::{Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
+use posebridge::config::RobotProfile;
+use posebridge_sim::Scenario;
+use posebridge_telemetry::Span;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
+use virtual_drive::record_drive;
 
 fn shared_data() -> Option<PathBuf> {
     std::env::var_os("POSEBRIDGE_DATA").map(PathBuf::from)
@@ -360,48 +361,7 @@ fn recorded_drive(folder: &Path) {
     scenario.errors.radius_error = OFF[0];
     scenario.errors.radius_mismatch = OFF[1];
     scenario.errors.track_error = OFF[2];
-    let config = Config::default().with_tag_of(&scenario);
-    let header = Header {
-        format: FORMAT,
-        program_version: env!("CARGO_PKG_VERSION").to_owned(),
-        utc_start_micros: 0,
-        config_toml: toml::to_string(&config).unwrap(),
-        links: vec!["sim://figure-eight".to_owned()],
-    };
-    let mut pipeline = Pipeline::new(config.pipeline().unwrap(), Stamp::ZERO).unwrap();
-    let mut simulation = Simulation::new(scenario);
-    let file = std::fs::File::create(folder.join("drive.mcap")).unwrap();
-    let mut writer = Writer::create(file, &header).unwrap();
-    let link = LinkId(0);
-    let mut inputs = vec![Input::Link {
-        link,
-        state: LinkState::Up,
-    }];
-    let mut ends_at = None;
-    while ends_at.is_none_or(|end| simulation.elapsed() < end) {
-        let now = Stamp::ZERO + simulation.elapsed();
-        if pipeline.deadline().is_some_and(|deadline| deadline <= now) {
-            inputs.push(Input::Tick);
-        }
-        for input in inputs.drain(..) {
-            writer.record(now, &input).unwrap();
-            pipeline.handle(now, &input);
-            while let Some(output) = pipeline.poll() {
-                if let Output::Transmit { bytes, .. } = output {
-                    simulation.receive(&bytes);
-                }
-            }
-        }
-        simulation.step();
-        while let Some(bytes) = simulation.poll() {
-            let peer = PeerId::default();
-            inputs.push(Input::Bytes { link, peer, bytes });
-        }
-        if simulation.is_finished() && ends_at.is_none() {
-            ends_at = Some(simulation.elapsed() + REST);
-        }
-    }
-    writer.finish().unwrap();
+    record_drive(&folder.join("drive.mcap"), scenario, REST);
 }
 
 /// Whether a profile's robot is the simulated one, to a share of each number.

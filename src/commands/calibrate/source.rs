@@ -11,7 +11,7 @@ use crate::cli::DataFlags;
 use crate::commands::{Failure, Stage};
 use crate::config::RobotFile;
 use crate::data::{DataSet, tell_bad_rows};
-use crate::own_recording::{self, Overlay};
+use crate::own_recording::{self, Overlay, Thermometer};
 use crate::parallel::run_all;
 use crate::progress;
 
@@ -30,6 +30,8 @@ pub(crate) struct Drive {
     pub(crate) robot: RobotFile,
     pub(crate) config: FilterConfig,
     pub(crate) observations: Vec<Observation>,
+    /// The thermometers of a recording of ours; those of a descriptor are among the observations.
+    pub(crate) thermometers: Vec<Thermometer>,
     /// Where the robot was seen, and by what.
     pub(crate) sights: Vec<Sight>,
     pub(crate) against: Against,
@@ -108,6 +110,7 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drive
                 Against::Truth => truth.collect(),
             },
             observations,
+            thermometers: Vec::new(),
             against,
         });
     }
@@ -136,6 +139,7 @@ fn load_own(path: &Path, flags: &DataFlags) -> Result<Drives> {
             sights: fix_sights(&run.observations, &run.config),
             config: run.config,
             observations: run.observations,
+            thermometers: run.thermometers,
             against: Against::Fixes,
         }],
     })

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use anyhow::{Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use clap::Args;
 use posebridge_analysis::calibration::free_path::FreePath;
 use posebridge_analysis::calibration::umbmark::{
@@ -19,9 +19,10 @@ use posebridge_telemetry::Calibration;
 use serde_json::{Value, json};
 
 use super::profile::{Calibrated, folded};
-use super::source::{self, Watch};
+use super::source::{self, Drive, Watch};
 use super::umbmark_source::{simulated, typed};
 use crate::cli::DataFlags;
+use crate::commands::lab::live::{LiveArgs, LiveRobot};
 use crate::commands::lab::outcome::{Outcome, OutputArgs};
 use crate::commands::{Failure, Stage};
 use crate::config::{RobotFile, RobotProfile};
@@ -32,24 +33,31 @@ const SEEN_SIGMA_M: f64 = 0.005;
 /// What x and y say may lie apart by so much of what they say, before the drives are doubted.
 const DOUBTFUL: f64 = 0.5;
 
+/// What a person with a live robot is told to do.
+const TASK: &str = "drive one square before the camera, back to where it began, in one direction, and stop there";
+
 /// Flags of `calibrate umbmark`.
 #[derive(Args, Clone, Debug)]
-#[command(group = clap::ArgGroup::new("squares").required(true).args(["recording", "ends", "sim"]))]
+#[command(group = clap::ArgGroup::new("squares").required(true).multiple(true).args(["recordings", "link", "listen", "ends", "sim"]))]
 pub struct UmbmarkArgs {
-    /// A descriptor whose chosen runs are squares with a truth, or a recording (*.mcap) of one.
-    pub recording: Option<PathBuf>,
+    /// Descriptors whose chosen runs are squares with a truth, and recordings (*.mcap), each of one square whose end a camera saw.
+    #[arg(value_name = "RECORDING", conflicts_with_all = ["ends", "sim"])]
+    pub recordings: Vec<PathBuf>,
+    /// A live robot, for one more square.
+    #[command(flatten)]
+    pub live: LiveArgs,
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
     /// In place of a recording: a CSV table of the columns direction (cw or ccw), x_mm, y_mm: where the robot really was, ahead and to
     /// the left of its start, when it believed to be home.
-    #[arg(long, value_name = "FILE.csv")]
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["sim", "real_robot"])]
     pub ends: Option<PathBuf>,
     /// In place of a recording: let the simulated robot drive.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "real_robot")]
     pub sim: bool,
     /// The robot of --ends: a profile with a [robot] table, the one by which the brick steered.
-    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["recording", "sim"])]
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["recordings", "real_robot", "sim"])]
     pub robot: Option<PathBuf>,
     /// Length of a side, in metres; recorded drives tell it themselves.
     #[arg(long, value_name = "M")]
@@ -121,31 +129,58 @@ fn told(args: &UmbmarkArgs) -> Result<Told, Failure> {
     if args.sim {
         return of_simulated(args).while_running();
     }
-    let Some(recording) = &args.recording else {
-        return Err(anyhow!("name a recording, or give --ends or --sim")).at_start();
-    };
-    let watch = Watch {
-        against: None,
-        truth_sigma_m: SEEN_SIGMA_M,
-    };
-    let drives = source::load(recording, &args.data, watch)?;
-    let Some(first) = drives.drives.first() else {
-        return Err(anyhow!("`{}` holds no run", drives.recording)).at_start();
+    let drives = drives(args)?;
+    let Some(first) = drives.first() else {
+        return Err(anyhow!("no run was chosen: see --run")).at_start();
     };
     let paths: Vec<FreePath> = drives
-        .drives
         .iter()
         .map(|drive| {
             let sights = drive.sights.iter().copied();
             FreePath::new(&drive.name, &drive.config, &drive.observations, sights)
         })
         .collect();
-    let recorded = of_drives(&first.config, &paths, args.side_m).while_running()?;
+    let recorded = of_drives(&first.config, &paths, args.side_m)
+        .with_context(|| advice(&drives))
+        .while_running()?;
     Ok(Told {
-        source: drives.recording.clone(),
+        source: names(&drives),
         robot: first.robot.clone(),
         ..recorded
     })
+}
+
+/// The squares of all recordings, that of the live robot last.
+fn drives(args: &UmbmarkArgs) -> Result<Vec<Drive>, Failure> {
+    let watch = Watch {
+        against: None,
+        truth_sigma_m: SEEN_SIGMA_M,
+    };
+    let robot = LiveRobot {
+        file: None,
+        settings: &args.data.settings,
+    };
+    args.live.refuse_choice(&args.data)?;
+    let live = args.live.record(&args.output, robot, TASK)?;
+    let mut drives = Vec::new();
+    for recording in args.recordings.iter().chain(&live) {
+        drives.extend(source::load(recording, &args.data, watch)?.drives);
+    }
+    Ok(drives)
+}
+
+/// What to do when squares are missing: one recording is one square, unless a descriptor chooses several.
+fn advice(drives: &[Drive]) -> String {
+    format!(
+        "squares in both directions are needed, each recorded by itself; so far: {}. Name all recordings, and add a live square by --link \
+         or --listen with a new --out",
+        names(drives)
+    )
+}
+
+fn names(drives: &[Drive]) -> String {
+    let names: Vec<&str> = drives.iter().map(|drive| drive.name.as_str()).collect();
+    names.join(", ")
 }
 
 fn of_typed(args: &UmbmarkArgs, path: &std::path::Path) -> Result<Told> {

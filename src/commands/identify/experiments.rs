@@ -207,7 +207,7 @@ fn travels(seen: &Seen) -> Vec<[f64; 3]> {
 pub(super) fn delay(seen: &Seen, by: Clock, search: &DelaySearch) -> Result<Findings> {
     let observations: Vec<Observation> = seen.arrived.iter().map(|one| one.observation).collect();
     let levels = levels_of(&observations, &seen.geometry);
-    let sightings = sightings_of(seen, by);
+    let sightings = sightings_of(seen, by)?;
     let found = find_delay(&levels, &sightings, search)
         .with_context(|| format!("the camera of `{}`", seen.name))?;
     let camera = seen
@@ -254,26 +254,31 @@ pub(super) fn delay(seen: &Seen, by: Clock, search: &DelaySearch) -> Result<Find
 }
 
 /// The camera's fixes in the order of the clock that is asked about.
-fn sightings_of(seen: &Seen, by: Clock) -> Vec<Sighting> {
-    let mut sightings: Vec<Sighting> = seen
-        .arrived
-        .iter()
-        .filter_map(|one| {
-            let Observed::Fix(fix) = one.observation.observed else {
-                return None;
-            };
-            Some(Sighting {
-                at_s: match by {
-                    Clock::Stamp => one.observation.stamp.as_secs_f64(),
-                    Clock::Arrival => one.arrival_s,
-                },
-                place_m: [fix.position.x.0, fix.position.y.0],
-                heading_rad: fix.heading.map(posebridge_telemetry::Heading::rad),
-            })
-        })
-        .collect();
+fn sightings_of(seen: &Seen, by: Clock) -> Result<Vec<Sighting>> {
+    let mut sightings = Vec::new();
+    for one in &seen.arrived {
+        let Observed::Fix(fix) = one.observation.observed else {
+            continue;
+        };
+        let at_s = match by {
+            Clock::Stamp => Some(one.observation.stamp.as_secs_f64()),
+            Clock::Arrival => one.arrival_s,
+        };
+        let at_s = at_s.with_context(|| {
+            format!(
+                "`{}`: when a fix arrived by the clock of the brick is not known, because the brick never answered TIMESYNC; take \
+                 `--by stamp`",
+                seen.name
+            )
+        })?;
+        sightings.push(Sighting {
+            at_s,
+            place_m: [fix.position.x.0, fix.position.y.0],
+            heading_rad: fix.heading.map(posebridge_telemetry::Heading::rad),
+        });
+    }
     sightings.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-    sightings
+    Ok(sightings)
 }
 
 fn one_panel(title: &str, x_name: &str, y_name: &str, curves: Vec<Curve>) -> Plot {

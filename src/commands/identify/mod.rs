@@ -19,7 +19,7 @@ use anyhow::Result;
 use posebridge_analysis::noise_identification::DelaySearch;
 
 use self::report::Findings;
-use self::source::{Clock, SourceArgs};
+use self::source::{Clock, Experiment, SourceArgs};
 use crate::commands::lab::outcome::{Outcome, OutputArgs};
 use crate::commands::{Failure, Stage};
 
@@ -80,19 +80,14 @@ pub struct DelayArgs {
 /// The recording or the scenario cannot be had, it tells nothing of what is asked for, or an output cannot be written.
 pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
     match &args.what {
-        What::Rest(args) => run(&args.source, &args.output, source::REST, experiments::rest),
-        What::Straight(args) => run(
-            &args.source,
-            &args.output,
-            source::STRAIGHT,
-            experiments::straight,
-        ),
+        What::Rest(args) => run(&args.source, &args.output, &source::REST, experiments::rest),
+        What::Straight(args) => run(&args.source, &args.output, &source::STRAIGHT, experiments::straight),
         What::Delay(args) => {
             let search = DelaySearch {
                 from_s: -0.25 * args.most,
                 to_s: args.most,
             };
-            run(&args.source, &args.output, source::DELAY, |seen| {
+            run(&args.source, &args.output, &source::DELAY, |seen| {
                 experiments::delay(seen, args.by, &search)
             })
         }
@@ -104,10 +99,10 @@ pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
 fn run(
     source: &SourceArgs,
     output: &OutputArgs,
-    bundled: &str,
+    asked: &Experiment,
     experiment: impl FnOnce(&source::Seen) -> Result<Findings>,
 ) -> Result<(), Failure> {
-    let seen = source.read(bundled).at_start()?;
+    let seen = source.read(asked, output)?;
     let folder = output.folder()?;
     let findings = experiment(&seen).while_running()?;
     deliver(output, &folder, &findings, &seen.name)

@@ -1,4 +1,4 @@
-//! What is looked at: a run of a recording, or a simulated drive whose truth is known.
+//! What is looked at: a run of a recording, a live robot that is recorded first, or a simulated drive whose truth is known.
 
 use std::path::{Path, PathBuf};
 
@@ -7,16 +7,37 @@ use posebridge_sim::montecarlo::Scenario;
 use posebridge_telemetry::{DriveGeometry, Observation};
 
 use crate::cli::DataFlags;
+use crate::commands::lab::live::{LiveArgs, LiveRobot};
+use crate::commands::lab::outcome::OutputArgs;
+use crate::commands::{Failure, Stage};
 use crate::config::Setting;
 use crate::data::{DataSet, tell_bad_rows};
 use crate::drawn;
+use crate::own_recording::{self, Overlay};
 
-/// What the experiments look at without a recording.
-pub(super) const REST: &str = include_str!("scenarios/rest.toml");
-/// The same for a straight run.
-pub(super) const STRAIGHT: &str = include_str!("scenarios/straight.toml");
-/// The same for a delay.
-pub(super) const DELAY: &str = include_str!("scenarios/delay.toml");
+/// Where an experiment gets its drive from if nobody names a recording.
+pub(super) struct Experiment {
+    /// What a person with a live robot is told to do.
+    task: &'static str,
+    /// What is simulated without a robot.
+    scenario: &'static str,
+}
+
+/// A rest.
+pub(super) const REST: Experiment = Experiment {
+    task: "leave the robot standing, its motors off; ten minutes tell the walk of a gyro's bias, too",
+    scenario: include_str!("scenarios/rest.toml"),
+};
+/// A straight run.
+pub(super) const STRAIGHT: Experiment = Experiment {
+    task: "drive the robot straight on at an even speed; --from and --to cut off how it starts and stops",
+    scenario: include_str!("scenarios/straight.toml"),
+};
+/// A delay.
+pub(super) const DELAY: Experiment = Experiment {
+    task: "let the robot turn to and fro before the camera for half a minute",
+    scenario: include_str!("scenarios/delay.toml"),
+};
 
 /// By which instant a fix is taken for seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -30,20 +51,23 @@ pub enum Clock {
 /// Flags that say what to look at.
 #[derive(clap::Args, Clone, Debug)]
 pub struct SourceArgs {
-    /// A recording's descriptor (config/recordings/*.toml); without it a simulated drive.
-    #[arg(long, value_name = "FILE.toml")]
+    /// A recording's descriptor (config/recordings/*.toml) or a recording (*.mcap); without it a simulated drive.
+    #[arg(long, value_name = "FILE", group = "real_robot")]
     pub recording: Option<PathBuf>,
-    /// Which run of it: the first whose name begins so.
+    /// A live robot.
+    #[command(flatten)]
+    pub live: LiveArgs,
+    /// Which run of a descriptor: the first whose name begins so.
     #[arg(long, value_name = "PREFIX", requires = "recording")]
     pub run: Option<String>,
     /// Where a descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
-    /// Set one key of the robot's table, as for `replay`; may be repeated.
+    /// Set one key of the robot's table, as for `replay`, or of the configuration of a recording of ours; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
     pub settings: Vec<Setting>,
     /// Simulate this instead of the bundled experiment: a scenario of `lab accuracy`, or a TOML file.
-    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "recording")]
+    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "real_robot")]
     pub sim: Option<String>,
     /// Seed of a simulated drive.
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -58,7 +82,8 @@ pub struct SourceArgs {
 
 /// An observation and when it arrived.
 pub(super) struct Arrived {
-    pub(super) arrival_s: f64,
+    /// By the clock of the stamps; `None` where nobody knows.
+    pub(super) arrival_s: Option<f64>,
     pub(super) observation: Observation,
 }
 
@@ -72,15 +97,35 @@ pub(super) struct Seen {
 }
 
 impl SourceArgs {
-    /// Reads the recording or draws the drive.
+    /// Records the live robot, telling its person what to do, reads the recording, or draws the drive.
     ///
     /// # Errors
-    /// It cannot be read or makes no sense, or nothing lies between --from and --to.
-    pub(super) fn read(&self, bundled: &str) -> Result<Seen> {
-        let mut seen = match &self.recording {
-            Some(path) => self.recorded(path)?,
-            None => self.simulated(bundled)?,
+    /// It cannot be recorded or read, makes no sense, or nothing lies between --from and --to.
+    pub(super) fn read(
+        &self,
+        experiment: &Experiment,
+        output: &OutputArgs,
+    ) -> Result<Seen, Failure> {
+        let robot = LiveRobot {
+            file: None,
+            settings: &self.settings,
         };
+        if let Some(live) = self.live.record(output, robot, experiment.task)? {
+            // The keys that are set stand in the recording.
+            return read_own(&live, &[])
+                .and_then(|seen| self.cut(seen))
+                .while_running();
+        }
+        let seen = match &self.recording {
+            Some(path) if own_recording::is_own(path) => self.own(path),
+            Some(path) => self.recorded(path),
+            None => self.simulated(experiment.scenario),
+        };
+        seen.and_then(|seen| self.cut(seen)).at_start()
+    }
+
+    /// As far as --from and --to let it.
+    fn cut(&self, mut seen: Seen) -> Result<Seen> {
         let first_s = seen
             .arrived
             .iter()
@@ -104,6 +149,15 @@ impl SourceArgs {
         Ok(seen)
     }
 
+    fn own(&self, path: &Path) -> Result<Seen> {
+        ensure!(
+            self.run.is_none(),
+            "--run chooses from a descriptor's data; `{}` is a recording of ours",
+            path.display()
+        );
+        read_own(path, &self.settings)
+    }
+
     fn recorded(&self, path: &Path) -> Result<Seen> {
         let flags = DataFlags {
             data: self.data.clone(),
@@ -121,7 +175,7 @@ impl SourceArgs {
             name: loaded.run.name.clone(),
             arrived: timed
                 .map(|timed| Arrived {
-                    arrival_s: timed.arrival.as_secs_f64(),
+                    arrival_s: Some(timed.arrival.as_secs_f64()),
                     observation: timed.observation,
                 })
                 .collect(),
@@ -145,7 +199,7 @@ impl SourceArgs {
             name: format!("{name}, seed {}", self.seed),
             arrived: arrivals
                 .map(|arrival| Arrived {
-                    arrival_s: drive.stamp(arrival.step).as_secs_f64(),
+                    arrival_s: Some(drive.stamp(arrival.step).as_secs_f64()),
                     observation: arrival.observation,
                 })
                 .collect(),
@@ -153,4 +207,25 @@ impl SourceArgs {
             scenario: Some(scenario),
         })
     }
+}
+
+fn read_own(path: &Path, settings: &[Setting]) -> Result<Seen> {
+    let overlay = Overlay {
+        robot: None,
+        settings,
+    };
+    let run = own_recording::read(path, overlay)?;
+    let arrived = run.observations.iter().enumerate().map(|(index, observation)| {
+        let arrivals = run.arrivals.as_ref();
+        Arrived {
+            arrival_s: arrivals.and_then(|all| Some(all.get(index)?.as_secs_f64())),
+            observation: *observation,
+        }
+    });
+    Ok(Seen {
+        arrived: arrived.collect(),
+        geometry: run.config.geometry,
+        name: run.name,
+        scenario: None,
+    })
 }

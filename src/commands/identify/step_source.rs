@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use posebridge_analysis::identification::{Sample, Sampling, StepOptions, noise_of};
+use posebridge_telemetry::Observation;
 
 use super::step::{ChannelName, StepArgs};
 use super::step_simulated;
@@ -131,7 +132,8 @@ fn of_recording(args: &StepArgs, path: &Path) -> Result<Material> {
     let runs = drives
         .drives
         .iter()
-        .map(|drive| of_drive(args, asked, drive));
+        .flat_map(|drive| parts(asked, drive))
+        .map(|part| of_part(args, asked, &part));
     Ok(Material {
         source: drives.recording.clone(),
         what: channel.name().to_owned(),
@@ -141,17 +143,41 @@ fn of_recording(args: &StepArgs, path: &Path) -> Result<Material> {
     })
 }
 
-fn of_drive(args: &StepArgs, asked: ChannelName, drive: &Drive) -> Result<StepRun> {
-    let samples = cut(args, &asked.channel().samples(&drive.observations));
+/// What one sensor said during a drive.
+struct Part<'a> {
+    name: String,
+    drive: &'a Drive,
+    observations: &'a [Observation],
+}
+
+/// Every thermometer of a recording of ours by itself; else the drive as a whole, which has each sensor once.
+fn parts(asked: ChannelName, drive: &Drive) -> Vec<Part<'_>> {
+    if asked != ChannelName::Temperature || drive.thermometers.is_empty() {
+        return vec![Part {
+            name: drive.name.clone(),
+            drive,
+            observations: &drive.observations,
+        }];
+    }
+    let parts = drive.thermometers.iter().map(|one| Part {
+        name: format!("{} {}", drive.name, one.channel),
+        drive,
+        observations: &one.readings,
+    });
+    parts.collect()
+}
+
+fn of_part(args: &StepArgs, asked: ChannelName, part: &Part<'_>) -> Result<StepRun> {
+    let samples = cut(args, &asked.channel().samples(part.observations));
     if samples.is_empty() {
         let others = ChannelName::ALL.into_iter();
         let others: Vec<&str> = others
-            .filter(|one| !cut(args, &one.channel().samples(&drive.observations)).is_empty())
+            .filter(|one| !cut(args, &one.channel().samples(part.observations)).is_empty())
             .map(ChannelName::flag)
             .collect();
         bail!(
             "run `{}` holds no {} there; what it holds for --channel: {}",
-            drive.name,
+            part.name,
             asked.channel().name(),
             if others.is_empty() {
                 "nothing".to_owned()
@@ -160,11 +186,11 @@ fn of_drive(args: &StepArgs, asked: ChannelName, drive: &Drive) -> Result<StepRu
             }
         );
     }
-    let (noise, geometry) = (&drive.config.noise, &drive.config.geometry);
+    let (noise, geometry) = (&part.drive.config.noise, &part.drive.config.geometry);
     let sigma = asked.channel().noise(noise, geometry, &samples);
     Ok(StepRun {
         sampling: asked.channel().sampling(),
-        ..of_samples(args, &drive.name, samples, sigma)?
+        ..of_samples(args, &part.name, samples, sigma)?
     })
 }
 

@@ -100,11 +100,7 @@ impl LiveArgs {
         data: &DataFlags,
         task: &str,
     ) -> Result<PathBuf, Failure> {
-        if self.is_asked() && (data.run.is_some() || data.use_every.is_some()) {
-            let why =
-                "--run and --use-every choose from a descriptor's data, not from a live robot's";
-            return Err(anyhow!(why)).at_start();
-        }
+        self.refuse_choice(data)?;
         let robot = LiveRobot {
             file: None,
             settings: &data.settings,
@@ -113,6 +109,19 @@ impl LiveArgs {
         live.or_else(|| named.map(Path::to_owned))
             .ok_or_else(|| anyhow!("name a recording, or give --link or --listen"))
             .at_start()
+    }
+
+    /// A live robot has one run, all of which is used.
+    ///
+    /// # Errors
+    /// A run or fixes were chosen for a live robot.
+    pub fn refuse_choice(&self, data: &DataFlags) -> Result<(), Failure> {
+        if self.is_asked() && (data.run.is_some() || data.use_every.is_some()) {
+            let why =
+                "--run and --use-every choose from a descriptor's data, not from a live robot's";
+            return Err(anyhow!(why)).at_start();
+        }
+        Ok(())
     }
 
     fn run_args(&self, folder: PathBuf, robot: LiveRobot<'_>) -> RunArgs {

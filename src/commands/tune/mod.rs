@@ -2,6 +2,7 @@
 //!
 //! docs/lab/tune.md has the equations, what is switched off meanwhile, how far the numbers may move, and how to read the result.
 
+mod own;
 mod profile;
 mod report;
 mod runs;
@@ -27,10 +28,11 @@ use crate::stderr::say;
 /// Flags of `tune`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct TuneArgs {
-    /// A recording's descriptor (config/recordings/*.toml); may be repeated.
+    /// A recording's descriptor (config/recordings/*.toml) or a recording (*.mcap), which is one run by the name of its file; may be
+    /// repeated.
     #[arg(
         long = "recording",
-        value_name = "FILE.toml",
+        value_name = "FILE",
         required_unless_present = "sim"
     )]
     pub recordings: Vec<PathBuf>,
@@ -47,7 +49,8 @@ pub struct TuneArgs {
     /// Use every n-th fix and score on the rest, instead of what the descriptor says.
     #[arg(long, value_name = "N")]
     pub use_every: Option<usize>,
-    /// Set one key of the robot's table or a tunable of the filter before tuning, as for `replay`; may be repeated.
+    /// Set one key of the robot's table or a tunable of the filter before tuning, as for `replay`, or of the configuration of a
+    /// recording of ours; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
     pub settings: Vec<Setting>,
     /// Show the filter a position out of the truth every so many seconds, with the noise of noise.fix_position_m: for recordings

@@ -14,11 +14,12 @@ use posebridge_recording::dataset::Run;
 use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, Span, Stamp};
 
-use super::TuneArgs;
+use super::{TuneArgs, own};
 use crate::cli::DataFlags;
 use crate::config::RobotFile;
 use crate::data::{DataSet, RobotRun, tell_bad_rows};
 use crate::drawn::{self, filter_config, known_drive};
+use crate::own_recording;
 use crate::score::{Belief, Scorer};
 
 /// What a run is for.
@@ -31,7 +32,7 @@ pub(super) enum Set {
 }
 
 /// What a run is held against.
-enum Yardstick {
+pub(super) enum Yardstick {
     /// Truth or withheld fixes of a recording.
     Recorded(Box<Run>),
     /// The truth of a simulated drive.
@@ -45,7 +46,7 @@ pub(super) struct TuneRun {
     /// In the order of arrival.
     pub(super) observations: Vec<Observation>,
     pub(super) config: FilterConfig,
-    yardstick: Yardstick,
+    pub(super) yardstick: Yardstick,
 }
 
 /// What a filter made of a run.
@@ -96,7 +97,7 @@ fn recorded(args: &TuneArgs) -> Result<Material> {
     let mut robot = None;
     let mut known = Vec::new();
     for path in &args.recordings {
-        known.extend(DataSet::open(path, &flags(args, None))?.descriptor.runs);
+        known.extend(all_runs(args, path)?);
     }
     check_prefixes(args, &known)?;
     for path in &args.recordings {
@@ -112,6 +113,12 @@ fn recorded(args: &TuneArgs) -> Result<Material> {
             .collect::<Vec<_>>();
         let held_out = held_out.iter().map(|name| (name.clone(), Set::HeldOut));
         for (name, set) in sets.into_iter().chain(held_out) {
+            if own_recording::is_own(path) {
+                let (run, its_robot) = own::load(args, path, set)?;
+                robot.get_or_insert(its_robot);
+                runs.push(run);
+                continue;
+            }
             let flags = flags(args, Some(name.clone()));
             let loaded = DataSet::open(path, &flags)?.load(&name, &flags)?;
             tell_bad_rows(&loaded);
@@ -140,19 +147,27 @@ fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
     }
 }
 
-/// The runs of a recording that begin with one of the prefixes; the usual ones without a prefix.
-fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String>> {
-    let usual = DataSet::open(path, &flags(args, None))?;
-    if prefixes.is_empty() {
-        return Ok(usual.runs);
+/// Every run of a descriptor; a recording of ours is one.
+fn all_runs(args: &TuneArgs, path: &Path) -> Result<Vec<String>> {
+    if own_recording::is_own(path) {
+        return Ok(vec![own::name_of(path)]);
     }
-    let known = usual.descriptor.runs.iter();
-    let is_asked = |name: &&String| {
-        prefixes
-            .iter()
-            .any(|prefix| name.starts_with(prefix.as_str()))
-    };
-    Ok(known.filter(is_asked).cloned().collect())
+    Ok(DataSet::open(path, &flags(args, None))?.descriptor.runs)
+}
+
+/// The runs that begin with one of the prefixes; the usual ones without a prefix.
+fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String>> {
+    if prefixes.is_empty() && !own_recording::is_own(path) {
+        return Ok(DataSet::open(path, &flags(args, None))?.runs);
+    }
+    let mut runs = all_runs(args, path)?;
+    runs.retain(|name| {
+        prefixes.is_empty()
+            || prefixes
+                .iter()
+                .any(|prefix| name.starts_with(prefix.as_str()))
+    });
+    Ok(runs)
 }
 
 /// A prefix that fits no run is a slip of the pen.

@@ -12,29 +12,40 @@ use posebridge_analysis::identification::lesson::{SECTIONS, Section, bound_run, 
 use posebridge_analysis::report::page::{Page, Part};
 use serde_json::{Map, Value, json};
 
+use super::live::LiveArgs;
 use super::outcome::{Outcome, OutputArgs};
 use crate::commands::{Failure, Stage};
+use crate::config::Setting;
 use crate::parallel::run_all;
 use crate::progress;
 
 /// Flags of `lab thermometer`.
 #[derive(Args, Clone, Debug)]
+#[command(group = clap::ArgGroup::new("runs").multiple(true).args(["recordings", "link", "listen"]))]
 pub struct LabThermometerArgs {
-    /// A recording's descriptor (config/recordings/*.toml) with temperatures, instead of the simulated sensor.
-    #[arg(long, value_name = "FILE")]
-    pub recording: Option<PathBuf>,
+    /// A descriptor (config/recordings/*.toml) with temperatures, or recordings of ours (*.mcap; each of their thermometers is a run),
+    /// instead of the simulated sensor.
+    #[arg(long = "recording", value_name = "FILE", num_args = 1..)]
+    pub recordings: Vec<PathBuf>,
+    /// A live robot, whose step the recordings foretell.
+    #[command(flatten)]
+    pub live: LiveArgs,
     /// Where the descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
     /// Runs to identify the sensor on; without it all.
-    #[arg(long, value_name = "RUN", num_args = 1.., requires = "recording")]
+    #[arg(long, value_name = "RUN", num_args = 1.., requires = "runs")]
     pub identify: Vec<String>,
     /// Runs to predict, each by the identified ones without itself; without it all.
-    #[arg(long, value_name = "RUN", num_args = 1.., requires = "recording")]
+    #[arg(long, value_name = "RUN", num_args = 1.., requires = "runs")]
     pub predict: Vec<String>,
     /// The runs are of one sensor in the same surroundings: a step the same way has the very same dynamics.
-    #[arg(long, requires = "recording")]
+    #[arg(long, requires = "runs")]
     pub same_sensor: bool,
+    /// Set one key of a descriptor's robot, or of the configuration of a recording or a live robot, e.g.
+    /// robot.noise.temperature_k=0.05; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "runs")]
+    pub settings: Vec<Setting>,
     /// Runs over which the bounds of the simulated sensor are counted.
     #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(10..=100_000))]
     pub runs: u32,
@@ -46,15 +57,22 @@ pub struct LabThermometerArgs {
     pub output: OutputArgs,
 }
 
+impl LabThermometerArgs {
+    fn is_real(&self) -> bool {
+        !self.recordings.is_empty() || self.live.is_asked()
+    }
+}
+
 /// Runs the experiment.
 ///
 /// # Errors
 /// The recording or a run of it cannot be used, or an output cannot be written.
 pub fn execute(args: &LabThermometerArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
-    let sections = match &args.recording {
-        Some(descriptor) => recording::sections(args, descriptor)?,
-        None => simulated(args)?,
+    let sections = if args.is_real() {
+        recording::sections(args)?
+    } else {
+        simulated(args)?
     };
     args.output.deliver(&folder, &outcome(args, &sections))
 }
@@ -103,9 +121,13 @@ fn simulated(args: &LabThermometerArgs) -> Result<Vec<Section>, Failure> {
 }
 
 fn outcome(args: &LabThermometerArgs, sections: &[Section]) -> Outcome {
-    let source = match &args.recording {
-        Some(descriptor) => format!("recording {}", descriptor.display()),
-        None => format!("simulated sensor, seed {}", args.seed),
+    let source = if args.is_real() {
+        let names = args.recordings.iter().map(|path| path.display().to_string());
+        let live = args.live.is_asked().then(|| "a live robot".to_owned());
+        let names: Vec<String> = names.chain(live).collect();
+        format!("recording {}", names.join(", "))
+    } else {
+        format!("simulated sensor, seed {}", args.seed)
     };
     let mut parts = vec![Part::Text(format!(
         "What will a slow sensor show in the end? Source: {source}. docs/lab/thermometer.md has the theory and exercises."

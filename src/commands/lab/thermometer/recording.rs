@@ -1,32 +1,47 @@
 //! Recorded steps: which runs to identify on, which to predict, and by which others.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use posebridge_analysis::identification::kind::Likeness;
 use posebridge_analysis::identification::lesson::{Recorded, RecordedRun, Section, recorded};
 use posebridge_analysis::identification::{Sample, StepOptions, identify_step};
-use posebridge_telemetry::{Observed, SensorId};
+use posebridge_estimator::FilterConfig;
+use posebridge_telemetry::{Observation, Observed, SensorId};
 
 use super::LabThermometerArgs;
 use crate::cli::DataFlags;
+use crate::commands::lab::live::LiveRobot;
 use crate::commands::{Failure, Stage};
-use crate::data::{DataSet, RobotRun, tell_bad_rows};
+use crate::config::Setting;
+use crate::data::{DataSet, tell_bad_rows};
+use crate::own_recording::{self, Overlay};
 use crate::parallel::run_all;
 use crate::progress;
+use crate::stderr::say;
 
 /// Half a last digit of a thermometer with sixteen steps per kelvin, where the descriptor gives no noise; as the filter takes it.
 const DEFAULT_SIGMA_K: f64 = 0.03;
 
-/// Everything that is said about the runs of a descriptor.
-pub(super) fn sections(
-    args: &LabThermometerArgs,
-    descriptor: &Path,
-) -> Result<Vec<Section>, Failure> {
-    let chosen = Chosen::of(args, descriptor).at_start()?;
-    let loaded = chosen.load().at_start()?;
+/// What a person with a live robot is told to do.
+const TASK: &str = "leave the thermometer as it is for a few seconds, bring it to something warm or cold at once, and leave it there until it has settled";
+
+/// Everything that is said about the runs of a descriptor, or of recordings of ours.
+pub(super) fn sections(args: &LabThermometerArgs) -> Result<Vec<Section>, Failure> {
+    let robot = LiveRobot {
+        file: None,
+        settings: &args.settings,
+    };
+    let live = args.live.record(&args.output, robot, TASK)?;
+    let (chosen, loaded) = match args.recordings.as_slice() {
+        [descriptor] if live.is_none() && !own_recording::is_own(descriptor) => {
+            of_descriptor(args, descriptor)
+        }
+        recordings => of_recordings(args, recordings, live.as_deref()),
+    }
+    .at_start()?;
     let bar = progress::bar((loaded.len() + chosen.predict.len()) as u64, "steps").at_start()?;
-    let identified = run_all(&loaded, |run| identified(run, descriptor), || bar.inc(1));
+    let identified = run_all(&loaded, identified, || bar.inc(1));
     let runs: Vec<RecordedRun> = identified
         .into_iter()
         .collect::<Result<_>>()
@@ -59,66 +74,165 @@ pub(super) fn sections(
     Ok(recorded(&used, &predicted))
 }
 
+/// What a thermometer showed in one run.
+struct Shown {
+    run: String,
+    samples: Vec<Sample>,
+    sigma_k: f64,
+}
+
+impl Shown {
+    /// The readings of the first thermometer.
+    fn of<'a>(
+        run: &str,
+        readings: impl Iterator<Item = &'a Observation>,
+        config: &FilterConfig,
+    ) -> Self {
+        let samples = readings.filter_map(|observation| {
+            let Observed::Temperature(temperature) = observation.observed else {
+                return None;
+            };
+            // A descriptor may hold further thermometers; the experiment is about the first.
+            (observation.sensor == SensorId::THERMOMETER).then_some(Sample {
+                at_s: observation.stamp.as_secs_f64(),
+                value: temperature.0,
+            })
+        });
+        let noise = config.noise.temperature_k;
+        Self {
+            run: run.to_owned(),
+            samples: samples.collect(),
+            sigma_k: if noise > 0.0 { noise } else { DEFAULT_SIGMA_K },
+        }
+    }
+}
+
+/// The runs of a descriptor that were asked for, each loaded once.
+fn of_descriptor(args: &LabThermometerArgs, descriptor: &Path) -> Result<(Chosen, Vec<Shown>)> {
+    let flags = DataFlags {
+        data: args.data.clone(),
+        // Every name begins with nothing: all runs.
+        run: Some(String::new()),
+        use_every: None,
+        settings: args.settings.clone(),
+    };
+    let data = DataSet::open(descriptor, &flags)?;
+    let chosen = Chosen::of(args, &data.runs, &data.runs)?;
+    let load = |name: &String| -> Result<Shown> {
+        let run = data.load(name, &flags)?;
+        tell_bad_rows(&run);
+        let readings = run.run.observations.iter().map(|timed| &timed.observation);
+        let shown = Shown::of(name, readings, &run.filter_config);
+        ensure!(
+            !shown.samples.is_empty(),
+            "run `{name}` of `{}` holds no temperature: it needs a [[temperature]] stream",
+            descriptor.display()
+        );
+        Ok(shown)
+    };
+    let needed = data.runs.iter().filter(|name| chosen.needs(name));
+    let shown = needed.map(load).collect::<Result<_>>()?;
+    Ok((chosen, shown))
+}
+
+/// Each thermometer of each recording is a run; unless told otherwise, the earlier recordings foretell a live one.
+fn of_recordings(
+    args: &LabThermometerArgs,
+    recordings: &[PathBuf],
+    live: Option<&Path>,
+) -> Result<(Chosen, Vec<Shown>)> {
+    let mut shown = Vec::new();
+    for path in recordings {
+        ensure!(
+            own_recording::is_own(path),
+            "`{}` is a descriptor: give one alone, or recordings (*.mcap) and a live robot",
+            path.display()
+        );
+        shown.extend(thermometers(path, &args.settings)?);
+    }
+    let earlier: Vec<String> = shown.iter().map(|one| one.run.clone()).collect();
+    if let Some(live) = live {
+        // The keys that are set stand in the recording.
+        shown.extend(thermometers(live, &[])?);
+    }
+    let all: Vec<String> = shown.iter().map(|one| one.run.clone()).collect();
+    let chosen = match all.get(earlier.len()..) {
+        Some(new) if !new.is_empty() && !earlier.is_empty() && args.predict.is_empty() => {
+            Chosen {
+                predict: new.to_vec(),
+                ..Chosen::of(args, &all, &earlier)?
+            }
+        }
+        _ => Chosen::of(args, &all, &all)?,
+    };
+    shown.retain(|one| chosen.needs(&one.run));
+    Ok((chosen, shown))
+}
+
+fn thermometers(path: &Path, settings: &[Setting]) -> Result<Vec<Shown>> {
+    let overlay = Overlay {
+        robot: None,
+        settings,
+    };
+    let own = own_recording::read(path, overlay)?;
+    ensure!(
+        !own.thermometers.is_empty(),
+        "`{}` holds no temperature: let the brick send a named value whose name begins with `temp` (docs/lab/thermometer.md)",
+        own.name
+    );
+    let shown = own.thermometers.iter().map(|one| {
+        let run = format!("{}:{}", own.name, one.channel);
+        Shown::of(&run, one.readings.iter(), &own.config)
+    });
+    Ok(shown.collect())
+}
+
 /// The runs that were asked for.
 struct Chosen {
-    data: DataSet,
-    flags: DataFlags,
     identify: Vec<String>,
     predict: Vec<String>,
 }
 
 impl Chosen {
-    fn of(args: &LabThermometerArgs, descriptor: &Path) -> Result<Self> {
-        let flags = DataFlags {
-            data: args.data.clone(),
-            // Every name begins with nothing: all runs.
-            run: Some(String::new()),
-            use_every: None,
-            settings: Vec::new(),
-        };
-        let data = DataSet::open(descriptor, &flags)?;
+    /// From `all` runs, of which `usual` ones are identified and foretold unless others are named.
+    fn of(args: &LabThermometerArgs, all: &[String], usual: &[String]) -> Result<Self> {
         let named = |asked: &[String], flag: &str| -> Result<Vec<String>> {
             for name in asked {
                 ensure!(
-                    data.runs.contains(name),
-                    "`{flag} {name}`: `{}` has no such run; there are: {}",
-                    descriptor.display(),
-                    data.runs.join(", ")
+                    all.contains(name),
+                    "`{flag} {name}`: there is no such run; there are: {}",
+                    all.join(", ")
                 );
             }
             Ok(if asked.is_empty() {
-                data.runs.clone()
+                usual.to_vec()
             } else {
                 asked.to_vec()
             })
         };
-        let chosen = Self {
-            identify: named(&args.identify, "--identify")?,
-            predict: named(&args.predict, "--predict")?,
-            flags,
-            data,
-        };
-        for name in &chosen.predict {
+        let identify = named(&args.identify, "--identify")?;
+        let predict = named(&args.predict, "--predict")?;
+        if let ([only], true) = (all, args.predict.is_empty()) {
+            say(&format!(
+                "`{only}` is the only run: it is identified, and nothing is foretold. Give a second run of this sensor to see it \
+                 foretold by this one"
+            ));
+            return Ok(Self {
+                identify,
+                predict: Vec::new(),
+            });
+        }
+        for name in &predict {
             ensure!(
-                chosen.identify.iter().any(|other| other != name),
+                identify.iter().any(|other| other != name),
                 "run `{name}` cannot be predicted by itself: name another run with --identify"
             );
         }
-        Ok(chosen)
+        Ok(Self { identify, predict })
     }
 
-    /// Loads every run that is needed, once.
-    fn load(&self) -> Result<Vec<RobotRun>> {
-        let needed = self.data.runs.iter();
-        let needed =
-            needed.filter(|name| self.identify.contains(name) || self.predict.contains(name));
-        needed
-            .map(|name| {
-                let run = self.data.load(name, &self.flags)?;
-                tell_bad_rows(&run);
-                Ok(run)
-            })
-            .collect()
+    fn needs(&self, run: &String) -> bool {
+        self.identify.contains(run) || self.predict.contains(run)
     }
 
     /// Each run that shall be predicted, with those by which: the identified ones without itself.
@@ -134,38 +248,16 @@ impl Chosen {
     }
 }
 
-fn identified(robot_run: &RobotRun, descriptor: &Path) -> Result<RecordedRun> {
-    let run = &robot_run.run;
-    let samples = run.observations.iter().filter_map(|timed| {
-        let observation = &timed.observation;
-        let Observed::Temperature(temperature) = observation.observed else {
-            return None;
-        };
-        // A recording may hold further thermometers; the experiment is about the first.
-        (observation.sensor == SensorId::THERMOMETER).then_some(Sample {
-            at_s: observation.stamp.as_secs_f64(),
-            value: temperature.0,
-        })
-    });
-    let samples: Vec<Sample> = samples.collect();
-    ensure!(
-        !samples.is_empty(),
-        "run `{}` of `{}` holds no temperature: it needs a [[temperature]] stream",
-        run.name,
-        descriptor.display()
-    );
-    let noise = robot_run.filter_config.noise.temperature_k;
-    let sigma = if noise > 0.0 { noise } else { DEFAULT_SIGMA_K };
-    let found = identify_step(&samples, &StepOptions::with_sigma(sigma));
+fn identified(shown: &Shown) -> Result<RecordedRun> {
+    let found = identify_step(&shown.samples, &StepOptions::with_sigma(shown.sigma_k));
     let identified = found.with_context(|| {
         format!(
-            "run `{}` of `{}` (noise.temperature_k = {sigma})",
-            run.name,
-            descriptor.display()
+            "run `{}` (noise.temperature_k = {})",
+            shown.run, shown.sigma_k
         )
     })?;
     Ok(RecordedRun {
-        name: run.name.clone(),
+        name: shown.run.clone(),
         identified,
     })
 }

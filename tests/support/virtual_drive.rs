@@ -1,0 +1,58 @@
+//! A drive of the simulated brick, recorded as `posebridge run` would have recorded it, in virtual time.
+#![allow(
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+use std::path::Path;
+
+use posebridge::config::Config;
+use posebridge_pipeline::Pipeline;
+use posebridge_recording::container::{FORMAT, Header, Writer};
+use posebridge_sim::{Scenario, Simulation};
+use posebridge_telemetry::{Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
+
+/// Drives to the end of the path and then for `rest`; every input of the station is written down.
+pub(crate) fn record_drive(path: &Path, scenario: Scenario, rest: Span) {
+    let config = Config::default().with_tag_of(&scenario);
+    let header = Header {
+        format: FORMAT,
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        utc_start_micros: 0,
+        config_toml: toml::to_string(&config).unwrap(),
+        links: vec!["sim://".to_owned()],
+    };
+    let mut pipeline = Pipeline::new(config.pipeline().unwrap(), Stamp::ZERO).unwrap();
+    let mut simulation = Simulation::new(scenario);
+    let mut writer = Writer::create(std::fs::File::create(path).unwrap(), &header).unwrap();
+    let link = LinkId(0);
+    let mut inputs = vec![Input::Link {
+        link,
+        state: LinkState::Up,
+    }];
+    let mut ends_at = None;
+    while ends_at.is_none_or(|end| simulation.elapsed() < end) {
+        let now = Stamp::ZERO + simulation.elapsed();
+        if pipeline.deadline().is_some_and(|deadline| deadline <= now) {
+            inputs.push(Input::Tick);
+        }
+        for input in inputs.drain(..) {
+            writer.record(now, &input).unwrap();
+            pipeline.handle(now, &input);
+            while let Some(output) = pipeline.poll() {
+                if let Output::Transmit { bytes, .. } = output {
+                    simulation.receive(&bytes);
+                }
+            }
+        }
+        simulation.step();
+        while let Some(bytes) = simulation.poll() {
+            let peer = PeerId::default();
+            inputs.push(Input::Bytes { link, peer, bytes });
+        }
+        if simulation.is_finished() && ends_at.is_none() {
+            ends_at = Some(simulation.elapsed() + rest);
+        }
+    }
+    writer.finish().unwrap();
+}
