@@ -7,7 +7,8 @@ use posebridge_estimator::FilterConfig;
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::{Ending, Reader};
 use posebridge_telemetry::{
-    BrickClock, ChannelName, Event, HostClock, Observation, Observed, Output, RobotId, SensorId, Span, Stamp,
+    BrickClock, ChannelName, Event, HostClock, Observation, Observed, Output, RobotId, SensorId,
+    Span, Stamp,
 };
 
 use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
@@ -97,7 +98,15 @@ impl Heard {
                 skew_ppm,
             }),
             Event::BrickRestarted { .. } => self.restarts += 1,
-            _ => {}
+            Event::RobotSeen { .. }
+            | Event::RobotLost { .. }
+            | Event::Fused { .. }
+            | Event::Estimated { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Link { .. }
+            | Event::Health { .. }
+            | Event::Defect { .. }
+            | Event::Text { .. } => {}
         }
     }
 
@@ -118,7 +127,10 @@ impl Heard {
         let first = self.aligned.first()?;
         let converted = self.arrivals.iter().map(|arrival| {
             let after = self.aligned.partition_point(|one| one.host <= *arrival);
-            let by = after.checked_sub(1).and_then(|index| self.aligned.get(index)).unwrap_or(first);
+            let by = after
+                .checked_sub(1)
+                .and_then(|index| self.aligned.get(index))
+                .unwrap_or(first);
             let since_s = (*arrival - by.host).as_secs_f64();
             by.brick + Span::from_secs_f64(since_s * (1.0 + 1e-6 * by.skew_ppm))
         });

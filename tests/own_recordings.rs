@@ -36,10 +36,13 @@ track_error_sigma = 0.0
 
 [gyro]
 sigma_deg_per_s = 0.4
+quantum_deg_per_s = 0.1
 
 [camera]
 latency_ms = 150.0
 jitter_ms = 20.0
+position_sigma_m = 0.006
+reports_covariance = false
 "#;
 
 /// A thermometer that is quick enough for a test; the robot drives on while it settles.
@@ -94,7 +97,14 @@ fn a_recorded_rest_and_a_recorded_side_tell_the_noise() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record(folder, "square.mcap", SQUARE, 300.0);
-    let rest = ["identify", "rest", "--recording", "square.mcap", "--from", "60"];
+    let rest = [
+        "identify",
+        "rest",
+        "--recording",
+        "square.mcap",
+        "--from",
+        "60",
+    ];
     let rest = found(folder, &rest);
     let [noise, sigma] = quantity(&rest, "gyro_rad_per_s");
     let truth = 0.4_f64.to_radians();
@@ -121,14 +131,31 @@ fn a_recorded_camera_is_late_by_its_arrival_and_not_by_its_stamp() {
     let folder = folder.path();
     record(folder, "square.mcap", SQUARE, 1.0);
     let by = |clock: &str| {
-        let delay = ["identify", "delay", "--recording", "square.mcap", "--by", clock];
+        let delay = [
+            "identify",
+            "delay",
+            "--recording",
+            "square.mcap",
+            "--by",
+            clock,
+        ];
         quantity(&found(folder, &delay), "delay of the camera")
     };
     let (arrival, stamp) = (by("arrival"), by("stamp"));
     println!("by arrival {arrival:?}, by stamp {stamp:?}");
-    assert!((arrival[0] - 0.15).abs() < 0.015 + 2.0 * arrival[1], "{arrival:?}");
+    assert!(
+        (arrival[0] - 0.15).abs() < 0.015 + 2.0 * arrival[1],
+        "{arrival:?}"
+    );
     assert!(stamp[0].abs() < 0.005 + 2.0 * stamp[1], "{stamp:?}");
-    let asked = ["identify", "rest", "--recording", "square.mcap", "--run", "a"];
+    let asked = [
+        "identify",
+        "rest",
+        "--recording",
+        "square.mcap",
+        "--run",
+        "a",
+    ];
     let (code, said) = refusal(folder, &asked);
     assert!(code == 2 && said.contains("recording of ours"), "{said}");
 }
@@ -138,7 +165,12 @@ fn recorded_squares_in_both_directions_calibrate_the_wheels() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record(folder, "ccw.mcap", SQUARE, 1.0);
-    record(folder, "cw.mcap", &SQUARE.replace("\"left\"", "\"right\""), 1.0);
+    record(
+        folder,
+        "cw.mcap",
+        &SQUARE.replace("\"left\"", "\"right\""),
+        1.0,
+    );
     let squares = ["calibrate", "umbmark", "ccw.mcap", "cw.mcap"];
     let both = found(folder, &squares);
     let value = |name: &str| both[name]["value"].as_f64().unwrap();
@@ -171,7 +203,10 @@ fn a_recorded_thermometer_foretells_another_run_of_it() {
     let alone = ["lab", "thermometer", "--recording", "one.mcap"];
     let output = posebridge(folder).args(alone).output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && said.contains("only run"), "{said}");
+    assert!(
+        output.status.success() && said.contains("only run"),
+        "{said}"
+    );
     let (code, said) = refusal(folder, &["lab", "thermometer", "--recording", "none.mcap"]);
     assert!(code == 2 && said.contains("none.mcap"), "{said}");
 }
@@ -181,7 +216,12 @@ fn recorded_drives_are_tuned_on_and_held_out() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record(folder, "one.mcap", SQUARE, 0.0);
-    record(folder, "two.mcap", &SQUARE.replace("seed = 5", "seed = 6"), 0.0);
+    record(
+        folder,
+        "two.mcap",
+        &SQUARE.replace("seed = 5", "seed = 6"),
+        0.0,
+    );
     let tuned = found(
         folder,
         &[
@@ -202,7 +242,12 @@ fn recorded_drives_are_tuned_on_and_held_out() {
             "tuned.toml",
         ],
     );
-    println!("{tuned}");
+    let noise = &tuned["parameters"][0];
+    println!("{noise}");
+    assert!((noise["at_maximum"].as_f64().unwrap() / 0.006 - 1.0).abs() < 0.15);
+    let held_out = |when: &str| tuned[when][1]["position_rms_m"].as_f64().unwrap();
+    assert_eq!(tuned["after"][1]["name"], "two.mcap");
+    assert!(held_out("after") < held_out("before"));
     assert!(folder.join("tuned.toml").exists());
 }
 

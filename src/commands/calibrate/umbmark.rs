@@ -34,7 +34,8 @@ const SEEN_SIGMA_M: f64 = 0.005;
 const DOUBTFUL: f64 = 0.5;
 
 /// What a person with a live robot is told to do.
-const TASK: &str = "drive one square before the camera, back to where it began, in one direction, and stop there";
+const TASK: &str =
+    "drive one square before the camera, back to where it began, in one direction, and stop there";
 
 /// Flags of `calibrate umbmark`.
 #[derive(Args, Clone, Debug)]

@@ -81,7 +81,12 @@ pub struct DelayArgs {
 pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
     match &args.what {
         What::Rest(args) => run(&args.source, &args.output, &source::REST, experiments::rest),
-        What::Straight(args) => run(&args.source, &args.output, &source::STRAIGHT, experiments::straight),
+        What::Straight(args) => run(
+            &args.source,
+            &args.output,
+            &source::STRAIGHT,
+            experiments::straight,
+        ),
         What::Delay(args) => {
             let search = DelaySearch {
                 from_s: -0.25 * args.most,

@@ -215,13 +215,17 @@ fn read_own(path: &Path, settings: &[Setting]) -> Result<Seen> {
         settings,
     };
     let run = own_recording::read(path, overlay)?;
-    let arrived = run.observations.iter().enumerate().map(|(index, observation)| {
-        let arrivals = run.arrivals.as_ref();
-        Arrived {
-            arrival_s: arrivals.and_then(|all| Some(all.get(index)?.as_secs_f64())),
-            observation: *observation,
-        }
-    });
+    let arrived = run
+        .observations
+        .iter()
+        .enumerate()
+        .map(|(index, observation)| {
+            let arrivals = run.arrivals.as_ref();
+            Arrived {
+                arrival_s: arrivals.and_then(|all| Some(all.get(index)?.as_secs_f64())),
+                observation: *observation,
+            }
+        });
     Ok(Seen {
         arrived: arrived.collect(),
         geometry: run.config.geometry,

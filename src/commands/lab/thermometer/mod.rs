@@ -21,7 +21,7 @@ use crate::progress;
 
 /// Flags of `lab thermometer`.
 #[derive(Args, Clone, Debug)]
-#[command(group = clap::ArgGroup::new("runs").multiple(true).args(["recordings", "link", "listen"]))]
+#[command(group = clap::ArgGroup::new("real").multiple(true).args(["recordings", "link", "listen"]))]
 pub struct LabThermometerArgs {
     /// A descriptor (config/recordings/*.toml) with temperatures, or recordings of ours (*.mcap; each of their thermometers is a run),
     /// instead of the simulated sensor.
@@ -34,17 +34,17 @@ pub struct LabThermometerArgs {
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
     /// Runs to identify the sensor on; without it all.
-    #[arg(long, value_name = "RUN", num_args = 1.., requires = "runs")]
+    #[arg(long, value_name = "RUN", num_args = 1.., requires = "real")]
     pub identify: Vec<String>,
     /// Runs to predict, each by the identified ones without itself; without it all.
-    #[arg(long, value_name = "RUN", num_args = 1.., requires = "runs")]
+    #[arg(long, value_name = "RUN", num_args = 1.., requires = "real")]
     pub predict: Vec<String>,
     /// The runs are of one sensor in the same surroundings: a step the same way has the very same dynamics.
-    #[arg(long, requires = "runs")]
+    #[arg(long, requires = "real")]
     pub same_sensor: bool,
     /// Set one key of a descriptor's robot, or of the configuration of a recording or a live robot, e.g.
     /// robot.noise.temperature_k=0.05; may be repeated.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "runs")]
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real")]
     pub settings: Vec<Setting>,
     /// Runs over which the bounds of the simulated sensor are counted.
     #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(10..=100_000))]
@@ -122,7 +122,10 @@ fn simulated(args: &LabThermometerArgs) -> Result<Vec<Section>, Failure> {
 
 fn outcome(args: &LabThermometerArgs, sections: &[Section]) -> Outcome {
     let source = if args.is_real() {
-        let names = args.recordings.iter().map(|path| path.display().to_string());
+        let names = args
+            .recordings
+            .iter()
+            .map(|path| path.display().to_string());
         let live = args.live.is_asked().then(|| "a live robot".to_owned());
         let names: Vec<String> = names.chain(live).collect();
         format!("recording {}", names.join(", "))

@@ -117,7 +117,7 @@ fn of_descriptor(args: &LabThermometerArgs, descriptor: &Path) -> Result<(Chosen
         settings: args.settings.clone(),
     };
     let data = DataSet::open(descriptor, &flags)?;
-    let chosen = Chosen::of(args, &data.runs, &data.runs)?;
+    let chosen = Chosen::of(args, &data.runs, [&data.runs, &data.runs])?;
     let load = |name: &String| -> Result<Shown> {
         let run = data.load(name, &flags)?;
         tell_bad_rows(&run);
@@ -156,14 +156,11 @@ fn of_recordings(
         shown.extend(thermometers(live, &[])?);
     }
     let all: Vec<String> = shown.iter().map(|one| one.run.clone()).collect();
-    let chosen = match all.get(earlier.len()..) {
-        Some(new) if !new.is_empty() && !earlier.is_empty() && args.predict.is_empty() => {
-            Chosen {
-                predict: new.to_vec(),
-                ..Chosen::of(args, &all, &earlier)?
-            }
-        }
-        _ => Chosen::of(args, &all, &all)?,
+    let new = all.get(earlier.len()..).unwrap_or_default();
+    let chosen = if new.is_empty() || earlier.is_empty() {
+        Chosen::of(args, &all, [&all, &all])?
+    } else {
+        Chosen::of(args, &all, [&earlier, new])?
     };
     shown.retain(|one| chosen.needs(&one.run));
     Ok((chosen, shown))
@@ -194,9 +191,9 @@ struct Chosen {
 }
 
 impl Chosen {
-    /// From `all` runs, of which `usual` ones are identified and foretold unless others are named.
-    fn of(args: &LabThermometerArgs, all: &[String], usual: &[String]) -> Result<Self> {
-        let named = |asked: &[String], flag: &str| -> Result<Vec<String>> {
+    /// From `all` runs, of which the `usual` ones are identified and foretold unless others are named.
+    fn of(args: &LabThermometerArgs, all: &[String], usual: [&[String]; 2]) -> Result<Self> {
+        let named = |asked: &[String], flag: &str, usual: &[String]| -> Result<Vec<String>> {
             for name in asked {
                 ensure!(
                     all.contains(name),
@@ -210,8 +207,9 @@ impl Chosen {
                 asked.to_vec()
             })
         };
-        let identify = named(&args.identify, "--identify")?;
-        let predict = named(&args.predict, "--predict")?;
+        let [identify, predict] = usual;
+        let identify = named(&args.identify, "--identify", identify)?;
+        let predict = named(&args.predict, "--predict", predict)?;
         if let ([only], true) = (all, args.predict.is_empty()) {
             say(&format!(
                 "`{only}` is the only run: it is identified, and nothing is foretold. Give a second run of this sensor to see it \
