@@ -325,6 +325,7 @@ impl LinkSection {
         };
         let outputs = self.outputs.iter().map(OutputSection::pipeline);
         Ok(LinkConfig {
+            brick: None,
             id: LinkId(index as u16),
             framing: if is_datagram {
                 Framing::Datagram
