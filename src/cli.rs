@@ -89,6 +89,9 @@ pub struct RunArgs {
     /// Wait for a call on this link; may be repeated.
     #[arg(long = "listen", value_name = "URL")]
     pub listen: Vec<String>,
+    /// What the brick of the first link speaks: mavlink, or a protocol of its own (docs/protocols/README.md).
+    #[arg(long, value_name = "PROTOCOL")]
+    pub brick: Option<String>,
     /// Take the robot from this file's `[robot]` table: a robot profile or a recording's descriptor.
     #[arg(long, value_name = "FILE")]
     pub robot: Option<PathBuf>,

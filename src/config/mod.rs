@@ -4,6 +4,7 @@
 //! not there is an error that names it. Units stand in the keys; here they become the types of the vocabulary, and
 //! nothing behind this module checks them again.
 
+mod brick;
 mod calibrated;
 mod calibration;
 mod filter;
