@@ -315,8 +315,8 @@ fn unwrap_near(stamp: WireStamp, now: Stamp<BrickClock>) -> Stamp<BrickClock> {
             let own = (now.as_micros() / 1_000) as u32;
             now + Span::from_millis(i64::from(millis.wrapping_sub(own) as i32))
         }
-        WireStamp::Micros64(micros) => {
-            Stamp::from_micros(i64::try_from(micros).unwrap_or(i64::MAX))
+        WireStamp::Micros64(_) | WireStamp::Asked { .. } => {
+            Stamp::from_micros(i64::try_from(stamp.as_micros()).unwrap_or(i64::MAX))
         }
     }
 }
