@@ -2,7 +2,7 @@
 //!
 //! [`crate::dialect`] turns frames into these and back; north-east-down, degrees, millimetres and integer scalings end
 //! there. The simulated brick and the station speak through the same types. A message that stands here can be both
-//! decoded and encoded.
+//! decoded and encoded, [`Message::Compass`] apart, which only bricks with protocols of their own send.
 
 use posebridge_telemetry::{
     Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, HostClock, Meters,
@@ -115,6 +115,13 @@ pub enum Message {
         /// What it shows.
         temperature: Celsius,
     },
+    /// A compass. No MAVLink message carries it here; bricks with protocols of their own have one.
+    Compass {
+        /// Instant of the reading.
+        stamp: WireStamp,
+        /// Heading in the arena, as far as the compass's zero is known.
+        heading: Heading,
+    },
     /// VISION_POSITION_ESTIMATE (102): a fix from outside, of the body's origin.
     VisionPosition(VisionFix),
     /// ATT_POS_MOCAP (138): a fix from outside, of the body's origin.
@@ -196,6 +203,7 @@ impl Message {
             | Self::HighresImu(PlanarImu { stamp, .. })
             | Self::DistanceSensor { stamp, .. }
             | Self::Thermometer { stamp, .. }
+            | Self::Compass { stamp, .. }
             | Self::VisionPosition(VisionFix { stamp, .. })
             | Self::MocapPosition(VisionFix { stamp, .. })
             | Self::Odometry(Odometry { stamp, .. })

@@ -8,6 +8,7 @@
 //! [`BrickCodec::deadline`] says when it wants to be woken for the next question or for an answer that did not come.
 
 mod mavlink;
+pub mod nxt;
 
 use std::fmt;
 
@@ -20,11 +21,23 @@ use crate::message::Message;
 pub const ONLY_BRICK: Address = Address::new(1, 1);
 
 /// Every brick protocol. Adding one: a folder here and a line there.
-pub const BRICKS: &[BrickProtocol] = &[BrickProtocol {
-    name: "mavlink",
-    summary: "MAVLink 2 with the common and the posebridge dialect",
-    open: mavlink::open,
-}];
+pub const BRICKS: &[BrickProtocol] = &[
+    BrickProtocol {
+        name: "mavlink",
+        summary: "MAVLink 2 with the common and the posebridge dialect",
+        open: mavlink::open,
+    },
+    BrickProtocol {
+        name: "nxt",
+        summary: "LEGO NXT as it comes out of the box, asked by its own commands",
+        open: nxt::open,
+    },
+    BrickProtocol {
+        name: "nxt-push",
+        summary: "LEGO NXT with a program that sends MAVLink frames of itself",
+        open: nxt::open_push,
+    },
+];
 
 /// One row of [`BRICKS`].
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +55,8 @@ pub struct BrickProtocol {
 pub struct BrickSettings {
     /// How MAVLink is cut out of the bytes.
     pub scanner: ScannerConfig,
+    /// A LEGO NXT: its motors, sensors and framing.
+    pub nxt: nxt::NxtSettings,
 }
 
 /// What a codec heard.
