@@ -7,7 +7,10 @@
 //! Some bricks speak only when they are asked. Their codec asks: what it wants to send stands in [`BrickCodec::poll`], and
 //! [`BrickCodec::deadline`] says when it wants to be woken for the next question or for an answer that did not come.
 
+pub mod ev3;
+pub mod line;
 mod mavlink;
+mod pulse;
 
 use std::fmt;
 
@@ -20,11 +23,23 @@ use crate::message::Message;
 pub const ONLY_BRICK: Address = Address::new(1, 1);
 
 /// Every brick protocol. Adding one: a folder here and a line there.
-pub const BRICKS: &[BrickProtocol] = &[BrickProtocol {
-    name: "mavlink",
-    summary: "MAVLink 2 with the common and the posebridge dialect",
-    open: mavlink::open,
-}];
+pub const BRICKS: &[BrickProtocol] = &[
+    BrickProtocol {
+        name: "mavlink",
+        summary: "MAVLink 2 with the common and the posebridge dialect",
+        open: mavlink::open,
+    },
+    BrickProtocol {
+        name: "ev3",
+        summary: "LEGO EV3 as it is: direct commands by Bluetooth or WiFi",
+        open: ev3::open,
+    },
+    BrickProtocol {
+        name: "line",
+        summary: "lines of text from boards that print: key:value or CSV",
+        open: line::open,
+    },
+];
 
 /// One row of [`BRICKS`].
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +57,10 @@ pub struct BrickProtocol {
 pub struct BrickSettings {
     /// How MAVLink is cut out of the bytes.
     pub scanner: ScannerConfig,
+    /// What is plugged into an EV3, and how it is reached.
+    pub ev3: ev3::Ev3Settings,
+    /// How the lines of a board that prints are laid out.
+    pub line: line::LineSettings,
 }
 
 /// What a codec heard.
