@@ -7,8 +7,11 @@
 //! Some bricks speak only when they are asked. Their codec asks: what it wants to send stands in [`BrickCodec::poll`], and
 //! [`BrickCodec::deadline`] says when it wants to be woken for the next question or for an answer that did not come.
 
+pub mod ev3;
+pub mod line;
 mod mavlink;
 pub mod nxt;
+mod pulse;
 
 use std::fmt;
 
@@ -37,6 +40,16 @@ pub const BRICKS: &[BrickProtocol] = &[
         summary: "LEGO NXT with a program that sends MAVLink frames of itself",
         open: nxt::open_push,
     },
+    BrickProtocol {
+        name: "ev3",
+        summary: "LEGO EV3 as it is: direct commands by Bluetooth or WiFi",
+        open: ev3::open,
+    },
+    BrickProtocol {
+        name: "line",
+        summary: "lines of text from boards that print: key:value or CSV",
+        open: line::open,
+    },
 ];
 
 /// One row of [`BRICKS`].
@@ -57,6 +70,10 @@ pub struct BrickSettings {
     pub scanner: ScannerConfig,
     /// A LEGO NXT: its motors, sensors and framing.
     pub nxt: nxt::NxtSettings,
+    /// What is plugged into an EV3, and how it is reached.
+    pub ev3: ev3::Ev3Settings,
+    /// How the lines of a board that prints are laid out.
+    pub line: line::LineSettings,
 }
 
 /// What a codec heard.
