@@ -393,7 +393,11 @@ fn a_recording_of_ours_calibrates_the_robot_that_was_recorded() {
         ("track_scale", OFF[2]),
     ] {
         let of = |part: &str| number(&found, &format!("/numbers/{key}/{part}"));
-        println!("{key} {:.5} +- {:.5}, true {truth}", of("value"), of("sigma"));
+        println!(
+            "{key} {:.5} +- {:.5}, true {truth}",
+            of("value"),
+            of("sigma")
+        );
         assert!(
             (of("value") - truth).abs() < 3.0 * of("sigma"),
             "{key}: {found}"

@@ -14,7 +14,7 @@ use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::brick::brick_link;
+use super::bricks::brick_link;
 use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection, RoutingSection, rules_of};
@@ -253,7 +253,7 @@ impl Config {
             .zip(rules)
             .enumerate()
             .map(|(index, (link, rules))| {
-                let brick = brick_link(link);
+                let brick = brick_link(link, &self.robot);
                 let brick = brick.with_context(|| format!("link {} `{}`", index + 1, link.url))?;
                 let pipeline = link.pipeline(index, rules)?;
                 Ok(LinkConfig { brick, ..pipeline })

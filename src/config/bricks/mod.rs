@@ -1,10 +1,21 @@
 //! What stands at the other end of a link: a participant of MAVLink, or a brick with a protocol of its own.
+//!
+//! The link says which protocol it is, the robot's file what is plugged in where.
 
-use anyhow::{Result, bail, ensure};
+mod ev3;
+mod line;
+mod nxt;
+
+use anyhow::{Context, Result, bail, ensure};
 use posebridge_pipeline::BrickLink;
 use posebridge_protocol::bricks::{BRICKS, BrickSettings, brick_protocol};
 
+use super::robot::RobotFile;
 use super::station::LinkSection;
+
+pub use ev3::{Ev3Distance, Ev3Section};
+pub use line::LineSection;
+pub use nxt::{NxtSection, NxtSensorKind, NxtSensorSection, Place};
 
 /// The protocol whose participants need no codec of their own.
 const MAVLINK: &str = "mavlink";
@@ -13,7 +24,7 @@ const MAVLINK: &str = "mavlink";
 ///
 /// # Errors
 /// There is no such protocol, or the link has keys that only MAVLink has.
-pub(super) fn brick_link(link: &LinkSection) -> Result<Option<BrickLink>> {
+pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile) -> Result<Option<BrickLink>> {
     let Some(name) = &link.brick else {
         return Ok(None);
     };
@@ -37,6 +48,19 @@ pub(super) fn brick_link(link: &LinkSection) -> Result<Option<BrickLink>> {
     }
     Ok(Some(BrickLink {
         protocol,
-        settings: BrickSettings::default(),
+        settings: settings(robot)?,
     }))
+}
+
+/// Every codec's part of the robot's file; what is not said there is as usual.
+fn settings(robot: &RobotFile) -> Result<BrickSettings> {
+    let nxt = robot.nxt.clone().unwrap_or_default();
+    let ev3 = robot.ev3.clone().unwrap_or_default();
+    let line = robot.line.clone().unwrap_or_default();
+    Ok(BrickSettings {
+        nxt: nxt.settings().context("`[robot.nxt]`")?,
+        ev3: ev3.settings().context("`[robot.ev3]`")?,
+        line: line.settings().context("`[robot.line]`")?,
+        ..BrickSettings::default()
+    })
 }
