@@ -14,7 +14,7 @@ mod warmth;
 use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_estimator::{Filter, StartPose, filter_named};
-use posebridge_protocol::routing::{Router, RouterConfig, Way};
+use posebridge_protocol::routing::{Forward, Router, RouterConfig, Way};
 use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, CameraClock, Command, DriveGeometry, Estimate, Event,
@@ -211,7 +211,7 @@ impl Pipeline {
             .links
             .values()
             .flat_map(|link| {
-                let codec = link.codec.as_ref().and_then(|codec| codec.deadline());
+                let codec = link.codec_deadline();
                 [link.peers.deadline(), link.session.deadline(), codec]
             })
             .flatten();
@@ -356,10 +356,14 @@ impl Pipeline {
 }
 
 fn router_config(config: &PipelineConfig) -> RouterConfig {
-    let rules = config
-        .links
-        .iter()
-        .map(|link| (link.id, link.rules.clone()));
+    let rules = config.links.iter().map(|link| {
+        let mut rules = link.rules.clone();
+        // A brick that speaks no MAVLink would take the others' frames for noise.
+        if link.brick.is_some() {
+            rules.forward = Forward::Nothing;
+        }
+        (link.id, rules)
+    });
     RouterConfig {
         own: config.own,
         duplicate_window: config.duplicate_window,

@@ -85,6 +85,12 @@ impl Link {
         self.state = state;
     }
 
+    /// When the codec must be woken; never while there is nobody to talk to.
+    pub(crate) fn codec_deadline(&self) -> Option<Stamp<HostClock>> {
+        let codec = self.codec.as_ref()?;
+        (self.state == LinkState::Up).then(|| codec.deadline())?
+    }
+
     /// Appends a message of our own, signed if the link has a key, and returns its length; 0 if it cannot be sent there.
     pub(crate) fn encode(
         &mut self,

@@ -15,13 +15,14 @@ mod station;
 
 use posebridge_pipeline::{BrickLink, PipelineConfig};
 use posebridge_protocol::bricks::{BrickCodec, BrickProtocol, BrickSettings, Heard, ONLY_BRICK};
-use posebridge_protocol::framing::ScanCounters;
+use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::framing::{ScanCounters, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{
-    Address, BrickClock, Defect, EncoderTicks, Event, HostClock, Input, LinkState, Observed,
-    Output, Priority, SourceHealth, Span, Stamp,
+    Address, BrickClock, Defect, EncoderTicks, Event, HostClock, Input, LinkId, LinkState,
+    Observed, Output, PeerId, Priority, SourceHealth, Span, Stamp,
 };
-use station::{LINK, Station, at, config};
+use station::{LINK, Station, at, config, link};
 
 /// The question.
 const ASK: u8 = b'?';
@@ -270,8 +271,37 @@ fn a_lost_link_is_silent_and_begins_anew_when_it_is_back() {
         station.give(at(millis), Input::Tick);
     }
     assert_eq!(questions(&station), 1);
+    // Nobody is woken for a brick that is not there.
+    let due = station.pipeline.deadline();
+    assert!(due.is_none_or(|due| due > at(500)), "{due:?}");
     station.link(at(600), LINK, LinkState::Up);
     assert_eq!(questions(&station), 2);
+}
+
+#[test]
+fn the_frames_of_others_are_not_passed_on_to_it() {
+    let mut config = asking();
+    let other = LinkId(8);
+    config.links.push(link(other, vec![]));
+    let mut station = Station::new(&config);
+    let mut bytes = Vec::new();
+    let heartbeat = Message::Heartbeat(Heartbeat {
+        vehicle_type: 30,
+        autopilot: 8,
+        base_mode: 0,
+        system_status: 4,
+    });
+    Encoder::new(WireVersion::V2).encode(Address::new(1, 100), &heartbeat, &mut bytes);
+    let peer = PeerId::default();
+    let link = other;
+    station.give(at(5), Input::Bytes { link, peer, bytes });
+    station.give(at(6), Input::Tick);
+    let sent: Vec<_> = station
+        .outputs
+        .iter()
+        .filter(|(_, output)| matches!(output, Output::Transmit { link, .. } if *link == LINK))
+        .collect();
+    assert_eq!(sent.len(), 1, "the first question alone: {sent:?}");
 }
 
 #[test]

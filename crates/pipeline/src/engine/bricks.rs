@@ -67,13 +67,12 @@ impl Pipeline {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        let is_up = link.state == LinkState::Up;
-        let Some(codec) = link.codec.as_mut().filter(|_| is_up) else {
-            return;
-        };
-        if codec.deadline().is_none_or(|due| due > now) {
+        if link.codec_deadline().is_none_or(|due| due > now) {
             return;
         }
+        let Some(codec) = &mut link.codec else {
+            return;
+        };
         let mut noted = Noted::default();
         codec.tick(now, &mut |heard| noted.take(heard));
         let peer = PeerId::default();
