@@ -24,7 +24,8 @@ pub(crate) struct Node<C: Clock> {
     own: Address,
     session: Session<C>,
     encoder: Encoder,
-    outgoing: Vec<u8>,
+    /// Whole frames.
+    outgoing: Vec<Vec<u8>>,
 }
 
 impl<C: Clock> Node<C> {
@@ -68,12 +69,19 @@ impl<C: Clock> Node<C> {
 
     /// Queues a message.
     pub(crate) fn send(&mut self, message: &Message) {
-        self.encoder.encode(self.own, message, &mut self.outgoing);
+        let mut frame = Vec::new();
+        self.encoder.encode(self.own, message, &mut frame);
+        self.outgoing.push(frame);
     }
 
     /// The bytes that are to be sent, as whole frames.
     pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
-        (!self.outgoing.is_empty()).then(|| std::mem::take(&mut self.outgoing))
+        (!self.outgoing.is_empty()).then(|| self.take_frames().concat())
+    }
+
+    /// The same, each frame for itself.
+    pub(crate) fn take_frames(&mut self) -> Vec<Vec<u8>> {
+        std::mem::take(&mut self.outgoing)
     }
 
     fn drain(&mut self) -> Vec<IntervalRequest> {
