@@ -174,7 +174,11 @@ impl Nxt {
 
     fn hear_tick(&mut self, millis: u32, between: Between, sink: Sink<'_>) {
         if self.clock.take(millis, middle_of(between)) == Ran::Anew {
-            self.note((Topic::Clock, NOTICE), "the NXT was switched off and on", sink);
+            self.note(
+                (Topic::Clock, NOTICE),
+                "the NXT was switched off and on",
+                sink,
+            );
             self.notes.clear(Topic::Clock);
             self.counters.brick_restarted();
             self.plan.set_up_again();
@@ -284,13 +288,7 @@ impl Nxt {
         self.hear_device(port, measured, (written, now), sink);
     }
 
-    fn hear_digital(
-        &mut self,
-        port: u8,
-        reply: &Reply<'_>,
-        now: Stamp<HostClock>,
-        sink: Sink<'_>,
-    ) {
+    fn hear_digital(&mut self, port: u8, reply: &Reply<'_>, now: Stamp<HostClock>, sink: Sink<'_>) {
         let Some(device) = device_at(&mut self.devices, port) else {
             return;
         };
@@ -313,7 +311,8 @@ impl Nxt {
         sink: Sink<'_>,
     ) {
         let Some(measured) = measured else {
-            let is_silent = device_at(&mut self.devices, port).is_some_and(|device| device.is_silent());
+            let is_silent =
+                device_at(&mut self.devices, port).is_some_and(|device| device.is_silent());
             if is_silent {
                 // A program may have set up the port for something else.
                 if let Some(stands) = self.plan.ports.get_mut(usize::from(port)) {
@@ -405,10 +404,7 @@ pub(super) struct Accelerations {
     right: Option<(MetersPerSecondSquared, Between)>,
 }
 
-fn device_at(
-    devices: &mut [Option<Device>; 4],
-    port: u8,
-) -> Option<&mut Device> {
+fn device_at(devices: &mut [Option<Device>; 4], port: u8) -> Option<&mut Device> {
     devices.get_mut(usize::from(port))?.as_mut()
 }
 

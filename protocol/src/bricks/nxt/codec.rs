@@ -155,12 +155,7 @@ impl Nxt {
         }
     }
 
-    fn hear_frame(
-        &mut self,
-        now: Stamp<HostClock>,
-        frame: &[u8],
-        sink: &mut dyn FnMut(Heard<'_>),
-    ) {
+    fn hear_frame(&mut self, now: Stamp<HostClock>, frame: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         let Some(frames) = &mut self.frames else {
             return;
         };
@@ -202,7 +197,8 @@ impl Nxt {
         let late = self.talk.tally().late;
         if late.is_power_of_two() {
             let limit = self.settings.answer_timeout.as_millis_f64();
-            let text = format!("{late} answers so far came later than {limit:.0} ms and were not used");
+            let text =
+                format!("{late} answers so far came later than {limit:.0} ms and were not used");
             self.note((Topic::Late, INFO), text, sink);
         }
     }

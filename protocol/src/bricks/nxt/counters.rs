@@ -117,9 +117,14 @@ impl Counters {
 impl Reading {
     fn fell_to(&self, now: &Counts, dt_s: f64) -> bool {
         let all_zero = now.wheels == [0; 2] && now.third.is_none_or(|count| count == 0);
-        let is_led_elsewhere = self.counts.wheels.iter().zip(self.speeds).any(|(count, v)| {
-            (f64::from(*count) + v * dt_s).abs() > SLACK + (v * dt_s).abs() / 2.0
-        });
+        let is_led_elsewhere = self
+            .counts
+            .wheels
+            .iter()
+            .zip(self.speeds)
+            .any(|(count, v)| {
+                (f64::from(*count) + v * dt_s).abs() > SLACK + (v * dt_s).abs() / 2.0
+            });
         let leapt = !is_within(differences(*now, self.counts), dt_s);
         (all_zero && is_led_elsewhere) || (leapt && is_within(now.wheels, dt_s))
     }

@@ -68,7 +68,12 @@ const fn manner(sensor: NxtSensor) -> Option<Manner> {
         NxtSensor::HtAccelerometer { .. } => (&[SENSOR, MEASURED], 6, None, 0),
         NxtSensor::HtCompass => (&[SENSOR, MEASURED], 2, None, 100),
         NxtSensor::Ultrasonic => (&[SENSOR, MEASURED], 1, Some(&[SENSOR, 0x41, 0x02]), 100),
-        NxtSensor::Temperature => (&[THERMOMETER, 0x00], 2, Some(&[THERMOMETER, 0x01, 0x60]), 1_000),
+        NxtSensor::Temperature => (
+            &[THERMOMETER, 0x00],
+            2,
+            Some(&[THERMOMETER, 0x01, 0x60]),
+            1_000,
+        ),
     };
     Some(Manner {
         ask,
@@ -155,8 +160,8 @@ impl Device {
     /// The receive buffer as it stands now.
     pub(super) fn look(&mut self, buffer: Buffer) -> Option<Measured> {
         let before = self.last_end.replace(buffer.end);
-        let is_fresh = before.is_some_and(|end| end != buffer.end)
-            || buffer.end == self.manner.answer_bytes;
+        let is_fresh =
+            before.is_some_and(|end| end != buffer.end) || buffer.end == self.manner.answer_bytes;
         if !is_fresh {
             self.wait_on();
             return None;
@@ -276,7 +281,11 @@ mod tests {
         let nothing = answered(NxtSensor::Ultrasonic, &[0xFF]);
         assert_eq!(nothing, Some(Measured::NoEcho));
         // TMP275 datasheet, table 5: 19 00 is 25 degrees, e7 00 is -25, ff f0 is -0.0625.
-        for (bytes, degrees) in [([0x19, 0x00], 25.0), ([0xE7, 0x00], -25.0), ([0xFF, 0xF0], -0.0625)] {
+        for (bytes, degrees) in [
+            ([0x19, 0x00], 25.0),
+            ([0xE7, 0x00], -25.0),
+            ([0xFF, 0xF0], -0.0625),
+        ] {
             let found = answered(NxtSensor::Temperature, &bytes);
             assert_eq!(found, Some(Measured::Temperature(Celsius(degrees))));
         }
@@ -316,7 +325,11 @@ mod tests {
         };
         for second in 0..10 {
             assert!(!device.is_silent());
-            assert!(device.write(0, Stamp::from_millis(1_000 * second)).is_some());
+            assert!(
+                device
+                    .write(0, Stamp::from_millis(1_000 * second))
+                    .is_some()
+            );
             for _ in 0..3 {
                 assert_eq!(device.look(empty), None);
             }

@@ -108,14 +108,31 @@ fn estimate_bytes(pose: &PlanarPose, brick_millis: u32, sequence: u16) -> [u8; E
     } else {
         f64::INFINITY
     };
-    let position = if pose.flags.position_valid { POSITION_VALID } else { 0 };
-    let heading = if pose.flags.heading_valid { HEADING_VALID } else { 0 };
-    let floats = [pose.pose.x.0, pose.pose.y.0, pose.pose.heading.rad(), sigma_m];
+    let position = if pose.flags.position_valid {
+        POSITION_VALID
+    } else {
+        0
+    };
+    let heading = if pose.flags.heading_valid {
+        HEADING_VALID
+    } else {
+        0
+    };
+    let floats = [
+        pose.pose.x.0,
+        pose.pose.y.0,
+        pose.pose.heading.rad(),
+        sigma_m,
+    ];
     let mut bytes = [0; ESTIMATE_BYTES];
     let parts = brick_millis
         .to_le_bytes()
         .into_iter()
-        .chain(floats.into_iter().flat_map(|value| (value as f32).to_le_bytes()))
+        .chain(
+            floats
+                .into_iter()
+                .flat_map(|value| (value as f32).to_le_bytes()),
+        )
         .chain([position | heading, pose.reset_counter])
         .chain(sequence.to_le_bytes());
     for (byte, part) in bytes.iter_mut().zip(parts) {
@@ -151,8 +168,8 @@ mod tests {
     #[test]
     fn an_estimate_is_these_bytes() {
         let expected = [
-            0x78, 0x56, 0x34, 0x12, 0x00, 0x00, 0xC0, 0x3F, 0x00, 0x00, 0x00, 0xC0, 0x00, 0x00, 0x00,
-            0x3F, 0x00, 0x00, 0x80, 0x3E, 0x03, 0x03, 0x02, 0x01,
+            0x78, 0x56, 0x34, 0x12, 0x00, 0x00, 0xC0, 0x3F, 0x00, 0x00, 0x00, 0xC0, 0x00, 0x00,
+            0x00, 0x3F, 0x00, 0x00, 0x80, 0x3E, 0x03, 0x03, 0x02, 0x01,
         ];
         assert_eq!(estimate_bytes(&pose(), 0x1234_5678, 0x0102), expected);
         let mut lost = pose();
@@ -192,6 +209,10 @@ mod tests {
         mailbox.post(Stamp::from_millis(5_000), &pose(), 0);
         assert!(mailbox.take_probe(Stamp::from_millis(5_000)).is_some());
         mailbox.answered(Status::OK);
-        assert!(mailbox.post(Stamp::from_millis(5_050), &pose(), 0).is_some());
+        assert!(
+            mailbox
+                .post(Stamp::from_millis(5_050), &pose(), 0)
+                .is_some()
+        );
     }
 }

@@ -104,14 +104,22 @@ impl Learnt {
             return;
         }
         let is_first = self.count == 0;
-        self.smallest = if is_first { raw } else { self.smallest.min(raw) };
+        self.smallest = if is_first {
+            raw
+        } else {
+            self.smallest.min(raw)
+        };
         self.largest = if is_first { raw } else { self.largest.max(raw) };
         if self.largest - self.smallest > REST_SPREAD {
             self.count = 0;
             return;
         }
         self.count += 1;
-        self.mean = if is_first { raw } else { self.mean + (raw - self.mean) / f64::from(self.count) };
+        self.mean = if is_first {
+            raw
+        } else {
+            self.mean + (raw - self.mean) / f64::from(self.count)
+        };
     }
 }
 

@@ -258,9 +258,7 @@ impl Plan {
     }
 
     fn fill_round(&mut self, asked: &[u8]) {
-        let inputs: Vec<u8> = (0..4)
-            .filter(|port| self.needs_input(*port))
-            .collect();
+        let inputs: Vec<u8> = (0..4).filter(|port| self.needs_input(*port)).collect();
         let buffers = match self.reach {
             Reach::Whole if asked.is_empty() => Vec::new(),
             Reach::Whole => vec![Question::Map(ALL_BUFFERS)],
@@ -294,9 +292,7 @@ impl Plan {
         match self.reach {
             Reach::Whole => vec![Question::Map(ALL_MOTORS)],
             Reach::Short if last - first == 1 => vec![Question::Map(io_maps::neighbours(first))],
-            Reach::Short => one_each(&[first, last], |motor| {
-                Question::Map(io_maps::motor(motor))
-            }),
+            Reach::Short => one_each(&[first, last], |motor| Question::Map(io_maps::motor(motor))),
             Reach::Single => self.wheels.map(Question::Motor).to_vec(),
         }
     }
@@ -363,7 +359,11 @@ impl Plan {
         self.round.clear();
         self.strikes += 1;
         // What has worked is not given up for two stalls in a row.
-        let allowed = if self.is_reach_known { 2 * STRIKES } else { STRIKES };
+        let allowed = if self.is_reach_known {
+            2 * STRIKES
+        } else {
+            STRIKES
+        };
         if self.strikes < allowed {
             return false;
         }

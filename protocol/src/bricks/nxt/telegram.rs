@@ -153,12 +153,7 @@ pub fn message_write(mailbox: u8, message: &[u8], answer: Answer) -> Option<Vec<
         return None;
     }
     let size = message.len() as u8 + 1;
-    let mut telegram = vec![
-        DIRECT | answer.bit(),
-        opcode::MESSAGE_WRITE,
-        mailbox,
-        size,
-    ];
+    let mut telegram = vec![DIRECT | answer.bit(), opcode::MESSAGE_WRITE, mailbox, size];
     telegram.extend_from_slice(message);
     telegram.push(0);
     Some(telegram)
