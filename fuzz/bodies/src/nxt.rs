@@ -1,4 +1,4 @@
-//! Any bytes at any time as what an NXT answers: the codec always knows when to be woken, and asks no more than one question at a time,
+//! Any bytes at any time as what an NXT answers: the codec is never woken for nothing, and asks no more than one question at a time,
 //! with at most one telegram in front of it.
 
 use posebridge_protocol::bricks::nxt::{NxtFraming, NxtSensor, NxtSettings, Outstanding};

@@ -86,7 +86,8 @@ fn transcript() -> Vec<(Vec<&'static [u8]>, Vec<u8>)> {
         (vec![INPUTS_REQUEST], inputs_reply()),
         (vec![BUFFERS_REQUEST], buffers_reply()),
         (vec![MOTORS_REQUEST], motors_reply()),
-        (vec![INPUTS_REQUEST], inputs_reply()),
+        // A tenth of a second after the last time.
+        (vec![ask_compass, INPUTS_REQUEST], inputs_reply()),
     ]
 }
 
@@ -146,7 +147,7 @@ fn every_question_is_these_bytes_in_this_order() {
 fn every_answer_means_this_in_chunks_of_every_size() {
     for chunk in 1..=120 {
         let (asked, messages, times) = play(chunk);
-        assert_eq!(asked.len(), 16, "chunk size {chunk}");
+        assert_eq!(asked.len(), 17, "chunk size {chunk}");
         assert_eq!(times.first(), Some(&(30_000_000, 0x12345 * 1_000_000)));
         assert_eq!(times.len(), 3);
         let ticks: Vec<_> = messages

@@ -105,3 +105,35 @@ fn sensors_are_the_programs_business() {
     );
     assert!((12..=16).contains(&asked.len()), "{}", asked.len());
 }
+
+#[test]
+fn a_program_that_answers_no_commands_is_left_alone_and_lives_by_its_frames() {
+    let mut bench = bench(NxtFraming::Prefixed);
+    bench.is_cut = true;
+    bench.begin();
+    let mut deadlines = 0;
+    for step in 1..=100 {
+        bench.run_to(step * SECOND / 10);
+        bench.push(&prefixed());
+        deadlines += usize::from(step > 50 && bench.codec.deadline().is_some());
+    }
+    assert_eq!(pushed(&bench), 100);
+    let notes = bench.notes();
+    assert_eq!(notes.len(), 1, "{notes:?}");
+    assert!(notes[0].contains("answers no commands"), "{notes:?}");
+    // It is still waited for: two seconds without a frame are told.
+    assert_eq!(deadlines, 50);
+    bench.run_to(13 * SECOND);
+    assert_eq!(bench.notes().len(), 2);
+    assert_eq!(bench.codec.deadline(), None);
+    // A new connection is a new chance.
+    bench.is_cut = false;
+    bench.begin();
+    bench.run_to(14 * SECOND);
+    assert!(
+        bench
+            .heard
+            .iter()
+            .any(|(_, item)| matches!(item, Noted::Time(..)))
+    );
+}
