@@ -26,6 +26,10 @@ use crate::message::{Message, PlanarPose, WireStamp};
 /// The brick sleeps after ten minutes without a command that counts; each of these begins them anew.
 const KEEP_ALIVE_PERIOD: Span = Span::from_millis(60_000);
 
+/// So many fences without an answer, while frames come or not, mean that a pushing program has taken over the link: leJOS answers no command
+/// of LEGO's, and would find ours in its own input.
+const MOST_FENCES_TO_A_PROGRAM: u8 = 4;
+
 /// The state of one link to an NXT.
 #[derive(Debug)]
 pub(super) struct Nxt {
@@ -37,6 +41,10 @@ pub(super) struct Nxt {
     /// What is to be sent; each element is one telegram on the wire.
     outbox: VecDeque<Vec<u8>>,
     is_begun: bool,
+    /// The next question, while the same one waits for its answer.
+    held: Option<Question>,
+    /// Fences in a row that were not answered.
+    lost_fences: u8,
     next_keep_alive: Stamp<HostClock>,
     pub(super) presence: Presence,
     pub(super) clock: TickClock,
@@ -90,6 +98,8 @@ impl Nxt {
             plan: Plan::new(settings, source),
             outbox: VecDeque::new(),
             is_begun: false,
+            held: None,
+            lost_fences: 0,
             next_keep_alive: Stamp::ZERO,
             presence: Presence::default(),
             clock: TickClock::default(),
@@ -160,13 +170,18 @@ impl Nxt {
             return;
         };
         let brick = &mut self.brick;
+        let mut is_heard = false;
         frames.push(now, frame, &mut |heard| {
             if let Heard::Message { from, .. } = &heard {
                 // Answers for the clock must bear the name of whom the program speaks for.
                 *brick = *from;
+                is_heard = true;
             }
             sink(heard);
         });
+        if is_heard {
+            self.lives(now, sink);
+        }
     }
 
     fn hear_reply(
@@ -175,14 +190,19 @@ impl Nxt {
         reply: &Reply<'_>,
         sink: &mut dyn FnMut(Heard<'_>),
     ) {
-        let matched = self.talk.take(reply);
+        self.lost_fences = 0;
+        match self.talk.take(reply) {
+            Matched::Answer(asked) => self.answered(now, &asked, reply, sink),
+            Matched::TooLate | Matched::Unasked => self.tell_late(sink),
+        }
+        self.lives(now, sink);
+    }
+
+    /// The brick has said something.
+    fn lives(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
         let sign = self.presence.answered(now);
         if sign.is_return {
             self.note((Topic::Presence, NOTICE), "the NXT answers again", sink);
-        }
-        match matched {
-            Matched::Answer(asked) => self.answered(now, &asked, reply, sink),
-            Matched::TooLate | Matched::Unasked => self.tell_late(sink),
         }
         if sign.is_beat {
             sink(Heard::Message {
@@ -205,6 +225,11 @@ impl Nxt {
 
     fn lose(&mut self, question: &Question, sink: &mut dyn FnMut(Heard<'_>)) {
         if *question == Question::Fence {
+            self.lost_fences = self.lost_fences.saturating_add(1);
+            if self.is_refused_by_program() {
+                let text = "the program on the NXT answers no commands: its clock is known by its frames alone";
+                self.note((Topic::Clock, NOTICE), text, sink);
+            }
             return;
         }
         sink(Heard::Defect(Defect::Lost {
@@ -245,15 +270,24 @@ impl Nxt {
         }
     }
 
+    /// Whether a pushing program leaves all questions unanswered, so that none is asked any more.
+    fn is_refused_by_program(&self) -> bool {
+        self.frames.is_some() && self.lost_fences >= MOST_FENCES_TO_A_PROGRAM
+    }
+
     /// Asks whatever is due and has room.
     fn ask(&mut self, now: Stamp<HostClock>) {
-        if !self.is_begun || self.cutter.is_draining() {
+        if !self.is_begun || self.cutter.is_draining() || self.is_refused_by_program() {
             return;
         }
         while self.talk.has_room(self.plan.most()) {
             let Some(question) = self.next_question(now) else {
                 return;
             };
+            if self.talk.waits_for(&question) {
+                self.held = Some(question);
+                return;
+            }
             if let Some(carried) = self.carried(now) {
                 self.send(&carried);
             }
@@ -265,6 +299,9 @@ impl Nxt {
     fn next_question(&mut self, now: Stamp<HostClock>) -> Option<Question> {
         if self.talk.wants_fence() {
             return Some(Question::Fence);
+        }
+        if let Some(held) = self.held.take() {
+            return Some(held);
         }
         if self.plan.is_reach_known()
             && let Some(probe) = self.mailbox.take_probe(now)
@@ -317,6 +354,8 @@ impl BrickCodec for Nxt {
             },
         );
         self.talk.restart();
+        self.held = None;
+        self.lost_fences = 0;
         self.outbox.clear();
         self.plan.begin(now);
         self.presence.begin(now);
@@ -343,7 +382,10 @@ impl BrickCodec for Nxt {
         if !self.is_begun {
             return None;
         }
-        let is_free = !self.cutter.is_draining() && self.talk.has_room(self.plan.most());
+        let is_free = !self.cutter.is_draining()
+            && !self.is_refused_by_program()
+            && self.held.is_none()
+            && self.talk.has_room(self.plan.most());
         [
             self.cutter.deadline(),
             self.talk.deadline(),

@@ -105,6 +105,11 @@ impl Conversation {
         }
     }
 
+    /// Whether this very question waits. It must not be asked again before: of two equal ones nobody could tell which was answered.
+    pub(super) fn waits_for(&self, question: &Question) -> bool {
+        self.waiting.iter().any(|asked| asked.question == *question)
+    }
+
     pub(super) const fn tally(&self) -> Tally {
         self.tally
     }

@@ -6,12 +6,14 @@
 //!
 //! # Model
 //! ```text
-//! reading   a telegram is whole                      hand it out
-//!           length, type, opcode or status is wrong  draining; the telegram just before it in the same chunk is not believed
-//!           a telegram stops in its middle for QUIET out of step, reading
-//! draining  quiet for QUIET                          out of step, reading
+//! reading   a telegram is whole and nothing follows  hand it out
+//!           a whole one follows it in the same chunk hand it out
+//!           length, type, opcode or status is wrong  out of step, with the telegram just before it; draining
+//!           a telegram stops in its middle for QUIET out of step, with the telegram just before it; reading
+//! draining  quiet for QUIET                          reading
 //! ```
-//! Behind an answer there is silence until the next question. Bytes right behind it mean that a byte too many stood in it.
+//! Behind an answer there is silence until the next question. Bytes right behind it that are no telegram mean that a byte too many
+//! stood in it.
 
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
@@ -114,28 +116,31 @@ impl Cutter {
             return;
         }
         self.begun.extend_from_slice(bytes);
-        let mut begins = 0;
-        let mut held = None;
+        // Where the last whole telegram begins that nothing has confirmed yet, and where the bytes behind it do.
+        let (mut held, mut rest_at) = (0, 0);
         loop {
-            let rest = self.begun.get(begins..).unwrap_or_default();
+            let rest = self.begun.get(rest_at..).unwrap_or_default();
             match judge(rest, self.speech) {
                 Judgement::NotWhole => break,
                 Judgement::Whole(length) => {
-                    let telegram = rest.get(PREFIX_BYTES..length).unwrap_or_default();
-                    found.extend(held.replace(Piece::Telegram(telegram.to_vec())));
-                    begins += length;
+                    found.extend(telegram(&self.begun, held, rest_at));
+                    held = rest_at;
+                    rest_at += length;
                 }
                 Judgement::Wrong => {
-                    let bytes = rest.len() + held.take().map_or(0, |piece| piece.bytes());
                     self.is_draining = true;
-                    begins = self.begun.len();
+                    let bytes = self.begun.len() - held;
+                    self.begun.clear();
                     found.push(Piece::OutOfStep { bytes });
-                    break;
+                    return;
                 }
             }
         }
-        found.extend(held);
-        self.begun.drain(..begins);
+        if rest_at == self.begun.len() {
+            found.extend(telegram(&self.begun, held, rest_at));
+            held = rest_at;
+        }
+        self.begun.drain(..held);
     }
 
     /// A chunk that is one telegram or none.
@@ -153,13 +158,10 @@ impl Cutter {
     }
 }
 
-impl Piece {
-    fn bytes(&self) -> usize {
-        match self {
-            Self::Telegram(telegram) => PREFIX_BYTES + telegram.len(),
-            Self::OutOfStep { bytes } => *bytes,
-        }
-    }
+/// The telegram between two places in the stream, if there is one.
+fn telegram(stream: &[u8], begin: usize, end: usize) -> Option<Piece> {
+    let telegram = stream.get(begin..end)?.get(PREFIX_BYTES..)?;
+    Some(Piece::Telegram(telegram.to_vec()))
 }
 
 /// Judges as early as the bytes allow: what is wrong with its first byte is not waited for.
@@ -257,6 +259,20 @@ mod tests {
         let (found, cutter) = cut(&[&[&VERSION[..], &[0xFF, 0xFF]].concat()]);
         assert_eq!(found, [Piece::OutOfStep { bytes: 11 }]);
         assert!(cutter.is_draining());
+    }
+
+    #[test]
+    fn a_telegram_waits_for_what_follows_it_in_the_same_chunk() {
+        let (found, mut cutter) = cut(&[&[&VERSION[..], &[0x03]].concat()]);
+        assert_eq!(found, []);
+        let mut later = Vec::new();
+        cutter.push(Stamp::ZERO, &DONE[1..], &mut later);
+        let expected = [&VERSION[2..], &DONE[2..]].map(|bytes| Piece::Telegram(bytes.to_vec()));
+        assert_eq!(later, expected);
+
+        let (_, mut cutter) = cut(&[&[&VERSION[..], &[0x03]].concat()]);
+        let torn = cutter.expire(Stamp::from_millis(100));
+        assert_eq!(torn, Some(Piece::OutOfStep { bytes: 10 }));
     }
 
     #[test]

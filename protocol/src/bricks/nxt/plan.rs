@@ -7,7 +7,7 @@
 //!   tick      three at connect, one after every disturbance, one after every ninth other question
 //!   set up    each port with a sensor, after connect and whenever the brick's counters began anew
 //!   reach     how much of an IO map one reply holds: 119 bytes, else 55, else none; until that is known
-//!   trial     with two outstanding: four pairs of ticks, all eight must be answered
+//!   trial     with two outstanding: four ticks and four reads of the motors, by turns; all eight must be answered
 //!   mailbox   an estimate that wants a reply
 //!   round     sensors on the bus that were written to, motors, analog ports; at most one round in 10 ms
 //! ```
@@ -25,8 +25,8 @@ use super::settings::{MotorPort, NxtSensor, NxtSettings, Outstanding};
 const FIRST_TICKS: u8 = 3;
 /// Other questions between two ticks.
 const BETWEEN_TICKS: u8 = 9;
-/// Ticks of the trial of two outstanding.
-const TRIAL_TICKS: u8 = 8;
+/// Questions of the trial of two outstanding.
+const TRIAL_QUESTIONS: u8 = 8;
 /// Refusals or time-outs of one kind of read in a row that mean that the brick cannot do it.
 const STRIKES: u8 = 2;
 /// Over a quick link more rounds than this say nothing new: the brick counts once in a millisecond, and a turn of a degree takes longer.
@@ -107,7 +107,7 @@ pub(super) struct Plan {
     is_reach_known: bool,
     strikes: u8,
     outstanding: Outstanding,
-    /// Ticks of the trial that have not been asked and not been answered.
+    /// Questions of the trial that have not been asked, and that have not been answered.
     trial: Option<(u8, u8)>,
     most: usize,
     has_tick: bool,
@@ -151,7 +151,7 @@ impl Plan {
         self.strikes = 0;
         self.most = 1;
         self.trial = (self.outstanding == Outstanding::Two && self.source == Source::Asked)
-            .then_some((TRIAL_TICKS, TRIAL_TICKS));
+            .then_some((TRIAL_QUESTIONS, TRIAL_QUESTIONS));
         self.has_tick = true;
         self.is_tick_known = false;
         self.tick_strikes = 0;
@@ -207,7 +207,11 @@ impl Plan {
         if let Some((unasked @ 1.., unanswered)) = self.trial {
             self.trial = Some((unasked - 1, unanswered));
             self.most = 2;
-            return Some(Question::Map(TICK));
+            return if unasked % 2 == 0 {
+                Some(Question::Map(TICK))
+            } else {
+                self.motors().first().cloned()
+            };
         }
         if self.round.is_empty() {
             if now < self.next_round {
@@ -306,18 +310,28 @@ impl Plan {
                 self.round.clear();
             }
         }
-        if *question == Question::Map(TICK) {
-            self.is_tick_known = true;
-            if let Some((unasked, unanswered)) = self.trial
-                && unasked < unanswered
-            {
-                self.trial = (unanswered > 1).then_some((unasked, unanswered - 1));
-            }
+        let is_tick = *question == Question::Map(TICK);
+        self.is_tick_known |= is_tick;
+        if (is_tick || question.is_for_data())
+            && let Some((unasked, unanswered)) = self.trial
+            && unasked < unanswered
+        {
+            self.trial = (unanswered > 1).then_some((unasked, unanswered - 1));
         }
     }
 
     /// A question was not answered, or refused. Says whether the plan had to change for it.
     pub(super) fn failed(&mut self, question: &Question, why: Failure) -> Option<Change> {
+        let is_tick = *question == Question::Map(TICK);
+        let is_trial = self
+            .trial
+            .is_some_and(|(unasked, _)| unasked < TRIAL_QUESTIONS);
+        if is_trial && (is_tick || question.is_for_data()) {
+            self.trial = None;
+            self.most = 1;
+            self.want_tick();
+            return Some(Change::Outstanding);
+        }
         match question {
             Question::SetUp { port, .. } => {
                 if let Some(port) = self.ports.get_mut(usize::from(*port)) {
@@ -329,7 +343,7 @@ impl Plan {
                 }
                 None
             }
-            Question::Map(window) if *window == TICK => self.tick_failed(),
+            _ if is_tick => self.tick_failed(),
             question if question.is_for_data() => self.data_failed().then_some(Change::Reach),
             _ => None,
         }
@@ -337,11 +351,6 @@ impl Plan {
 
     fn tick_failed(&mut self) -> Option<Change> {
         self.want_tick();
-        if self.trial.is_some_and(|(unasked, _)| unasked < TRIAL_TICKS) {
-            self.trial = None;
-            self.most = 1;
-            return Some(Change::Outstanding);
-        }
         if self.is_tick_known {
             return None;
         }
