@@ -66,7 +66,8 @@ pub struct VirtualRun {
     pub delays_to_brick: Vec<Span>,
 }
 
-/// Runs a scenario against a pipeline whose first link is the brick's; the link delivers at once.
+/// Runs a scenario against a pipeline whose first link is the brick's; the link delivers at once. A brick that does not share its link with
+/// the camera leaves the second link to it, which delivers at once, too.
 ///
 /// # Errors
 /// The pipeline cannot be built.
@@ -109,8 +110,10 @@ fn run_on(
     config: PipelineConfig,
     link: ImpairedLink,
 ) -> Result<VirtualRun, BuildError> {
+    let camera = config.links.get(1).map(|link| link.id);
     let mut session = Session {
         id: config.links.first().map_or(LinkId(0), |link| link.id),
+        camera: camera.filter(|_| !scenario.brick.personality.shares_link_with_camera()),
         pipeline: Pipeline::new(config, Stamp::ZERO)?,
         simulation: Simulation::new(scenario),
         collector: Collector::default(),
@@ -119,7 +122,10 @@ fn run_on(
         to_station: Journeys::default(),
         to_brick: Journeys::default(),
     };
-    session.tell(Stamp::ZERO, LinkState::Up);
+    session.tell(Stamp::ZERO, session.id, LinkState::Up);
+    if let Some(camera) = session.camera {
+        session.tell(Stamp::ZERO, camera, LinkState::Up);
+    }
     session.pass_to(Stamp::ZERO);
     let mut ends_at: Option<Span> = None;
     loop {
@@ -148,6 +154,8 @@ fn run_on(
 /// Brick, link and station.
 struct Session {
     id: LinkId,
+    /// The camera's own link, where it has one.
+    camera: Option<LinkId>,
     pipeline: Pipeline,
     simulation: Simulation,
     collector: Collector,
@@ -201,6 +209,11 @@ impl Session {
             self.to_station.begin(unit, now);
             self.pass_to(now);
         }
+        while let Some((link, bytes)) = self.camera.zip(self.simulation.poll_camera()) {
+            let peer = PeerId::default();
+            self.give(now, &Input::Bytes { link, peer, bytes });
+            self.pass_to(now);
+        }
         if self
             .pipeline
             .deadline()
@@ -237,14 +250,16 @@ impl Session {
             },
             LinkEvent::Down { at } => {
                 self.outages += 1;
-                self.tell(at, LinkState::Down);
+                self.tell(at, self.id, LinkState::Down);
             }
-            LinkEvent::Up { at } => self.tell(at, LinkState::Up),
+            LinkEvent::Up { at } => {
+                self.simulation.reopen_link();
+                self.tell(at, self.id, LinkState::Up);
+            }
         }
     }
 
-    fn tell(&mut self, at: Stamp<HostClock>, state: LinkState) {
-        let link = self.id;
+    fn tell(&mut self, at: Stamp<HostClock>, link: LinkId, state: LinkState) {
         self.give(at, &Input::Link { link, state });
     }
 
@@ -252,6 +267,9 @@ impl Session {
         self.pipeline.handle(at, input);
         while let Some(output) = self.pipeline.poll() {
             match output {
+                Output::Transmit { link, bytes, .. } if self.camera == Some(link) => {
+                    self.simulation.receive_camera(&bytes);
+                }
                 Output::Transmit { bytes, .. } => {
                     let unit = self.link.offer(End::Station, at, &bytes);
                     self.to_brick.begin(unit, at);
