@@ -5,6 +5,7 @@
 //! the short run of the test suite (`tests/fuzz_short.rs`, any compiler). Bodies are deterministic: the same bytes take
 //! the same way. They read no clock, file or network.
 
+mod codecs;
 mod config;
 mod decode;
 mod impairment;
@@ -31,6 +32,8 @@ pub const TARGETS: &[Target] = &[
     Target::new("impairment", impairment::check, 100_000),
     Target::new("routing", routing::check, 1_500),
     Target::new("nxt", nxt::check, 60_000),
+    Target::new("ev3", codecs::check_ev3, 150_000),
+    Target::new("line", codecs::check_line, 150_000),
 ];
 
 /// One untrusted input and what must hold for it.

@@ -10,8 +10,9 @@
 //!                |0 - (last + v dt)| > 1/2 a dt'^2 + 3,  dt' <= 0.1 s    v: speed before
 //! ```
 //! A sample that is impossible or fell to zero is refused once. The next one tells: it follows either the last good one, and then the
-//! refused one was damaged; or the refused one, and then the counters begin anew there. If it may follow both, the nearer counts, each
-//! one carried on with the speed before. What the wheels have turned since the counters were set to zero is motion.
+//! refused one was damaged; or the refused one, and then the counters begin anew there. If it may follow both, they begin anew only near
+//! zero, and only if the refused one, carried on with the speed before, lies nearer. What the wheels have turned since the counters were
+//! set to zero is motion.
 //!
 //! # What cannot be known
 //! Counters that are set to zero while few counts stand in them, or in a silence long enough for the fastest motor to turn back, look like
@@ -83,7 +84,8 @@ impl Counters {
                 Counted::Refused
             }
             (true, Some(suspect))
-                if last.distance(now_s, counts) > suspect.distance(now_s, counts) =>
+                if last.may_be_reset_to(&suspect)
+                    && last.distance(now_s, counts) > suspect.distance(now_s, counts) =>
             {
                 self.begin_anew(&last, &suspect, counts)
             }
@@ -106,11 +108,7 @@ impl Counters {
 
     fn begin_anew(&mut self, last: &Sample, suspect: &Sample, counts: [i32; 2]) -> Counted {
         // From zero on, if that is where the counters were set to; else from where they were found.
-        let zeroed = Sample {
-            counts: [0, 0],
-            ..*last
-        };
-        let from = if zeroed.is_possible(suspect.at_s, suspect.counts) {
+        let from = if last.may_be_reset_to(suspect) {
             [0, 0]
         } else {
             suspect.counts
@@ -138,6 +136,19 @@ impl Sample {
         let most = FASTEST_PER_S * (now_s - self.at_s) + MARGIN;
         let changes = changes(self.counts, counts);
         changes.iter().all(|change| (*change as f64).abs() <= most)
+    }
+
+    /// Whether the counters may have been set to zero in between: both stand nearer to it, and not further than the fastest motor turns.
+    fn may_be_reset_to(&self, suspect: &Self) -> bool {
+        let zeroed = Self {
+            counts: [0, 0],
+            ..*self
+        };
+        let pairs = self.counts.iter().zip(&suspect.counts);
+        let is_nearer = pairs
+            .into_iter()
+            .all(|(last, found)| found.unsigned_abs() <= last.unsigned_abs());
+        is_nearer && zeroed.is_possible(suspect.at_s, suspect.counts)
     }
 
     fn fell_to_zero(&self, now_s: f64, counts: [i32; 2]) -> bool {

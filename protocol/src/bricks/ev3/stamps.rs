@@ -32,7 +32,7 @@ pub(super) struct Stamped {
 /// What a stamp that is believed says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Passed {
-    /// The clock ran on for so long since the last one; zero for the first of all.
+    /// The clock ran on, for about so long since the last one; zero for the first of all.
     RunsOn(Span),
     /// The clock was set, or the brick was switched off and on.
     Stepped,
@@ -64,12 +64,13 @@ impl Stamps {
 }
 
 impl Stamped {
-    /// The time since a stamp that this one follows: by the brick's clock, as far as that tells it.
+    /// The time since a stamp that this one follows: the longer of what both clocks say. The host's is too short for answers that were held
+    /// back together, the brick's for a damaged stamp that could not be told from a good one.
     fn since(&self, last: &Self) -> Span {
         let on_host = self.answered - last.answered;
         let by_brick = self.micros.wrapping_sub(last.micros) as i32;
         if on_host < UNAMBIGUOUS {
-            Span::from_micros(i64::from(by_brick)).max(Span::ZERO)
+            on_host.max(Span::from_micros(i64::from(by_brick)))
         } else {
             on_host
         }

@@ -5,10 +5,11 @@
 //!
 //! # Model
 //! ```text
-//! 0  <=  (time2 - time1) mod period  <=  1.01 (arrival2 - arrival1) + held back + 0.5 s
+//! -0.5 s  <=  (time2 - time1) mod period  <=  1.01 (arrival2 - arrival1) + held back + 0.5 s
 //! held back := max(0, held back + (arrival2 - arrival1) - (time2 - time1)),  less 1 % of the time between
 //! ```
-//! What does not fit is refused once. If the next line fits the refused one and not the one before, the board was restarted.
+//! What falls by less than that is taken for what it says: it may be that the line before was damaged, and the pipeline bears stamps that are
+//! a little late. What does not fit is refused once. If the next line fits the refused one and not the one before, the board was restarted.
 //!
 //! A board without a clock is given the host's: a line is from any time within the configured delay before it arrived.
 
@@ -20,8 +21,8 @@ use super::row::Time;
 const PERIOD: i128 = 1 << 32;
 /// A clock may be off by one part in so many of its rate: what the pipeline believes of any brick.
 const SKEW_PARTS: i64 = 100;
-/// A clock may run ahead by so much without reason: less than what the pipeline takes for a restart.
-const AHEAD: Span = Span::from_millis(500);
+/// A clock may run ahead or fall by so much without reason: less than what the pipeline takes for a restart.
+const ASTRAY: Span = Span::from_millis(500);
 /// No link holds back a line for longer.
 const MOST_HELD_BACK: Span = Span::from_millis(60_000);
 /// So many lines without a time are followed by an exchange of time each: the pipeline needs three to know a clock.
@@ -82,7 +83,7 @@ impl Seen {
     fn followed_by(&self, time: Time, arrival: Stamp<HostClock>) -> Option<Self> {
         let on_host = (arrival - self.arrival).max(Span::ZERO);
         let skew = Span::from_nanos(on_host.as_nanos() / SKEW_PARTS);
-        let most = on_host + skew + self.held_back + AHEAD;
+        let most = on_host + skew + self.held_back + ASTRAY;
         let (ran, step) = match (self.time, time) {
             (Time::Millis(from), Time::Millis(to)) => (to.wrapping_sub(from), 1_000_000),
             (Time::Micros(from), Time::Micros(to)) => (to.wrapping_sub(from), 1_000),
@@ -92,10 +93,10 @@ impl Seen {
         let most_steps = i128::from(most.as_nanos()) / step;
         let behind = (most_steps - i128::from(ran)).rem_euclid(PERIOD);
         let steps = most_steps - behind;
-        if steps < 0 {
+        let on_board = Span::from_nanos((steps * step) as i64);
+        if on_board < -ASTRAY {
             return None;
         }
-        let on_board = Span::from_nanos((steps * step) as i64);
         let kept = (self.held_back - skew).max(Span::ZERO);
         let held_back = (kept + on_host - on_board)
             .max(Span::ZERO)
@@ -175,6 +176,6 @@ mod tests {
         // Twice the period and a second.
         let later = Stamp::from_micros(2 * (1 << 32) + 1_000_000);
         assert!(clock.believes(Time::Micros(1_000_005), later));
-        assert!(!clock.believes(Time::Micros(900_000), later + Span::from_millis(20)));
+        assert!(!clock.believes(Time::Micros(300_000), later + Span::from_millis(20)));
     }
 }
