@@ -160,6 +160,15 @@ fn world_of(run: &dataset::Run) -> World {
     }
 }
 
+/// Says how many readings of a sensor were of no use.
+pub fn tell_left_out(name: &str, left_out: usize) {
+    if left_out > 0 {
+        say(&format!(
+            "{name}: {left_out} samples are left out: not finite, or of the very instant of another one"
+        ));
+    }
+}
+
 /// Names the rows that could not be used; they are counted and do not end the run.
 pub fn tell_bad_rows(robot_run: &RobotRun) -> u64 {
     let bad = &robot_run.run.bad_rows;

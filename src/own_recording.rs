@@ -15,6 +15,10 @@ use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
 use crate::signing;
 use crate::stderr::say;
 
+/// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the pipeline
+/// judges a brick's clock (`clock::unwrap`).
+const RESTART_BACK: Span = Span::from_millis(1_000);
+
 /// Everything that was observed in one session.
 #[derive(Clone, Debug)]
 pub struct OwnRun {
@@ -38,8 +42,42 @@ pub struct Thermometer {
     brick: RobotId,
     /// Which of the brick's.
     pub channel: ChannelName,
+    /// The latest stamp so far.
+    newest: Stamp<BrickClock>,
+    /// In the order of arrival, by the clock of its brick.
+    readings: Vec<Observation>,
+    is_restarted: bool,
+}
+
+impl Thermometer {
     /// Its readings in the order of arrival, by the clock of its brick.
-    pub readings: Vec<Observation>,
+    ///
+    /// # Errors
+    /// The brick was restarted: its clock has begun anew, and no one knows when by the old one.
+    pub fn readings(&self) -> Result<&[Observation]> {
+        ensure!(
+            !self.is_restarted,
+            "the clock of the brick with the thermometer `{}` ({}) fell back: it was restarted; record without a restart",
+            self.channel,
+            self.brick
+        );
+        Ok(&self.readings)
+    }
+
+    /// How it is called among these: by its channel, and by its brick as well where two bricks have a channel of that name.
+    #[must_use]
+    pub fn name_among(&self, all: &[Self]) -> String {
+        let mut namesakes = all.iter().filter(|one| one.channel == self.channel);
+        if namesakes.any(|one| one.brick != self.brick) {
+            return format!("{}@{}", self.channel, brick_name(self.brick));
+        }
+        self.channel.to_string()
+    }
+}
+
+/// A brick as a part of a name, without spaces.
+fn brick_name(brick: RobotId) -> String {
+    format!("{}-{}", brick.link, brick.address)
 }
 
 /// An instant by both clocks.
@@ -113,10 +151,19 @@ impl Heard {
     fn take_reading(&mut self, brick: RobotId, channel: ChannelName, reading: Observation) {
         let is_it = |one: &&mut Thermometer| one.brick == brick && one.channel == channel;
         match self.thermometers.iter_mut().find(is_it) {
-            Some(known) => known.readings.push(reading),
+            Some(known) => {
+                // The pipeline tells of a restart of its robot alone.
+                if known.newest - reading.stamp > RESTART_BACK {
+                    known.is_restarted = true;
+                }
+                known.newest = known.newest.max(reading.stamp);
+                known.readings.push(reading);
+            }
             None => self.thermometers.push(Thermometer {
                 brick,
                 channel,
+                newest: reading.stamp,
+                is_restarted: false,
                 readings: vec![reading],
             }),
         }
@@ -232,5 +279,55 @@ fn described(robot: &RobotFile, config: &FilterConfig) -> RobotFile {
         track_width_m: config.geometry.track_width.0,
         ticks_per_turn: std::f64::consts::TAU / config.geometry.tick.0,
         ..robot.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Address, Celsius, LinkId};
+
+    fn reading(at_millis: i64) -> Observation {
+        Observation {
+            sensor: SensorId::THERMOMETER,
+            stamp: Stamp::from_millis(at_millis),
+            stamp_sigma: Span::ZERO,
+            observed: Observed::Temperature(Celsius(20.0)),
+        }
+    }
+
+    fn brick(system: u8) -> RobotId {
+        RobotId {
+            link: LinkId(0),
+            address: Address::new(system, 1),
+        }
+    }
+
+    #[test]
+    fn a_thermometers_clock_that_falls_is_a_restart_and_a_reading_that_was_overtaken_is_none() {
+        let channel = ChannelName::from_bytes(b"temp1");
+        let fallen = |stamps: &[i64]| {
+            let mut heard = Heard::default();
+            for at_millis in stamps {
+                heard.take_reading(brick(3), channel, reading(*at_millis));
+            }
+            let readings = heard.thermometers[0].readings().map(<[_]>::len);
+            readings.map_err(|error| error.to_string())
+        };
+        assert_eq!(fallen(&[60_000, 61_000, 60_100, 62_000]), Ok(4));
+        let said = fallen(&[60_000, 61_000, 500, 1_500]).unwrap_err();
+        assert!(said.contains("`temp1` (link 0 3/1) fell back"), "{said}");
+    }
+
+    #[test]
+    fn a_thermometer_is_called_by_its_brick_where_two_bricks_have_a_channel_of_that_name() {
+        let mut heard = Heard::default();
+        for (system, channel) in [(3, "temp1"), (4, "temp1"), (4, "temp2")] {
+            let channel = ChannelName::from_bytes(channel.as_bytes());
+            heard.take_reading(brick(system), channel, reading(0));
+        }
+        let all = &heard.thermometers;
+        let names: Vec<String> = all.iter().map(|one| one.name_among(all)).collect();
+        assert_eq!(names, ["temp1@0-3/1", "temp1@0-4/1", "temp2"]);
     }
 }

@@ -187,6 +187,36 @@ fn circles_alone_calibrate_as_well_as_the_published_calibration_on_other_drives(
     }
 }
 
+/// What a robot is tried on has taught it nothing.
+#[test]
+fn runs_to_try_on_take_no_part_in_the_calibration() {
+    let folder = tempfile::tempdir().unwrap();
+    let optiodom = recording("optiodom.toml");
+    let committed = root().join("tests/data");
+    let find = |more: &[&str]| calibrate_path(folder.path(), &optiodom, &committed, more);
+    let names = |found: &Value, list: &str| -> Vec<String> {
+        let runs = found[list].as_array().unwrap().iter();
+        runs.map(|run| run["run"].as_str().unwrap().to_owned())
+            .collect()
+    };
+    let all = names(&find(&[]), "runs");
+    assert!(all.len() > 1, "{all:?}");
+    let last = all.last().unwrap().as_str();
+    // Twice is once.
+    let found = find(&["--try-on", last, "--try-on", last]);
+    assert_eq!(names(&found, "runs"), all[..all.len() - 1]);
+    assert_eq!(names(&found, "tried"), [last]);
+    let (descriptor, data) = (optiodom.to_str().unwrap(), committed.to_str().unwrap());
+    let taken = [
+        "path", descriptor, "--data", data, "--run", last, "--try-on", last,
+    ];
+    let (code, said) = refused(folder.path(), &taken);
+    assert!(
+        code == 2 && said.contains("--try-on takes them all"),
+        "{said}"
+    );
+}
+
 #[test]
 fn a_hurried_description_is_told_what_to_change() {
     // The committed recording, described as a person in a hurry would: columns exchanged, half the track.
@@ -342,6 +372,14 @@ fn what_cannot_be_done_is_said_with_what_to_do() {
     assert!(code == 2 && said.contains("--against truth"), "{said}");
     let (code, said) = refused(folder.path(), &[&path[..], &["--free", "tag=1"]].concat());
     assert!(code == 2 && said.contains("wheel-radius"), "{said}");
+    let decimal_commas = "direction,x_mm,y_mm\ncw,-12,5,-20,1\n";
+    std::fs::write(folder.path().join("commas.csv"), decimal_commas).unwrap();
+    let commas = ["umbmark", "--ends", "commas.csv", "--side-m", "4"];
+    let (code, said) = refused(folder.path(), &commas);
+    assert!(
+        code == 2 && said.contains("`commas.csv` line 2") && said.contains("decimal points"),
+        "{said}"
+    );
     let (code, said) = refused(folder.path(), &["rest", descriptor, "--data", data]);
     assert!(
         code == 1 && said.contains("record a minute of rest"),
@@ -438,6 +476,19 @@ fn a_recording_of_ours_has_wheels_whose_step_can_be_identified() {
 fn what_the_filter_has_learned_on_line_is_a_profile_too() {
     let folder = tempfile::tempdir().unwrap();
     recorded_drive(folder.path());
+    // What a recording of ours cannot be asked for is said as it is.
+    for (asked, word) in [
+        (["--against", "truth"], "has no truth"),
+        (["--try-on", "drive"], "`drive.mcap` is one drive"),
+        (["--truth-sigma-m", "0.1"], "compared with fixes"),
+    ] {
+        let (code, said) = refused(
+            folder.path(),
+            &[&["path", "drive.mcap"], &asked[..]].concat(),
+        );
+        assert!(code == 2 && said.contains(word), "{said}");
+        assert!(!said.contains("--run"), "{said}");
+    }
     let online = ["path", "drive.mcap", "--online", "--save", "on.toml"];
     let found = calibrate(folder.path(), &online);
     for (key, truth) in [
@@ -560,4 +611,44 @@ fn the_bias_of_a_gyro_at_rest_is_found_and_its_drive_left_out() {
     );
     let rest_s = number(gyro, "/rest_s");
     assert!((55.0..60.5).contains(&rest_s), "{found}");
+}
+
+/// Two descriptions of the same wheels.
+#[test]
+fn drives_of_different_robots_are_not_mixed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut table = String::from("t_s,left,right,gyro\n");
+    for tenth in 0..50_u32 {
+        let driven = tenth.saturating_sub(20);
+        writeln!(table, "{},{driven},{driven},0", f64::from(tenth) / 10.0).unwrap();
+    }
+    std::fs::write(folder.path().join("wheels.csv"), table).unwrap();
+    let text = RESTING.to_owned() + support::WHEELS_CSV;
+    std::fs::write(folder.path().join("one.toml"), &text).unwrap();
+    let wide = text
+        .replace("track_width_m = 0.2", "track_width_m = 0.3")
+        .replace("rest\"", "wide\"");
+    std::fs::write(folder.path().join("wide.toml"), wide).unwrap();
+    let both = ["umbmark", "one.toml", "wide.toml", "--data", "."];
+    let (code, said) = refused(folder.path(), &both);
+    let are_named = said.contains("`rest` and `wide` are described as different robots");
+    assert!(code == 2 && are_named, "{said}");
+    let tune = [
+        "tune",
+        "--recording",
+        "one.toml",
+        "--recording",
+        "wide.toml",
+        "--data",
+        ".",
+    ];
+    let output = posebridge(folder.path()).args(tune).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(2) && said.contains("different robots"),
+        "{said}"
+    );
+    // Nobody saw where they ended: another direction would not help.
+    let (code, said) = refused(folder.path(), &["umbmark", "one.toml", "--data", "."]);
+    assert!(code == 1 && !said.contains("both directions"), "{said}");
 }

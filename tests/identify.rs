@@ -174,6 +174,50 @@ fn a_plain_table_is_enough() {
     }
 }
 
+/// Rows that change places change nothing, and somebody says so.
+#[test]
+fn rows_out_of_order_are_put_into_it() {
+    let folder = tempfile::tempdir().unwrap();
+    table(folder.path());
+    let text = std::fs::read_to_string(folder.path().join("volts.csv")).unwrap();
+    let mut rows: Vec<&str> = text.lines().collect();
+    rows.swap(20, 200);
+    rows.push(rows[100]);
+    std::fs::write(folder.path().join("mixed.csv"), rows.join("\n")).unwrap();
+    let of = |name: &str| {
+        let args = [
+            "identify",
+            "step",
+            "--json",
+            "--time-column",
+            "millis",
+            "--time-unit",
+            "ms",
+            "--value-column",
+            "volts",
+            "--recording",
+            name,
+        ];
+        let output = posebridge(folder.path()).args(args).output().unwrap();
+        let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let values = found["quantities"].as_array().unwrap().iter();
+        let values: Vec<Value> = values.map(|one| one["value"].clone()).collect();
+        (values, String::from_utf8(output.stderr).unwrap())
+    };
+    let (ordered, said) = of("volts.csv");
+    assert!(
+        !said.contains("order") && !said.contains("left out"),
+        "{said}"
+    );
+    let (mixed, said) = of("mixed.csv");
+    assert_eq!(mixed, ordered);
+    assert!(
+        said.contains("were put into the order of `millis`")
+            && said.contains("1 samples are left out"),
+        "{said}"
+    );
+}
+
 #[test]
 fn a_descriptor_of_a_robot_names_the_sensors_that_it_has() {
     // A wheel that is switched on after 5 s and speeds up to 100 ticks a second with a lag of 0.5 s, read twenty times a second.
@@ -403,6 +447,11 @@ fn a_step_that_tells_nothing_says_why() {
             vec!["step", "--recording", "still.csv", "--value-column", "amps"],
             2,
             "has no column `amps`; it has: t_s, volts",
+        ),
+        (
+            vec!["step", "--recording", "still.csv", "--onset", "1e300"],
+            2,
+            "the samples of `still.csv` end 98 s after the first",
         ),
         (vec!["step", "--recording", "a.bag"], 2, "no descriptor"),
         (vec!["step", "--order", "4"], 2, "4"),

@@ -135,6 +135,10 @@ fn a_recorded_square_is_judged_by_images_as_the_simulated_one_is_by_its_truth() 
     assert_eq!(raw["position_rms_m"], raw["position_end_m"]);
     assert!(raw["heading_rms_rad"].is_null());
     assert!(closed["source"].as_str().unwrap().contains("the start"));
+    // Its page has the command that gives it again.
+    let page = std::fs::read_to_string(folder.join("lab-nxt-square.html")).unwrap();
+    let command = "posebridge lab nxt-square --recording drive-0.mcap --judge start --json";
+    assert!(page.contains(command));
 }
 
 /// A fix without noise, as somebody with a tape measure would give it.
@@ -380,32 +384,8 @@ fn what_a_recording_lacks_is_named_with_the_file_and_a_cure() {
 }
 
 #[test]
-fn flags_that_do_not_go_together_are_refused() {
+fn a_recording_that_is_there_is_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [&[&str]; 6] = [
-        &[
-            "nxt-square",
-            "--link",
-            "tcp://127.0.0.1:9",
-            "--recording",
-            "a.mcap",
-        ],
-        &[
-            "nxt-square",
-            "--link",
-            "tcp://127.0.0.1:9",
-            "--listen",
-            "tcp://127.0.0.1:9",
-        ],
-        &["nxt-square", "--recording", "a.mcap", "--runs", "3"],
-        &["indirect", "--duration", "3"],
-        &["indirect", "--judge", "start"],
-        &["wall", "--listen", "tcp://127.0.0.1:0", "--scene", "a.toml"],
-    ];
-    for args in cases {
-        let said = refusal(folder.path(), args);
-        assert!(said.contains("--"), "{args:?}: {said}");
-    }
     std::fs::write(folder.path().join("live.mcap"), "mine").unwrap();
     let said = refusal(folder.path(), &["wall", "--link", "tcp://127.0.0.1:9"]);
     assert!(
@@ -484,6 +464,10 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
         "again",
     ];
     assert_eq!(lab(folder, &again), found);
+    // The live page tells how to have it without the robot.
+    let page = std::fs::read_to_string(folder.join("out/lab-nxt-square.html")).unwrap();
+    let command = "posebridge lab nxt-square --out out --json --recording out/live.mcap";
+    assert!(page.contains(command));
     // The simulated brick feels its accelerations, so paper 4's filters have their say as well.
     let indirect = lab(folder, &["indirect", "--recording", "out/live.mcap"]);
     let end = indirect["rows"][2]["ends_m"][0].as_array().unwrap();
@@ -571,4 +555,26 @@ fn a_live_robot_that_stands_is_calibrated() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(2), "{said}");
     assert!(said.contains("out/live.mcap` is there already"), "{said}");
+}
+
+/// A straight drive whose stamps are each but the first told twice, and now and then exchanged.
+#[test]
+fn the_noise_of_a_straight_drive_does_not_hang_on_the_order_of_arrival() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let text = include_str!("../src/commands/identify/scenarios/straight.toml");
+    let wheels = arrived(&Scenario::from_toml(text).unwrap().drive(0));
+    record(&folder.join("ordered.mcap"), &wheels);
+    let mut mixed = wheels.clone();
+    for index in (10..wheels.len() - 1).step_by(50) {
+        mixed.swap(index, index + 1);
+    }
+    mixed.insert(40, mixed[39]);
+    record(&folder.join("mixed.mcap"), &mixed);
+    let found = |name: &str| {
+        let args = ["identify", "straight", "--recording", name, "--json"];
+        let found: Value = serde_json::from_str(&stdout_of(posebridge(folder).args(args))).unwrap();
+        found["quantities"].clone()
+    };
+    assert_eq!(found("mixed.mcap"), found("ordered.mcap"));
 }

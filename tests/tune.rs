@@ -246,6 +246,11 @@ fn what_cannot_be_tuned_is_named() {
             "no run is left to tune on",
         ),
         (from_recording.to_vec(), 1, "--fixes-from-truth"),
+        (
+            vec!["--sim", "camera-1hz", "--filter", "odometry"],
+            1,
+            "the filter `odometry` held no observation",
+        ),
     ] {
         let output = posebridge(folder.path())
             .arg("tune")

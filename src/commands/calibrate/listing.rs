@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 
 /// A file of rows.
 pub(crate) struct Listing {
@@ -20,6 +20,9 @@ pub(crate) struct Row<'a> {
 
 impl Listing {
     /// Reads a file; lines that begin with `#` and empty ones are left out.
+    ///
+    /// # Errors
+    /// It cannot be read, names no columns, or a row has more cells than there are columns: a decimal comma would shift what follows.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading `{name}`"))?;
@@ -34,12 +37,24 @@ impl Listing {
         let Some((_, header)) = lines.next() else {
             bail!("`{name}` is empty: its first line has to name the columns")
         };
+        let columns = cells(header);
+        let rows: Vec<(usize, Vec<String>)> = lines
+            .map(|(index, line)| (index + 1, cells(line)))
+            .collect();
+        for (line, cells) in &rows {
+            // A spreadsheet may end its lines with commas.
+            let beyond = cells.iter().skip(columns.len());
+            ensure!(
+                beyond.into_iter().all(String::is_empty),
+                "`{name}` line {line} has {} cells under {} columns; write decimal points, not commas: -12.5",
+                cells.len(),
+                columns.len()
+            );
+        }
         Ok(Self {
-            columns: cells(header),
-            rows: lines
-                .map(|(index, line)| (index + 1, cells(line)))
-                .collect(),
             name,
+            columns,
+            rows,
         })
     }
 
@@ -122,6 +137,21 @@ mod tests {
             ("cw", 12.5)
         );
         assert!(listing.has("way") && !listing.has("y_mm"));
+    }
+
+    #[test]
+    fn a_decimal_comma_is_refused_and_the_empty_cells_of_a_spreadsheet_are_not() {
+        let said = listing("way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n").err();
+        let said = said.unwrap().to_string();
+        assert!(
+            said.ends_with(
+                "t.csv` line 3 has 5 cells under 3 columns; write decimal points, not commas: -12.5"
+            ),
+            "{said}"
+        );
+        let listing = listing("way,x_mm\ncw,-12.5,,\n").unwrap();
+        let row = listing.rows().next().unwrap();
+        assert_eq!(row.number("x_mm").unwrap(), -12.5);
     }
 
     #[test]

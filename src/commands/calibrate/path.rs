@@ -16,12 +16,13 @@ use super::path_online;
 use super::path_report::Report;
 use super::profile::{Calibrated, folded};
 use super::segments;
-use super::source::{self, Against, Drives, Watch};
+use super::source::{self, Against, Drive, Drives, Watch};
 use crate::cli::DataFlags;
 use crate::commands::lab::live::LiveArgs;
 use crate::commands::lab::outcome::OutputArgs;
 use crate::commands::{Failure, Stage};
 use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
+use crate::own_recording;
 use crate::stderr::say;
 
 /// What an instrument's truth errs by if nobody says: its own millimetre, and a body that sways.
@@ -46,7 +47,7 @@ pub struct PathArgs {
     #[command(flatten)]
     pub data: DataFlags,
     /// In place of a recording: a CSV table of wheel distances and places measured with a tape (docs/lab/calibrate.md, section 3).
-    #[arg(long, value_name = "FILE.csv", conflicts_with = "real_robot")]
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["real_robot", "run", "use_every", "settings", "against", "unknown_start"])]
     pub segments: Option<PathBuf>,
     /// The robot of --segments: a profile with a [robot] table.
     #[arg(long, value_name = "FILE.toml", requires = "segments")]
@@ -67,10 +68,10 @@ pub struct PathArgs {
     #[arg(long)]
     pub unknown_start: bool,
     /// Try the result on the runs whose names begin so, which take no part in it; may be repeated.
-    #[arg(long = "try-on", value_name = "PREFIX")]
+    #[arg(long = "try-on", value_name = "PREFIX", conflicts_with_all = ["segments", "link", "listen"])]
     pub try_on: Vec<String>,
     /// Take what the filter `pose` has learned while it drove instead, of one run.
-    #[arg(long, conflicts_with_all = ["segments", "try_on", "unknown_start"])]
+    #[arg(long, conflicts_with_all = ["segments", "try_on", "unknown_start", "held", "freed", "against", "truth_sigma_m"])]
     pub online: bool,
     /// Write the robot as a profile for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
@@ -159,7 +160,7 @@ pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
     let material = Material::load(args)?;
     let found = calibrate_path(&material.config, &material.paths).while_running()?;
-    let calibration = told(args, &material, found)?;
+    let calibration = told(&material, found)?;
     let report = Report::of(&calibration);
     for line in report.findings() {
         say(&format!("warning: {line}"));
@@ -184,6 +185,8 @@ pub(super) struct Material {
     robot: RobotFile,
     config: FilterConfig,
     paths: Vec<FreePath>,
+    /// What the result is tried on; none of it is among the `paths`.
+    others: Vec<FreePath>,
 }
 
 impl Material {
@@ -192,24 +195,32 @@ impl Material {
             return of_segments(args, file).at_start();
         }
         let drives = load_drives(args, &args.data)?;
-        Self::of_drives(args, drives).at_start()
+        let others = others(args)?;
+        Self::of_drives(args, drives, &others).at_start()
     }
 
-    fn of_drives(args: &PathArgs, drives: Drives) -> Result<Self> {
+    fn of_drives(args: &PathArgs, mut drives: Drives, others: &[Drive]) -> Result<Self> {
+        ensure!(
+            !drives.drives.is_empty(),
+            "`{}` holds no run",
+            drives.recording
+        );
+        let is_other = |drive: &Drive| others.iter().any(|other| other.name == drive.name);
+        drives.drives.retain(|drive| !is_other(drive));
         let Some(first) = drives.drives.first() else {
-            bail!("`{}` holds no run", drives.recording)
-        };
-        if let Some(other) = drives
-            .drives
-            .iter()
-            .find(|drive| drive.config.geometry != first.config.geometry)
-        {
             bail!(
-                "`{}` and `{}` are described as different robots: choose the runs of one with --run",
-                first.name,
-                other.name
-            );
-        }
+                "no run of `{}` is left to calibrate by: --try-on takes them all; choose others with --run",
+                drives.recording
+            )
+        };
+        let robots = drives.drives.iter().chain(others);
+        source::same_robot(robots.map(|drive| (drive.name.as_str(), &drive.config.geometry)))?;
+        let is_by_truth = |drive: &Drive| drive.against == Against::Truth;
+        ensure!(
+            args.truth_sigma_m.is_none() || drives.drives.iter().any(is_by_truth),
+            "--truth-sigma-m is the sigma of a truth, but `{}` is compared with fixes, whose sigma is noise.fix_position_m",
+            drives.recording
+        );
         let robot = with_flags(args, &first.robot)?;
         let mut config = first.config.clone();
         config.calibration = robot.calibration()?;
@@ -219,7 +230,8 @@ impl Material {
         };
         Ok(Self {
             against,
-            paths: paths_of(args, &drives)?,
+            paths: paths_of(args, &drives.drives)?,
+            others: paths_of(args, others)?,
             recording: drives.recording,
             robot,
             config,
@@ -246,13 +258,42 @@ fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<Drives, Failure> {
     source::load(recording, data, watch(args).at_start()?)
 }
 
-fn paths_of(args: &PathArgs, drives: &Drives) -> Result<Vec<FreePath>> {
-    let paths = drives.drives.iter().map(|drive| {
+/// The runs that `--try-on` names, each once.
+fn others(args: &PathArgs) -> Result<Vec<Drive>, Failure> {
+    let mut others: Vec<Drive> = Vec::new();
+    if let (Some(path), false) = (&args.recording, args.try_on.is_empty())
+        && own_recording::is_own(path)
+    {
+        return Err(anyhow!(
+            "--try-on chooses from a descriptor's runs; `{}` is one drive",
+            path.display()
+        ))
+        .at_start();
+    }
+    for prefix in &args.try_on {
+        let flags = DataFlags {
+            run: Some(prefix.clone()),
+            ..args.data.clone()
+        };
+        for drive in load_drives(args, &flags)?.drives {
+            if others.iter().all(|known| known.name != drive.name) {
+                others.push(drive);
+            }
+        }
+    }
+    Ok(others)
+}
+
+fn paths_of(args: &PathArgs, drives: &[Drive]) -> Result<Vec<FreePath>> {
+    let is_ours = args.recording.as_deref().is_some_and(own_recording::is_own);
+    let paths = drives.iter().map(|drive| {
         ensure!(
             !drive.sights.is_empty(),
             "run `{}` has no {}: nothing says where the robot was",
             drive.name,
             match drive.against {
+                Against::Fixes if is_ours =>
+                    "fixes (record it again where its camera sees it; docs/lab/calibrate.md)",
                 Against::Fixes => "fixes (try --against truth)",
                 Against::Truth => "truth (try --against fixes)",
             }
@@ -303,6 +344,7 @@ fn of_segments(args: &PathArgs, file: &std::path::Path) -> Result<Material> {
             posebridge_telemetry::World::default(),
         )?,
         paths: segments::read(file, sigma_m)?,
+        others: Vec::new(),
         robot,
     })
 }
@@ -327,11 +369,7 @@ fn with_flags(args: &PathArgs, robot: &RobotFile) -> Result<RobotFile> {
     Ok(robot)
 }
 
-fn told(
-    args: &PathArgs,
-    material: &Material,
-    found: PathCalibration,
-) -> Result<CalibratedPath, Failure> {
+fn told(material: &Material, found: PathCalibration) -> Result<CalibratedPath, Failure> {
     let config = &material.config;
     let hypothesis = found.hypothesis();
     let mut base = material.robot.clone();
@@ -359,15 +397,8 @@ fn told(
     let runs = runs
         .map(|(path, heading)| try_on(path, Some(*heading)))
         .collect();
-    let mut tried = Vec::new();
-    for prefix in &args.try_on {
-        let flags = DataFlags {
-            run: Some(prefix.clone()),
-            ..args.data.clone()
-        };
-        let others = paths_of(args, &load_drives(args, &flags)?).at_start()?;
-        tried.extend(others.iter().map(|path| try_on(path, None)));
-    }
+    let others = material.others.iter();
+    let tried = others.map(|path| try_on(path, None)).collect();
     Ok(CalibratedPath {
         recording: material.recording.clone(),
         against: material.against,

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use posebridge_analysis::calibration::free_path::{Sight, seconds};
 use posebridge_estimator::FilterConfig;
-use posebridge_telemetry::{Observation, Observed};
+use posebridge_telemetry::{DriveGeometry, Observation, Observed};
 
 use crate::cli::DataFlags;
 use crate::commands::{Failure, Stage};
@@ -52,6 +52,42 @@ pub(crate) struct Watch {
     pub(crate) truth_sigma_m: f64,
 }
 
+/// Two descriptions of one robot differ by no more than this share: a brick describes itself in single precision.
+const SAME_SHARE: f64 = 1e-6;
+
+/// Whether all these drives, by name, are of one robot: nobody can fit one to several.
+///
+/// # Errors
+/// Two are not; the message names them.
+pub(crate) fn same_robot<'a>(
+    drives: impl IntoIterator<Item = (&'a str, &'a DriveGeometry)>,
+) -> Result<()> {
+    let mut drives = drives.into_iter();
+    let Some((first, geometry)) = drives.next() else {
+        return Ok(());
+    };
+    let other = drives.find(|(_, other)| !is_same(geometry, other));
+    if let Some((other, _)) = other {
+        bail!(
+            "`{first}` and `{other}` are described as different robots: choose the drives of one, of a descriptor's with --run"
+        );
+    }
+    Ok(())
+}
+
+fn is_same(one: &DriveGeometry, other: &DriveGeometry) -> bool {
+    let numbers = |of: &DriveGeometry| {
+        [
+            of.left_wheel_radius.0,
+            of.right_wheel_radius.0,
+            of.track_width.0,
+            of.tick.0,
+        ]
+    };
+    let mut pairs = numbers(one).into_iter().zip(numbers(other));
+    pairs.all(|(one, other)| (one - other).abs() <= SAME_SHARE * one.abs())
+}
+
 /// Loads the runs that the flags choose.
 ///
 /// # Errors
@@ -64,7 +100,7 @@ pub(crate) fn load(recording: &Path, flags: &DataFlags, watch: Watch) -> Result<
         };
         return load_descriptor(recording, &flags, watch);
     }
-    load_own(recording, flags).at_start()
+    load_own(recording, flags, watch).at_start()
 }
 
 fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives, Failure> {
@@ -121,7 +157,12 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drive
 }
 
 /// A recording of ours: one drive.
-fn load_own(path: &Path, flags: &DataFlags) -> Result<Drives> {
+fn load_own(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives> {
+    ensure!(
+        watch.against != Some(Against::Truth),
+        "a recording of ours has no truth: leave --against away, and `{}` is compared with its fixes",
+        path.display()
+    );
     ensure!(
         flags.run.is_none() && flags.use_every.is_none(),
         "--run and --use-every choose from a descriptor's data, not from a recording of ours"
@@ -161,4 +202,25 @@ fn fix_sights(observations: &[Observation], config: &FilterConfig) -> Vec<Sight>
         })
     });
     sights.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::Meters;
+
+    #[test]
+    fn a_robot_that_described_itself_in_single_precision_is_the_same_and_another_track_is_another_robot()
+     {
+        let told = RobotFile::default().geometry().unwrap();
+        let mut described = told;
+        described.left_wheel_radius = Meters(f64::from(told.left_wheel_radius.0 as f32));
+        described.track_width = Meters(f64::from(told.track_width.0 as f32));
+        assert!(same_robot([("a", &told), ("b", &described)]).is_ok());
+        let mut wider = told;
+        wider.track_width = Meters(1.001 * told.track_width.0);
+        let said = same_robot([("a", &told), ("b", &described), ("c", &wider)]);
+        let said = said.unwrap_err().to_string();
+        assert!(said.starts_with("`a` and `c` are described"), "{said}");
+    }
 }

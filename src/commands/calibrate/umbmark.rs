@@ -3,8 +3,9 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Result, anyhow, ensure};
 use clap::Args;
+use posebridge_analysis::calibration::CalibrationError;
 use posebridge_analysis::calibration::free_path::FreePath;
 use posebridge_analysis::calibration::umbmark::{
     Direction, SquareError, SquareRobot, SquareRun, Umbmark, square_error, umbmark,
@@ -52,10 +53,10 @@ pub struct UmbmarkArgs {
     pub data: DataFlags,
     /// In place of a recording: a CSV table of the columns direction (cw or ccw), x_mm, y_mm: where the robot really was, ahead and to
     /// the left of its start, when it believed to be home.
-    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["sim", "real_robot"])]
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["sim", "real_robot", "run", "use_every", "settings"])]
     pub ends: Option<PathBuf>,
     /// In place of a recording: let the simulated robot drive.
-    #[arg(long, conflicts_with = "real_robot")]
+    #[arg(long, conflicts_with_all = ["real_robot", "run", "use_every", "settings", "side_m"])]
     pub sim: bool,
     /// The robot of --ends: a profile with a [robot] table, the one by which the brick steered.
     #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["recordings", "real_robot", "sim"])]
@@ -64,10 +65,10 @@ pub struct UmbmarkArgs {
     #[arg(long, value_name = "M")]
     pub side_m: Option<f64>,
     /// Simulated squares in each direction.
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=5))]
+    #[arg(long, value_name = "N", default_value_t = 5, conflicts_with_all = ["recordings", "real_robot", "ends"], value_parser = clap::value_parser!(u32).range(1..=5))]
     pub runs: u32,
     /// Seed of the simulated robot, instead of its scenario's.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with_all = ["recordings", "real_robot", "ends"])]
     pub seed: Option<u64>,
     /// Write the robot as a profile for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
@@ -134,6 +135,9 @@ fn told(args: &UmbmarkArgs) -> Result<Told, Failure> {
     let Some(first) = drives.first() else {
         return Err(anyhow!("no run was chosen: see --run")).at_start();
     };
+    let robots = drives.iter();
+    let robots = robots.map(|drive| (drive.name.as_str(), &drive.config.geometry));
+    source::same_robot(robots).at_start()?;
     let paths: Vec<FreePath> = drives
         .iter()
         .map(|drive| {
@@ -142,7 +146,7 @@ fn told(args: &UmbmarkArgs) -> Result<Told, Failure> {
         })
         .collect();
     let recorded = of_drives(&first.config, &paths, args.side_m)
-        .with_context(|| advice(&drives))
+        .map_err(|error| advised(error, &drives))
         .while_running()?;
     Ok(Told {
         source: names(&drives),
@@ -170,13 +174,21 @@ fn drives(args: &UmbmarkArgs) -> Result<Vec<Drive>, Failure> {
     Ok(drives)
 }
 
-/// What to do when squares are missing: one recording is one square, unless a descriptor chooses several.
-fn advice(drives: &[Drive]) -> String {
-    format!(
+/// With what to do when a direction is missing: one recording is one square, unless a descriptor chooses several.
+fn advised(error: anyhow::Error, drives: &[Drive]) -> anyhow::Error {
+    let is_too_little = matches!(
+        error.downcast_ref(),
+        Some(CalibrationError::TooLittle { .. })
+    );
+    let are_seen = drives.iter().all(|drive| !drive.sights.is_empty());
+    if !(is_too_little && are_seen) {
+        return error;
+    }
+    error.context(format!(
         "squares in both directions are needed, each recorded by itself; so far: {}. Name all recordings, and add a live square by --link \
          or --listen with a new --out",
         names(drives)
-    )
+    ))
 }
 
 fn names(drives: &[Drive]) -> String {

@@ -186,7 +186,7 @@ pub(super) fn straight(seen: &Seen) -> Result<Findings> {
     })
 }
 
-/// Each instant, s, with how far both wheels have rolled by then, m.
+/// Each instant, s, with how far both wheels have rolled by then, m: by rising time, whatever the order of arrival, each instant once.
 fn travels(seen: &Seen) -> Vec<[f64; 3]> {
     let mut counts: Vec<[f64; 3]> = Vec::new();
     for one in &seen.arrived {
@@ -200,6 +200,9 @@ fn travels(seen: &Seen) -> Vec<[f64; 3]> {
             ]);
         }
     }
+    // An interval of no time, or back in time, would be no speed.
+    counts.sort_by(|[one_s, ..], [other_s, ..]| one_s.total_cmp(other_s));
+    counts.dedup_by(|[later_s, ..], [earlier_s, ..]| later_s <= earlier_s);
     counts
 }
 

@@ -64,13 +64,18 @@ pub struct SourceArgs {
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
     /// Set one key of the robot's table, as for `replay`, or of the configuration of a recording of ours; may be repeated.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
     pub settings: Vec<Setting>,
     /// Simulate this instead of the bundled experiment: a scenario of `lab accuracy`, or a TOML file.
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "real_robot")]
     pub sim: Option<String>,
     /// Seed of a simulated drive.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        conflicts_with = "real_robot"
+    )]
     pub seed: u64,
     /// Look from so many seconds after the first observation on.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]

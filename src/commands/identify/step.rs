@@ -39,9 +39,9 @@ pub struct StepArgs {
     /// The column of a table with the time [default: the first].
     #[arg(long, value_name = "NAME", requires = "recording")]
     pub time_column: Option<String>,
-    /// The unit of that column.
-    #[arg(long, value_enum, default_value = "s")]
-    pub time_unit: TimeUnit,
+    /// The unit of that column [default: s].
+    #[arg(long, value_enum, requires = "recording")]
+    pub time_unit: Option<TimeUnit>,
     /// The column of a table with the value [default: the second].
     #[arg(long, value_name = "NAME", requires = "recording")]
     pub value_column: Option<String>,
@@ -54,7 +54,12 @@ pub struct StepArgs {
     )]
     pub sim: Simulated,
     /// Seed of the simulated sensor.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        conflicts_with = "recording"
+    )]
     pub seed: u64,
     /// Look from so many seconds after the first sample on.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]

@@ -3,15 +3,19 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use posebridge_analysis::identification::{Sample, Sampling, StepOptions, noise_of};
+use posebridge_analysis::identification::{
+    Sample, Sampling, StepOptions, in_order_of_time, noise_of,
+};
 use posebridge_telemetry::Observation;
 
-use super::step::{ChannelName, StepArgs};
+use super::step::{ChannelName, StepArgs, TimeUnit};
 use super::step_simulated;
 use crate::cli::DataFlags;
 use crate::commands::Failure;
 use crate::commands::calibrate::listing::Listing;
 use crate::commands::calibrate::source::{self, Drive, Watch};
+use crate::data::tell_left_out;
+use crate::stderr::say;
 
 /// What is looked at.
 pub(super) struct Material {
@@ -90,6 +94,20 @@ fn check(args: &StepArgs) -> Result<()> {
     Ok(())
 }
 
+/// Nobody knows of an instant that is further from the samples than they are long; one from before them may be that of a command that
+/// started the recording.
+fn check_onset(args: &StepArgs, name: &str, samples: &[Sample]) -> Result<()> {
+    let (Some(onset_s), [first, .., last]) = (args.onset, samples) else {
+        return Ok(());
+    };
+    let span_s = last.at_s - first.at_s;
+    ensure!(
+        (-span_s..=span_s).contains(&onset_s),
+        "--onset is {onset_s}: the samples of `{name}` end {span_s} s after the first; give seconds after the first sample"
+    );
+    Ok(())
+}
+
 /// Samples by the time since the first one, as far as --from and --to let them.
 fn cut(args: &StepArgs, samples: &[Sample]) -> Vec<Sample> {
     let first_s = samples.first().map_or(0.0, |sample| sample.at_s);
@@ -106,8 +124,8 @@ fn cut(args: &StepArgs, samples: &[Sample]) -> Vec<Sample> {
 fn of_recording(args: &StepArgs, path: &Path) -> Result<Material> {
     let is_descriptor = path.extension().is_some_and(|end| end == "toml");
     ensure!(
-        args.time_column.is_none() && args.value_column.is_none(),
-        "--time-column and --value-column belong to a table (*.csv); choose a sensor with --channel"
+        args.time_column.is_none() && args.value_column.is_none() && args.time_unit.is_none(),
+        "--time-column, --time-unit and --value-column belong to a table (*.csv); choose a sensor with --channel"
     );
     let flags = DataFlags {
         data: args.data.clone(),
@@ -129,17 +147,18 @@ fn of_recording(args: &StepArgs, path: &Path) -> Result<Material> {
     })?;
     let asked = args.channel.unwrap_or(ChannelName::Temperature);
     let channel = asked.channel();
-    let runs = drives
-        .drives
-        .iter()
-        .flat_map(|drive| parts(asked, drive))
-        .map(|part| of_part(args, asked, &part));
+    let mut runs = Vec::new();
+    for drive in &drives.drives {
+        for part in parts(asked, drive)? {
+            runs.push(of_part(args, asked, &part)?);
+        }
+    }
     Ok(Material {
-        source: drives.recording.clone(),
+        source: drives.recording,
         what: channel.name().to_owned(),
         unit: channel.unit(),
         gain_unit: "",
-        runs: runs.collect::<Result<_>>()?,
+        runs,
     })
 }
 
@@ -151,24 +170,31 @@ struct Part<'a> {
 }
 
 /// Every thermometer of a recording of ours by itself; else the drive as a whole, which has each sensor once.
-fn parts(asked: ChannelName, drive: &Drive) -> Vec<Part<'_>> {
+fn parts(asked: ChannelName, drive: &Drive) -> Result<Vec<Part<'_>>> {
     if asked != ChannelName::Temperature || drive.thermometers.is_empty() {
-        return vec![Part {
+        return Ok(vec![Part {
             name: drive.name.clone(),
             drive,
             observations: &drive.observations,
-        }];
+        }]);
     }
-    let parts = drive.thermometers.iter().map(|one| Part {
-        name: format!("{} {}", drive.name, one.channel),
-        drive,
-        observations: &one.readings,
+    let parts = drive.thermometers.iter().map(|one| {
+        let name = format!("{} {}", drive.name, one.name_among(&drive.thermometers));
+        let readings = one.readings();
+        Ok(Part {
+            observations: readings.with_context(|| format!("recording `{}`", drive.name))?,
+            name,
+            drive,
+        })
     });
     parts.collect()
 }
 
 fn of_part(args: &StepArgs, asked: ChannelName, part: &Part<'_>) -> Result<StepRun> {
-    let samples = cut(args, &asked.channel().samples(part.observations));
+    let all = asked.channel().samples(part.observations);
+    tell_left_out(&part.name, asked.channel().left_out(part.observations));
+    check_onset(args, &part.name, &all)?;
+    let samples = cut(args, &all);
     if samples.is_empty() {
         let others = ChannelName::ALL.into_iter();
         let others: Vec<&str> = others
@@ -220,6 +246,11 @@ fn of_table(args: &StepArgs, path: &Path) -> Result<Material> {
         args.channel.is_none() && args.run.is_none(),
         "--channel and --run choose from a recording; name a table's columns with --time-column and --value-column"
     );
+    ensure!(
+        args.settings.is_empty(),
+        "--set changes what a recording says of its robot; a table says nothing of one. Give the noise of its samples with --noise"
+    );
+    let unit = args.time_unit.unwrap_or(TimeUnit::S);
     let listing = Listing::read(path)?;
     let column = |asked: &Option<String>, place: usize, flag: &str| {
         let named = asked
@@ -233,14 +264,22 @@ fn of_table(args: &StepArgs, path: &Path) -> Result<Material> {
         .rows()
         .map(|row| {
             Ok(Sample {
-                at_s: row.number(&time)? * args.time_unit.seconds(),
+                at_s: row.number(&time)? * unit.seconds(),
                 value: row.number(&value)?,
             })
         })
         .collect::<Result<_>>()?;
-    let samples = cut(args, &samples);
-    let sigma = noise_of(&samples);
     let name = path.display().to_string();
+    let ordered = in_order_of_time(&samples);
+    if samples.windows(2).any(|pair| pair[1].at_s < pair[0].at_s) {
+        say(&format!(
+            "{name}: some of its rows are earlier than the row before; all were put into the order of `{time}`"
+        ));
+    }
+    tell_left_out(&name, samples.len() - ordered.len());
+    check_onset(args, &name, &ordered)?;
+    let samples = cut(args, &ordered);
+    let sigma = noise_of(&samples);
     Ok(Material {
         runs: vec![of_samples(args, &name, samples, sigma)?],
         source: name,

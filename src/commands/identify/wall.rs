@@ -30,10 +30,10 @@ pub struct WallArgs {
     #[arg(long, value_name = "FILE.toml", conflicts_with = "recording")]
     pub scene: Option<PathBuf>,
     /// Simulated step tests.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 20, conflicts_with = "recording", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub steps: u32,
     /// Seed of the simulated car, instead of the scene's.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with = "recording")]
     pub seed: Option<u64>,
     /// A recording's descriptor (config/recordings/tof-wall.toml), instead of the simulated car.
     #[arg(long, value_name = "FILE.toml")]

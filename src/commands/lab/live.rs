@@ -17,20 +17,20 @@ use crate::stderr::say;
 const RECORDING: &str = "live.mcap";
 
 /// Flags that let an experiment listen to a live robot. One of the group `real_robot`: recorded data and live ones exclude each
-/// other.
+/// other. And of `live_robot`, by itself: how it is recorded is no question about a recording.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct LiveArgs {
     /// Record a live robot first: call it on this link (docs/links.md). The recording is live.mcap in the folder of the results.
-    #[arg(long, value_name = "URL", group = "real_robot")]
+    #[arg(long, value_name = "URL", groups = ["real_robot", "live_robot"])]
     pub link: Option<String>,
     /// Record a live robot first: wait for its call on this link.
-    #[arg(long, value_name = "URL", group = "real_robot")]
+    #[arg(long, value_name = "URL", groups = ["real_robot", "live_robot"])]
     pub listen: Option<String>,
     /// End the recording of a live robot after this many seconds; without it at Ctrl-C.
-    #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "real_robot")]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "live_robot")]
     pub duration: Option<f64>,
     /// Configuration of the station that records a live robot; without it the embedded default.
-    #[arg(long, value_name = "FILE", requires = "real_robot")]
+    #[arg(long, value_name = "FILE", requires = "live_robot")]
     pub config: Option<PathBuf>,
 }
 

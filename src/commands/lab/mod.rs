@@ -3,6 +3,7 @@
 pub mod accuracy;
 mod accuracy_json;
 mod accuracy_runs;
+mod again;
 mod bounds;
 mod estimators;
 pub mod indirect;

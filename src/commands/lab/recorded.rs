@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use posebridge_analysis::recorded_drive::{Judge, RecordedDrive};
 use posebridge_estimator::FilterConfig;
 
+use super::again;
 use super::live::{LiveArgs, LiveRobot};
 use super::outcome::OutputArgs;
 use crate::commands::{Failure, Stage};
@@ -138,11 +139,9 @@ impl RobotDrives {
     }
 
     /// The command that gives the same again.
-    pub(super) fn command(&self, experiment: &str) -> String {
-        format!(
-            "posebridge lab {experiment} --recording {}",
-            self.names().join(" ")
-        )
+    pub(super) fn command(&self) -> String {
+        let live = self.names().first().copied();
+        again::command(live.filter(|_| self.is_live))
     }
 
     /// Who judges, for people.

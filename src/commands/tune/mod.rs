@@ -55,13 +55,13 @@ pub struct TuneArgs {
     pub settings: Vec<Setting>,
     /// Show the filter a position out of the truth every so many seconds, with the noise of noise.fix_position_m: for recordings
     /// without fixes.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", group = "drawn")]
     pub fixes_from_truth: Option<f64>,
     /// Tune on simulated drives instead: a scenario of `lab accuracy`, or a TOML file.
-    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "recordings")]
+    #[arg(long, value_name = "NAME|FILE.toml", group = "drawn", conflicts_with_all = ["recordings", "run", "hold_out", "use_every", "settings"])]
     pub sim: Option<String>,
     /// Simulated drives to tune on; as many more are held out.
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 4, conflicts_with = "recordings", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
     /// A parameter to tune: a key of [robot.noise], or filter.KEY; may be repeated. Without it those of which the data tell.
     #[arg(long = "param", value_name = "KEY")]
@@ -73,7 +73,7 @@ pub struct TuneArgs {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub start_factor: f64,
     /// Seed of simulated drives and of the noise of fixes from the truth.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "drawn")]
     pub seed: u64,
     /// Write the robot with the tuned noise as a profile for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
@@ -215,6 +215,17 @@ fn tune(
     let training: Vec<&TuneRun> = material.training().collect();
     let start = args.start_factor.ln();
     let mut trial = Trial::new(filter, &keys, start, &training);
+    // The search takes minutes.
+    let unmoved = vec![0.0; keys.len()];
+    let predicts = |run: &&TuneRun| {
+        let fit = run.fit(filter, trial.config(run, &unmoved));
+        fit.components() > 0
+    };
+    ensure!(
+        training.iter().any(predicts),
+        "the filter `{}` held no observation of these runs against a prediction; a recording of wheels alone needs --fixes-from-truth",
+        filter.name
+    );
     let bar = progress::bar(trial.usual_work(), "filter runs")?;
     let ended = || bar.inc(1);
     let found = trial.maximum(&Search::default(), None, &ended);
@@ -225,15 +236,8 @@ fn tune(
         run_all(&material.runs, score, || {})
     };
     let at: Vec<f64> = found.at.iter().map(|x| choice.share() * x).collect();
-    let (before, proposed) = (scores(&vec![0.0; keys.len()]), scores(&at));
+    let (before, proposed) = (scores(&unmoved), scores(&at));
     let as_given = (args.start_factor != 1.0).then(|| scores(&vec![-start; keys.len()]));
-    ensure!(
-        before
-            .iter()
-            .any(|score| score.set == Set::Training && score.fit.components() > 0),
-        "the filter `{}` held no observation of these runs against a prediction; a recording of wheels alone needs --fixes-from-truth",
-        filter.name
-    );
     let kept = kept(&choice, &before, &proposed);
     let value = |key: &TunedKey, x: f64| {
         training.first().map_or(f64::NAN, |run| {

@@ -16,6 +16,7 @@ use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, Span,
 
 use super::{TuneArgs, own};
 use crate::cli::DataFlags;
+use crate::commands::calibrate::source::same_robot;
 use crate::config::RobotFile;
 use crate::data::{DataSet, RobotRun, tell_bad_rows};
 use crate::drawn::{self, filter_config, known_drive};
@@ -61,7 +62,7 @@ pub(super) struct RunScore {
     pub(super) sources: Vec<SourceTally>,
 }
 
-/// All runs, and the robot of the first one.
+/// All runs, which are of one robot, and that robot as the first training run describes it.
 pub(super) struct Material {
     pub(super) runs: Vec<TuneRun>,
     pub(super) robot: RobotFile,
@@ -115,17 +116,25 @@ fn recorded(args: &TuneArgs) -> Result<Material> {
         for (name, set) in sets.into_iter().chain(held_out) {
             if own_recording::is_own(path) {
                 let (run, its_robot) = own::load(args, path, set)?;
-                robot.get_or_insert(its_robot);
+                if set == Set::Training {
+                    robot.get_or_insert(its_robot);
+                }
                 runs.push(run);
                 continue;
             }
             let flags = flags(args, Some(name.clone()));
             let loaded = DataSet::open(path, &flags)?.load(&name, &flags)?;
             tell_bad_rows(&loaded);
-            robot.get_or_insert_with(|| loaded.robot.clone());
+            if set == Set::Training {
+                robot.get_or_insert_with(|| loaded.robot.clone());
+            }
             runs.push(of_recording(args, loaded, set)?);
         }
     }
+    same_robot(
+        runs.iter()
+            .map(|run: &TuneRun| (run.name.as_str(), &run.config.geometry)),
+    )?;
     let paths: Vec<String> = args
         .recordings
         .iter()
@@ -385,5 +394,70 @@ impl Belief for Believed<'_> {
     }
     fn latest(&self) -> Option<Stamp<BrickClock>> {
         self.0.latest()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::{Cli, Command};
+    use clap::Parser as _;
+
+    const WHEELS: &str = r#"
+source = "written by this test"
+licence = "-"
+
+[robot]
+left_wheel_radius_m = 0.1
+right_wheel_radius_m = 0.1
+track_width_m = 0.2
+ticks_per_turn = 360.0
+
+[files.wheels]
+path = "wheels.csv"
+header_lines = 1
+time = { column = "t_s" }
+
+[[wheels]]
+file = "wheels"
+counting = "absolute"
+left = { column = "left", unit = "ticks" }
+right = { column = "right", unit = "ticks" }
+"#;
+
+    #[test]
+    fn the_robot_is_that_of_the_runs_that_were_tuned_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        std::fs::write(
+            path("wheels.csv"),
+            "t_s,left,right\n0,0,0\n1,9,9\n2,18,18\n",
+        )
+        .unwrap();
+        for (name, sigma) in [("held", 0.01), ("trained", 0.02)] {
+            let known =
+                format!("[robot.calibration]\ntrack_scale = {{ value = 0.0, sigma = {sigma} }}\n");
+            let run = format!("name = \"{name}\"\ndefault_run = \"{name}\"\n");
+            let text = run + WHEELS + &known + &format!("[[runs]]\nname = \"{name}\"\n");
+            std::fs::write(path(&format!("{name}.toml")), text).unwrap();
+        }
+        let (held, trained) = (path("held.toml"), path("trained.toml"));
+        let line = [
+            "posebridge",
+            "tune",
+            "--hold-out",
+            "held",
+            "--recording",
+            &held,
+            "--recording",
+            &trained,
+        ];
+        let Some(Command::Tune(args)) = Cli::try_parse_from(line).unwrap().command else {
+            panic!("tune was asked for")
+        };
+        let material = Material::gather(&args).unwrap();
+        let sets: Vec<Set> = material.runs.iter().map(|run| run.set).collect();
+        assert_eq!(sets, [Set::HeldOut, Set::Training]);
+        assert_eq!(material.robot.calibration.track_scale.sigma, 0.02);
     }
 }

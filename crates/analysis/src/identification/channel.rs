@@ -12,7 +12,7 @@
 use posebridge_telemetry::{DriveGeometry, Observation, Observed, SensorId, SensorNoise};
 
 use super::spread::Sampling;
-use super::{Sample, in_order, noise_of};
+use super::{Sample, in_order, in_order_of_time, noise_of};
 
 /// A number that a robot or a recording has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,21 +55,28 @@ impl Channel {
     /// The samples in the order of time, in seconds of the brick's clock; those that are not finite or not later than the one before are left out.
     #[must_use]
     pub fn samples(self, observations: &[Observation]) -> Vec<Sample> {
-        let mut values: Vec<Sample> = observations
-            .iter()
-            .filter_map(|observation| {
-                Some(Sample {
-                    at_s: observation.stamp.as_secs_f64(),
-                    value: self.value_of(observation)?,
-                })
-            })
-            .collect();
-        values.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        let values = in_order(&values);
+        let values: Vec<Sample> = self.said(observations).collect();
+        let values = in_order_of_time(&values);
         match self {
             Self::LeftWheel | Self::RightWheel => differences(&values),
             Self::Temperature | Self::TurnRate | Self::WallRange => values,
         }
+    }
+
+    /// How many of the sensor's observations [`Self::samples`] leaves out.
+    #[must_use]
+    pub fn left_out(self, observations: &[Observation]) -> usize {
+        let values: Vec<Sample> = self.said(observations).collect();
+        values.len() - in_order_of_time(&values).len()
+    }
+
+    fn said(self, observations: &[Observation]) -> impl Iterator<Item = Sample> {
+        observations.iter().filter_map(move |observation| {
+            Some(Sample {
+                at_s: observation.stamp.as_secs_f64(),
+                value: self.value_of(observation)?,
+            })
+        })
     }
 
     /// What its samples are.

@@ -100,6 +100,16 @@ pub(crate) fn in_order(samples: &[Sample]) -> Vec<Sample> {
         .collect()
 }
 
+/// The samples that are usable, whatever the order in which they came: finite, by rising time, the first of those at one instant.
+///
+/// One stamp that is too late would otherwise take everything after it along.
+#[must_use]
+pub fn in_order_of_time(samples: &[Sample]) -> Vec<Sample> {
+    let mut samples = samples.to_vec();
+    samples.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    in_order(&samples)
+}
+
 /// The mean of the values; `None` without samples.
 pub(crate) fn mean_of(samples: &[Sample]) -> Option<f64> {
     let sum: f64 = samples.iter().map(|sample| sample.value).sum();

@@ -8,6 +8,7 @@ use posebridge_sim::montecarlo::Scenario;
 use serde_json::{Value, json};
 
 use super::rounds::{Found, PAPER_END_M, RowFound, Sensors};
+use crate::commands::lab::again;
 use crate::commands::lab::outcome::Outcome;
 use crate::commands::lab::recorded::RobotDrives;
 
@@ -38,10 +39,7 @@ impl Told {
     pub(super) fn of_scenario(scenario: &Scenario, runs: u32) -> Self {
         Self {
             headline: format!("end of {runs} rounds of the square, seed {}", scenario.seed),
-            command: format!(
-                "posebridge lab indirect --runs {runs} --seed {}",
-                scenario.seed
-            ),
+            command: again::command(None),
             truth: "true",
             object: json!({ "seed": scenario.seed, "runs": runs }),
         }
@@ -56,7 +54,7 @@ impl Told {
                 names.join(", "),
                 drives.judges()
             ),
-            command: drives.command("indirect"),
+            command: drives.command(),
             truth: "camera",
             object: json!({
                 "recordings": names,

@@ -20,6 +20,7 @@ use posebridge_sim::montecarlo::Scenario;
 
 use self::drives::{Series, all_errors, errors_of, scenario, table, told};
 use self::readings::{VARIATIONS, untouched};
+use super::again;
 use super::outcome::{Outcome, OutputArgs};
 use super::recorded::RecordedArgs;
 use crate::commands::{Failure, Stage};
@@ -196,10 +197,7 @@ fn simulated(args: &LabNxtSquareArgs) -> Result<Report> {
         "{} simulated drives of one lap, scenario paper-square, seed {}, 50 ms; all figures against the true pose",
         args.runs, args.seed
     );
-    let command = format!(
-        "posebridge lab nxt-square --runs {} --seed {}",
-        args.runs, args.seed
-    );
+    let command = again::command(None);
     let example = example(table(&scenario, 0), &told(&scenario), camera_every);
     Ok(report(source, command, &runs, readings.collect(), example))
 }
@@ -230,7 +228,7 @@ fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<Report> {
         "nothing: the file has neither camera nor truth, so there are paths and no errors"
     };
     let source = format!("{name}: {} rows; judged by {judge}", table.rows.len());
-    let command = format!("posebridge lab nxt-square --data {name}");
+    let command = again::command(None);
     let example = example(table, &base, camera_every);
     Ok(report(source, command, &runs, Vec::new(), example))
 }

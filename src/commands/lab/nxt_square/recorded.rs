@@ -43,13 +43,7 @@ pub(super) fn report_of(drives: &RobotDrives, camera_every: usize) -> Result<Rep
     let first = tables.into_iter().next();
     let (one, table) = first.ok_or_else(|| anyhow::anyhow!("there is no recording"))?;
     let example = example(table, &one.config, camera_every);
-    Ok(report(
-        source,
-        drives.command("nxt-square"),
-        &runs,
-        Vec::new(),
-        example,
-    ))
+    Ok(report(source, drives.command(), &runs, Vec::new(), example))
 }
 
 /// Name, length and what was heard besides the wheels.

@@ -47,10 +47,10 @@ pub struct LabThermometerArgs {
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real")]
     pub settings: Vec<Setting>,
     /// Runs over which the bounds of the simulated sensor are counted.
-    #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(10..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 1_000, conflicts_with = "real", value_parser = clap::value_parser!(u32).range(10..=100_000))]
     pub runs: u32,
     /// Seed of the simulated sensor.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "real")]
     pub seed: u64,
     /// What it leaves behind.
     #[command(flatten)]

@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use posebridge_analysis::identification::kind::Likeness;
 use posebridge_analysis::identification::lesson::{Recorded, RecordedRun, Section, recorded};
-use posebridge_analysis::identification::{Sample, StepOptions, identify_step};
+use posebridge_analysis::identification::{Channel, Sample, StepOptions, identify_step};
 use posebridge_estimator::FilterConfig;
-use posebridge_telemetry::{Observation, Observed, SensorId};
+use posebridge_telemetry::Observation;
 
 use super::LabThermometerArgs;
 use crate::cli::DataFlags;
 use crate::commands::lab::live::LiveRobot;
 use crate::commands::{Failure, Stage};
 use crate::config::Setting;
-use crate::data::{DataSet, tell_bad_rows};
+use crate::data::{DataSet, tell_bad_rows, tell_left_out};
 use crate::own_recording::{self, Overlay};
 use crate::parallel::run_all;
 use crate::progress;
@@ -82,26 +82,13 @@ struct Shown {
 }
 
 impl Shown {
-    /// The readings of the first thermometer.
-    fn of<'a>(
-        run: &str,
-        readings: impl Iterator<Item = &'a Observation>,
-        config: &FilterConfig,
-    ) -> Self {
-        let samples = readings.filter_map(|observation| {
-            let Observed::Temperature(temperature) = observation.observed else {
-                return None;
-            };
-            // A descriptor may hold further thermometers; the experiment is about the first.
-            (observation.sensor == SensorId::THERMOMETER).then_some(Sample {
-                at_s: observation.stamp.as_secs_f64(),
-                value: temperature.0,
-            })
-        });
+    /// The readings of the first thermometer: a descriptor may hold further ones, and the experiment is about the first.
+    fn of(run: &str, readings: &[Observation], config: &FilterConfig) -> Self {
+        tell_left_out(run, Channel::Temperature.left_out(readings));
         let noise = config.noise.temperature_k;
         Self {
             run: run.to_owned(),
-            samples: samples.collect(),
+            samples: Channel::Temperature.samples(readings),
             sigma_k: if noise > 0.0 { noise } else { DEFAULT_SIGMA_K },
         }
     }
@@ -121,8 +108,9 @@ fn of_descriptor(args: &LabThermometerArgs, descriptor: &Path) -> Result<(Chosen
     let load = |name: &String| -> Result<Shown> {
         let run = data.load(name, &flags)?;
         tell_bad_rows(&run);
-        let readings = run.run.observations.iter().map(|timed| &timed.observation);
-        let shown = Shown::of(name, readings, &run.filter_config);
+        let readings = run.run.observations.iter();
+        let readings: Vec<Observation> = readings.map(|timed| timed.observation).collect();
+        let shown = Shown::of(name, &readings, &run.filter_config);
         ensure!(
             !shown.samples.is_empty(),
             "run `{name}` of `{}` holds no temperature: it needs a [[temperature]] stream",
@@ -178,10 +166,12 @@ fn thermometers(path: &Path, settings: &[Setting]) -> Result<Vec<Shown>> {
         own.name
     );
     let shown = own.thermometers.iter().map(|one| {
-        let run = format!("{}:{}", own.name, one.channel);
-        Shown::of(&run, one.readings.iter(), &own.config)
+        let run = format!("{}:{}", own.name, one.name_among(&own.thermometers));
+        let readings = one.readings();
+        let readings = readings.with_context(|| format!("recording `{}`", own.name))?;
+        Ok(Shown::of(&run, readings, &own.config))
     });
-    Ok(shown.collect())
+    shown.collect()
 }
 
 /// The runs that were asked for.
@@ -258,4 +248,27 @@ fn identified(shown: &Shown) -> Result<RecordedRun> {
         name: shown.run.clone(),
         identified,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{FilterSection, RobotFile, filter_config};
+    use posebridge_telemetry::{Celsius, Observed, SensorId, Span, Stamp, World};
+
+    #[test]
+    fn a_stamp_that_is_too_late_takes_no_other_reading_along() {
+        let readings = [0, 1_000, 9_000, 2_000, 3_000, 3_000].map(|millis| Observation {
+            sensor: SensorId::THERMOMETER,
+            stamp: Stamp::from_millis(millis),
+            stamp_sigma: Span::ZERO,
+            observed: Observed::Temperature(Celsius(20.0)),
+        });
+        let robot = RobotFile::default();
+        let config = filter_config(&robot, &FilterSection::default(), World::default()).unwrap();
+        let shown = Shown::of("bath", &readings, &config);
+        let at_s: Vec<f64> = shown.samples.iter().map(|sample| sample.at_s).collect();
+        assert_eq!(at_s, [0.0, 1.0, 2.0, 3.0, 9.0]);
+        assert_eq!(Channel::Temperature.left_out(&readings), 1);
+    }
 }

@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
 
+use super::again;
 use super::live::{LiveArgs, LiveRobot};
 use super::outcome::OutputArgs;
 use crate::commands::{Failure, Stage};
@@ -30,13 +31,13 @@ pub struct LabWallArgs {
     #[arg(long, value_name = "FILE.toml", conflicts_with = "real_robot")]
     pub scene: Option<PathBuf>,
     /// Simulated step tests, from which the drive is found.
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub steps: u32,
     /// Simulated approaches of each kind.
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub runs: u32,
     /// Base seed, instead of the scene's.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with = "real_robot")]
     pub seed: Option<u64>,
     /// The link of the approaches whose filter is on the host: a bundled profile's name or a TOML file (docs/impairment.md).
     #[arg(
@@ -81,7 +82,9 @@ pub struct LabWallArgs {
 pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
     if let Some(prepared) = real(args)? {
         let folder = args.output.folder()?;
-        let outcome = recorded::run(&prepared).while_running()?;
+        let live = args.live.is_asked();
+        let command = again::command(live.then_some(prepared.descriptor.as_str()));
+        let outcome = recorded::run(&prepared, command).while_running()?;
         return args.output.deliver(&folder, &outcome);
     }
     let prepared = simulated::Prepared {

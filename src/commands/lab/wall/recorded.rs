@@ -245,12 +245,16 @@ fn said<'a>(
         .collect()
 }
 
-/// Evaluates every run, on all cores.
-pub(super) fn run(prepared: &Prepared) -> Result<Outcome> {
+/// Evaluates every run, on all cores; `command` is the one that gives the page again.
+pub(super) fn run(prepared: &Prepared, command: String) -> Result<Outcome> {
     let bar = progress::bar(prepared.runs.len() as u64, "runs")?;
     let found = run_all(&prepared.runs, evaluate, || bar.inc(1));
     bar.finish_and_clear();
-    Ok(recorded_report::outcome(&prepared.descriptor, &found))
+    Ok(recorded_report::outcome(
+        &prepared.descriptor,
+        command,
+        &found,
+    ))
 }
 
 fn evaluate(run: &RunLog) -> RunFound {

@@ -29,8 +29,8 @@ const SCORE_HEADER: [&str; 9] = [
     "theirs mm",
 ];
 
-/// Tables, page and object.
-pub(super) fn outcome(descriptor: &str, found: &[RunFound]) -> Outcome {
+/// Tables, page and object; `command` gives them again.
+pub(super) fn outcome(descriptor: &str, command: String, found: &[RunFound]) -> Outcome {
     let steps: Vec<[String; 6]> = found.iter().map(step_row).collect();
     let scores: Vec<[String; 9]> = found.iter().map(score_row).collect();
     let step_line =
@@ -48,7 +48,7 @@ pub(super) fn outcome(descriptor: &str, found: &[RunFound]) -> Outcome {
              reading is foretold and compared."
                 .to_owned(),
         ),
-        Part::Lines(format!("posebridge lab wall --recording {descriptor}")),
+        Part::Lines(command),
         Part::Heading(step_line.to_owned()),
         Part::table(&STEP_HEADER, steps.into_iter().map(Vec::from).collect()),
         Part::Heading(score_line.to_owned()),

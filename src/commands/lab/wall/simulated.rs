@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use super::approaches::{Driven, cases, drive_all};
 use super::pictures;
 use super::steps::{Steps, Validated, steps};
+use crate::commands::lab::again;
 use crate::commands::lab::outcome::Outcome;
 use crate::progress;
 
@@ -287,10 +288,7 @@ fn page(prepared: &Prepared, steps: &Steps, driven: &[Driven], tables: Tables) -
              the wall. What does a model of the motors buy?"
                 .to_owned(),
         ),
-        Part::Lines(format!(
-            "posebridge lab wall --steps {} --runs {} --seed {} --profile {}",
-            prepared.steps, prepared.runs, prepared.scene.seed, prepared.profile_name
-        )),
+        Part::Lines(again::command(None)),
     ];
     let figures = [
         Some(pictures::step(steps)),

@@ -1,0 +1,87 @@
+//! The command that gives a page again: the one that was typed, not a list of the flags that somebody thought of.
+
+/// How a live robot is recorded. Its recording holds the robot and the keys that were set.
+const OF_A_LIVE_ROBOT: [&str; 6] = [
+    "--link",
+    "--listen",
+    "--duration",
+    "--config",
+    "--robot",
+    "--set",
+];
+
+/// The arguments of this process; with what a live robot left in the robot's place.
+pub(super) fn command(live_recording: Option<&str>) -> String {
+    let args = std::env::args_os().skip(1);
+    let args: Vec<String> = args.map(|arg| arg.to_string_lossy().into_owned()).collect();
+    line(&args, live_recording)
+}
+
+fn line(args: &[String], live_recording: Option<&str>) -> String {
+    let mut words = vec!["posebridge".to_owned()];
+    let mut args = args.iter();
+    while let Some(arg) = args.next() {
+        let (flag, has_value) = match arg.split_once('=') {
+            Some((flag, _)) => (flag, true),
+            None => (arg.as_str(), false),
+        };
+        if live_recording.is_none() || !OF_A_LIVE_ROBOT.contains(&flag) {
+            words.push(quoted(arg));
+        } else if !has_value {
+            args.next();
+        }
+    }
+    if let Some(recording) = live_recording {
+        words.extend(["--recording".to_owned(), quoted(recording)]);
+    }
+    words.join(" ")
+}
+
+/// As a shell takes it for one word.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "-_./:=,+@%?".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(args: &[&str], live_recording: Option<&str>) -> String {
+        let args: Vec<String> = args.iter().map(|arg| (*arg).to_owned()).collect();
+        line(&args, live_recording)
+    }
+
+    #[test]
+    fn a_command_is_told_as_it_was_typed_and_fits_through_a_shell() {
+        let args = ["lab", "wall", "--run", "step one", "--set", "a=it's"];
+        assert_eq!(
+            said(&args, None),
+            r"posebridge lab wall --run 'step one' --set 'a=it'\''s'"
+        );
+    }
+
+    #[test]
+    fn the_recording_takes_the_place_of_the_live_robot() {
+        let args = [
+            "lab",
+            "indirect",
+            "--link",
+            "tcp://a:1",
+            "--judge",
+            "start",
+            "--duration=6",
+            "--set",
+            "robot.track_width_m=0.1",
+            "--out",
+            "o",
+        ];
+        assert_eq!(
+            said(&args, Some("o/live.mcap")),
+            "posebridge lab indirect --judge start --out o --recording o/live.mcap"
+        );
+    }
+}
