@@ -30,8 +30,15 @@
 #include <stdint.h>
 #include <string.h>
 
-/* Everything is a function of the file that includes this one; what it does not call costs nothing. */
-#define PB_API static inline
+/* Everything is a function of the file that includes this one; what it does not call costs nothing. Compilers for small machines
+ * like to copy functions to where they are called, which makes the program larger: GCC and its kin are asked not to. */
+#if defined(__GNUC__)
+#define PB_API __attribute__((noinline, unused)) static
+#else
+#define PB_API static
+#endif
+/* A part of one other function. */
+#define PB_PART static inline
 
 /* Bits of pb_ticks.flags. The station drops a message without both. */
 #define PB_LEFT 1u
@@ -57,8 +64,15 @@ typedef void (*pb_sink)(void *context, uint8_t byte);
 typedef struct {
     pb_sink sink;
     void *context;
-    uint8_t system, component, sequence;
+    uint16_t crc; /* of the frame that is being sent */
+    uint8_t header[10]; /* of the next frame */
 } pb_link;
+/* Places in a header: length, sequence, system, component, id. */
+#define PB_LENGTH 1
+#define PB_SEQUENCE 4
+#define PB_SYSTEM 5
+#define PB_COMPONENT 6
+#define PB_ID 7
 
 /* Total counts of both driven wheels since power-up: PB_WHEEL_TICKS. */
 typedef struct {
@@ -125,33 +139,34 @@ PB_API uint16_t pb_crc(uint16_t crc, uint8_t byte)
     return (uint16_t)((crc >> 8) ^ ((uint16_t)byte << 8) ^ ((uint16_t)byte << 3) ^ (byte >> 4));
 }
 
+/* From here the checksum comes to 0xFFFF, where it has to begin, by the start byte that is no part of it. */
+#define PB_CRC_BEFORE_START 0x3085u
+
+/* Sends bytes and takes them into the checksum; there is one at least. */
+PB_API void pb_put(pb_link *link, const uint8_t *bytes, uint8_t count)
+{
+    do {
+        link->crc = pb_crc(link->crc, *bytes);
+        link->sink(link->context, *bytes++);
+    } while (--count);
+}
+
 /* Sends a payload of length bytes, as it lies in memory, as a frame. */
 PB_API void pb_send(pb_link *link, uint16_t id, uint8_t extra, const void *payload, uint8_t length)
 {
-    const uint8_t *from = (const uint8_t *)payload;
-    uint8_t header[PB_HEADER];
-    uint8_t place, byte;
-    uint16_t crc = 0xFFFFu;
-    while (length > 1u && from[length - 1u] == 0)
+    const uint8_t *bytes = (const uint8_t *)payload;
+    uint16_t crc;
+    while (length > 1u && bytes[length - 1u] == 0)
         length--;
-    memset(header, 0, sizeof header);
-    header[0] = PB_START;
-    header[1] = length;
-    header[4] = link->sequence++;
-    header[5] = link->system;
-    header[6] = link->component;
-    header[7] = (uint8_t)id;
-    header[8] = (uint8_t)(id >> 8);
-    length = (uint8_t)(length + PB_HEADER);
-    for (place = 0; place < length; place++) {
-        byte = place < PB_HEADER ? header[place] : *from++;
-        if (place)
-            crc = pb_crc(crc, byte);
-        link->sink(link->context, byte);
-    }
-    crc = pb_crc(crc, extra);
-    link->sink(link->context, (uint8_t)crc);
-    link->sink(link->context, (uint8_t)(crc >> 8));
+    link->crc = PB_CRC_BEFORE_START;
+    link->header[PB_LENGTH] = length;
+    link->header[PB_ID] = (uint8_t)id;
+    link->header[PB_ID + 1] = (uint8_t)(id >> 8);
+    pb_put(link, link->header, PB_HEADER);
+    link->header[PB_SEQUENCE]++;
+    pb_put(link, bytes, length);
+    crc = pb_crc(link->crc, extra);
+    pb_put(link, (const uint8_t *)&crc, 2);
 }
 
 /* ---- transmit ------------------------------------------------------------------------------------------------------- */
@@ -159,11 +174,12 @@ PB_API void pb_send(pb_link *link, uint16_t id, uint8_t extra, const void *paylo
 /* A participant that has sent nothing. A robot is component 1 of a system from 1 to 254. */
 PB_API void pb_begin(pb_link *link, pb_sink sink, void *context, uint8_t system, uint8_t component)
 {
+    memset(link, 0, sizeof *link);
     link->sink = sink;
     link->context = context;
-    link->system = system;
-    link->component = component;
-    link->sequence = 0;
+    link->header[0] = PB_START;
+    link->header[PB_SYSTEM] = system;
+    link->header[PB_COMPONENT] = component;
 }
 
 /* Says that the robot is there: once per second. A ground rover (10), generic autopilot (0), active (4), MAVLink version 3. */
@@ -199,41 +215,29 @@ PB_API void pb_send_description(pb_link *link, const pb_description *robot)
 
 /* The longest interval over which a rate is believed to hold. What is turned in a longer one is unknown and left out. */
 #define PB_LONGEST_US 1000000ul
-#define PB_LONGEST_BIT 0x80000ul
+/* So much at a time, that a product stays within 32 bits. */
+#define PB_PIECE_US 8000u
 /* Beyond this PB_INERTIAL.turn_rate saturates, and with it the total. */
 #define PB_LARGEST_URAD_PER_S 16383500l
 /* Unit of PB_INERTIAL.turn_rate in microradians per second, and the lowest value that an int16_t has in it, less half a unit. */
 #define PB_RATE_UNIT 500u
 #define PB_LOWEST_URAD_PER_S (-32768l * 500 - 250)
-/* From 100 samples on, the older ones count half: so the sum stays within 32 bits. */
+/* After 100 samples the mean begins anew: so the sum stays within 32 bits. */
 #define PB_MANY (100u * PB_RATE_UNIT)
-#define PB_MILLION 1000000l
 
 /*
- * Adds rate * interval, exactly: turn_urad + rest / 1000000 stays the true sum. Bit by bit of the interval, because a product of 64 bits
- * and its division cost a small machine more memory than all the rest: turned * 1000000 + rest is the product so far.
+ * Adds rate * interval, exactly: turn_urad + rest / 1000000 stays the true sum. The product has 37 bits; it is divided by 1000000 =
+ * 64 * 15625 without ever being whole, because arithmetic in 64 bits costs a small machine more memory than all the rest. To be
+ * positive while it is divided, it is raised by 131072 * 15625.
  */
-PB_API void pb_gyro_turn(pb_gyro *gyro, uint32_t interval_us, int32_t rate_urad_per_s)
+PB_API void pb_gyro_turn(pb_gyro *gyro, uint16_t interval_us, int32_t rate_urad_per_s)
 {
-    uint32_t bit, rest = 0, turned = 0, whole = 0;
-    for (; rate_urad_per_s < 0; rate_urad_per_s += PB_MILLION)
-        whole--;
-    for (; rate_urad_per_s >= PB_MILLION; rate_urad_per_s -= PB_MILLION)
-        whole++;
-    for (bit = PB_LONGEST_BIT; bit; bit >>= 1) {
-        turned += turned;
-        rest += rest;
-        if (interval_us & bit) {
-            turned += whole;
-            rest += (uint32_t)rate_urad_per_s;
-        }
-        if (bit == 1u)
-            rest += gyro->rest;
-        for (; rest >= (uint32_t)PB_MILLION; rest -= (uint32_t)PB_MILLION)
-            turned++;
-    }
-    gyro->rest = rest;
-    gyro->turn_urad = (int32_t)((uint32_t)gyro->turn_urad + turned);
+    int16_t high = (int16_t)(rate_urad_per_s >> 9);
+    uint16_t low = (uint16_t)rate_urad_per_s & 511u;
+    uint32_t below = (uint32_t)low * interval_us + gyro->rest;
+    uint32_t by_64 = (uint32_t)((int32_t)high * (int16_t)interval_us) * 8u + (below >> 6) + 2048000000ul;
+    gyro->rest = by_64 % 15625u << 6 | (below & 63u);
+    gyro->turn_urad = (int32_t)((uint32_t)gyro->turn_urad + by_64 / 15625u - 131072u);
 }
 
 /*
@@ -243,19 +247,24 @@ PB_API void pb_gyro_turn(pb_gyro *gyro, uint32_t interval_us, int32_t rate_urad_
 PB_API void pb_gyro_sample(pb_gyro *gyro, uint32_t now_us, int32_t rate_urad_per_s)
 {
     uint32_t interval_us = now_us - gyro->sampled_us;
+    gyro->sampled_us = now_us;
     if (rate_urad_per_s > PB_LARGEST_URAD_PER_S)
         rate_urad_per_s = PB_LARGEST_URAD_PER_S;
     if (rate_urad_per_s < -PB_LARGEST_URAD_PER_S)
         rate_urad_per_s = -PB_LARGEST_URAD_PER_S;
-    if (gyro->has_begun && interval_us <= PB_LONGEST_US)
-        pb_gyro_turn(gyro, interval_us, rate_urad_per_s);
+    if (!gyro->has_begun || interval_us > PB_LONGEST_US)
+        interval_us = 0;
     gyro->has_begun = 1;
-    gyro->sampled_us = now_us;
-    if (gyro->weight == PB_MANY) {
-        gyro->sum >>= 1;
-        gyro->weight >>= 1;
+    while (interval_us) {
+        uint16_t piece_us = interval_us < PB_PIECE_US ? (uint16_t)interval_us : PB_PIECE_US;
+        pb_gyro_turn(gyro, piece_us, rate_urad_per_s);
+        interval_us -= piece_us;
     }
-    gyro->sum += (uint32_t)(rate_urad_per_s - PB_LOWEST_URAD_PER_S);
+    if (gyro->weight == PB_MANY) {
+        gyro->sum = 0;
+        gyro->weight = 0;
+    }
+    gyro->sum += (uint32_t)(rate_urad_per_s - (int32_t)PB_LOWEST_URAD_PER_S);
     gyro->weight += PB_RATE_UNIT;
 }
 
@@ -309,7 +318,7 @@ typedef struct {
 } pb_receiver;
 
 /* Whether size bytes of little-endian single precision numbers are all finite: not all bits of the exponent are set. */
-PB_API uint8_t pb_are_finite(const uint8_t *place, uint8_t size)
+PB_PART uint8_t pb_are_finite(const uint8_t *place, uint8_t size)
 {
     for (; size; size = (uint8_t)(size - 4u), place += 4)
         if ((place[3] & 0x7Fu) == 0x7Fu && (place[2] & 0x80u))
@@ -318,14 +327,14 @@ PB_API uint8_t pb_are_finite(const uint8_t *place, uint8_t size)
 }
 
 /* Answers what time it is, if the question is one and for us; header and whole payload of what came. */
-PB_API void pb_answer_time(pb_link *link, const uint8_t *header, uint8_t *payload, uint32_t now_us)
+PB_PART void pb_answer_time(pb_link *link, const uint8_t *header, uint8_t *payload, uint32_t now_us)
 {
     uint8_t index;
     uint32_t carry = 0;
     for (index = 0; index < 8u; index++)
         if (payload[index] != 0)
             return;
-    if ((payload[16] && payload[16] != link->system) || (payload[17] && payload[17] != link->component))
+    if ((payload[16] && payload[16] != link->header[PB_SYSTEM]) || (payload[17] && payload[17] != link->header[PB_COMPONENT]))
         return;
     /* Nanoseconds: now_us * 1000, byte by byte. An answer of 0 would be a question. */
     payload[0] = now_us == 0;
@@ -335,8 +344,8 @@ PB_API void pb_answer_time(pb_link *link, const uint8_t *header, uint8_t *payloa
         payload[index] = (uint8_t)carry;
         carry >>= 8;
     }
-    payload[16] = header[5];
-    payload[17] = header[6];
+    payload[16] = header[PB_SYSTEM];
+    payload[17] = header[PB_COMPONENT];
     pb_send(link, PB_ID_TIMESYNC, PB_EXTRA_TIMESYNC, payload, PB_LENGTH_TIMESYNC);
 }
 
@@ -345,26 +354,26 @@ PB_API void pb_answer_time(pb_link *link, const uint8_t *header, uint8_t *payloa
  * PB_OPEN if more bytes are needed. Header: length 1 to 52, no flag but that of a signature, a known id.
  */
 #define PB_OPEN 255u
-PB_API uint8_t pb_judge(const pb_receiver *receiver)
+PB_PART uint8_t pb_judge(const pb_receiver *receiver)
 {
     const uint8_t *bytes = receiver->bytes;
-    uint8_t count = receiver->count;
-    uint8_t length = bytes[1], extra = PB_EXTRA_TIMESYNC, most = PB_LENGTH_TIMESYNC, index;
+    uint8_t length = bytes[PB_LENGTH], extra = PB_EXTRA_TIMESYNC, most = PB_LENGTH_TIMESYNC, second = 0, index;
     uint16_t crc = 0xFFFFu;
-    if (bytes[0] != PB_START || (count > 1u && (length == 0 || length > PB_LENGTH_PLANAR_POSE)) || (count > 2u && bytes[2] > 1u))
+    if (bytes[0] != PB_START)
         return 0;
-    if (count < PB_HEADER)
+    if (receiver->count < PB_HEADER)
         return PB_OPEN;
-    if (bytes[7] == (PB_ID_PLANAR_POSE & 0xFFu) && bytes[8] == PB_ID_PLANAR_POSE >> 8) {
+    if (bytes[PB_ID] == (PB_ID_PLANAR_POSE & 0xFFu)) {
         extra = PB_EXTRA_PLANAR_POSE;
         most = PB_LENGTH_PLANAR_POSE;
-    } else if (bytes[7] != PB_ID_TIMESYNC || bytes[8] != 0) {
+        second = PB_ID_PLANAR_POSE >> 8;
+    } else if (bytes[PB_ID] != PB_ID_TIMESYNC) {
         return 0;
     }
-    if (bytes[9] != 0 || length > most)
+    if (length == 0 || length > most || bytes[2] > 1u || bytes[PB_ID + 1] != second || bytes[PB_ID + 2] != 0)
         return 0;
     length = (uint8_t)(length + PB_HEADER + 2u);
-    if (count < length)
+    if (receiver->count < length)
         return PB_OPEN;
     for (index = 1; index < length - 2u; index++)
         crc = pb_crc(crc, bytes[index]);
@@ -373,12 +382,12 @@ PB_API uint8_t pb_judge(const pb_receiver *receiver)
 }
 
 /* Acts upon the whole frame of length bytes that the window begins with. 1 if it was an estimate. */
-PB_API uint8_t pb_take(pb_link *link, const pb_receiver *receiver, uint8_t length, uint32_t now_us, pb_pose *pose)
+PB_PART uint8_t pb_take(pb_link *link, const pb_receiver *receiver, uint8_t length, uint32_t now_us, pb_pose *pose)
 {
     uint8_t payload[PB_LENGTH_PLANAR_POSE];
     memset(payload, 0, sizeof payload);
     memcpy(payload, receiver->bytes + PB_HEADER, length - PB_HEADER - 2u);
-    if (receiver->bytes[7] == PB_ID_TIMESYNC) {
+    if (receiver->bytes[PB_ID] == PB_ID_TIMESYNC) {
         pb_answer_time(link, receiver->bytes, payload, now_us);
         return 0;
     }

@@ -50,7 +50,7 @@ static void begin(pb_link *link)
 {
     uint8_t sequence = (uint8_t)number(), system = (uint8_t)number(), component = (uint8_t)number();
     pb_begin(link, print_byte, NULL, system, component);
-    link->sequence = sequence;
+    link->header[PB_SEQUENCE] = sequence;
 }
 
 static void wheel_ticks(pb_link *link)

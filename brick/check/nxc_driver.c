@@ -20,6 +20,7 @@
 int main(void)
 {
     static char line[1024];
+    pb_make_table();
     while (fgets(line, sizeof line, stdin)) {
         long long numbers[MOST_NUMBERS] = {0};
         int count = 0, place;

@@ -125,9 +125,9 @@ class Gyro:
                 self.turn_urad = _i32(self.turn_urad + total // 1000000)
                 self.rest = total % 1000000
         self.sampled_us = now_us & _U32
-        if self.samples == 100:  # the older ones count half from here on
-            self.sum_urad_per_s //= 2
-            self.samples = 50
+        if self.samples == 100:  # the mean begins anew, as in C, where the sum has 32 bits
+            self.sum_urad_per_s = 0
+            self.samples = 0
         self.sum_urad_per_s += rate
         self.samples += 1
 

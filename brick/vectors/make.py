@@ -311,7 +311,9 @@ def wrapped(value):
 def gyro_result(samples):
     """Turn in whole microradians, rounded down, and the mean in units of 0.5 mrad/s, halves upwards."""
     turn = sum(Fraction(rate * dt, 1_000_000) for dt, rate in samples[1:])
-    mean = Fraction(sum(rate for _, rate in samples), len(samples) * 500)
+    # After 100 samples the mean begins anew.
+    latest = samples[(len(samples) - 1) // 100 * 100 :]
+    mean = Fraction(sum(rate for _, rate in latest), len(latest) * 500)
     rate = min(32_767, max(-32_768, math.floor(mean + Fraction(1, 2))))
     return wrapped(math.floor(turn)), rate
 
@@ -325,6 +327,7 @@ def gyros():
         (U32 - 15_000, [(0, 250_001), (10_000, -250_001), (10_000, 1), (10_000, 999_999)]),
         (5, [(0, 16_000_000)] + [(100_000, 16_000_000)] * 99),
         (5, [(0, -16_000_000)] + [(100_000, -16_000_000)] * 99),
+        (7, [(0, 400)] * 100 + [(20_000, 1_000), (1_000_000, -2_750), (999_999, 16_383_500)]),
         (9, [(0, 0), (7_919, -123_457), (9_973, 7), (10_007, -999), (65_537, 5_000_001)]),
     ]
     for index, (start, samples) in enumerate(cases):

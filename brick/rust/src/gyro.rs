@@ -6,7 +6,7 @@
 //! # Model
 //! ```text
 //! turn  += rate * dt        each rate holds since the sample before it; kept exactly, sent rounded down
-//! mean   = sum of rates / number of samples since the last message, rounded to the nearest unit
+//! mean   = sum of rates / number of samples since the last message, of the last 1 to 100, rounded to the nearest unit
 //! ```
 //! # Assumptions
 //! Samples come at nearly equal intervals, and often enough that a rate holds for one of them. After a gap of more than
@@ -22,7 +22,7 @@ const LARGEST_URAD_PER_S: i32 = 16_383_500;
 const RATE_UNIT_URAD_PER_S: i64 = 500;
 /// Microseconds in a second.
 const MICROS: i64 = 1_000_000;
-/// From this number of samples on, the older ones count half.
+/// After this number of samples the mean begins anew: so its sum stays within 32 bits.
 const MANY: i32 = 100;
 
 /// Sums samples between two messages.
@@ -58,8 +58,8 @@ impl Gyro {
         }
         self.sampled_us = Some(now_us);
         if self.samples == MANY {
-            self.sum_urad_per_s = self.sum_urad_per_s.div_euclid(2);
-            self.samples /= 2;
+            self.sum_urad_per_s = 0;
+            self.samples = 0;
         }
         self.sum_urad_per_s += rate;
         self.samples += 1;
