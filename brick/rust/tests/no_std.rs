@@ -56,9 +56,9 @@ fn checked(output: &Output) {
     assert!(output.status.success(), "{said}");
 }
 
-/// Builds the crate and the program for a target.
-fn build(target: Option<&str>, program: &str) -> Output {
-    let folder = folder(target.unwrap_or("host"));
+/// Builds the crate and the program for a target, in a folder of the test's own.
+fn build(name: &str, target: Option<&str>, program: &str) -> Output {
+    let folder = folder(name);
     let library = folder.join("libposebridge_brick.rlib");
     let for_target = target.map(|name| format!("--target={name}"));
     let common = ["--edition=2024", "-Copt-level=s", "-Cpanic=abort"];
@@ -86,14 +86,14 @@ fn build(target: Option<&str>, program: &str) -> Output {
 
 #[test]
 fn a_program_without_the_standard_library_builds() {
-    checked(&build(None, PROGRAM));
+    checked(&build("bare", None, PROGRAM));
 }
 
 /// The proof above proves something: with the standard library in it there are two panic handlers.
 #[test]
 fn the_same_program_with_the_standard_library_does_not_build() {
     let with_std = PROGRAM.replace("#![no_std]", "#![no_std]\nextern crate std;");
-    let output = build(None, &with_std);
+    let output = build("with-std", None, &with_std);
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(
         !output.status.success() && said.contains("panic_impl"),
@@ -110,7 +110,7 @@ fn the_program_builds_for_a_cortex_m3_where_its_core_library_is_installed() {
         .unwrap();
     let libraries = String::from_utf8(output.stdout).unwrap();
     if Path::new(libraries.trim()).is_dir() {
-        checked(&build(Some(BARE_METAL), PROGRAM));
+        checked(&build(BARE_METAL, Some(BARE_METAL), PROGRAM));
         println!("built for {BARE_METAL}");
     } else {
         println!(
