@@ -187,6 +187,12 @@ check_micropython() {
     printf 'micropython: %d vectors, the same under MicroPython 1.27.0\n' "$(wc -l <"$made/lines.txt")"
 }
 
+check_bridge() {
+    python3 -B "$brick/check/test_bridge.py" >"$made/bridge.log" 2>&1 || fail "brick/micropython/pybricks_bridge.py:
+$(cat "$made/bridge.log")"
+    printf 'bridge: carries frames both ways without a hub\n'
+}
+
 install_compilers
 install_python
 install_micropython
@@ -195,3 +201,4 @@ check_sizes
 check_arduino
 check_nxc
 check_micropython
+check_bridge
