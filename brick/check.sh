@@ -177,6 +177,14 @@ check_nxc() {
     [[ -s "$made/posebridge.rxe" ]] && ! grep -q '^# Error' "$made/nbc.log" || fail "nbc does not compile posebridge.nxc:
 $(cat "$made/nbc.log")"
     printf 'nxc: posebridge.nxc compiles for the firmware that LEGO ships, %d B\n' "$(stat -c %s "$made/posebridge.rxe")"
+    grep -E '^(heartbeat|wheel_ticks|inertial) ' "$brick/vectors/vectors.txt" >"$made/lines.txt"
+    sed 's/ = .*//' "$made/lines.txt" | python3 -B "$brick/check/run_nxc.py" "$made/posebridge.lst" >"$made/nxc.txt"
+    sed 's/.* = //' "$made/lines.txt" | diff - "$made/nxc.txt" >&2 || fail "what nbc makes of posebridge_frames.nxc makes other bytes than brick/vectors"
+    printf 'nxc: %d vectors, the same by the code that nbc has made\n' "$(wc -l <"$made/lines.txt")"
+    # The sum of the gyro: 3459 degrees * ms are 60370 microradians, 46 are 802.
+    turns=$'turn 90 20 90 20 -45 100 400 100 -360 99 1 1 -1 1 -1 1\nturn -1 1 -1 1 -1 1 42 1 5 101 7 1'
+    [[ "$(python3 -B "$brick/check/run_nxc.py" "$made/posebridge.lst" <<<"$turns")" == $'60370\n802' ]] ||
+        fail "what nbc makes of pb_add_turn adds up wrongly"
 }
 
 check_micropython() {

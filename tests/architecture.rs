@@ -53,7 +53,15 @@ const LAYERS: &[Layer] = &[
     // Tests of the others; nobody may name it.
     io(
         "fuzz-bodies",
-        &["telemetry", "protocol", "recording", "link", "sim", ROOT],
+        &[
+            "telemetry",
+            "brick",
+            "protocol",
+            "recording",
+            "link",
+            "sim",
+            ROOT,
+        ],
     ),
     io(
         ROOT,

@@ -1,8 +1,8 @@
 /*
  * Answers those commands of brick/vectors that an NXT has, by the encoder of the NXC program compiled as C.
  *
- * What differs between the languages is put right here: NXC's long has 32 bits, its byte is unsigned. The compiled program
- * itself cannot run on a PC; brick/check.sh compiles it with nbc.
+ * What differs between the languages is put right here: NXC's long has 32 bits, its byte is unsigned. What nbc makes of
+ * the same file is run by run_nxc.py.
  */
 #include <stdint.h>
 #include <stdio.h>

@@ -53,3 +53,8 @@ pub use messages::{
     Inertial, InertialParts, PlanarPose, RobotDescription, Sides, TimeRequest, WheelTicks,
 };
 pub use receiver::{Received, Receiver};
+
+/// The program on the page for newcomers compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/bricks/rust.md")]
+struct Page;

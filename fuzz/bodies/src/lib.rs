@@ -5,6 +5,7 @@
 //! the short run of the test suite (`tests/fuzz_short.rs`, any compiler). Bodies are deterministic: the same bytes take
 //! the same way. They read no clock, file or network.
 
+mod brick;
 mod config;
 mod decode;
 mod impairment;
@@ -29,6 +30,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("signing", signing::check, 9_000),
     Target::new("impairment", impairment::check, 100_000),
     Target::new("routing", routing::check, 1_500),
+    Target::new("brick", brick::check, 400_000),
 ];
 
 /// One untrusted input and what must hold for it.
