@@ -46,9 +46,9 @@
 #define PB_BOTH 3u
 
 /* Bits of pb_inertial.valid. */
-#define PB_RATE 1u
-#define PB_TURN 2u
-#define PB_ACCELERATIONS 4u
+#define PB_RATE_VALID 1u
+#define PB_TURN_VALID 2u
+#define PB_ACCELERATIONS_VALID 4u
 
 /* Messages are structs that lie in memory as they do on the wire; nothing is packed field by field. */
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
@@ -88,7 +88,7 @@ typedef struct {
     int32_t turn_urad; /* turn since power-up, microradians, counter-clockwise positive, bias included; wraps */
     int16_t turn_rate; /* mean, in units of 0.5 mrad/s */
     int16_t accel_left, accel_right; /* forward, at the wheels, mm/s^2 */
-    uint8_t valid; /* PB_RATE, PB_TURN, PB_ACCELERATIONS */
+    uint8_t valid; /* PB_RATE_VALID, PB_TURN_VALID, PB_ACCELERATIONS_VALID */
 } pb_inertial;
 PB_LIES_AT(pb_inertial, valid, 14);
 
@@ -277,7 +277,7 @@ PB_API uint8_t pb_gyro_take(pb_gyro *gyro, pb_inertial *inertial)
     inertial->turn_urad = gyro->turn_urad;
     inertial->turn_rate = (int16_t)(uint16_t)(gyro->sum / gyro->weight - 32768u);
     inertial->accel_left = inertial->accel_right = 0;
-    inertial->valid = PB_RATE | PB_TURN;
+    inertial->valid = PB_RATE_VALID | PB_TURN_VALID;
     gyro->sum = 0;
     gyro->weight = 0;
     return 1;

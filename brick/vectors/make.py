@@ -29,6 +29,8 @@ from pymavlink.generator import mavgen  # noqa: E402
 DEFINITION = Path(__file__).resolve().parents[2] / "protocol/definitions/posebridge.xml"
 U32 = 0xFFFF_FFFF
 I32_MAX, I32_MIN = 2**31 - 1, -(2**31)
+# A gyro's rates are cut off there, in microradians per second: the largest that PB_INERTIAL.turn_rate has.
+LARGEST_RATE = 16_383_500
 # Flags of the incompatible kind: 1 says that a signature follows.
 SIGNED = 1
 
@@ -269,7 +271,6 @@ def signed_pose():
 
 def damaged_and_foreign():
     usual, good = pose_frame(*USUAL), pose_result(*USUAL)
-    short = pose_frame((0.001, 0, 0, 0, 0), (1, [0] * 6, 0, 0, 0))
     ticks = Sender(own, 1, 1).frame(own.MAVLink_pb_wheel_ticks_message(1, 2, 3, 3))
     heartbeat = Sender(common, 1, 197).frame(common.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
     print("# other messages, noise, torn and damaged frames before a whole one; a signature behind it")
@@ -284,10 +285,13 @@ def damaged_and_foreign():
     received(0, (1, 1), changed(usual, -1, 0x80) + usual + heartbeat, good)
     received(0, (1, 1), signed_pose() + heartbeat, good)
     print("# a flag that nobody knows, a number that is none, a length that is none")
-    received(0, (1, 1), packed_with_flag(2), ["nothing"])
+    received(0, (1, 1), resealed(usual, 2, 2), ["nothing"])
     for place in range(5):
         received(0, (1, 1), nan_pose(place), ["nothing"])
-    received(0, (1, 1), changed(short, 1, short[1]), ["nothing"])
+    received(0, (1, 1), resealed(usual[:10] + usual[-2:], 1, 0), ["nothing"])
+    print("# ids that differ from ours in one byte")
+    for place in (7, 8, 9):
+        received(0, (1, 1), resealed(usual, place, usual[place] ^ 1), ["nothing"])
     print("# several at once: each in its turn")
     ask = time_request((1, 197), 0, 99, (0, 0), 1)
     answer = time_answer((1, 1), 10, 99, (1, 197))
@@ -295,10 +299,10 @@ def damaged_and_foreign():
     received(10, (1, 1), changed(usual, 12, 0xFF)[:40] + ask + usual, ["answer", answer.hex(), *good])
 
 
-def packed_with_flag(flag):
-    """The usual estimate with an incompatible flag and a checksum that fits: a receiver must leave it alone."""
-    frame = bytearray(pose_frame(*USUAL))
-    frame[2] = flag
+def resealed(frame, place, value):
+    """A frame with one byte of its header changed and a checksum that fits: a receiver must leave it alone."""
+    frame = bytearray(frame)
+    frame[place] = value
     crc = own.x25crc(frame[1:-2])
     crc.accumulate(struct.pack("B", own.MAVLink_pb_planar_pose_message.crc_extra))
     return bytes(frame[:-2]) + struct.pack("<H", crc.crc)
@@ -310,6 +314,7 @@ def wrapped(value):
 
 def gyro_result(samples):
     """Turn in whole microradians, rounded down, and the mean in units of 0.5 mrad/s, halves upwards."""
+    samples = [(dt, min(LARGEST_RATE, max(-LARGEST_RATE, rate))) for dt, rate in samples]
     turn = sum(Fraction(rate * dt, 1_000_000) for dt, rate in samples[1:])
     # After 100 samples the mean begins anew.
     latest = samples[(len(samples) - 1) // 100 * 100 :]
@@ -328,6 +333,12 @@ def gyros():
         (5, [(0, 16_000_000)] + [(100_000, 16_000_000)] * 99),
         (5, [(0, -16_000_000)] + [(100_000, -16_000_000)] * 99),
         (7, [(0, 400)] * 100 + [(20_000, 1_000), (1_000_000, -2_750), (999_999, 16_383_500)]),
+        (0, [(0, 249)]),
+        (0, [(0, 250)]),
+        (0, [(0, -250)]),
+        (0, [(0, -251)]),
+        (0, [(0, 0), (20_000, 20_000_000), (20_000, 20_000_000), (5, I32_MAX)]),
+        (0, [(0, 0), (20_000, -20_000_000), (20_000, I32_MIN), (5, I32_MIN)]),
         (9, [(0, 0), (7_919, -123_457), (9_973, 7), (10_007, -999), (65_537, 5_000_001)]),
     ]
     for index, (start, samples) in enumerate(cases):

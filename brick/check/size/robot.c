@@ -42,7 +42,7 @@ int main(void)
 #else
         inertial.time_us = ticks.time_us;
         inertial.turn_rate = (int16_t)sensors[3];
-        inertial.valid = PB_RATE;
+        inertial.valid = PB_RATE_VALID;
         pb_send_inertial(&robot, &inertial);
 #endif
         pb_send_ticks(&robot, &ticks);
