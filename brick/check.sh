@@ -38,8 +38,8 @@ unpack_packages() {
     if ! (cd "$into/deb" && "${apt[@]}" download $names 2>/dev/null); then
         # A fresh machine has no lists: read them into a folder of our own.
         apt+=(-o "Dir::State::lists=$into/apt/lists" -o "Dir::Cache=$into/apt/cache" -o APT::Sandbox::User=)
-        "${apt[@]}" update || return 1
-        (cd "$into/deb" && "${apt[@]}" download $names) || return 1
+        "${apt[@]}" update >"$made/apt.log" 2>&1 || return 1
+        (cd "$into/deb" && "${apt[@]}" download $names) >>"$made/apt.log" 2>&1 || return 1
     fi
     local sums
     sums="$(cd "$into/deb" && sha256sum -- *.deb | cut -d' ' -f1)"
@@ -59,7 +59,8 @@ install_compilers() {
     if [[ ! -f "$tools/complete" ]]; then
         rm -rf "$tools"
         unpack_packages "$tools" || fail "cannot install gcc-avr, avr-libc, arduino-core-avr and nbc as check.sh pins them.
-They are packages of Debian 12 for amd64; it takes apt-get, dpkg-deb and, the first time, Debian's archive. Nothing needs root."
+They are packages of Debian 12 for amd64; it takes apt-get, dpkg-deb and, the first time, Debian's archive. Nothing needs root.
+$(tail -3 "$made/apt.log" 2>/dev/null)"
         touch "$tools/complete"
     fi
     arduino="$tools/root/usr/share/arduino/hardware/arduino/avr"
