@@ -79,9 +79,11 @@ impl Robot {
         let right = count(SPEED_M_PER_S + 0.5 * TRACK_M * TURN_RAD_PER_S);
         // By its own clock, which is fast, the robot turns slower.
         let rate = (1e6 * TURN_RAD_PER_S / CLOCK_RATE) as i64;
-        let digits: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        let came = if digits.is_empty() { "-" } else { &digits };
-        writeln!(self.to, "{now_us} {left} {right} {rate} {came}").unwrap();
+        write!(self.to, "{now_us} {left} {right} {rate} ").unwrap();
+        for byte in bytes {
+            write!(self.to, "{byte:02x}").unwrap();
+        }
+        writeln!(self.to, "{}", if bytes.is_empty() { "-" } else { "" }).unwrap();
         let mut line = String::new();
         self.from.read_line(&mut line).unwrap();
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -165,18 +167,13 @@ fn truth(step: i64) -> [f64; 3] {
     ]
 }
 
-fn check(name: &str, command: Command) {
+/// Holds a drive to its bars; returns what came of it, for people.
+fn check(name: &str, command: Command) -> String {
     let drive = drive(command);
     let [x, y, heading] = truth(STEPS - 1);
     let pose = drive.estimate.pose;
     let off_m = (pose.x.0 - x).hypot(pose.y.0 - y);
     let off_rad = (pose.heading.rad() - heading).abs();
-    println!(
-        "{name}: off by {:.1} mm and {:.2} mrad, {} alignments",
-        1e3 * off_m,
-        1e3 * off_rad,
-        drive.alignments
-    );
     assert!(
         off_m < 0.005 && off_rad < 0.01,
         "{name}: {off_m} m, {off_rad} rad"
@@ -192,13 +189,19 @@ fn check(name: &str, command: Command) {
         "{name}"
     );
     assert_eq!(flags & 3, 3, "{name}");
+    format!(
+        "{name}: off by {:.1} mm and {:.2} mrad, {} alignments",
+        1e3 * off_m,
+        1e3 * off_rad,
+        drive.alignments
+    )
 }
 
 #[test]
 fn a_robot_in_c_is_heard_and_hears_where_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("robot");
-    check("C", compiled(&program));
+    println!("{}", check("C", compiled(&program)));
 }
 
 #[test]
@@ -208,7 +211,7 @@ fn a_robot_in_python_is_heard_and_hears_where_it_is() {
         .arg("-B")
         .arg(root().join("brick/check/robot.py"))
         .arg(root().join("brick/micropython"));
-    check("Python", python);
+    println!("{}", check("Python", python));
 }
 
 fn compiled(program: &Path) -> Command {
