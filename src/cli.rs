@@ -89,6 +89,9 @@ pub struct RunArgs {
     /// Wait for a call on this link; may be repeated.
     #[arg(long = "listen", value_name = "URL")]
     pub listen: Vec<String>,
+    /// What the brick of the first link speaks: mavlink, or a protocol of its own (docs/protocols/README.md).
+    #[arg(long, value_name = "PROTOCOL")]
+    pub brick: Option<String>,
     /// Take the robot from this file's `[robot]` table: a robot profile or a recording's descriptor.
     #[arg(long, value_name = "FILE")]
     pub robot: Option<PathBuf>,
@@ -127,6 +130,31 @@ pub enum SteerBy {
     Estimate,
 }
 
+/// What the simulated brick speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum BrickKind {
+    /// MAVLink 2, on one link with the camera.
+    Mavlink,
+    /// The telegrams of a LEGO NXT as it comes out of the box.
+    Nxt,
+    /// A LEGO NXT whose program pushes compact MAVLink frames.
+    NxtPush,
+    /// The commands of a LEGO EV3 as it comes out of the box.
+    Ev3,
+}
+
+/// The camera's own link to the station, where brick and camera do not share one.
+#[derive(Args, Clone, Debug, Default)]
+#[group(multiple = false)]
+pub struct CameraLink {
+    /// Wait for the station on this link for the camera of a LEGO brick, which cannot share the brick's.
+    #[arg(long, value_name = "URL")]
+    pub camera_listen: Option<String>,
+    /// Call the station on this link for the camera of a LEGO brick.
+    #[arg(long, value_name = "URL")]
+    pub camera_link: Option<String>,
+}
+
 /// The one link of a brick to its station.
 #[derive(Args, Clone, Debug)]
 #[group(required = true, multiple = false)]
@@ -148,6 +176,16 @@ pub struct SimArgs {
     /// The link to the station.
     #[command(flatten)]
     pub link: StationLink,
+    /// What the brick speaks, instead of what the scenario says (docs/simulated-bricks.md).
+    #[arg(long, value_enum, value_name = "KIND")]
+    pub brick: Option<BrickKind>,
+    /// The camera's link, where it has one of its own.
+    #[command(flatten)]
+    pub camera: CameraLink,
+    /// Tell this UDP address once per second that there is an EV3, as one on a network does, e.g. udp://127.0.0.1:3015; it has to listen
+    /// on a TCP port of four digits.
+    #[arg(long, value_name = "URL", requires = "listen")]
+    pub announce: Option<String>,
     /// Seed, instead of the scenario's.
     #[arg(long)]
     pub seed: Option<u64>,

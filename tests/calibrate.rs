@@ -387,11 +387,19 @@ fn a_recording_of_ours_calibrates_the_robot_that_was_recorded() {
     assert_eq!(found["sanity"]["is_sound"], true, "{found}");
     // Two laps of six metres: the sigmas of wheels and track are some tenths of a per cent.
     is_the_robot(&folder.path().join("r.toml"), 0.004);
-    // That of the wheels' difference does not cover: docs/lab/calibrate.md, section 7.
-    for (key, truth) in [("radius_scale", OFF[0]), ("track_scale", OFF[2])] {
+    for (key, truth) in [
+        ("radius_scale", OFF[0]),
+        ("radius_difference", OFF[1]),
+        ("track_scale", OFF[2]),
+    ] {
         let of = |part: &str| number(&found, &format!("/numbers/{key}/{part}"));
+        println!(
+            "{key} {:.5} +- {:.5}, true {truth}",
+            of("value"),
+            of("sigma")
+        );
         assert!(
-            (of("value") - truth).abs() < 4.0 * of("sigma"),
+            (of("value") - truth).abs() < 3.0 * of("sigma"),
             "{key}: {found}"
         );
     }

@@ -2,11 +2,12 @@
 //!
 //! [`crate::dialect`] turns frames into these and back; north-east-down, degrees, millimetres and integer scalings end
 //! there. The simulated brick and the station speak through the same types. A message that stands here can be both
-//! decoded and encoded.
+//! decoded and encoded, [`Message::Compass`] apart, which only bricks with protocols of their own send.
 
 use posebridge_telemetry::{
-    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, Span,
+    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, HostClock, Meters,
+    MetersPerSecond, MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, Span,
+    Stamp,
 };
 
 /// A time stamp as it stood on the wire, before unwrapping and alignment.
@@ -18,6 +19,28 @@ pub enum WireStamp {
     Millis32(u32),
     /// Microseconds in 64 bits.
     Micros64(u64),
+    /// None: the brick was asked, and looked between question and answer by the clock of whoever asked. Never on a wire.
+    Asked {
+        /// When the question left.
+        sent: Stamp<HostClock>,
+        /// When the last byte of the answer was there.
+        answered: Stamp<HostClock>,
+    },
+}
+
+impl WireStamp {
+    /// In whole microseconds as it stands there; of an answer the middle between question and answer, by the clock of who asked.
+    #[must_use]
+    pub const fn as_micros(self) -> u64 {
+        match self {
+            Self::Micros32(micros) => micros as u64,
+            Self::Millis32(millis) => millis as u64 * 1_000,
+            Self::Micros64(micros) => micros,
+            Self::Asked { sent, answered } => {
+                i64::midpoint(sent.as_nanos(), answered.as_nanos()).unsigned_abs() / 1_000
+            }
+        }
+    }
 }
 
 /// The channel of the thermometer in SCALED_PRESSURE, which has no name on the wire.
@@ -91,6 +114,13 @@ pub enum Message {
         channel: ChannelName,
         /// What it shows.
         temperature: Celsius,
+    },
+    /// A compass. No MAVLink message carries it here; bricks with protocols of their own have one.
+    Compass {
+        /// Instant of the reading.
+        stamp: WireStamp,
+        /// Heading in the arena, as far as the compass's zero is known.
+        heading: Heading,
     },
     /// VISION_POSITION_ESTIMATE (102): a fix from outside, of the body's origin.
     VisionPosition(VisionFix),
@@ -173,6 +203,7 @@ impl Message {
             | Self::HighresImu(PlanarImu { stamp, .. })
             | Self::DistanceSensor { stamp, .. }
             | Self::Thermometer { stamp, .. }
+            | Self::Compass { stamp, .. }
             | Self::VisionPosition(VisionFix { stamp, .. })
             | Self::MocapPosition(VisionFix { stamp, .. })
             | Self::Odometry(Odometry { stamp, .. })

@@ -34,6 +34,7 @@ pub mod montecarlo;
 mod motor;
 mod node;
 mod path;
+mod personality;
 mod random;
 pub mod scenario;
 mod sensors;
@@ -45,6 +46,7 @@ mod world;
 
 pub use camera::{CAMERA, CameraFix};
 pub use firmware::BRICK;
+pub use personality::ev3_beacon;
 pub use scenario::{BUNDLED, Scenario, ScenarioError, Steering};
 pub use simulation::{ReceivedEstimate, Simulation, TruthSample};
 pub use world::STEP;

@@ -22,11 +22,11 @@ const NOT_SENT: Heartbeat = Heartbeat {
 };
 
 /// Frames of the brick SDK behind those that wait.
-pub(crate) struct Outgoing<'a>(&'a mut Vec<u8>);
+pub(crate) struct Outgoing<'a>(&'a mut Vec<Vec<u8>>);
 
 impl Sink for Outgoing<'_> {
     fn put(&mut self, frame: &[u8]) {
-        self.0.extend_from_slice(frame);
+        self.0.push(frame.to_vec());
     }
 }
 
@@ -45,7 +45,8 @@ pub(crate) struct Node<C: Clock> {
     own: Address,
     session: Session<C>,
     encoder: Encoder,
-    outgoing: Vec<u8>,
+    /// Whole frames.
+    outgoing: Vec<Vec<u8>>,
 }
 
 impl<C: Clock> Node<C> {
@@ -89,7 +90,9 @@ impl<C: Clock> Node<C> {
 
     /// Queues a message.
     pub(crate) fn send(&mut self, message: &Message) {
-        self.encoder.encode(self.own, message, &mut self.outgoing);
+        let mut frame = Vec::new();
+        self.encoder.encode(self.own, message, &mut frame);
+        self.outgoing.push(frame);
     }
 
     /// Queues a frame that the brick SDK writes, under the number that is this participant's next.
@@ -101,17 +104,20 @@ impl<C: Clock> Node<C> {
 
     /// Takes the next number from the encoder, which counts for both: it writes a frame that is not sent.
     fn next_sequence(&mut self) -> u8 {
-        let start = self.outgoing.len();
+        let mut frame = Vec::new();
         self.encoder
-            .encode(self.own, &Message::Heartbeat(NOT_SENT), &mut self.outgoing);
-        let sequence = self.outgoing.get(start + SEQUENCE).copied();
-        self.outgoing.truncate(start);
-        sequence.unwrap_or_default()
+            .encode(self.own, &Message::Heartbeat(NOT_SENT), &mut frame);
+        frame.get(SEQUENCE).copied().unwrap_or_default()
     }
 
     /// The bytes that are to be sent, as whole frames.
     pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
-        (!self.outgoing.is_empty()).then(|| std::mem::take(&mut self.outgoing))
+        (!self.outgoing.is_empty()).then(|| self.take_frames().concat())
+    }
+
+    /// The same, each frame for itself.
+    pub(crate) fn take_frames(&mut self) -> Vec<Vec<u8>> {
+        std::mem::take(&mut self.outgoing)
     }
 
     fn drain(&mut self) -> Vec<IntervalRequest> {

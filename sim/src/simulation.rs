@@ -1,4 +1,7 @@
-//! The simulated world as one value: robot, sensors, brick and camera behind one link, and the truth beside it.
+//! The simulated world as one value: robot, sensors, brick and camera behind their links, and the truth beside it.
+//!
+//! A brick that speaks MAVLink shares one link with the camera. The others have a link of their own, since their protocols have no place for
+//! a second speaker; the camera then speaks MAVLink on another one.
 //!
 //! It advances only when [`Simulation::step`] is called and knows no other time. Bytes go in and come out; how they
 //! travel, and how fast the steps follow each other, is the caller's business.
@@ -15,8 +18,8 @@ use posebridge_telemetry::{
 
 use crate::camera::{Camera, CameraFix};
 use crate::clock::SkewedClock;
-use crate::firmware::Firmware;
 use crate::path::Path;
+use crate::personality::{Brick, When};
 use crate::scenario::{Scenario, Steering};
 use crate::sensors::SensorBoard;
 use crate::wheels::Pair;
@@ -86,12 +89,15 @@ pub struct Simulation {
     body: Body,
     board: SensorBoard,
     brick_clock: SkewedClock,
-    firmware: Firmware,
+    brick: Brick,
     /// What the motors run on until the brick says something else.
     duty: Pair<f64>,
     camera: Option<Camera>,
     scanner: Scanner,
+    /// Finds messages on the camera's own link.
+    camera_scanner: Scanner,
     outgoing: VecDeque<Vec<u8>>,
+    camera_outgoing: VecDeque<Vec<u8>>,
     history: History,
     /// Truth samples that were due so far.
     samples: u64,
@@ -105,7 +111,7 @@ impl Simulation {
     pub fn new(scenario: Scenario) -> Self {
         let path = Path::new(&scenario);
         let brick_clock = SkewedClock::new(scenario.brick.clock());
-        let firmware = Firmware::new(&scenario, path.clone(), brick_clock.reading(Span::ZERO));
+        let brick = Brick::new(&scenario, path.clone(), brick_clock.reading(Span::ZERO));
         let camera = scenario
             .camera
             .is_present
@@ -116,11 +122,13 @@ impl Simulation {
             body: Body::new(&scenario, path.start()),
             board: SensorBoard::new(&scenario),
             brick_clock,
-            firmware,
+            brick,
             duty: Pair::default(),
             camera,
             scanner: Scanner::new(ScannerConfig::default()),
+            camera_scanner: Scanner::new(ScannerConfig::default()),
             outgoing: VecDeque::new(),
+            camera_outgoing: VecDeque::new(),
             history: History::Kept,
             samples: 0,
             truth: Vec::new(),
@@ -142,13 +150,16 @@ impl Simulation {
         self
     }
 
-    /// Advances the world by [`STEP`](crate::STEP). Call [`Self::poll`] until it is empty afterwards.
+    /// Advances the world by [`STEP`](crate::STEP). Call [`Self::poll`] and [`Self::poll_camera`] until they are empty afterwards.
     pub fn step(&mut self) {
         self.world += STEP;
-        let now = self.brick_clock.reading(self.world);
+        let when = self.when();
         self.body.step(self.duty);
         self.board.sense(&self.body);
-        self.duty = self.firmware.step(now, &mut self.board);
+        self.duty = self.brick.step(when, &mut self.board, &self.body);
+        for (instant, pose) in self.brick.take_estimates() {
+            self.log_estimate(instant, pose);
+        }
         if let Some(camera) = &mut self.camera {
             camera.step(self.world, self.body.pose());
         }
@@ -156,35 +167,52 @@ impl Simulation {
         self.log_truth();
     }
 
-    /// The next bytes on the way to the station: one or more whole frames of one sender.
+    /// The next bytes on the way to the station: one or more whole frames of one sender, or one telegram of a LEGO brick.
     pub fn poll(&mut self) -> Option<Vec<u8>> {
         self.outgoing.pop_front()
     }
 
-    /// Takes bytes that arrive from the station at this moment, in any pieces; damage is skipped.
+    /// The next bytes on the camera's own link: one or more whole frames. Always `None` if brick and camera share a link
+    /// ([`Personality::shares_link_with_camera`](crate::scenario::Personality::shares_link_with_camera)).
+    pub fn poll_camera(&mut self) -> Option<Vec<u8>> {
+        self.camera_outgoing.pop_front()
+    }
+
+    /// Takes bytes that arrive from the station at this moment on the brick's link, in any pieces; damage is skipped.
+    ///
+    /// One call is one write of the station where that matters, as it does for an NXT behind a socket.
     pub fn receive(&mut self, bytes: &[u8]) {
-        let now = Stamp::<HostClock>::from_nanos(self.world.as_nanos());
-        let mut messages = Vec::new();
-        let mut sink = |scanned: Scanned<'_>| messages.extend(understood(&scanned));
-        self.scanner.tick(now, &mut sink);
-        self.scanner.push(now, bytes, &mut sink);
-        let brick_now = self.brick_clock.reading(self.world);
-        for (from, message) in messages {
-            let estimate = self.firmware.handle(brick_now, from, &message);
-            let received = estimate.map(|(instant, pose)| ReceivedEstimate {
-                world: self.world,
-                arrival: self.brick_clock.exact(self.world),
-                instant,
-                pose,
-            });
-            if self.history == History::Kept {
-                self.received.extend(received);
+        if self.shares_link() {
+            let messages = heard_in(&mut self.scanner, self.world, bytes);
+            for (from, message) in messages {
+                let now = self.brick_clock.reading(self.world);
+                if let Some((instant, pose)) = self.brick.handle(now, from, &message) {
+                    self.log_estimate(instant, pose);
+                }
+                self.tell_camera(from, &message);
             }
-            if let Some(camera) = &mut self.camera {
-                camera.handle(self.world, from, &message);
-            }
+        } else {
+            self.brick.receive(self.world, bytes);
         }
         self.collect();
+    }
+
+    /// Takes bytes that arrive from the station at this moment on the camera's own link, in any pieces; damage is skipped.
+    /// Nothing happens if brick and camera share a link.
+    pub fn receive_camera(&mut self, bytes: &[u8]) {
+        if self.shares_link() {
+            return;
+        }
+        for (from, message) in heard_in(&mut self.camera_scanner, self.world, bytes) {
+            self.tell_camera(from, &message);
+        }
+        self.collect();
+    }
+
+    /// Tells the brick that from here on somebody else is at the other end of its link: what was begun is forgotten, and what comes first may
+    /// say anew in which form they speak.
+    pub fn reopen_link(&mut self) {
+        self.brick.reopen();
     }
 
     /// Switches the brick off and on: its clock and counters begin at zero, its session and message intervals anew, and
@@ -192,7 +220,9 @@ impl Simulation {
     pub fn restart_brick(&mut self) {
         self.brick_clock.restart(self.world);
         self.board.restart();
-        self.firmware.restart(self.brick_clock.reading(self.world));
+        let when = self.when();
+        self.brick
+            .restart(when, &mut self.board, self.body.battery_v());
         self.duty = Pair::default();
     }
 
@@ -208,12 +238,12 @@ impl Simulation {
 
     /// Whether the path is driven to its end and the robot stands.
     pub fn is_finished(&self) -> bool {
-        self.firmware.is_finished() && self.body.is_at_rest()
+        self.brick.is_finished() && self.body.is_at_rest()
     }
 
     /// How much of the path is driven, 0 to 1.
     pub fn progress(&self) -> f64 {
-        self.firmware.progress()
+        self.brick.progress()
     }
 
     /// The truth at the beginning and after each telemetry period of world time.
@@ -251,10 +281,44 @@ impl Simulation {
         &self.scenario
     }
 
+    const fn shares_link(&self) -> bool {
+        self.scenario.brick.personality.shares_link_with_camera()
+    }
+
+    fn when(&self) -> When {
+        When {
+            world: self.world,
+            now: self.brick_clock.reading(self.world),
+        }
+    }
+
+    fn tell_camera(&mut self, from: Address, message: &Message) {
+        if let Some(camera) = &mut self.camera {
+            camera.handle(self.world, from, message);
+        }
+    }
+
+    fn log_estimate(&mut self, instant: Stamp<BrickClock>, pose: Pose<Arena>) {
+        if self.history == History::Kept {
+            self.received.push(ReceivedEstimate {
+                world: self.world,
+                arrival: self.brick_clock.exact(self.world),
+                instant,
+                pose,
+            });
+        }
+    }
+
     fn collect(&mut self) {
-        self.outgoing.extend(self.firmware.take());
-        self.outgoing
-            .extend(self.camera.as_mut().and_then(Camera::take));
+        while let Some(bytes) = self.brick.take() {
+            self.outgoing.push_back(bytes);
+        }
+        let seen = self.camera.as_mut().and_then(Camera::take);
+        if self.shares_link() {
+            self.outgoing.extend(seen);
+        } else {
+            self.camera_outgoing.extend(seen);
+        }
     }
 
     fn log_truth(&mut self) {
@@ -271,12 +335,22 @@ impl Simulation {
             pose,
             forward_speed: MetersPerSecond(self.body.forward_m_per_s()),
             turn_rate: RadiansPerSecond(self.body.turn_rad_per_s()),
-            odometry: self.firmware.odometry(self.path.start()),
-            belief: self.firmware.belief(),
+            odometry: self.brick.odometry(self.path.start()),
+            belief: self.brick.belief(),
             cross_track_m: self.path.distance_m(pose.origin()),
-            steering: self.firmware.steering(self.brick_clock.reading(self.world)),
+            steering: self.brick.steering(self.brick_clock.reading(self.world)),
         });
     }
+}
+
+/// The messages that a scanner finds complete when these bytes have come.
+fn heard_in(scanner: &mut Scanner, world: Span, bytes: &[u8]) -> Vec<(Address, Message)> {
+    let now = Stamp::<HostClock>::from_nanos(world.as_nanos());
+    let mut messages = Vec::new();
+    let mut sink = |scanned: Scanned<'_>| messages.extend(understood(&scanned));
+    scanner.tick(now, &mut sink);
+    scanner.push(now, bytes, &mut sink);
+    messages
 }
 
 /// The message of a whole frame, if this end knows it.

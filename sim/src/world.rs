@@ -139,6 +139,11 @@ impl Body {
         self.turned_rad
     }
 
+    /// What the battery gives at this moment, in volts.
+    pub(crate) const fn battery_v(&self) -> f64 {
+        self.battery_v
+    }
+
     /// Along the body's x axis, in metres per second, slip left out.
     pub(crate) fn forward_m_per_s(&self) -> f64 {
         0.5 * (self.wheel_speed_m_per_s.left + self.wheel_speed_m_per_s.right)

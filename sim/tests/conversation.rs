@@ -148,7 +148,7 @@ fn a_wrapping_register_keeps_its_pace() {
         .iter()
         .map(|stamp| match stamp {
             WireStamp::Micros32(micros) => *micros,
-            WireStamp::Millis32(_) | WireStamp::Micros64(_) => 0,
+            WireStamp::Millis32(_) | WireStamp::Micros64(_) | WireStamp::Asked { .. } => 0,
         })
         .collect();
     assert_eq!(registers.windows(2).filter(|w| w[1] < w[0]).count(), 1);

@@ -93,6 +93,9 @@ fn configuration(args: &RunArgs) -> Result<Config> {
         });
         config.links = dialled.chain(awaited).collect();
     }
+    if let (Some(name), Some(first)) = (&args.brick, config.links.first_mut()) {
+        first.brick = Some(name.clone());
+    }
     if let Some(path) = &args.robot {
         config = config.with_robot(RobotProfile::read(path)?);
         // What is set by hand is meant for the robot of the file, too.

@@ -1,22 +1,23 @@
 //! `posebridge sim`: the simulated brick as a process of its own.
 //!
 //! It waits on a link for a station, or calls one, drives its path and writes the truth to a file if asked. The truth never
-//! goes over the link.
+//! goes over the link. The camera of a brick that speaks no MAVLink has a link of its own.
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
-use posebridge_link::HostTimer;
-use posebridge_sim::{Scenario, Simulation, Steering};
+use anyhow::{Context, Result, bail};
+use posebridge_link::{HostTimer, Port};
+use posebridge_sim::scenario::Personality;
+use posebridge_sim::{Scenario, Simulation, Steering, ev3_beacon};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::run::Signals;
 use super::{Failure, Stage, station_link};
-use crate::cli::{SimArgs, StationLink, SteerBy};
+use crate::cli::{BrickKind, SimArgs, StationLink, SteerBy};
 use crate::link_target::load_scenario;
 use crate::stderr::say;
-use crate::tasks::sim_brick::drive;
+use crate::tasks::sim_brick::{Announcement, BrickPorts, drive};
 use crate::truth_file;
 
 /// Runs the brick until its path ends or somebody stops it.
@@ -29,7 +30,7 @@ pub fn execute(args: &SimArgs) -> Result<(), Failure> {
         .enable_all()
         .build()
         .at_start()?;
-    let simulation = runtime.block_on(brick(simulation(scenario, args), &args.link))?;
+    let simulation = runtime.block_on(brick(simulation(scenario, args), args))?;
     if let Some(path) = &args.truth {
         write_truth(path, &simulation).while_running()?;
     }
@@ -50,7 +51,30 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
             SteerBy::Estimate => Steering::Estimate,
         });
     }
+    if let Some(kind) = args.brick {
+        scenario = scenario.with_personality(match kind {
+            BrickKind::Mavlink => Personality::Mavlink,
+            BrickKind::Nxt => Personality::Nxt,
+            BrickKind::NxtPush => Personality::NxtPush,
+            BrickKind::Ev3 => Personality::Ev3,
+        });
+    }
+    check_links(args, scenario.brick.personality)?;
     Ok(scenario)
+}
+
+/// A link that would stay silent is refused.
+fn check_links(args: &SimArgs, personality: Personality) -> Result<()> {
+    let has_camera_link = args.camera.camera_listen.is_some() || args.camera.camera_link.is_some();
+    if has_camera_link && personality.shares_link_with_camera() {
+        bail!(
+            "the camera speaks on the brick's link; it has one of its own with --brick nxt, nxt-push or ev3 only"
+        );
+    }
+    if args.announce.is_some() && personality != Personality::Ev3 {
+        bail!("--announce is for --brick ev3; other bricks do not announce themselves");
+    }
+    Ok(())
 }
 
 /// The world; without a file for its truth it keeps none, so that it may run for days.
@@ -63,11 +87,10 @@ fn simulation(scenario: Scenario, args: &SimArgs) -> Simulation {
     }
 }
 
-async fn brick(mut simulation: Simulation, link: &StationLink) -> Result<Simulation, Failure> {
+async fn brick(mut simulation: Simulation, args: &SimArgs) -> Result<Simulation, Failure> {
     let timer = HostTimer::start();
     let mut signals = Signals::listen().at_start()?;
-    let mut port = station_link::port(link, timer).at_start()?;
-    let place = station_link::open(link, &mut port).await.at_start()?;
+    let (mut ports, place) = ports(args, timer).await.at_start()?;
     say(&format!(
         "brick up, seed {}, {place}",
         simulation.scenario().seed
@@ -75,13 +98,110 @@ async fn brick(mut simulation: Simulation, link: &StationLink) -> Result<Simulat
     let stop = CancellationToken::new();
     let (progress, _) = watch::channel(0.0);
     tokio::select! {
-        () = drive(&mut simulation, &mut port, timer, &stop, &progress) => {}
+        () = drive(&mut simulation, &mut ports, timer, &stop, &progress) => {}
         () = signals.received() => {}
     }
     Ok(simulation)
 }
 
+/// All ports, open, and where they are, for people.
+async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)> {
+    let (brick, mut place) = open(&args.link, timer).await?;
+    let mut ports = BrickPorts::of(brick);
+    let camera = StationLink {
+        listen: args.camera.camera_listen.clone(),
+        link: args.camera.camera_link.clone(),
+    };
+    if camera.listen.is_some() || camera.link.is_some() {
+        let (port, its_place) = open(&camera, timer).await?;
+        ports.camera = Some(port);
+        place.push_str("; its camera ");
+        place.push_str(&its_place);
+    }
+    if let Some(url) = &args.announce {
+        let beacon = beacon_of(&ports.brick)?;
+        let to = StationLink {
+            listen: None,
+            link: Some(url.clone()),
+        };
+        let (port, _) = open(&to, timer).await?;
+        ports.announcement = Some(Announcement::new(port, beacon));
+    }
+    Ok((ports, place))
+}
+
+async fn open(link: &StationLink, timer: HostTimer) -> Result<(Port, String)> {
+    let mut port = station_link::port(link, timer)?;
+    let place = station_link::open(link, &mut port).await?;
+    Ok((port, place))
+}
+
+/// What an EV3 that listens there says of itself.
+fn beacon_of(port: &Port) -> Result<Vec<u8>> {
+    match port.local_address().map(|address| address.port()) {
+        // Four digits is what the clients of the real brick look for.
+        Some(number @ 1_000..=9_999) => Ok(ev3_beacon(number)),
+        _ => {
+            bail!("--announce needs a TCP port of four digits, e.g. --listen tcp://127.0.0.1:5555")
+        }
+    }
+}
+
 fn write_truth(path: &Path, simulation: &Simulation) -> Result<()> {
     let text = truth_file::write(simulation.truth());
     std::fs::write(path, text).with_context(|| format!("writing the truth to `{}`", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    /// What `posebridge sim square --listen pty:x` with these arguments would simulate.
+    fn scenario_of(arguments: &[&str]) -> Result<Scenario> {
+        let all = [
+            &["posebridge", "sim", "square", "--listen", "pty:x"],
+            arguments,
+        ]
+        .concat();
+        let Some(Command::Sim(args)) = Cli::try_parse_from(all)?.command else {
+            bail!("another command");
+        };
+        scenario(&args)
+    }
+
+    #[test]
+    fn the_kind_of_brick_is_chosen_by_its_name() {
+        let cases = [
+            ("mavlink", Personality::Mavlink),
+            ("nxt", Personality::Nxt),
+            ("nxt-push", Personality::NxtPush),
+            ("ev3", Personality::Ev3),
+        ];
+        for (name, personality) in cases {
+            let scenario = scenario_of(&["--brick", name]).unwrap();
+            assert_eq!(scenario.brick.personality, personality);
+        }
+    }
+
+    #[test]
+    fn links_that_would_stay_silent_are_refused() {
+        let message = |arguments: &[&str]| scenario_of(arguments).unwrap_err().to_string();
+        let camera = message(&["--camera-listen", "udp://:0"]);
+        assert!(camera.contains("on the brick's link"), "{camera}");
+        let beacon = message(&["--brick", "nxt", "--announce", "udp://127.0.0.1:3015"]);
+        assert!(beacon.contains("--brick ev3"), "{beacon}");
+        let both = [
+            "--brick",
+            "nxt",
+            "--camera-listen",
+            "udp://:0",
+            "--camera-link",
+            "udp://x:1",
+        ];
+        assert!(message(&both).contains("cannot be used with"));
+        assert!(scenario_of(&["--brick", "nxt", "--camera-listen", "udp://:0"]).is_ok());
+    }
 }

@@ -4,6 +4,7 @@
 //! not there is an error that names it. Units stand in the keys; here they become the types of the vocabulary, and
 //! nothing behind this module checks them again.
 
+mod bricks;
 mod calibrated;
 mod calibration;
 mod filter;
@@ -18,6 +19,9 @@ mod station;
 mod thermometer;
 mod world;
 
+pub use bricks::{
+    Ev3Distance, Ev3Section, LineSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
+};
 pub use calibrated::{CalibratedRobot, Provenance};
 pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration};
 pub use filter::{FilterSection, filter_config};

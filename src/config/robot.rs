@@ -8,6 +8,7 @@ use posebridge_telemetry::{
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::bricks::{Ev3Section, LineSection, NxtSection};
 use super::calibration::RobotCalibration;
 use super::noise::RobotNoise;
 use super::thermometer::RobotThermometer;
@@ -34,6 +35,15 @@ pub struct RobotFile {
     pub calibration: RobotCalibration,
     /// Where it starts; without it the first fixes decide.
     pub start: Option<RobotStart>,
+    /// A LEGO NXT's motors and sensors, for a link with brick = "nxt" or "nxt-push".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nxt: Option<NxtSection>,
+    /// A LEGO EV3's motors and sensors, for a link with brick = "ev3".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ev3: Option<Ev3Section>,
+    /// The lines of a board that prints, for a link with brick = "line".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<LineSection>,
     /// Its thermometers, as far as they are known.
     #[serde(rename = "thermometer", skip_serializing_if = "Vec::is_empty")]
     pub thermometers: Vec<RobotThermometer>,
@@ -68,6 +78,9 @@ impl Default for RobotFile {
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
             start: None,
+            nxt: None,
+            ev3: None,
+            line: None,
             thermometers: Vec::new(),
         }
     }

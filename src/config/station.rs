@@ -14,6 +14,7 @@ use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::bricks::brick_link;
 use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection, RoutingSection, rules_of};
@@ -67,6 +68,9 @@ pub struct LinkSection {
     /// Wait for the other side to call instead of calling it.
     #[serde(default)]
     pub listen: bool,
+    /// What the brick at its other end speaks, if it is no MAVLink: docs/protocols/README.md.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub brick: Option<String>,
     /// Accept MAVLink 1 too.
     #[serde(default)]
     pub accept_mavlink1: bool,
@@ -185,6 +189,7 @@ impl LinkSection {
         Self {
             url: url.to_owned(),
             listen: false,
+            brick: None,
             accept_mavlink1: false,
             send_mavlink1: false,
             outputs: default_outputs(),
@@ -247,7 +252,12 @@ impl Config {
             .iter()
             .zip(rules)
             .enumerate()
-            .map(|(index, (link, rules))| link.pipeline(index, rules));
+            .map(|(index, (link, rules))| {
+                let brick = brick_link(link, &self.robot);
+                let brick = brick.with_context(|| format!("link {} `{}`", index + 1, link.url))?;
+                let pipeline = link.pipeline(index, rules)?;
+                Ok(LinkConfig { brick, ..pipeline })
+            });
         let interval = Span::from_millis(i64::from(self.clock.telemetry_interval_ms));
         let wanted = match self.clock.telemetry_interval_ms {
             0 => vec![],
@@ -325,6 +335,7 @@ impl LinkSection {
         };
         let outputs = self.outputs.iter().map(OutputSection::pipeline);
         Ok(LinkConfig {
+            brick: None,
             id: LinkId(index as u16),
             framing: if is_datagram {
                 Framing::Datagram

@@ -6,7 +6,7 @@ use std::thread::JoinHandle;
 use anyhow::{Context, Result, anyhow};
 use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
 use posebridge_sim::{STEP, Scenario, Simulation};
-use posebridge_telemetry::{HostClock, LinkId, Span, Stamp};
+use posebridge_telemetry::{HostClock, LinkId, PeerId, Span, Stamp};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
@@ -14,6 +14,118 @@ use tokio_util::sync::CancellationToken;
 const BITE: Span = Span::from_millis(2);
 /// After the path's end the brick still talks for this long, so that the last late fixes are used.
 const AFTERGLOW: Span = Span::from_millis(600);
+
+/// Time between two announcements.
+const ANNOUNCED_EACH: Span = Span::from_millis(1_000);
+
+/// The links of a simulated brick, open.
+pub struct BrickPorts {
+    /// To the station.
+    pub brick: Port,
+    /// Whom the brick has heard last there.
+    station: Option<PeerId>,
+    /// The camera's own, where it does not share the brick's. Without it nobody hears such a camera.
+    pub camera: Option<Port>,
+    /// Where the brick is announced.
+    pub announcement: Option<Announcement>,
+}
+
+/// A text that is sent again and again.
+pub struct Announcement {
+    port: Port,
+    text: Vec<u8>,
+    due: Span,
+}
+
+impl Announcement {
+    /// Sends `text` on `port` from now on.
+    #[must_use]
+    pub const fn new(port: Port, text: Vec<u8>) -> Self {
+        Self {
+            port,
+            text,
+            due: Span::ZERO,
+        }
+    }
+
+    fn send_if_due(&mut self, elapsed: Span) {
+        if elapsed >= self.due {
+            self.due = elapsed + ANNOUNCED_EACH;
+            self.port.send(&self.text);
+        }
+    }
+}
+
+impl BrickPorts {
+    /// The brick's link alone.
+    #[must_use]
+    pub const fn of(brick: Port) -> Self {
+        Self {
+            brick,
+            station: None,
+            camera: None,
+            announcement: None,
+        }
+    }
+
+    /// Waits for something to happen and gives it to the simulation, which lives until then first.
+    async fn serve(
+        &mut self,
+        simulation: &mut Simulation,
+        (timer, start): (HostTimer, Stamp<HostClock>),
+    ) {
+        tokio::select! {
+            event = self.brick.next() => {
+                step_to(simulation, timer.now() - start);
+                match event {
+                    PortEvent::Bytes { peer, bytes, .. } => {
+                        if self.station.is_some_and(|station| station != peer) {
+                            simulation.reopen_link();
+                        }
+                        self.station = Some(peer);
+                        simulation.receive(&bytes);
+                    }
+                    PortEvent::Up { .. } | PortEvent::Down { .. } => {
+                        self.station = None;
+                        simulation.reopen_link();
+                    }
+                    PortEvent::Finished { .. } => {}
+                }
+            }
+            event = next_of(self.camera.as_mut()) => {
+                step_to(simulation, timer.now() - start);
+                if let PortEvent::Bytes { bytes, .. } = event {
+                    simulation.receive_camera(&bytes);
+                }
+            }
+            // Nobody answers an announcement there; polled, the port comes back after a loss.
+            _ = next_of(self.announcement.as_mut().map(|announcement| &mut announcement.port)) => {}
+        }
+    }
+
+    /// Sends what brick and camera have to say.
+    fn send_all(&mut self, simulation: &mut Simulation) {
+        while let Some(bytes) = simulation.poll() {
+            self.brick.send(&bytes);
+        }
+        while let Some(bytes) = simulation.poll_camera() {
+            if let Some(camera) = &mut self.camera {
+                camera.send(&bytes);
+            }
+        }
+        if let Some(announcement) = &mut self.announcement {
+            announcement.send_if_due(simulation.elapsed());
+        }
+    }
+}
+
+/// The next event of a port; never, without one.
+async fn next_of(port: Option<&mut Port>) -> PortEvent {
+    match port {
+        Some(port) => port.next().await,
+        None => std::future::pending().await,
+    }
+}
 
 /// A brick in a thread of its own.
 pub struct EmbeddedBrick {
@@ -58,7 +170,8 @@ impl EmbeddedBrick {
                     drop(ready.send(opened.map_err(anyhow::Error::from)));
                     let mut simulation = Simulation::new(scenario);
                     if !failed {
-                        drive(&mut simulation, &mut port, timer, &stop, &told).await;
+                        let mut ports = BrickPorts::of(port);
+                        drive(&mut simulation, &mut ports, timer, &stop, &told).await;
                         done.cancel();
                     }
                     Ok(simulation)
@@ -86,10 +199,10 @@ impl EmbeddedBrick {
     }
 }
 
-/// Drives a simulation in real time on a port, until its path ends or somebody stops it.
+/// Drives a simulation in real time on its ports, until its path ends or somebody stops it.
 pub async fn drive(
     simulation: &mut Simulation,
-    port: &mut Port,
+    ports: &mut BrickPorts,
     timer: HostTimer,
     stop: &CancellationToken,
     progress: &watch::Sender<f64>,
@@ -99,19 +212,11 @@ pub async fn drive(
     loop {
         let bite_end = start + simulation.elapsed() + BITE;
         tokio::select! {
-            event = port.next() => {
-                let now = timer.now();
-                step_to(simulation, now - start);
-                if let PortEvent::Bytes { bytes, .. } = event {
-                    simulation.receive(&bytes);
-                }
-            }
+            () = ports.serve(simulation, (timer, start)) => {}
             () = timer.sleep_until(bite_end) => step_to(simulation, timer.now() - start),
             () = stop.cancelled() => return,
         }
-        while let Some(bytes) = simulation.poll() {
-            port.send(&bytes);
-        }
+        ports.send_all(simulation);
         progress.send_replace(simulation.progress());
         if simulation.is_finished() {
             let end = *ends_at.get_or_insert(timer.now() + AFTERGLOW);

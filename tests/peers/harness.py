@@ -1,4 +1,4 @@
-"""The station as a process, and a peer that speaks with pymavlink's codec over a socket.
+"""The program as a process, station or simulated brick, and a peer that speaks with pymavlink's codec over a socket.
 
 Nothing here sleeps: every wait is for bytes or for a line, with a deadline after which the test fails.
 """
@@ -24,25 +24,17 @@ def stamp_of_now():
     return int((time.time() - 1420070400) * 1e5)
 
 
-class Station:
-    """`posebridge run` with one listening link, in a folder of its own."""
+class Program:
+    """The program as a process, in a folder of its own; what it says on stderr is kept."""
 
-    def __init__(self, folder, name, scheme="udp", signing=None):
-        self.folder, self.name = folder, name
-        link = f'[[link]]\nurl = "{scheme}://127.0.0.1:0"\nlisten = true\n'
-        if signing:
-            link += f"signing = {signing}\n"
-        with open(os.path.join(folder, f"{name}.toml"), "w") as file:
-            file.write(link)
+    def __init__(self, folder, *arguments):
+        self.folder = folder
         self.process = subprocess.Popen(
-            [os.environ["POSEBRIDGE"], "run", "--config", f"{name}.toml", "--out", name, "--events", f"{name}.txt"],
+            [os.environ["POSEBRIDGE"], *arguments],
             cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         self.said, self.news = [], threading.Condition()
         self.reader = threading.Thread(target=self._read, daemon=True)
         self.reader.start()
-        line = self.wait_for("listening on ")
-        host, port = line.strip().rsplit(" ", 1)[1].rsplit(":", 1)
-        self.address = (host, int(port))
 
     def _read(self):
         for line in self.process.stderr:
@@ -61,15 +53,43 @@ class Station:
             while True:
                 for line in self.said[seen:]:
                     if line is None:
-                        raise AssertionError(f"the station ended before it said {text!r}: {self.talk()}")
+                        raise AssertionError(f"the program ended before it said {text!r}: {self.talk()}")
                     if text in line:
                         return line
                 seen = len(self.said)
                 if not self.news.wait(deadline - time.monotonic()):
-                    raise AssertionError(f"the station did not say {text!r}: {self.talk()}")
+                    raise AssertionError(f"the program did not say {text!r}: {self.talk()}")
 
     def talk(self):
         return "".join(line for line in self.said if line)
+
+    def address_of(self, line):
+        """Host and port at the end of a line."""
+        host, port = line.strip().rsplit(" ", 1)[1].rsplit(":", 1)
+        return host, int(port)
+
+    def kill(self):
+        """Ends it as kill -9 does."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait(DEADLINE_S)
+        self.reader.join(DEADLINE_S)
+        self.process.stderr.close()
+
+
+class Station(Program):
+    """`posebridge run` with one listening link."""
+
+    def __init__(self, folder, name, scheme="udp", signing=None):
+        self.name = name
+        link = f'[[link]]\nurl = "{scheme}://127.0.0.1:0"\nlisten = true\n'
+        if signing:
+            link += f"signing = {signing}\n"
+        with open(os.path.join(folder, f"{name}.toml"), "w") as file:
+            file.write(link)
+        super().__init__(
+            folder, "run", "--config", f"{name}.toml", "--out", name, "--events", f"{name}.txt")
+        self.address = self.address_of(self.wait_for("listening on "))
 
     def stop(self):
         """Ends it as Ctrl-C does and returns its events, one per line."""
@@ -81,13 +101,15 @@ class Station:
         with open(os.path.join(self.folder, f"{self.name}.txt")) as file:
             return file.read().splitlines()
 
-    def kill(self):
-        """Ends it as kill -9 does."""
-        if self.process.poll() is None:
-            self.process.kill()
-            self.process.wait(DEADLINE_S)
-        self.reader.join(DEADLINE_S)
-        self.process.stderr.close()
+
+class SimulatedBrick(Program):
+    """`posebridge sim` with a scenario of its own and a brick that is no robot's but a LEGO one's."""
+
+    def __init__(self, folder, kind, listen, scenario, *arguments):
+        with open(os.path.join(folder, "scenario.toml"), "w") as file:
+            file.write(scenario)
+        super().__init__(folder, "sim", "scenario.toml", "--brick", kind, "--listen", listen, *arguments)
+        self.line = self.wait_for("brick up")
 
 
 class Peer:

@@ -35,6 +35,7 @@ struct Truth {
     delay_s: f64,
     tag_m: [f64; 2],
     slip_m_per_sqrt_m: f64,
+    wander_rad_per_sqrt_m: f64,
     /// Where it stands and points at the start.
     start: [f64; 3],
 }
@@ -46,6 +47,7 @@ const TRUTH: Truth = Truth {
     delay_s: 0.12,
     tag_m: [0.035, -0.01],
     slip_m_per_sqrt_m: 0.002,
+    wander_rad_per_sqrt_m: 0.0,
     start: [0.4, -0.2, 0.7],
 };
 
@@ -89,6 +91,10 @@ fn drive(truth: &Truth, rates: &[f64], rounds: usize, seed: u64) -> FreePath {
                 x += (forward + off) * (heading + 0.5 * turn).cos();
                 y += (forward + off) * (heading + 0.5 * turn).sin();
                 heading += turn;
+                if truth.wander_rad_per_sqrt_m > 0.0 {
+                    let wander = truth.wander_rad_per_sqrt_m * forward.sqrt();
+                    heading += wander * normal(&mut random);
+                }
                 poses.push([x, y, heading]);
             }
         }
@@ -191,6 +197,53 @@ fn every_number_is_found_within_its_sigma_over_many_drives() {
     // The sigmas mean what they say, on average over numbers and drives.
     let mean = squares.iter().sum::<f64>() / 6.0;
     assert!((0.4..2.0).contains(&mean), "{squares:?}");
+}
+
+#[test]
+fn where_the_heading_wanders_the_sigmas_say_so_if_they_are_told() {
+    const DRIVES: u64 = 24;
+    const WANDER: f64 = 0.02;
+    let truth = Truth {
+        wander_rad_per_sqrt_m: WANDER,
+        ..TRUTH
+    };
+    let mut told = config();
+    told.noise.heading_rad_per_sqrt_m = WANDER;
+    // Squares of the errors over their sigmas: told of the wandering, and not told.
+    let mut squares = [[0.0; 2]; 2];
+    let mut founds = [[0_u32; 2]; 2];
+    for seed in 0..DRIVES {
+        let path = [drive(&truth, &BOTH_WAYS, 4, seed)];
+        for (told_of, config) in [told.clone(), config()].iter().enumerate() {
+            let found = calibrated(config, &path);
+            for (place, unknown) in [Unknown::RadiusDifference, Unknown::TrackScale]
+                .into_iter()
+                .enumerate()
+            {
+                let entry = found.entries.iter().find(|one| one.unknown == unknown);
+                let entry = entry.expect("it is looked for");
+                // Now and then a wandering looks as if wheels and track could not be told apart.
+                if entry.standing == Standing::Found {
+                    let off = entry.after.value - truth_of(unknown, &truth);
+                    squares[told_of][place] += (off / entry.after.sigma).powi(2);
+                    founds[told_of][place] += 1;
+                }
+            }
+        }
+    }
+    for (squares, founds) in squares.iter_mut().zip(founds) {
+        for (square, found) in squares.iter_mut().zip(founds) {
+            assert!(found >= 20, "{founds:?} of {DRIVES}");
+            *square /= f64::from(found);
+        }
+    }
+    println!("told of the wandering and not: {squares:.2?}");
+    let [told, not_told] = squares;
+    // 24 drives: 95 % of the means of a chi-square of one lie between 0.5 and 1.7.
+    assert!((0.5..1.7).contains(&told[0]), "{told:?}");
+    assert!(not_told[0] > 4.0, "{not_told:?}");
+    // The track is known better than is said, with and without: its sigma carries that of the length.
+    assert!(told[1] < 1.7, "{told:?}");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
+use posebridge_protocol::bricks::{BrickProtocol, BrickSettings};
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_protocol::routing::LinkRules;
 use posebridge_protocol::signing::SigningConfig;
@@ -57,6 +58,9 @@ pub enum DescriptionPolicy {
 pub struct LinkConfig {
     /// Its id.
     pub id: LinkId,
+    /// What is at its other end, if it speaks no MAVLink. Then nothing below counts but `outputs`, and nothing of it is passed on to
+    /// other links.
+    pub brick: Option<BrickLink>,
     /// How it cuts its bytes.
     pub framing: Framing,
     /// MAVLink 1 is accepted only when asked for.
@@ -69,6 +73,21 @@ pub struct LinkConfig {
     pub signing: Option<SigningConfig>,
     /// What passes between it and the other links.
     pub rules: LinkRules,
+}
+
+/// A brick with a protocol of its own.
+#[derive(Clone, Debug)]
+pub struct BrickLink {
+    /// Its protocol, a row of [`BRICKS`](posebridge_protocol::bricks::BRICKS).
+    pub protocol: &'static BrickProtocol,
+    /// What its codec must be told.
+    pub settings: BrickSettings,
+}
+
+impl PartialEq for BrickLink {
+    fn eq(&self, other: &Self) -> bool {
+        self.protocol.name == other.protocol.name && self.settings == other.settings
+    }
 }
 
 /// Which MAVLink versions a link accepts.

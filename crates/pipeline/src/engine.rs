@@ -3,6 +3,7 @@
 //! Here stand the value itself, its doors and its time; what it does with bytes, conversations and estimates stands in the
 //! modules below.
 
+mod bricks;
 mod converse;
 mod deliver;
 mod forward;
@@ -13,7 +14,7 @@ mod warmth;
 use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_estimator::{Filter, StartPose, filter_named};
-use posebridge_protocol::routing::{Router, RouterConfig, Way};
+use posebridge_protocol::routing::{Forward, Router, RouterConfig, Way};
 use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, CameraClock, Command, DriveGeometry, Estimate, Event,
@@ -209,7 +210,10 @@ impl Pipeline {
         let links = self
             .links
             .values()
-            .flat_map(|link| [link.peers.deadline(), link.session.deadline()])
+            .flat_map(|link| {
+                let codec = link.codec_deadline();
+                [link.peers.deadline(), link.session.deadline(), codec]
+            })
             .flatten();
         links.chain(self.next_health).min()
     }
@@ -260,11 +264,12 @@ impl Pipeline {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        link.turn(state);
+        link.turn(self.now, state);
         if state == LinkState::Down {
             self.router.forget_link(id);
         }
         self.tell(Event::Link { link: id, state });
+        self.ask_brick(id);
     }
 
     fn handle_command(&mut self, command: Command) {
@@ -303,6 +308,7 @@ impl Pipeline {
                 // Before the session's turn: what comes to light may give it something to do at once.
                 self.handle_bytes(now, (*id, peer), None);
             }
+            self.wake_brick(now, *id);
             if let Some(link) = self.links.get_mut(id) {
                 link.session.tick(now);
             }
@@ -350,10 +356,14 @@ impl Pipeline {
 }
 
 fn router_config(config: &PipelineConfig) -> RouterConfig {
-    let rules = config
-        .links
-        .iter()
-        .map(|link| (link.id, link.rules.clone()));
+    let rules = config.links.iter().map(|link| {
+        let mut rules = link.rules.clone();
+        // A brick that speaks no MAVLink would take the others' frames for noise.
+        if link.brick.is_some() {
+            rules.forward = Forward::Nothing;
+        }
+        (link.id, rules)
+    });
     RouterConfig {
         own: config.own,
         duplicate_window: config.duplicate_window,

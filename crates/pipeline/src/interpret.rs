@@ -56,6 +56,14 @@ impl Interpreter {
                 )),
                 None,
             ],
+            Message::Compass { stamp, heading } => [
+                Some(by_brick(
+                    SensorId::COMPASS,
+                    *stamp,
+                    Observed::CompassHeading(*heading),
+                )),
+                None,
+            ],
             Message::VisionPosition(fix) | Message::MocapPosition(fix) => {
                 [Some(self.fix(fix)), None]
             }
@@ -234,6 +242,19 @@ mod tests {
         }
         assert_eq!(fix_with(None).covariance, None);
         assert_eq!(fix_with(None).tag_in_body, INTERPRETER.tag_in_body);
+    }
+
+    #[test]
+    fn a_compass_of_the_brick_is_a_heading() {
+        let heading = Heading::from_rad(0.5);
+        let stamp = WireStamp::Millis32(9);
+        let [Some(reading), None] = INTERPRETER.readings(&Message::Compass { stamp, heading })
+        else {
+            panic!("a compass is one reading");
+        };
+        assert_eq!(reading.sensor, SensorId::COMPASS);
+        assert_eq!(reading.stamped_by, StampedBy::Brick);
+        assert_eq!(reading.observed, Observed::CompassHeading(heading));
     }
 
     #[test]

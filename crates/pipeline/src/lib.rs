@@ -17,7 +17,7 @@ mod publish;
 mod thermometers;
 
 pub use config::{
-    AcceptedVersions, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputKind,
+    AcceptedVersions, BrickLink, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputKind,
     OutputStream, PipelineConfig, ThermometerConfig,
 };
 pub use engine::{BuildError, Pipeline};

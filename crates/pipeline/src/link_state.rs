@@ -1,5 +1,6 @@
 //! What the pipeline keeps for one link: its peers, encoder, session, counters.
 
+use posebridge_protocol::bricks::BrickCodec;
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{ScannerConfig, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message};
@@ -27,6 +28,8 @@ const PEER_TIMEOUT: Span = Span::from_millis(5_000);
 pub(crate) struct Link {
     /// Who is heard there; the bytes of each are a stream of their own.
     pub(crate) peers: Peers,
+    /// The codec of a brick that speaks no MAVLink; then the peers hear nothing.
+    pub(crate) codec: Option<Box<dyn BrickCodec>>,
     pub(crate) encoder: Encoder,
     /// The MAVLink version that is spoken there.
     pub(crate) speaks: WireVersion,
@@ -51,10 +54,14 @@ impl Link {
                 scanner_config(config),
                 config.signing.clone().map(LinkSigning::new),
             ),
+            codec: config
+                .brick
+                .as_ref()
+                .map(|brick| (brick.protocol.open)(&brick.settings)),
             encoder: Encoder::new(config.speaks),
             speaks: config.speaks,
             limiter: Limiter::new(config.rules.limits.clone(), now),
-            session: Session::new(session_config(pipeline), now),
+            session: Session::new(session_config(config, pipeline), now),
             publisher: Publisher::new(&config.outputs),
             state: LinkState::Down,
             was_up: false,
@@ -63,7 +70,10 @@ impl Link {
     }
 
     /// The link came up or was lost: then what was half received will never be completed.
-    pub(crate) fn turn(&mut self, state: LinkState) {
+    pub(crate) fn turn(&mut self, now: Stamp<HostClock>, state: LinkState) {
+        if let (Some(codec), LinkState::Up) = (&mut self.codec, state) {
+            codec.begin(now);
+        }
         match (self.state, state) {
             (LinkState::Down, LinkState::Up) => {
                 self.health.reconnects += u64::from(self.was_up);
@@ -75,6 +85,12 @@ impl Link {
         self.state = state;
     }
 
+    /// When the codec must be woken; never while there is nobody to talk to.
+    pub(crate) fn codec_deadline(&self) -> Option<Stamp<HostClock>> {
+        let codec = self.codec.as_ref()?;
+        (self.state == LinkState::Up).then(|| codec.deadline())?
+    }
+
     /// Appends a message of our own, signed if the link has a key, and returns its length; 0 if it cannot be sent there.
     pub(crate) fn encode(
         &mut self,
@@ -83,6 +99,9 @@ impl Link {
         message: &Message,
         out: &mut Vec<u8>,
     ) -> usize {
+        if let Some(codec) = &mut self.codec {
+            return codec.encode(now, own, message, out);
+        }
         let Some(signing) = &mut self.peers.signing else {
             return self.encoder.encode(own, message, out);
         };
@@ -94,9 +113,11 @@ impl Link {
 
     /// Brings the scanners' and senders' counters into the health record and returns what each sender has sent.
     pub(crate) fn refresh_health(&mut self) -> Vec<SourceHealth> {
-        let sources = self.peers.sources();
+        let (sources, counters) = match &self.codec {
+            Some(codec) => (codec.sources(), codec.counters()),
+            None => (self.peers.sources(), self.peers.counters()),
+        };
         self.health.frames_lost = sources.iter().map(|source| source.lost).sum();
-        let counters = self.peers.counters();
         self.health.frames_in = counters.frames;
         self.health.checksum_errors = counters.checksum_errors;
         self.health.garbage_bytes = counters.garbage_bytes;
@@ -114,7 +135,7 @@ fn scanner_config(config: &LinkConfig) -> ScannerConfig {
     }
 }
 
-fn session_config(pipeline: &PipelineConfig) -> SessionConfig {
+fn session_config(link: &LinkConfig, pipeline: &PipelineConfig) -> SessionConfig {
     SessionConfig {
         own: pipeline.own,
         heartbeat: Heartbeat {
@@ -126,7 +147,11 @@ fn session_config(pipeline: &PipelineConfig) -> SessionConfig {
         heartbeat_period: HEARTBEAT_PERIOD,
         timesync_period: Some(pipeline.timesync_period),
         peer_timeout: PEER_TIMEOUT,
-        wanted: pipeline.wanted.clone(),
+        // Who speaks no MAVLink cannot be asked for its messages.
+        wanted: match link.brick {
+            Some(_) => Vec::new(),
+            None => pipeline.wanted.clone(),
+        },
         offered: publish::SETTABLE.iter().map(|(id, _)| *id).collect(),
     }
 }

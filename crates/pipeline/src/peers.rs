@@ -67,14 +67,14 @@ impl Believed {
 }
 
 impl Peers {
-    pub(crate) const fn new(config: ScannerConfig, signing: Option<LinkSigning>) -> Self {
+    pub(crate) fn new(config: ScannerConfig, signing: Option<LinkSigning>) -> Self {
         Self {
             config,
             signing,
             present: BTreeMap::new(),
             resting: BTreeMap::new(),
             waiting: BTreeSet::new(),
-            gone: NOTHING,
+            gone: ScanCounters::default(),
             gone_sources: BTreeMap::new(),
         }
     }
@@ -164,7 +164,7 @@ impl Peers {
     pub(crate) fn restart(&mut self) {
         self.waiting.clear();
         for (id, mut peer) in std::mem::take(&mut self.present) {
-            self.gone = sum(self.gone, *peer.scanner.counters());
+            self.gone = self.gone.plus(peer.scanner.counters());
             peer.sequences.break_off();
             self.resting.insert(id, peer.sequences);
         }
@@ -178,7 +178,7 @@ impl Peers {
     /// Counts of all peers, those included that are gone.
     pub(crate) fn counters(&self) -> ScanCounters {
         let present = self.present.values().map(|peer| peer.scanner.counters());
-        present.fold(self.gone, |a, b| sum(a, *b))
+        present.fold(self.gone, ScanCounters::plus)
     }
 
     /// What each sender has sent, in the order of their addresses.
@@ -232,28 +232,8 @@ impl Peers {
     }
 
     fn count_gone(&mut self, peer: &Peer) {
-        self.gone = sum(self.gone, *peer.scanner.counters());
+        self.gone = self.gone.plus(peer.scanner.counters());
         add_sources(&mut self.gone_sources, &peer.sequences);
-    }
-}
-
-const NOTHING: ScanCounters = ScanCounters {
-    frames: 0,
-    checksum_errors: 0,
-    garbage_bytes: 0,
-    unknown_ids: 0,
-    stalls: 0,
-    impossible_headers: 0,
-};
-
-fn sum(a: ScanCounters, b: ScanCounters) -> ScanCounters {
-    ScanCounters {
-        frames: a.frames + b.frames,
-        checksum_errors: a.checksum_errors + b.checksum_errors,
-        garbage_bytes: a.garbage_bytes + b.garbage_bytes,
-        unknown_ids: a.unknown_ids + b.unknown_ids,
-        stalls: a.stalls + b.stalls,
-        impossible_headers: a.impossible_headers + b.impossible_headers,
     }
 }
 

@@ -9,6 +9,7 @@ mod brick;
 mod config;
 mod decode;
 mod impairment;
+mod nxt;
 mod operands;
 mod recognise;
 mod recording;
@@ -30,6 +31,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("signing", signing::check, 9_000),
     Target::new("impairment", impairment::check, 100_000),
     Target::new("routing", routing::check, 1_500),
+    Target::new("nxt", nxt::check, 60_000),
     Target::new("brick", brick::check, 400_000),
 ];
 

@@ -1,29 +1,43 @@
 //! MAVLink as a brick protocol: scanner, codec and sequence accounting put together.
 
-use posebridge_telemetry::{Address, Defect, HostClock, Stamp};
+use posebridge_telemetry::{Address, Defect, HostClock, SourceHealth, Stamp};
 
-use super::{BrickCodec, Heard};
+use super::{BrickCodec, BrickSettings, Heard};
 use crate::dialect::{Encoder, decode};
-use crate::framing::{FrameRef, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion};
+use crate::framing::{
+    FrameRef, ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion,
+};
 use crate::message::Message;
 
 /// The state of one link that speaks MAVLink.
 #[derive(Debug)]
 struct Mavlink {
+    config: ScannerConfig,
     scanner: Scanner,
+    /// What was counted before the link came up last.
+    before: ScanCounters,
     sequences: SequenceTracker,
     encoder: Encoder,
 }
 
-pub(super) fn open(config: ScannerConfig) -> Box<dyn BrickCodec> {
+pub(super) fn open(settings: &BrickSettings) -> Box<dyn BrickCodec> {
     Box::new(Mavlink {
-        scanner: Scanner::new(config),
+        config: settings.scanner,
+        scanner: Scanner::new(settings.scanner),
+        before: ScanCounters::default(),
         sequences: SequenceTracker::new(),
         encoder: Encoder::new(WireVersion::V2),
     })
 }
 
 impl BrickCodec for Mavlink {
+    fn begin(&mut self, _now: Stamp<HostClock>) {
+        let before = *self.scanner.counters();
+        self.scanner = Scanner::new(self.config);
+        self.before = self.before.plus(&before);
+        self.sequences.break_off();
+    }
+
     fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         let sequences = &mut self.sequences;
         self.scanner.push(now, bytes, &mut |found| {
@@ -41,8 +55,27 @@ impl BrickCodec for Mavlink {
             .tick(now, &mut |found| hear((now, &mut *sequences), found, sink));
     }
 
-    fn encode(&mut self, from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+    fn poll(&mut self) -> Option<Vec<u8>> {
+        // It speaks by itself.
+        None
+    }
+
+    fn encode(
+        &mut self,
+        _now: Stamp<HostClock>,
+        from: Address,
+        message: &Message,
+        out: &mut Vec<u8>,
+    ) -> usize {
         self.encoder.encode(from, message, out)
+    }
+
+    fn counters(&self) -> ScanCounters {
+        self.before.plus(self.scanner.counters())
+    }
+
+    fn sources(&self) -> Vec<SourceHealth> {
+        self.sequences.sources().collect()
     }
 }
 

@@ -129,6 +129,8 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
         | Message::HighresImu(_)
         | Message::DistanceSensor { .. }
         | Message::Thermometer { .. } => return sensors::write(version, message),
+        // The dialects have none; it comes from bricks with protocols of their own.
+        Message::Compass { .. } => return None,
         Message::VisionPosition(_)
         | Message::MocapPosition(_)
         | Message::Odometry(_)

@@ -238,17 +238,15 @@ pub(super) const fn micros32(stamp: WireStamp) -> u32 {
 pub(super) const fn millis32(stamp: WireStamp) -> u32 {
     match stamp {
         WireStamp::Millis32(millis) => millis,
-        WireStamp::Micros32(_) | WireStamp::Micros64(_) => (micros64(stamp) / 1_000) as u32,
+        WireStamp::Micros32(_) | WireStamp::Micros64(_) | WireStamp::Asked { .. } => {
+            (micros64(stamp) / 1_000) as u32
+        }
     }
 }
 
 /// A stamp in whole microseconds.
 pub(super) const fn micros64(stamp: WireStamp) -> u64 {
-    match stamp {
-        WireStamp::Micros32(micros) => micros as u64,
-        WireStamp::Millis32(millis) => millis as u64 * 1_000,
-        WireStamp::Micros64(micros) => micros,
-    }
+    stamp.as_micros()
 }
 
 #[cfg(test)]

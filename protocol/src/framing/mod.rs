@@ -92,6 +92,21 @@ pub struct ScanCounters {
     pub impossible_headers: u64,
 }
 
+impl ScanCounters {
+    /// What two scanners have counted together.
+    #[must_use]
+    pub const fn plus(self, other: &Self) -> Self {
+        Self {
+            frames: self.frames + other.frames,
+            checksum_errors: self.checksum_errors + other.checksum_errors,
+            garbage_bytes: self.garbage_bytes + other.garbage_bytes,
+            unknown_ids: self.unknown_ids + other.unknown_ids,
+            stalls: self.stalls + other.stalls,
+            impossible_headers: self.impossible_headers + other.impossible_headers,
+        }
+    }
+}
+
 /// One frame, borrowed from the scanner's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameRef<'a> {

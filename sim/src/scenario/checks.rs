@@ -84,6 +84,34 @@ pub(super) fn tick_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
     }
 }
 
+/// A time of up to 10 seconds, in milliseconds.
+pub(super) fn optional_millis<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<f64>, D::Error> {
+    within(deserializer, 0.0, 1e4).map(Some)
+}
+
+/// Anything finite.
+pub(super) fn optional_finite<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<f64>, D::Error> {
+    finite(deserializer).map(Some)
+}
+
+/// The buffer of an NXT's firmware: large enough for every telegram that is documented, no larger than any that was made.
+pub(super) fn telegram_bytes<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<usize, D::Error> {
+    let bytes = usize::deserialize(deserializer)?;
+    if (64..=128).contains(&bytes) {
+        Ok(bytes)
+    } else {
+        Err(D::Error::custom(format!(
+            "telegrams of {bytes} bytes are outside 64 to 128"
+        )))
+    }
+}
+
 /// A list of way-points.
 pub(super) fn waypoints<'de, D: Deserializer<'de>>(
     deserializer: D,

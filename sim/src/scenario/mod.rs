@@ -7,6 +7,7 @@ mod bundled;
 pub(crate) mod checks;
 mod course;
 mod observers;
+mod personality;
 mod robot;
 mod thermometer;
 mod waypoints;
@@ -22,6 +23,7 @@ use crate::bundled::text_of;
 pub use bundled::BUNDLED;
 pub use course::{Course, Direction, DriveSettings, StartPose};
 pub use observers::{AccelerometerSettings, Blackout, CameraOrder, CameraSettings, GyroSettings};
+pub use personality::{BrickProgram, Personality, PortSensor};
 pub use robot::{BrickSettings, ErrorSettings, MotorSettings, RobotSettings, Wire};
 pub use thermometer::ThermometerSettings;
 
@@ -113,6 +115,13 @@ impl Scenario {
     #[must_use]
     pub const fn with_steering(mut self, steering: Steering) -> Self {
         self.steering = steering;
+        self
+    }
+
+    /// The same scenario with a brick that speaks something else.
+    #[must_use]
+    pub const fn with_personality(mut self, personality: Personality) -> Self {
+        self.brick.personality = personality;
         self
     }
 

@@ -1,8 +1,10 @@
 //! The robot as its brick believes it to be, how the real one differs, and the brick itself.
 
+use posebridge_telemetry::Span;
 use serde::Deserialize;
 
 use super::checks;
+use super::personality::{BrickProgram, Personality, PortSensor};
 use crate::clock::ClockSettings;
 use crate::motor::MotorConstants;
 
@@ -189,6 +191,21 @@ pub struct BrickSettings {
     /// The clock's resolution, in microseconds.
     #[serde(deserialize_with = "checks::tick_micros")]
     pub clock_tick_micros: u32,
+    /// What it speaks on its link.
+    pub personality: Personality,
+    /// What runs on it from the beginning.
+    pub program: BrickProgram,
+    /// Time that the radio of an NXT or EV3 needs to turn from receiving to sending, in milliseconds; without it that of the personality.
+    #[serde(deserialize_with = "checks::optional_millis")]
+    pub turn_around_ms: Option<f64>,
+    /// Longest telegram that an NXT's firmware takes and sends, in bytes; 64 for old ones.
+    #[serde(deserialize_with = "checks::telegram_bytes")]
+    pub telegram_bytes: usize,
+    /// What is plugged into the sensor ports 1 to 4 of an NXT.
+    pub sensors: [PortSensor; 4],
+    /// A wall across the arena at this x, which the ultrasonic sensor sees; without it there is none.
+    #[serde(deserialize_with = "checks::optional_finite")]
+    pub wall_x_m: Option<f64>,
 }
 
 impl Default for BrickSettings {
@@ -199,11 +216,23 @@ impl Default for BrickSettings {
             clock_start_micros: 5_000_000,
             clock_skew_ppm: 60.0,
             clock_tick_micros: 1_000,
+            personality: Personality::default(),
+            program: BrickProgram::default(),
+            turn_around_ms: None,
+            telegram_bytes: 128,
+            sensors: PortSensor::USUAL,
+            wall_x_m: None,
         }
     }
 }
 
 impl BrickSettings {
+    /// From the last byte of a request to the first of its answer, at least.
+    pub(crate) fn turn_around(&self) -> Span {
+        let usual_ms = self.personality.turn_around_ms();
+        Span::from_secs_f64(self.turn_around_ms.unwrap_or(usual_ms) * 1e-3)
+    }
+
     /// The clock alone.
     pub(crate) const fn clock(&self) -> ClockSettings {
         ClockSettings {

@@ -83,6 +83,27 @@ pub(super) fn fit(
     Err(CalibrationError::Diverged)
 }
 
+/// How far the solution moves when the residuals change by each of the `disturbances`, which are laid out as they are: -A^-1 J'd.
+///
+/// # Errors
+/// As [`fit`].
+pub(super) fn moved_by(
+    disturbances: impl Iterator<Item = Residuals>,
+    values: &[f64],
+    steps: &[f64],
+    residuals: impl Fn(&[f64]) -> Residuals,
+) -> Result<Vec<Vec<f64>>, CalibrationError> {
+    let slopes = slopes(values, steps, &residuals);
+    let (normal, _) = normal_equations(&slopes, &residuals(values), values.len());
+    let inverse = inverse(&normal)?;
+    let moved = disturbances.map(|disturbance| {
+        let (_, gradient) = normal_equations(&slopes, &disturbance, values.len());
+        let row = |row: &Vec<f64>| -row.iter().zip(&gradient).map(|(a, g)| a * g).sum::<f64>();
+        inverse.iter().map(row).collect()
+    });
+    Ok(moved.collect())
+}
+
 fn cost_of(residuals: &Residuals) -> f64 {
     let all = residuals.iter().flatten().flatten();
     all.map(|r| r * r).sum()

@@ -193,7 +193,11 @@ impl Believable {
         let whole = micros_of(stamp);
         match stamp {
             WireStamp::Micros64(_) if self.contains(whole) => whole,
-            WireStamp::Micros64(_) | WireStamp::Micros32(_) | WireStamp::Millis32(_) => {
+            WireStamp::Micros64(_)
+            | WireStamp::Micros32(_)
+            | WireStamp::Millis32(_)
+            // It is no instant of this clock; the engine converts it by what is known of both.
+            | WireStamp::Asked { .. } => {
                 nearest_instant(self.expected_micros, whole)
             }
         }
@@ -210,7 +214,7 @@ fn micros_of(stamp: WireStamp) -> i64 {
         WireStamp::Micros32(micros) => i64::from(micros),
         WireStamp::Millis32(millis) => i64::from(millis) * 1_000,
         // Beyond i64 nanoseconds there is no instant; damage, which the restart rule then catches.
-        WireStamp::Micros64(micros) => i64::try_from(micros)
+        WireStamp::Micros64(_) | WireStamp::Asked { .. } => i64::try_from(stamp.as_micros())
             .unwrap_or(i64::MAX)
             .min(i64::MAX / 2_000),
     }

@@ -15,9 +15,9 @@ use crate::clock::unwrap::Unwrapped;
 /// A time request and its answer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exchange {
-    sent: Stamp<HostClock>,
-    answer: Arrival,
-    peer_nanos: i64,
+    pub(super) sent: Stamp<HostClock>,
+    pub(super) answer: Arrival,
+    pub(super) peer_nanos: i64,
 }
 
 impl Pipeline {
@@ -104,7 +104,7 @@ impl Pipeline {
             .is_none_or(|link| link.state == LinkState::Down)
     }
 
-    fn handle_exchange(&mut self, peer: Address, exchange: Exchange) {
+    pub(super) fn handle_exchange(&mut self, peer: Address, exchange: Exchange) {
         // No clock of a brick or a camera counts backwards from its power-up: a negative instant is damage.
         if exchange.peer_nanos < 0 {
             return;

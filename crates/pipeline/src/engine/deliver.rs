@@ -105,14 +105,17 @@ impl Pipeline {
         }
         let mut bytes = Vec::new();
         if link.encode(self.now, own, message, &mut bytes) == 0 {
-            // A message that this link's MAVLink version does not have, or that cannot be signed.
-            link.health.drops_out += 1;
+            // A message that this link's MAVLink version does not have, or that cannot be signed. A brick with a protocol of its own
+            // is told what it understands; the rest was never meant for it.
+            link.health.drops_out += u64::from(link.codec.is_none());
             return;
         }
         if stream.is_some() || priority == Priority::Command {
             link.limiter.charge(self.now, bytes.len());
         }
-        self.router.say(&bytes);
+        if link.codec.is_none() {
+            self.router.say(&bytes);
+        }
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
         self.outputs.push_back(Output::Transmit {

@@ -12,6 +12,7 @@ use posebridge_telemetry::{
 };
 
 use super::Pipeline;
+use super::bricks::Noted;
 use super::forward::Passage;
 use crate::peers::Believed;
 
@@ -54,6 +55,20 @@ impl Pipeline {
         };
         if let Some(bytes) = bytes {
             link.health.bytes_in += bytes.len() as u64;
+        }
+        if let Some(codec) = &mut link.codec {
+            if let Some(bytes) = bytes {
+                let mut noted = Noted::default();
+                codec.push(now, bytes, &mut |heard| noted.take(heard));
+                self.hear_brick(
+                    Arrival {
+                        way: Way { link: id, peer },
+                        at,
+                    },
+                    noted,
+                );
+            }
+            return;
         }
         let way = Way { link: id, peer };
         let mut intake = Intake {

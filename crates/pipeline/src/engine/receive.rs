@@ -119,27 +119,46 @@ impl Pipeline {
     }
 
     fn handle_brick_reading(&mut self, arrival: Arrival, robot: RobotId, reading: &Reading) {
-        let Some(stamp) = self.brick_instant(arrival, robot, reading.stamp) else {
+        let Some((stamp, stamp_sigma)) = self.brick_instant(arrival, robot, reading.stamp) else {
             return;
         };
         let observed = self.whole_turn_rate(stamp, reading);
         let observation = Observation {
             sensor: reading.sensor,
             stamp,
-            stamp_sigma: Span::ZERO,
+            stamp_sigma,
             observed,
         };
         self.observe(robot, robot.address, arrival.at, observation);
     }
 
-    /// The instant of a stamp by the robot's own clock; `None` if it is from before a restart.
+    /// The brick instant of something that the brick looked up between question and answer, and its sigma: it may lie anywhere between.
+    fn asked_instant(
+        &self,
+        sent: Stamp<HostClock>,
+        answered: Stamp<HostClock>,
+    ) -> Option<(Stamp<BrickClock>, Span)> {
+        let half = Span::from_nanos((answered - sent).as_nanos() / 2);
+        let (stamp, uncertainty) = self.brick_clock.remote_at(sent + half)?;
+        Some((stamp, sigma_of(half + uncertainty)))
+    }
+
+    /// The instant of a stamp by the robot's own clock, and its sigma; `None` if it is from before a restart, or an answer to a
+    /// question while nothing is known of that clock.
     pub(super) fn brick_instant(
         &mut self,
         arrival: Arrival,
         robot: RobotId,
         stamp: WireStamp,
-    ) -> Option<Stamp<BrickClock>> {
+    ) -> Option<(Stamp<BrickClock>, Span)> {
         let Arrival { way, at } = arrival;
+        if let WireStamp::Asked { sent, answered } = stamp {
+            let asked = self.asked_instant(sent, answered);
+            if asked.is_none() {
+                self.tell_unaligned(way.link, robot.address);
+            }
+            return asked;
+        }
         let instant = match self.brick_clock.arrived(way, stamp, at) {
             Unwrapped::Continued(instant) => instant,
             Unwrapped::Restarted(instant) => {
@@ -154,7 +173,7 @@ impl Pipeline {
         if self.brick_clock.take_contradiction() {
             self.tell_unaligned(way.link, robot.address);
         }
-        Some(instant)
+        Some((instant, Span::ZERO))
     }
 
     /// A fix that the robot passes on, stamped by its own clock: it may be older than any reordering explains.

@@ -33,7 +33,8 @@ impl Pipeline {
             return;
         }
         let instant = if is_robot {
-            self.brick_instant(arrival, brick, stamp)
+            let instant = self.brick_instant(arrival, brick, stamp);
+            instant.map(|(stamp, _)| stamp)
         } else {
             self.foreign_instant(arrival, brick, stamp)
         };
@@ -56,6 +57,11 @@ impl Pipeline {
         stamp: WireStamp,
     ) -> Option<Stamp<BrickClock>> {
         let RobotId { link, address } = brick;
+        if matches!(stamp, WireStamp::Asked { .. }) {
+            // Without a clock of its own its answers have no instants; with one it is a robot.
+            self.tell_unaligned(link, address);
+            return None;
+        }
         let clock = self.observers.entry((link, address)).or_default();
         let unwrapped = clock.arrived(arrival.way, stamp, arrival.at);
         // Nothing is converted by this clock.

@@ -70,6 +70,7 @@ const NOISE: SensorNoise = SensorNoise {
 
 pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
     LinkConfig {
+        brick: None,
         id,
         framing: Framing::Stream,
         version: AcceptedVersions::V2,

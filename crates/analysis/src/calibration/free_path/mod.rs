@@ -24,6 +24,7 @@ mod mistakes;
 mod predict;
 mod score;
 mod shape;
+mod wander;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{Calibration, Known};

@@ -147,7 +147,7 @@ impl Prediction<'_> {
 }
 
 /// Only the track is asked of it.
-const fn nominal(track_width_m: f64) -> DriveGeometry {
+pub(super) const fn nominal(track_width_m: f64) -> DriveGeometry {
     DriveGeometry {
         left_wheel_radius: Meters(1.0),
         right_wheel_radius: Meters(1.0),

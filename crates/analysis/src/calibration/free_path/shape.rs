@@ -5,11 +5,12 @@ use posebridge_telemetry::Known;
 use posebridge_telemetry::quantities::wrap_rad;
 
 use super::super::CalibrationError;
-use super::super::least_squares::{Fit, Residuals, fit};
+use super::super::least_squares::{Fit, Residuals, fit, moved_by};
 use super::drive::FreePath;
 use super::length::length_factor;
 use super::mistakes::{coarse_track_factor, heading_of_start};
 use super::predict::{Prediction, RobotNumbers};
+use super::wander::{jumped, jumps};
 use super::{Entry, PathCalibration, Standing, UNKNOWNS, Unknown};
 
 /// An unknown blurs the track if it makes its sigma so many times larger.
@@ -201,11 +202,7 @@ impl<'a> Shape<'a> {
         });
         let headings = self.free_headings.iter().map(|run| self.headings_rad[*run]);
         let start: Vec<f64> = start.chain(headings).collect();
-        let steps: Vec<f64> = unknowns
-            .iter()
-            .map(|unknown| unknown.step())
-            .chain(self.free_headings.iter().map(|_| HEADING_STEP_RAD))
-            .collect();
+        let steps = self.steps(&unknowns);
         if start.is_empty() {
             return Ok(Chosen {
                 fit: Fit::default(),
@@ -214,6 +211,13 @@ impl<'a> Shape<'a> {
         }
         let fit = fit(&start, &steps, |values| self.residuals(&unknowns, values))?;
         Ok(Chosen { unknowns, fit })
+    }
+
+    /// Half widths of the central differences.
+    fn steps(&self, unknowns: &[Unknown]) -> Vec<f64> {
+        let unknowns = unknowns.iter().map(|unknown| unknown.step());
+        let headings = self.free_headings.iter().map(|_| HEADING_STEP_RAD);
+        unknowns.chain(headings).collect()
     }
 
     fn residuals(&self, unknowns: &[Unknown], values: &[f64]) -> Residuals {
@@ -254,8 +258,10 @@ impl<'a> Shape<'a> {
     ) -> PathCalibration {
         let (after, headings_rad) = self.robot(&chosen.unknowns, &chosen.fit.values);
         let by_others = self.moved_by_others(chosen, &standings);
-        let looked_at = UNKNOWNS.iter().zip(standings).zip(by_others);
-        let entries = looked_at.map(|((unknown, standing), by_others)| {
+        let by_wandering = self.moved_by_wandering(chosen);
+        let looked_at = UNKNOWNS.iter().zip(standings);
+        let looked_at = looked_at.zip(by_others.into_iter().zip(by_wandering));
+        let entries = looked_at.map(|((unknown, standing), (by_others, by_wandering))| {
             let before = unknown.prior(&self.config.calibration);
             let after = match unknown {
                 Unknown::RadiusScale => self.radius_scale.or(chosen.known(*unknown)),
@@ -264,7 +270,7 @@ impl<'a> Shape<'a> {
                 | Unknown::FixDelay
                 | Unknown::TagForward
                 | Unknown::TagLeft => chosen.known(*unknown).map(|found| Known {
-                    sigma: found.sigma.hypot(by_others),
+                    sigma: found.sigma.hypot(by_others).hypot(by_wandering),
                     ..found
                 }),
             };
@@ -286,6 +292,46 @@ impl<'a> Shape<'a> {
             before: after,
             after,
         }
+    }
+
+    /// How far each unknown moves by a heading that wanders as the robot's noise says, one sigma.
+    fn moved_by_wandering(&self, chosen: &Chosen) -> [f64; UNKNOWNS.len()] {
+        let (unknowns, values) = (&chosen.unknowns, &chosen.fit.values);
+        let (numbers, headings) = self.robot(unknowns, values);
+        let (noise, track_m) = (&self.config.noise, numbers.track_width_m);
+        let prediction = Prediction { numbers, noise };
+        let here = self.residuals(unknowns, values);
+        let mut disturbances = Vec::new();
+        for (run, (path, heading_rad)) in self.paths.iter().zip(headings).enumerate() {
+            for jump in jumps(path, track_m, noise) {
+                let sigma_rad = jump.var_rad2.sqrt();
+                let by = |by_rad: f64| {
+                    prediction.innovations(&jumped(path, jump, by_rad, track_m), heading_rad)
+                };
+                let (above, below) = (by(HEADING_STEP_RAD), by(-HEADING_STEP_RAD));
+                let mut disturbance: Residuals =
+                    here.iter().map(|run| vec![[0.0; 2]; run.len()]).collect();
+                let sights = disturbance[run].iter_mut();
+                for ((change, up), down) in sights.zip(above).zip(below) {
+                    *change = [0, 1]
+                        .map(|axis| sigma_rad * (up[axis] - down[axis]) / (2.0 * HEADING_STEP_RAD));
+                }
+                disturbances.push(disturbance);
+            }
+        }
+        let steps = self.steps(unknowns);
+        let residuals = |values: &[f64]| self.residuals(unknowns, values);
+        // What could be fitted can be solved here, too.
+        let moved = moved_by(disturbances.into_iter(), values, &steps, residuals);
+        let mut squares = [0.0; UNKNOWNS.len()];
+        for shift in moved.unwrap_or_default() {
+            for (square, unknown) in squares.iter_mut().zip(UNKNOWNS) {
+                let place = unknowns.iter().position(|one| *one == unknown);
+                let shift = place.and_then(|place| shift.get(place));
+                *square += shift.map_or(0.0, |shift| shift * shift);
+            }
+        }
+        squares.map(f64::sqrt)
     }
 
     /// How far each unknown moves when what is not free in the third step is wrong by its sigma: the wheel size of the second step,

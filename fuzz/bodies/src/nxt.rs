@@ -1,0 +1,71 @@
+//! Any bytes at any time as what an NXT answers: the codec is never woken for nothing, and asks no more than one question at a time,
+//! with at most one telegram in front of it.
+
+use posebridge_protocol::bricks::nxt::{NxtFraming, NxtSensor, NxtSettings, Outstanding};
+use posebridge_protocol::bricks::{BrickSettings, Heard, brick_protocol};
+use posebridge_telemetry::{Span, Stamp};
+
+use crate::operands::Operands;
+
+/// Telegrams that may leave at once: two questions, each with one in front.
+const MOST_TELEGRAMS: usize = 4;
+
+/// Input: row and settings, then steps of a wait in milliseconds, a length, and so many bytes.
+pub(crate) fn check(data: &[u8]) {
+    let mut operands = Operands::new(data);
+    let choice = operands.byte();
+    let row = if choice & 1 == 0 { "nxt" } else { "nxt-push" };
+    let Some(protocol) = brick_protocol(row) else {
+        return;
+    };
+    let mut codec = (protocol.open)(&settings(choice));
+    let mut now = Stamp::ZERO;
+    codec.begin(now);
+    loop {
+        let mut telegrams = 0;
+        while codec.poll().is_some() {
+            telegrams += 1;
+            assert!(telegrams <= MOST_TELEGRAMS, "{telegrams} telegrams at once");
+        }
+        assert!(
+            codec.deadline().is_some_and(|due| due > now),
+            "nothing to wait for"
+        );
+        if operands.is_empty() {
+            break;
+        }
+        now = now + Span::from_millis(i64::from(operands.byte()));
+        let length = usize::from(operands.byte());
+        let mut texts = 0;
+        let mut sink = |heard: Heard<'_>| texts += usize::from(matches!(heard, Heard::Note { .. }));
+        codec.push(now, operands.part(length), &mut sink);
+        codec.tick(now, &mut sink);
+        assert!(texts <= 300, "{texts} lines at once");
+    }
+}
+
+fn settings(choice: u8) -> BrickSettings {
+    let is = |bit: u8| choice & (1 << bit) != 0;
+    BrickSettings {
+        nxt: NxtSettings {
+            sensors: [
+                NxtSensor::HtGyro,
+                NxtSensor::HtCompass,
+                NxtSensor::Ultrasonic,
+                NxtSensor::Temperature,
+            ],
+            outstanding: if is(1) {
+                Outstanding::Two
+            } else {
+                Outstanding::One
+            },
+            framing: if is(2) {
+                NxtFraming::Bare
+            } else {
+                NxtFraming::Prefixed
+            },
+            ..NxtSettings::default()
+        },
+        ..BrickSettings::default()
+    }
+}

@@ -1,0 +1,138 @@
+//! One cycle: everything that the brick is asked in one telegram, and what its answer says.
+//!
+//! # Model
+//! ```text
+//! values    clock u32 us | left count i32 deg | right count i32 deg | sensors f32 each, in their order
+//! ```
+//! The clock is read first, microseconds before the rest: the firmware runs the bytecodes of a telegram without a break.
+
+use posebridge_telemetry::{EncoderTicks, Radians, RadiansPerSecond, Span};
+
+use super::bytecode::DirectCommand;
+use super::sensors::{Role, Sensors};
+use super::settings::{Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection};
+use super::turn::Turn;
+use crate::message::{Inertial, Message, WheelTicks, WireStamp};
+
+/// Most sensors that are read.
+const MOST_SENSORS: usize = 2;
+/// Bytes of every value.
+const VALUE_BYTES: usize = 4;
+/// No gyro of LEGO's turns faster (EV3: 440 degrees per second, with twice that as a margin): more is damage.
+const FASTEST_DEG_PER_S: f64 = 880.0;
+/// The gyro's angle has 16 bits.
+const LARGEST_DEG: f64 = 32_768.0;
+
+/// Which sensors a cycle reads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Included(pub(super) [Option<Role>; MOST_SENSORS]);
+
+/// What an answer says, as it stands there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Values {
+    pub(super) micros: u32,
+    /// Left and right.
+    pub(super) counts: [i32; 2],
+    /// Two values of each sensor; not a number where none is.
+    pub(super) sensors: [[f64; 2]; MOST_SENSORS],
+}
+
+/// Writes the question of a cycle.
+pub(super) fn question(settings: &Ev3Settings, sensors: &Sensors) -> (DirectCommand, Included) {
+    let mut command = DirectCommand::default();
+    command.read_clock();
+    command.read_count(settings.left_motor);
+    command.read_count(settings.right_motor);
+    let included = sensors.write_reading(&mut command);
+    (command, included)
+}
+
+/// Reads the answer of a cycle; `None` if it is too short.
+pub(super) fn values(answer: &[u8], included: Included) -> Option<Values> {
+    let mut words = answer.as_chunks::<VALUE_BYTES>().0.iter().copied();
+    let micros = u32::from_le_bytes(words.next()?);
+    let counts = [
+        i32::from_le_bytes(words.next()?),
+        i32::from_le_bytes(words.next()?),
+    ];
+    let mut sensors = [[f64::NAN; 2]; MOST_SENSORS];
+    for (slots, role) in sensors.iter_mut().zip(included.0) {
+        let count = role.map_or(0, Role::values);
+        for slot in slots.iter_mut().take(usize::from(count)) {
+            *slot = f64::from(f32::from_le_bytes(words.next()?));
+        }
+    }
+    Some(Values {
+        micros,
+        counts,
+        sensors,
+    })
+}
+
+/// The counts with the sign of the motors.
+pub(super) const fn wheel_ticks(
+    settings: &Ev3Settings,
+    stamp: WireStamp,
+    total: [i64; 2],
+) -> Message {
+    let [left, right] = total;
+    let (left, right) = match settings.motors {
+        MotorDirection::Forward => (left, right),
+        MotorDirection::Backward => (-left, -right),
+    };
+    Message::WheelTicks(WheelTicks {
+        stamp,
+        left: EncoderTicks(left),
+        right: EncoderTicks(right),
+    })
+}
+
+/// What a sensor's values say; `None` if that is nothing.
+pub(super) fn sensed(
+    role: Role,
+    stamp: WireStamp,
+    values: [f64; 2],
+    (turn, since): (&mut Turn, Span),
+) -> Option<Message> {
+    match role {
+        Role::Gyro(gyro) => turned(gyro, stamp, values, (turn, since)),
+        Role::Distance(kind) => {
+            let (range, sigma) = kind.range(values[0])?;
+            Some(Message::DistanceSensor {
+                stamp,
+                range,
+                sigma,
+            })
+        }
+    }
+}
+
+/// In the mode for both the angle comes first.
+fn turned(
+    gyro: GyroSettings,
+    stamp: WireStamp,
+    values: [f64; 2],
+    (turn, since): (&mut Turn, Span),
+) -> Option<Message> {
+    let (angle_deg, rate_deg_per_s) = match gyro.reading {
+        GyroReading::Rate => (None, values[0]),
+        GyroReading::RateAndAngle => (Some(values[0]), values[1]),
+    };
+    let is_sound = rate_deg_per_s.abs() <= FASTEST_DEG_PER_S
+        && angle_deg.is_none_or(|angle_deg| angle_deg.abs() <= LARGEST_DEG);
+    if !is_sound {
+        return None;
+    }
+    // The sensor's arrow turns clockwise.
+    let sign = match gyro.mounting {
+        GyroMounting::Upright => -1.0,
+        GyroMounting::UpsideDown => 1.0,
+    };
+    let turned_deg = angle_deg.map(|angle_deg| turn.take(since, angle_deg, rate_deg_per_s));
+    Some(Message::Inertial(Inertial {
+        stamp,
+        turn_rate: Some(RadiansPerSecond((sign * rate_deg_per_s).to_radians())),
+        turn: turned_deg.map(|turned_deg| Radians((sign * turned_deg).to_radians())),
+        wheel_accelerations: None,
+    }))
+}

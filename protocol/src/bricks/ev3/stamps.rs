@@ -1,0 +1,142 @@
+//! Whether the clock in an answer may be believed: it was read between question and answer.
+//!
+//! The telegrams have no checksum, and one damaged stamp would be taken for a restart of the brick's clock. But of two answers the host
+//! knows between which instants each was given, and by so much the brick's clock has run on.
+//!
+//! # Model
+//! ```text
+//! sent2 - answered1  <=  (stamp2 - stamp1) mod 2^32  <=  answered2 - sent1,   both widened by 1 % and 5 ms
+//! ```
+//! What does not fit is refused once. If the next answer fits the refused one and not the one before, the clock was set (TIMER_READ_US follows
+//! the brick's calendar).
+
+use posebridge_telemetry::{HostClock, Span, Stamp};
+
+/// Period of the brick's counter of microseconds.
+const PERIOD_MICROS: i128 = 1 << 32;
+/// A clock may be off by so much of its rate, in hundredths: what the pipeline believes of any brick.
+const LARGEST_SKEW_PERCENT: i64 = 1;
+/// Below half a period the counter's difference has one meaning.
+const UNAMBIGUOUS: Span = Span::from_millis(2_000_000);
+/// Steps of both clocks and of the brick's scheduler.
+const MARGIN: Span = Span::from_millis(5);
+
+/// A stamp with the instants between which it was made.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stamped {
+    pub(super) micros: u32,
+    pub(super) sent: Stamp<HostClock>,
+    pub(super) answered: Stamp<HostClock>,
+}
+
+/// What a stamp that is believed says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Passed {
+    /// The clock ran on for so long since the last one; zero for the first of all.
+    RunsOn(Span),
+    /// The clock was set, or the brick was switched off and on.
+    Stepped,
+}
+
+/// The stamps of one brick.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Stamps {
+    last: Option<Stamped>,
+    suspect: Option<Stamped>,
+}
+
+impl Stamps {
+    /// Takes a stamp and says what has passed since the last one that was believed; `None` if this one is not believed.
+    pub(super) fn take(&mut self, stamp: Stamped) -> Option<Passed> {
+        let passed = match (self.last, self.suspect) {
+            (None, _) => Passed::RunsOn(Span::ZERO),
+            (Some(last), _) if stamp.follows(&last) => Passed::RunsOn(stamp.since(&last)),
+            (Some(_), Some(suspect)) if stamp.follows(&suspect) => Passed::Stepped,
+            _ => {
+                self.suspect = Some(stamp);
+                return None;
+            }
+        };
+        self.suspect = None;
+        self.last = Some(stamp);
+        Some(passed)
+    }
+}
+
+impl Stamped {
+    /// The time since a stamp that this one follows: by the brick's clock, as far as that tells it.
+    fn since(&self, last: &Self) -> Span {
+        let on_host = self.answered - last.answered;
+        let by_brick = self.micros.wrapping_sub(last.micros) as i32;
+        if on_host < UNAMBIGUOUS {
+            Span::from_micros(i64::from(by_brick)).max(Span::ZERO)
+        } else {
+            on_host
+        }
+    }
+
+    fn follows(&self, last: &Self) -> bool {
+        let longest = self.answered - last.sent;
+        let tolerance = Span::from_nanos(longest.as_nanos() / 100 * LARGEST_SKEW_PERCENT)
+            .max(Span::ZERO)
+            + MARGIN;
+        let least = micros(self.sent - last.answered - tolerance);
+        let most = micros(longest + tolerance);
+        let ran = i128::from(self.micros.wrapping_sub(last.micros));
+        (ran - least).rem_euclid(PERIOD_MICROS) <= most - least
+    }
+}
+
+const fn micros(span: Span) -> i128 {
+    (span.as_nanos() / 1_000) as i128
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Asked each 30 ms and answered 30 ms later; read in the middle.
+    fn nth(n: i64, start_micros: u32) -> Stamped {
+        Stamped {
+            micros: start_micros.wrapping_add((n * 30_000 + 15_000) as u32),
+            sent: Stamp::from_millis(n * 30),
+            answered: Stamp::from_millis((n + 1) * 30),
+        }
+    }
+
+    #[test]
+    fn a_counter_runs_on_across_its_wrap() {
+        let mut stamps = Stamps::default();
+        let taken: Vec<_> = (0..6)
+            .map(|n| stamps.take(nth(n, u32::MAX - 70_000)))
+            .collect();
+        let ran = |millis| Some(Passed::RunsOn(Span::from_millis(millis)));
+        let cycle = ran(30);
+        assert_eq!(taken, [ran(0), cycle, cycle, cycle, cycle, cycle]);
+    }
+
+    #[test]
+    fn one_damaged_stamp_is_refused_and_a_clock_that_was_set_is_followed() {
+        for bit in 17..32 {
+            let mut stamps = Stamps::default();
+            stamps.take(nth(0, 5_000_000));
+            let mut damaged = nth(1, 5_000_000);
+            damaged.micros ^= 1 << bit;
+            assert_eq!(stamps.take(damaged), None, "bit {bit}");
+            let since = stamps.take(nth(2, 5_000_000));
+            let ran = Passed::RunsOn(Span::from_millis(60));
+            assert_eq!(since, Some(ran), "bit {bit}");
+        }
+        let mut stamps = Stamps::default();
+        stamps.take(nth(0, 5_000_000));
+        assert_eq!(stamps.take(nth(1, 900_000_000)), None);
+        assert_eq!(stamps.take(nth(2, 900_000_000)), Some(Passed::Stepped));
+    }
+
+    #[test]
+    fn a_silence_of_hours_is_no_damage() {
+        let mut stamps = Stamps::default();
+        stamps.take(nth(0, 77));
+        assert!(stamps.take(nth(700_000, 77)).is_some());
+    }
+}

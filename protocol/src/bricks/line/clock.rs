@@ -1,0 +1,180 @@
+//! Whether the time in a line may be believed, and the time of lines that have none.
+//!
+//! A lost digit makes another time, which the rest of the station would take for a restart of the board. But lines come in their order, and a
+//! board's clock cannot run ahead of the host's by more than what was held back on the way.
+//!
+//! # Model
+//! ```text
+//! 0  <=  (time2 - time1) mod period  <=  1.01 (arrival2 - arrival1) + held back + 0.5 s
+//! held back := max(0, held back + (arrival2 - arrival1) - (time2 - time1)),  less 1 % of the time between
+//! ```
+//! What does not fit is refused once. If the next line fits the refused one and not the one before, the board was restarted.
+//!
+//! A board without a clock is given the host's: a line is from any time within the configured delay before it arrived.
+
+use posebridge_telemetry::{HostClock, Span, Stamp};
+
+use super::row::Time;
+
+/// Period of a counter of 32 bits.
+const PERIOD: i128 = 1 << 32;
+/// A clock may be off by one part in so many of its rate: what the pipeline believes of any brick.
+const SKEW_PARTS: i64 = 100;
+/// A clock may run ahead by so much without reason: less than what the pipeline takes for a restart.
+const AHEAD: Span = Span::from_millis(500);
+/// No link holds back a line for longer.
+const MOST_HELD_BACK: Span = Span::from_millis(60_000);
+/// So many lines without a time are followed by an exchange of time each: the pipeline needs three to know a clock.
+const EXCHANGES_AT_ONCE: u32 = 4;
+/// Later ones are so far apart.
+const EXCHANGE_PERIOD: Span = Span::from_millis(500);
+
+/// The clock of one board.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct BoardClock {
+    last: Option<Seen>,
+    suspect: Option<Seen>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    time: Time,
+    arrival: Stamp<HostClock>,
+    held_back: Span,
+}
+
+impl BoardClock {
+    /// Whether the time of a line that arrived at `arrival` is believed.
+    pub(super) fn believes(&mut self, time: Time, arrival: Stamp<HostClock>) -> bool {
+        let Some(last) = self.last else {
+            self.last = Some(Seen::first(time, arrival));
+            return true;
+        };
+        let follows_suspect = || {
+            self.suspect
+                .and_then(|seen| seen.followed_by(time, arrival))
+        };
+        if let Some(seen) = last.followed_by(time, arrival).or_else(follows_suspect) {
+            self.last = Some(seen);
+            self.suspect = None;
+            return true;
+        }
+        self.suspect = Some(Seen::first(time, arrival));
+        false
+    }
+
+    /// The time of the last line that was believed.
+    pub(super) fn last(&self) -> Option<Time> {
+        self.last.map(|seen| seen.time)
+    }
+}
+
+impl Seen {
+    const fn first(time: Time, arrival: Stamp<HostClock>) -> Self {
+        Self {
+            time,
+            arrival,
+            held_back: Span::ZERO,
+        }
+    }
+
+    /// A later line of the same clock; `None` if it cannot be one.
+    fn followed_by(&self, time: Time, arrival: Stamp<HostClock>) -> Option<Self> {
+        let on_host = (arrival - self.arrival).max(Span::ZERO);
+        let skew = Span::from_nanos(on_host.as_nanos() / SKEW_PARTS);
+        let most = on_host + skew + self.held_back + AHEAD;
+        let (ran, step) = match (self.time, time) {
+            (Time::Millis(from), Time::Millis(to)) => (to.wrapping_sub(from), 1_000_000),
+            (Time::Micros(from), Time::Micros(to)) => (to.wrapping_sub(from), 1_000),
+            (Time::Millis(_), Time::Micros(_)) | (Time::Micros(_), Time::Millis(_)) => return None,
+        };
+        // The counter may have wrapped in a silence: of all that it may mean, the latest that can be.
+        let most_steps = i128::from(most.as_nanos()) / step;
+        let behind = (most_steps - i128::from(ran)).rem_euclid(PERIOD);
+        let steps = most_steps - behind;
+        if steps < 0 {
+            return None;
+        }
+        let on_board = Span::from_nanos((steps * step) as i64);
+        let kept = (self.held_back - skew).max(Span::ZERO);
+        let held_back = (kept + on_host - on_board)
+            .max(Span::ZERO)
+            .min(MOST_HELD_BACK);
+        Some(Self {
+            time,
+            arrival,
+            held_back,
+        })
+    }
+}
+
+/// When the host's clock is to be told to the pipeline as that of a board that has none.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LentClock {
+    exchanges: u32,
+    last: Option<Stamp<HostClock>>,
+}
+
+impl LentClock {
+    /// A line arrived: whether an exchange of time is due.
+    pub(super) fn is_due(&mut self, now: Stamp<HostClock>) -> bool {
+        let is_due = self.exchanges < EXCHANGES_AT_ONCE
+            || self.last.is_none_or(|last| now - last >= EXCHANGE_PERIOD);
+        if is_due {
+            self.exchanges = self.exchanges.saturating_add(1);
+            self.last = Some(now);
+        }
+        is_due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn believed(lines: &[(i64, u32)]) -> Vec<bool> {
+        let mut clock = BoardClock::default();
+        let believe = |(arrival_ms, time_ms): &(i64, u32)| {
+            clock.believes(Time::Millis(*time_ms), Stamp::from_millis(*arrival_ms))
+        };
+        lines.iter().map(believe).collect()
+    }
+
+    #[test]
+    fn a_time_with_a_lost_digit_is_refused_once_and_a_restart_is_followed() {
+        let lines = [
+            (1_000, 12_345),
+            (1_050, 1_395),
+            (1_100, 12_445),
+            (1_150, 812_495),
+        ];
+        assert_eq!(believed(&lines), [true, false, true, false]);
+        let lines = [(1_000, 90_000), (3_000, 10), (3_050, 60), (3_100, 110)];
+        assert_eq!(believed(&lines), [true, false, true, true]);
+    }
+
+    #[test]
+    fn a_stall_and_its_burst_and_the_wrap_are_believed() {
+        let stall = [
+            (0, 0),
+            (50, 50),
+            (3_000, 100),
+            (3_000, 1_500),
+            (3_001, 2_950),
+            (3_050, 3_050),
+        ];
+        assert_eq!(believed(&stall), [true; 6]);
+        let wrap = [(0, u32::MAX - 20), (50, 29), (5_000_000, 5_000_029)];
+        assert_eq!(believed(&wrap), [true; 3]);
+    }
+
+    #[test]
+    fn a_silence_longer_than_the_period_of_microseconds_is_no_restart() {
+        let mut clock = BoardClock::default();
+        assert!(clock.believes(Time::Micros(5), Stamp::ZERO));
+        // Twice the period and a second.
+        let later = Stamp::from_micros(2 * (1 << 32) + 1_000_000);
+        assert!(clock.believes(Time::Micros(1_000_005), later));
+        assert!(!clock.believes(Time::Micros(900_000), later + Span::from_millis(20)));
+    }
+}

@@ -1,0 +1,340 @@
+//! Sensors on the I2C bus: written to without a reply, their answers read with the next round of IO maps.
+//!
+//! # Model
+//! ```text
+//! sensor          address  ask     answer                                          period
+//! accelerometer   02       42      x y z high bytes, x y z low two bits            each round
+//! compass         02       42      a b, heading = 2 a + b degrees clockwise        100 ms
+//! ultrasonic      02       42      centimetres, 255 none; 41 02 measures for ever  100 ms
+//! temperature     98       00      two bytes, big-endian, 1/16 degree above bit 4  1 s; 01 60 sets 12 bits
+//! ```
+//! A buffer in which nothing has come since the last reading is no answer; the bus needs its time, or nobody is there.
+//!
+//! # Sources
+//! HiTechnic's register tables of NAC1040 and NMC1034; LEGO MINDSTORMS NXT Hardware Developer Kit, ultrasonic sensor; Texas
+//! Instruments TMP275 datasheet, tables 2 to 8, for LEGO 9749.
+
+use posebridge_telemetry::{Celsius, HostClock, Meters, MetersPerSecondSquared, Span, Stamp};
+
+use super::io_maps::Buffer;
+use super::settings::{ForwardAxis, NxtSensor};
+use super::telegram;
+
+/// Address of LEGO's and HiTechnic's digital sensors.
+const SENSOR: u8 = 0x02;
+/// First register of what they measure.
+const MEASURED: u8 = 0x42;
+/// Address of LEGO's thermometer.
+const THERMOMETER: u8 = 0x98;
+/// Standard gravity over 200 counts.
+const ACCELERATION_UNIT_M_PER_S2: f64 = 9.806_65 / 200.0;
+/// What the ultrasonic sensor says when it hears no echo.
+const NO_ECHO: u8 = 255;
+/// Rounds in which an answer may still come before the sensor is asked again.
+const MOST_ROUNDS: u8 = 3;
+/// Questions in a row without an answer after which people are told.
+const MANY_UNANSWERED: u8 = 10;
+/// Time that a sensor gets to settle into its mode.
+const SETTLING: Span = Span::from_millis(100);
+/// Most bytes that one of them answers.
+const LONGEST_ANSWER: usize = 6;
+
+/// What a sensor measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Measured {
+    /// Along the robot's forward direction.
+    Acceleration(MetersPerSecondSquared),
+    /// Clockwise from magnetic north.
+    CompassDegrees(f64),
+    Range(Meters),
+    /// The ultrasonic sensor hears no echo.
+    NoEcho,
+    Temperature(Celsius),
+}
+
+/// How one kind of sensor is asked.
+#[derive(Clone, Copy, Debug)]
+struct Manner {
+    ask: &'static [u8],
+    answer_bytes: u8,
+    /// Sent once after it is set up.
+    prepare: Option<&'static [u8]>,
+    period: Span,
+}
+
+const fn manner(sensor: NxtSensor) -> Option<Manner> {
+    let (ask, answer_bytes, prepare, period): (_, _, Option<&'static [u8]>, _) = match sensor {
+        NxtSensor::None | NxtSensor::HtGyro => return None,
+        NxtSensor::HtAccelerometer { .. } => (&[SENSOR, MEASURED], 6, None, 0),
+        NxtSensor::HtCompass => (&[SENSOR, MEASURED], 2, None, 100),
+        NxtSensor::Ultrasonic => (&[SENSOR, MEASURED], 1, Some(&[SENSOR, 0x41, 0x02]), 100),
+        NxtSensor::Temperature => (
+            &[THERMOMETER, 0x00],
+            2,
+            Some(&[THERMOMETER, 0x01, 0x60]),
+            1_000,
+        ),
+    };
+    Some(Manner {
+        ask,
+        answer_bytes,
+        prepare,
+        period: Span::from_millis(period),
+    })
+}
+
+/// True for sensors on the bus.
+pub(super) const fn is_digital(sensor: NxtSensor) -> bool {
+    manner(sensor).is_some()
+}
+
+/// One sensor on the bus.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Device {
+    sensor: NxtSensor,
+    manner: Manner,
+    is_prepared: bool,
+    due: Stamp<HostClock>,
+    asked: Option<Stamp<HostClock>>,
+    rounds: u8,
+    unanswered: u8,
+    last_end: Option<u8>,
+}
+
+impl Device {
+    /// `None` for what is not on the bus.
+    pub(super) const fn new(sensor: NxtSensor) -> Option<Self> {
+        let Some(manner) = manner(sensor) else {
+            return None;
+        };
+        Some(Self {
+            sensor,
+            manner,
+            is_prepared: manner.prepare.is_none(),
+            due: Stamp::ZERO,
+            asked: None,
+            rounds: 0,
+            unanswered: 0,
+            last_end: None,
+        })
+    }
+
+    /// The port was set up anew.
+    pub(super) const fn begin(&mut self, now: Stamp<HostClock>) {
+        self.is_prepared = self.manner.prepare.is_none();
+        self.due = now;
+        self.asked = None;
+        self.unanswered = 0;
+        self.last_end = None;
+    }
+
+    /// When it was asked what it has not answered yet.
+    pub(super) const fn asked(&self) -> Option<Stamp<HostClock>> {
+        self.asked
+    }
+
+    /// True when it has not answered for many questions.
+    pub(super) const fn is_silent(&self) -> bool {
+        self.unanswered >= MANY_UNANSWERED
+    }
+
+    /// What to write to it now, if anything.
+    pub(super) fn write(&mut self, port: u8, now: Stamp<HostClock>) -> Option<Vec<u8>> {
+        if self.asked.is_some() || now < self.due {
+            return None;
+        }
+        if let (false, Some(prepare)) = (self.is_prepared, self.manner.prepare) {
+            self.is_prepared = true;
+            self.due = now + SETTLING;
+            return Some(telegram::ls_write(port, prepare, 0));
+        }
+        self.asked = Some(now);
+        self.rounds = 0;
+        self.due = now + self.manner.period;
+        let Manner {
+            ask, answer_bytes, ..
+        } = self.manner;
+        Some(telegram::ls_write(port, ask, answer_bytes))
+    }
+
+    /// The receive buffer as it stands now.
+    pub(super) fn look(&mut self, buffer: Buffer) -> Option<Measured> {
+        let before = self.last_end.replace(buffer.end);
+        let is_fresh =
+            before.is_some_and(|end| end != buffer.end) || buffer.end == self.manner.answer_bytes;
+        if !is_fresh {
+            self.wait_on();
+            return None;
+        }
+        self.answered();
+        self.measured(&buffer.last())
+    }
+
+    /// What was fetched from the buffer: `said` bytes of `data`.
+    pub(super) fn fetched(&mut self, said: u8, data: [u8; 16]) -> Option<Measured> {
+        if said < self.manner.answer_bytes {
+            self.wait_on();
+            return None;
+        }
+        self.answered();
+        let end = said % 16;
+        self.measured(&Buffer { ring: data, end }.last())
+    }
+
+    /// The answer is not there yet.
+    pub(super) fn wait_on(&mut self) {
+        self.rounds += 1;
+        if self.rounds >= MOST_ROUNDS {
+            self.asked = None;
+            self.unanswered = self.unanswered.saturating_add(1);
+        }
+    }
+
+    const fn answered(&mut self) {
+        self.asked = None;
+        self.unanswered = 0;
+    }
+
+    /// `last` ends with the answer.
+    fn measured(&self, last: &[u8; LONGEST_ANSWER]) -> Option<Measured> {
+        let [x, y, z, x_low, y_low, z_low] = *last;
+        match self.sensor {
+            NxtSensor::None | NxtSensor::HtGyro => None,
+            NxtSensor::HtAccelerometer { forward, .. } => {
+                let counts = |high: u8, low: u8| {
+                    f64::from((i16::from(high.cast_signed()) << 2) | i16::from(low & 3))
+                };
+                let along = match forward {
+                    ForwardAxis::X => counts(x, x_low),
+                    ForwardAxis::MinusX => -counts(x, x_low),
+                    ForwardAxis::Y => counts(y, y_low),
+                    ForwardAxis::MinusY => -counts(y, y_low),
+                    ForwardAxis::Z => counts(z, z_low),
+                    ForwardAxis::MinusZ => -counts(z, z_low),
+                };
+                let along = MetersPerSecondSquared(along * ACCELERATION_UNIT_M_PER_S2);
+                Some(Measured::Acceleration(along))
+            }
+            NxtSensor::HtCompass => {
+                let degrees = 2.0 * f64::from(y_low) + f64::from(z_low);
+                (degrees < 360.0).then_some(Measured::CompassDegrees(degrees))
+            }
+            NxtSensor::Ultrasonic if z_low == NO_ECHO => Some(Measured::NoEcho),
+            NxtSensor::Ultrasonic => Some(Measured::Range(Meters(f64::from(z_low) / 100.0))),
+            NxtSensor::Temperature => {
+                let sixteenths = i16::from_be_bytes([y_low, z_low]) >> 4;
+                let celsius = Celsius(f64::from(sixteenths) / 16.0);
+                Some(Measured::Temperature(celsius))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bricks::nxt::settings::AccelerometerPlace;
+
+    fn answered(sensor: NxtSensor, answer: &[u8]) -> Option<Measured> {
+        let mut device = Device::new(sensor).unwrap();
+        let mut ring = [0xAA; 16];
+        ring[..answer.len()].copy_from_slice(answer);
+        device.look(Buffer {
+            ring,
+            end: answer.len() as u8,
+        })
+    }
+
+    fn accelerometer(forward: ForwardAxis) -> NxtSensor {
+        NxtSensor::HtAccelerometer {
+            forward,
+            place: AccelerometerPlace::Centre,
+        }
+    }
+
+    #[test]
+    fn an_acceleration_has_ten_bits_and_a_sign() {
+        // x = -1 (ff 03), y = 200 (32 00), z = -200 (ce 00).
+        let answer = [0xFF, 0x32, 0xCE, 0x03, 0x00, 0x00];
+        for (axis, expected_g) in [
+            (ForwardAxis::X, -1.0 / 200.0),
+            (ForwardAxis::MinusX, 1.0 / 200.0),
+            (ForwardAxis::Y, 1.0),
+            (ForwardAxis::MinusY, -1.0),
+            (ForwardAxis::Z, -1.0),
+            (ForwardAxis::MinusZ, 1.0),
+        ] {
+            let Some(Measured::Acceleration(found)) = answered(accelerometer(axis), &answer) else {
+                panic!("{axis:?}");
+            };
+            assert!((found.0 - expected_g * 9.80665).abs() < 1e-9, "{axis:?}");
+        }
+    }
+
+    #[test]
+    fn compass_range_and_temperature_mean_what_the_makers_say() {
+        let compass = answered(NxtSensor::HtCompass, &[0x87, 0x01]);
+        assert_eq!(compass, Some(Measured::CompassDegrees(271.0)));
+        assert_eq!(answered(NxtSensor::HtCompass, &[0xFF, 0x01]), None);
+        let range = answered(NxtSensor::Ultrasonic, &[0x2A]);
+        assert_eq!(range, Some(Measured::Range(Meters(0.42))));
+        let nothing = answered(NxtSensor::Ultrasonic, &[0xFF]);
+        assert_eq!(nothing, Some(Measured::NoEcho));
+        // TMP275 datasheet, table 5: 19 00 is 25 degrees, e7 00 is -25, ff f0 is -0.0625.
+        for (bytes, degrees) in [
+            ([0x19, 0x00], 25.0),
+            ([0xE7, 0x00], -25.0),
+            ([0xFF, 0xF0], -0.0625),
+        ] {
+            let found = answered(NxtSensor::Temperature, &bytes);
+            assert_eq!(found, Some(Measured::Temperature(Celsius(degrees))));
+        }
+    }
+
+    #[test]
+    fn an_answer_that_goes_round_the_ring_is_whole() {
+        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
+        let mut ring = [0; 16];
+        (ring[15], ring[0]) = (0x10, 0x01);
+        assert_eq!(device.look(Buffer { ring, end: 15 }), None);
+        let found = device.look(Buffer { ring, end: 1 });
+        assert_eq!(found, Some(Measured::CompassDegrees(33.0)));
+    }
+
+    #[test]
+    fn a_sensor_is_prepared_then_asked_at_its_period_and_once_at_a_time() {
+        let mut device = Device::new(NxtSensor::Ultrasonic).unwrap();
+        device.begin(Stamp::from_millis(1_000));
+        let at = |device: &mut Device, millis| device.write(3, Stamp::from_millis(millis));
+        let prepare = vec![0x80, 0x0F, 0x03, 0x03, 0x00, 0x02, 0x41, 0x02];
+        assert_eq!(at(&mut device, 1_000), Some(prepare));
+        assert_eq!(at(&mut device, 1_099), None);
+        let ask = vec![0x80, 0x0F, 0x03, 0x02, 0x01, 0x02, 0x42];
+        assert_eq!(at(&mut device, 1_100), Some(ask.clone()));
+        assert_eq!(at(&mut device, 1_300), None);
+        device.fetched(1, [7; 16]);
+        assert_eq!(at(&mut device, 1_300), Some(ask));
+    }
+
+    #[test]
+    fn a_sensor_that_is_not_there_is_asked_again_and_then_told_of() {
+        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
+        let empty = Buffer {
+            ring: [0; 16],
+            end: 0,
+        };
+        for second in 0..10 {
+            assert!(!device.is_silent());
+            assert!(
+                device
+                    .write(0, Stamp::from_millis(1_000 * second))
+                    .is_some()
+            );
+            for _ in 0..3 {
+                assert_eq!(device.look(empty), None);
+            }
+            assert_eq!(device.asked(), None);
+        }
+        assert!(device.is_silent());
+    }
+}

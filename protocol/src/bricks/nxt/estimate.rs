@@ -1,0 +1,218 @@
+//! The estimate on its way into a mailbox of the brick, and whether anybody reads it there.
+//!
+//! # Layout
+//! ```text
+//! 0 u32 brick time, ms    4 f32 x, m    8 f32 y, m    12 f32 heading, rad    16 f32 sigma, m
+//! 20 u8 flags (bit 0 position valid, bit 1 heading valid)    21 u8 reset counter    22 u16 sequence    little-endian
+//! ```
+//! sigma is the larger of the standard deviations of x and y; infinite when there is none.
+//!
+//! Messages leave without a reply, because a reply costs a turn-around of the radio chip. Without a program on the brick nobody reads
+//! them; to learn of that, one every few seconds wants a reply. It is a question like others, so it waits for its turn.
+
+use posebridge_telemetry::{HostClock, Span, Stamp};
+
+use super::status::Status;
+use super::telegram::{Answer, message_write};
+use crate::message::PlanarPose;
+
+/// A program may be started at any time.
+const PROBE_PERIOD: Span = Span::from_millis(5_000);
+const POSITION_VALID: u8 = 1 << 0;
+const HEADING_VALID: u8 = 1 << 1;
+/// Bytes of an estimate.
+const ESTIMATE_BYTES: usize = 24;
+
+/// Who reads the mailbox.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Reader {
+    #[default]
+    Unknown,
+    Program,
+    Nobody,
+}
+
+/// The mailbox of one brick.
+#[derive(Debug)]
+pub(super) struct Mailbox {
+    number: u8,
+    reader: Reader,
+    next_probe: Option<Stamp<HostClock>>,
+    /// The message of the probe, while it waits for its turn.
+    probe: Option<Vec<u8>>,
+    sequence: u16,
+}
+
+impl Mailbox {
+    pub(super) const fn new(number: u8) -> Self {
+        Self {
+            number,
+            reader: Reader::Unknown,
+            next_probe: None,
+            probe: None,
+            sequence: 0,
+        }
+    }
+
+    /// Nothing is known of who reads.
+    pub(super) fn begin(&mut self) {
+        *self = Self {
+            sequence: self.sequence,
+            ..Self::new(self.number)
+        };
+    }
+
+    /// The telegram that takes an estimate to the brick at once, if it may; the next probe takes it otherwise, or nobody.
+    pub(super) fn post(
+        &mut self,
+        now: Stamp<HostClock>,
+        pose: &PlanarPose,
+        brick_millis: u32,
+    ) -> Option<Vec<u8>> {
+        let is_probe = self.probe.is_some() || self.next_probe.is_none_or(|due| now >= due);
+        if !is_probe && self.reader != Reader::Program {
+            return None;
+        }
+        let message = estimate_bytes(pose, brick_millis, self.sequence);
+        self.sequence = self.sequence.wrapping_add(1);
+        if is_probe {
+            self.probe = message_write(self.number, &message, Answer::Wanted);
+            return None;
+        }
+        message_write(self.number, &message, Answer::Unwanted)
+    }
+
+    /// The probe, if one waits for its turn.
+    pub(super) fn take_probe(&mut self, now: Stamp<HostClock>) -> Option<Vec<u8>> {
+        let probe = self.probe.take()?;
+        self.next_probe = Some(now + PROBE_PERIOD);
+        Some(probe)
+    }
+
+    /// What became of the probe.
+    pub(super) fn answered(&mut self, status: Status) {
+        // A full mailbox drops its oldest message: somebody will read it, or a program runs that does not.
+        self.reader = if status == Status::OK {
+            Reader::Program
+        } else {
+            Reader::Nobody
+        };
+    }
+}
+
+fn estimate_bytes(pose: &PlanarPose, brick_millis: u32, sequence: u16) -> [u8; ESTIMATE_BYTES] {
+    let [xx, _, _, yy, ..] = pose.covariance;
+    let variance_m2 = xx.max(yy);
+    let sigma_m = if variance_m2 >= 0.0 {
+        variance_m2.sqrt()
+    } else {
+        f64::INFINITY
+    };
+    let position = if pose.flags.position_valid {
+        POSITION_VALID
+    } else {
+        0
+    };
+    let heading = if pose.flags.heading_valid {
+        HEADING_VALID
+    } else {
+        0
+    };
+    let floats = [
+        pose.pose.x.0,
+        pose.pose.y.0,
+        pose.pose.heading.rad(),
+        sigma_m,
+    ];
+    let mut bytes = [0; ESTIMATE_BYTES];
+    let parts = brick_millis
+        .to_le_bytes()
+        .into_iter()
+        .chain(
+            floats
+                .into_iter()
+                .flat_map(|value| (value as f32).to_le_bytes()),
+        )
+        .chain([position | heading, pose.reset_counter])
+        .chain(sequence.to_le_bytes());
+    for (byte, part) in bytes.iter_mut().zip(parts) {
+        *byte = part;
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::{PoseFlags, WireStamp};
+    use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond};
+
+    fn pose() -> PlanarPose {
+        PlanarPose {
+            stamp: WireStamp::Micros32(0),
+            pose: Pose::new(Meters(1.5), Meters(-2.0), Heading::from_rad(0.5)),
+            forward_speed: MetersPerSecond(0.0),
+            turn_rate: RadiansPerSecond(0.0),
+            covariance: [1e-4, 0.0, 0.0, 0.0625, 0.0, 1e-4],
+            fix_age: None,
+            reset_counter: 3,
+            flags: PoseFlags {
+                position_valid: true,
+                heading_valid: true,
+                ..PoseFlags::default()
+            },
+        }
+    }
+
+    /// IEEE 754: 1.5 is 3fc00000, -2 is c0000000, 0.5 is 3f000000, 0.25 is 3e800000.
+    #[test]
+    fn an_estimate_is_these_bytes() {
+        let expected = [
+            0x78, 0x56, 0x34, 0x12, 0x00, 0x00, 0xC0, 0x3F, 0x00, 0x00, 0x00, 0xC0, 0x00, 0x00,
+            0x00, 0x3F, 0x00, 0x00, 0x80, 0x3E, 0x03, 0x03, 0x02, 0x01,
+        ];
+        assert_eq!(estimate_bytes(&pose(), 0x1234_5678, 0x0102), expected);
+        let mut lost = pose();
+        lost.covariance[0] = f64::NAN;
+        lost.covariance[3] = f64::NAN;
+        lost.flags = PoseFlags::default();
+        let bytes = estimate_bytes(&lost, 0, 0);
+        assert_eq!(bytes[16..21], [0x00, 0x00, 0x80, 0x7F, 0x00]);
+    }
+
+    #[test]
+    fn the_first_and_one_every_five_seconds_ask_and_the_rest_does_not() {
+        let mut mailbox = Mailbox::new(4);
+        let start = Stamp::from_millis(100);
+        assert_eq!(mailbox.post(start, &pose(), 0), None);
+        let probe = mailbox.take_probe(start).unwrap();
+        assert_eq!(probe[..4], [0x00, 0x09, 0x04, 25]);
+        assert_eq!((probe.len(), probe[28]), (29, 0));
+        // Until the answer is there nothing more leaves.
+        assert_eq!(mailbox.post(Stamp::from_millis(150), &pose(), 0), None);
+        assert_eq!(mailbox.take_probe(Stamp::from_millis(150)), None);
+        mailbox.answered(Status::OK);
+        let plain = mailbox.post(Stamp::from_millis(200), &pose(), 0).unwrap();
+        assert_eq!(plain[..4], [0x80, 0x09, 0x04, 25]);
+        assert_eq!(mailbox.post(Stamp::from_millis(5_100), &pose(), 0), None);
+        assert!(mailbox.take_probe(Stamp::from_millis(5_100)).is_some());
+    }
+
+    #[test]
+    fn without_a_program_nothing_is_sent_until_the_next_probe() {
+        let mut mailbox = Mailbox::new(0);
+        mailbox.post(Stamp::ZERO, &pose(), 0);
+        mailbox.take_probe(Stamp::ZERO);
+        mailbox.answered(Status::NO_PROGRAM);
+        assert_eq!(mailbox.post(Stamp::from_millis(4_999), &pose(), 0), None);
+        assert_eq!(mailbox.take_probe(Stamp::from_millis(4_999)), None);
+        mailbox.post(Stamp::from_millis(5_000), &pose(), 0);
+        assert!(mailbox.take_probe(Stamp::from_millis(5_000)).is_some());
+        mailbox.answered(Status::OK);
+        assert!(
+            mailbox
+                .post(Stamp::from_millis(5_050), &pose(), 0)
+                .is_some()
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! The brick's IO maps: its firmware's own variables, of which one telegram reads up to 119 bytes.
+//!
+//! # Layout
+//! ```text
+//! module              id        holds
+//! Command             00010001  tick u32 @20, ms since power-up
+//! Output              00020001  3 motors of 32 bytes: count i32 @0, degrees
+//! Input               00030001  4 ports of 20 bytes: raw u16 @2, type @8, invalid @16
+//! Low speed           000B0001  4 ports of 19 bytes: ring of 16, write index @16
+//! ```
+//! # Sources
+//! The firmware's interface files c_output.iom, c_input.iom, c_lowspeed.iom, c_cmd.iom; its loader limits a read over Bluetooth to
+//! 128 - 9 bytes and over USB to 64 - 9.
+
+use super::telegram::{Reply, bytes_at, opcode};
+
+/// A part of a module's map. Reads of one module that may wait for their answers together have different lengths, because an answer
+/// repeats the module and the length, but not the offset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Window {
+    pub(super) module: Module,
+    pub(super) offset: u16,
+    pub(super) length: u16,
+}
+
+/// The modules that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Module {
+    Command,
+    Output,
+    Input,
+    LowSpeed,
+}
+
+impl Module {
+    pub(super) const fn id(self) -> u32 {
+        match self {
+            Self::Command => 0x0001_0001,
+            Self::Output => 0x0002_0001,
+            Self::Input => 0x0003_0001,
+            Self::LowSpeed => 0x000B_0001,
+        }
+    }
+}
+
+/// The brick's clock.
+pub(super) const TICK: Window = Window {
+    module: Module::Command,
+    offset: 20,
+    length: 4,
+};
+
+/// Bytes of one motor.
+const MOTOR_BYTES: u16 = 32;
+/// Bytes of one analog port.
+pub(super) const INPUT_BYTES: u16 = 20;
+/// Bytes of one digital port's receive buffer.
+pub(super) const BUFFER_BYTES: u16 = 19;
+/// Bytes of one motor up to its overload flag, the last that the module documents.
+const MOTOR_USED_BYTES: u16 = 28;
+/// A port's bytes up to its last interesting one, @16.
+const PORT_USED_BYTES: u16 = 17;
+
+/// All three motors.
+pub(super) const ALL_MOTORS: Window = Window {
+    module: Module::Output,
+    offset: 0,
+    length: 3 * MOTOR_BYTES,
+};
+/// All four analog ports.
+pub(super) const ALL_INPUTS: Window = Window {
+    module: Module::Input,
+    offset: 0,
+    length: 4 * INPUT_BYTES,
+};
+/// All four receive buffers of the digital ports.
+pub(super) const ALL_BUFFERS: Window = Window {
+    module: Module::LowSpeed,
+    offset: 0,
+    length: 4 * BUFFER_BYTES,
+};
+
+/// Two neighbouring motors, the first wholly and the second's count: 36 of the 55 bytes that every firmware allows.
+pub(super) const fn neighbours(first: u8) -> Window {
+    Window {
+        module: Module::Output,
+        offset: MOTOR_BYTES * first as u16,
+        length: MOTOR_BYTES + 4,
+    }
+}
+
+/// One motor.
+pub(super) const fn motor(index: u8) -> Window {
+    Window {
+        module: Module::Output,
+        offset: MOTOR_BYTES * index as u16,
+        length: MOTOR_USED_BYTES - index as u16,
+    }
+}
+
+/// One analog port.
+pub(super) const fn input(port: u8) -> Window {
+    Window {
+        module: Module::Input,
+        offset: INPUT_BYTES * port as u16,
+        length: PORT_USED_BYTES + port as u16,
+    }
+}
+
+/// One digital port's receive buffer.
+pub(super) const fn buffer(port: u8) -> Window {
+    Window {
+        module: Module::LowSpeed,
+        offset: BUFFER_BYTES * port as u16,
+        length: PORT_USED_BYTES + port as u16,
+    }
+}
+
+/// Bytes of a map in an answer, and where in the module they stand.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cutout<'a> {
+    window: Window,
+    bytes: &'a [u8],
+}
+
+/// One analog port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Input {
+    /// Of the ten-bit converter.
+    pub(super) raw: u16,
+    /// The sensor's type as it is set up.
+    pub(super) kind: u8,
+    /// False until the first conversion after it was set up.
+    pub(super) is_valid: bool,
+}
+
+/// One digital port's receive buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Buffer {
+    pub(super) ring: [u8; 16],
+    /// Where the next byte will stand.
+    pub(super) end: u8,
+}
+
+/// The id and the length that an answer to READ IO MAP repeats, and the data.
+pub(super) fn answered<'a>(reply: &Reply<'a>) -> Option<(u32, u16, &'a [u8])> {
+    if reply.opcode != opcode::READ_IO_MAP {
+        return None;
+    }
+    let module = u32::from_le_bytes(bytes_at(reply.values, 0)?);
+    let length = u16::from_le_bytes(bytes_at(reply.values, 4)?);
+    let data = reply.values.get(6..)?;
+    (data.len() == usize::from(length)).then_some((module, length, data))
+}
+
+impl<'a> Cutout<'a> {
+    /// What an answer says of the window that was asked for.
+    pub(super) fn of(window: Window, reply: &Reply<'a>) -> Option<Self> {
+        let (module, length, bytes) = answered(reply)?;
+        let fits = module == window.module.id() && length == window.length;
+        fits.then_some(Self { window, bytes })
+    }
+
+    fn at<const N: usize>(&self, in_module: u16) -> Option<[u8; N]> {
+        let inside = in_module.checked_sub(self.window.offset)?;
+        bytes_at(self.bytes, usize::from(inside))
+    }
+
+    /// The brick's clock, in milliseconds since its power-up.
+    pub(super) fn tick_millis(&self) -> Option<u32> {
+        self.at(TICK.offset).map(u32::from_le_bytes)
+    }
+
+    /// A motor's count in degrees, if the window holds it.
+    pub(super) fn count(&self, motor: u8) -> Option<i32> {
+        self.at(MOTOR_BYTES * u16::from(motor))
+            .map(i32::from_le_bytes)
+    }
+
+    /// An analog port, if the window holds it.
+    pub(super) fn input(&self, port: u8) -> Option<Input> {
+        let base = INPUT_BYTES * u16::from(port);
+        Some(Input {
+            raw: u16::from_le_bytes(self.at(base + 2)?),
+            kind: u8::from_le_bytes(self.at(base + 8)?),
+            is_valid: self.at(base + 16)? == [0],
+        })
+    }
+
+    /// A digital port's receive buffer, if the window holds it.
+    pub(super) fn buffer(&self, port: u8) -> Option<Buffer> {
+        let base = BUFFER_BYTES * u16::from(port);
+        let [end] = self.at(base + 16)?;
+        Some(Buffer {
+            ring: self.at(base)?,
+            end,
+        })
+    }
+}
+
+impl Buffer {
+    /// The last `N` bytes that came. The firmware goes round the ring, or begins anew at its start: both leave them before the end.
+    pub(super) fn last<const N: usize>(&self) -> [u8; N] {
+        let size = self.ring.len();
+        let first = usize::from(self.end) % size + size - N % size;
+        std::array::from_fn(|index| self.ring[(first + index) % size])
+    }
+}

@@ -1,0 +1,272 @@
+//! What a person must say about an NXT: which motor is which wheel, which sensor is at which port, how the link frames its telegrams.
+
+use posebridge_telemetry::Span;
+use thiserror::Error;
+
+/// Longest wait for an answer; people's programs wait from 0.5 s to 2 s (RWTH Aachen NXT toolbox: 2 s).
+const ANSWER_TIMEOUT: Span = Span::from_millis(500);
+/// Mailboxes that a host may write to (LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 2, MESSAGEWRITE).
+const MAILBOXES: u8 = 10;
+
+/// A motor's port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotorPort {
+    /// Port A, number 0 on the wire.
+    A,
+    /// Port B, 1.
+    B,
+    /// Port C, 2.
+    C,
+}
+
+impl MotorPort {
+    /// All of them, in their order on the wire.
+    pub const ALL: [Self; 3] = [Self::A, Self::B, Self::C];
+
+    /// Its number on the wire.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        self as u8
+    }
+
+    pub(super) const fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// Which way a motor sits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mounting {
+    /// Its count rises when the robot drives forward.
+    #[default]
+    Forward,
+    /// Its count falls when the robot drives forward.
+    Backward,
+}
+
+/// The motor of one wheel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WheelMotor {
+    /// Where it is plugged in.
+    pub port: MotorPort,
+    /// Which way it sits.
+    pub mounting: Mounting,
+}
+
+/// The axis of an accelerometer that points forward.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ForwardAxis {
+    /// Its x axis.
+    #[default]
+    X,
+    /// Against its x axis.
+    MinusX,
+    /// Its y axis.
+    Y,
+    /// Against its y axis.
+    MinusY,
+    /// Its z axis.
+    Z,
+    /// Against its z axis.
+    MinusZ,
+}
+
+/// Where an accelerometer sits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AccelerometerPlace {
+    /// Above the left wheel.
+    Left,
+    /// Above the right wheel.
+    Right,
+    /// Between them.
+    #[default]
+    Centre,
+}
+
+/// What is plugged in at a sensor port.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NxtSensor {
+    /// Nothing that is read.
+    #[default]
+    None,
+    /// HiTechnic NGY1044, one degree per second and count.
+    HtGyro,
+    /// HiTechnic NAC1040, 200 counts per g.
+    HtAccelerometer {
+        /// Its axis that points forward.
+        forward: ForwardAxis,
+        /// Where it sits.
+        place: AccelerometerPlace,
+    },
+    /// HiTechnic NMC1034, one degree.
+    HtCompass,
+    /// LEGO 9846, one centimetre, looking forward.
+    Ultrasonic,
+    /// LEGO 9749, 1/16 of a degree Celsius.
+    Temperature,
+}
+
+/// Which way a gyro counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GyroSign {
+    /// The reading rises when the robot turns counter-clockwise, seen from above.
+    #[default]
+    CounterClockwise,
+    /// The reading rises when it turns clockwise: the sensor hangs upside down.
+    Clockwise,
+}
+
+/// How many questions may wait for their answers at the same time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Outstanding {
+    /// One: every firmware can do that.
+    #[default]
+    One,
+    /// Two, if a trial at connect shows that the brick answers both.
+    Two,
+}
+
+/// How telegrams stand on the link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NxtFraming {
+    /// Each behind its length in two bytes: Bluetooth, and what stands in for it.
+    #[default]
+    Prefixed,
+    /// Bare, one in each chunk or datagram: USB, and nxt-python's socket.
+    Bare,
+}
+
+/// One NXT, as its codec must know it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NxtSettings {
+    /// The left wheel's motor.
+    pub left_motor: WheelMotor,
+    /// The right wheel's motor.
+    pub right_motor: WheelMotor,
+    /// What is plugged in at the ports 1 to 4.
+    pub sensors: [NxtSensor; 4],
+    /// What the gyro reads at rest, in counts; `None` learns it while both wheels stand.
+    pub gyro_rest: Option<f64>,
+    /// Which way the gyro counts.
+    pub gyro_sign: GyroSign,
+    /// What the compass reads when the robot points along the arena's x axis, in degrees.
+    pub compass_zero_deg: f64,
+    /// The mailbox that takes the estimate, 0 to 9.
+    pub mailbox: u8,
+    /// How many questions may wait at the same time.
+    pub outstanding: Outstanding,
+    /// How telegrams stand on the link.
+    pub framing: NxtFraming,
+    /// Longest wait for an answer.
+    pub answer_timeout: Span,
+}
+
+impl Default for NxtSettings {
+    /// The robot of LEGO's building instructions: left wheel at B, right wheel at C, no sensor.
+    fn default() -> Self {
+        let motor = |port| WheelMotor {
+            port,
+            mounting: Mounting::Forward,
+        };
+        Self {
+            left_motor: motor(MotorPort::B),
+            right_motor: motor(MotorPort::C),
+            sensors: [NxtSensor::None; 4],
+            gyro_rest: None,
+            gyro_sign: GyroSign::default(),
+            compass_zero_deg: 0.0,
+            mailbox: 0,
+            outstanding: Outstanding::default(),
+            framing: NxtFraming::default(),
+            answer_timeout: ANSWER_TIMEOUT,
+        }
+    }
+}
+
+/// Why settings cannot be those of a robot.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum NxtSettingsError {
+    /// Both wheels at one port.
+    #[error("both wheels are at motor port {0:?}")]
+    OneMotor(MotorPort),
+    /// No such mailbox.
+    #[error("mailbox {0} does not exist: a brick has 0 to 9")]
+    Mailbox(u8),
+    /// The gyro's rest value is none of the ten-bit converter.
+    #[error("a gyro cannot read {0} at rest: the reading lies between 0 and 1023")]
+    GyroRest(f64),
+    /// The compass's zero is no number.
+    #[error("the compass zero is {0} degrees, which is no direction")]
+    CompassZero(f64),
+    /// Nobody can answer within no time.
+    #[error("the longest wait for an answer is {0} ms, but must be more than zero")]
+    AnswerTimeout(f64),
+}
+
+impl NxtSettings {
+    /// Says what cannot be about them.
+    ///
+    /// # Errors
+    /// The first setting that no robot can have.
+    pub fn check(&self) -> Result<(), NxtSettingsError> {
+        if self.left_motor.port == self.right_motor.port {
+            return Err(NxtSettingsError::OneMotor(self.left_motor.port));
+        }
+        if self.mailbox >= MAILBOXES {
+            return Err(NxtSettingsError::Mailbox(self.mailbox));
+        }
+        if let Some(rest) = self.gyro_rest
+            && !(0.0..=1023.0).contains(&rest)
+        {
+            return Err(NxtSettingsError::GyroRest(rest));
+        }
+        if !self.compass_zero_deg.is_finite() {
+            return Err(NxtSettingsError::CompassZero(self.compass_zero_deg));
+        }
+        if self.answer_timeout <= Span::ZERO {
+            let millis = self.answer_timeout.as_millis_f64();
+            return Err(NxtSettingsError::AnswerTimeout(millis));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_settings_of_no_robot_are_refused_by_name() {
+        let sound = NxtSettings::default();
+        assert_eq!(sound.check(), Ok(()));
+        let mut one = sound.clone();
+        one.right_motor.port = MotorPort::B;
+        assert_eq!(
+            one.check().unwrap_err().to_string(),
+            "both wheels are at motor port B"
+        );
+        let mailbox = NxtSettings {
+            mailbox: 10,
+            ..sound.clone()
+        };
+        assert_eq!(mailbox.check(), Err(NxtSettingsError::Mailbox(10)));
+        for rest in [f64::NAN, -1.0, 1024.0] {
+            let gyro = NxtSettings {
+                gyro_rest: Some(rest),
+                ..sound.clone()
+            };
+            assert!(matches!(gyro.check(), Err(NxtSettingsError::GyroRest(_))));
+        }
+        let compass = NxtSettings {
+            compass_zero_deg: f64::INFINITY,
+            ..sound.clone()
+        };
+        assert!(compass.check().is_err());
+        let hasty = NxtSettings {
+            answer_timeout: Span::ZERO,
+            ..sound
+        };
+        assert!(hasty.check().is_err());
+    }
+}

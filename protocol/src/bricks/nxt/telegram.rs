@@ -1,0 +1,265 @@
+//! Telegrams to the brick and back, without any state: which bytes a command is, and what stands in a reply.
+//!
+//! # Layout
+//! ```text
+//! command   type opcode arguments        type 00 direct, 01 system, with reply; 80, 81 without
+//! reply     02 opcode status values      all numbers little-endian
+//! ```
+//! # Sources
+//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendices 1 and 2; where the firmware's source differs from them, the firmware.
+
+use super::settings::{MotorPort, NxtFraming};
+use super::status::Status;
+
+/// Type of a direct command that wants a reply.
+const DIRECT: u8 = 0x00;
+/// Type of a system command that wants a reply.
+const SYSTEM: u8 = 0x01;
+/// Bit that says that no reply is wanted.
+const NO_REPLY: u8 = 0x80;
+/// Type of a reply.
+pub(super) const REPLY: u8 = 0x02;
+/// Type of a direct command without reply: how a brick writes to another's mailbox.
+pub(super) const DIRECT_NO_REPLY: u8 = DIRECT | NO_REPLY;
+/// Bytes of a file name in a command, zeros behind it.
+const FILE_NAME_BYTES: usize = 20;
+/// Bytes of the length in front of a telegram.
+pub(super) const PREFIX_BYTES: usize = 2;
+/// The brick's Bluetooth buffer: no telegram is longer.
+pub(super) const LONGEST: usize = 128;
+/// Most bytes of a message besides its final zero.
+const LONGEST_MESSAGE: usize = 58;
+
+/// The second byte of a telegram.
+pub(super) mod opcode {
+    pub(in super::super) const START_PROGRAM: u8 = 0x00;
+    pub(in super::super) const STOP_PROGRAM: u8 = 0x01;
+    pub(in super::super) const SET_OUTPUT_STATE: u8 = 0x04;
+    pub(in super::super) const SET_INPUT_MODE: u8 = 0x05;
+    pub(in super::super) const GET_OUTPUT_STATE: u8 = 0x06;
+    pub(in super::super) const GET_INPUT_VALUES: u8 = 0x07;
+    pub(in super::super) const MESSAGE_WRITE: u8 = 0x09;
+    pub(in super::super) const KEEP_ALIVE: u8 = 0x0D;
+    pub(in super::super) const LS_WRITE: u8 = 0x0F;
+    pub(in super::super) const LS_READ: u8 = 0x10;
+    pub(in super::super) const FIRMWARE_VERSION: u8 = 0x88;
+    pub(in super::super) const READ_IO_MAP: u8 = 0x94;
+}
+
+/// Whether the brick shall answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// It shall.
+    Wanted,
+    /// It shall not.
+    Unwanted,
+}
+
+impl Answer {
+    const fn bit(self) -> u8 {
+        match self {
+            Self::Wanted => 0,
+            Self::Unwanted => NO_REPLY,
+        }
+    }
+}
+
+/// What a motor shall do (SETOUTPUTSTATE).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutputState {
+    /// Which motor; `None` is all three.
+    pub port: Option<MotorPort>,
+    /// Per cent of the battery, negative backwards.
+    pub power: i8,
+    /// Bit 0 on, bit 1 brake between pulses, bit 2 regulated.
+    pub mode: u8,
+    /// 0 none, 1 speed, 2 two motors in step.
+    pub regulation: u8,
+    /// For two motors in step, per cent to one side.
+    pub turn_ratio: i8,
+    /// 00 idle, 10 ramp up, 20 run, 40 ramp down.
+    pub run_state: u8,
+    /// Degrees after which to stop; 0 runs on.
+    pub tacho_limit: u32,
+}
+
+impl OutputState {
+    /// The motor runs at this power with its speed regulated, until it is told otherwise.
+    #[must_use]
+    pub const fn run(port: MotorPort, power: i8) -> Self {
+        Self {
+            port: Some(port),
+            power,
+            mode: 0b111,
+            regulation: 1,
+            turn_ratio: 0,
+            run_state: 0x20,
+            tacho_limit: 0,
+        }
+    }
+
+    /// All motors are let go.
+    #[must_use]
+    pub const fn coast() -> Self {
+        Self {
+            port: None,
+            power: 0,
+            mode: 0,
+            regulation: 0,
+            turn_ratio: 0,
+            run_state: 0,
+            tacho_limit: 0,
+        }
+    }
+}
+
+/// SETOUTPUTSTATE: drives a motor.
+#[must_use]
+pub fn set_output_state(state: &OutputState, answer: Answer) -> Vec<u8> {
+    let port = state.port.map_or(0xFF, MotorPort::number);
+    let mut telegram = vec![
+        DIRECT | answer.bit(),
+        opcode::SET_OUTPUT_STATE,
+        port,
+        state.power.cast_unsigned(),
+        state.mode,
+        state.regulation,
+        state.turn_ratio.cast_unsigned(),
+        state.run_state,
+    ];
+    telegram.extend_from_slice(&state.tacho_limit.to_le_bytes());
+    telegram
+}
+
+/// STARTPROGRAM: starts a program by its file name, of which 19 bytes are kept.
+#[must_use]
+pub fn start_program(file_name: &str, answer: Answer) -> Vec<u8> {
+    let mut telegram = vec![DIRECT | answer.bit(), opcode::START_PROGRAM];
+    telegram.extend(file_name.bytes().take(FILE_NAME_BYTES - 1));
+    telegram.resize(2 + FILE_NAME_BYTES, 0);
+    telegram
+}
+
+/// STOPPROGRAM: stops whichever runs.
+#[must_use]
+pub fn stop_program(answer: Answer) -> Vec<u8> {
+    vec![DIRECT | answer.bit(), opcode::STOP_PROGRAM]
+}
+
+/// MESSAGEWRITE: a message into a mailbox, with its final zero; `None` if it is too long for one.
+#[must_use]
+pub fn message_write(mailbox: u8, message: &[u8], answer: Answer) -> Option<Vec<u8>> {
+    if message.len() > LONGEST_MESSAGE {
+        return None;
+    }
+    let size = message.len() as u8 + 1;
+    let mut telegram = vec![DIRECT | answer.bit(), opcode::MESSAGE_WRITE, mailbox, size];
+    telegram.extend_from_slice(message);
+    telegram.push(0);
+    Some(telegram)
+}
+
+pub(super) fn set_input_mode(port: u8, kind: u8) -> Vec<u8> {
+    // Mode 00: the raw value, as it is.
+    vec![DIRECT, opcode::SET_INPUT_MODE, port, kind, 0]
+}
+
+pub(super) fn get_output_state(port: MotorPort) -> Vec<u8> {
+    vec![DIRECT, opcode::GET_OUTPUT_STATE, port.number()]
+}
+
+pub(super) fn get_input_values(port: u8) -> Vec<u8> {
+    vec![DIRECT, opcode::GET_INPUT_VALUES, port]
+}
+
+/// `answer_bytes` are read from the sensor after `bytes` were written to it; at most 16 each.
+pub(super) fn ls_write(port: u8, bytes: &[u8], answer_bytes: u8) -> Vec<u8> {
+    let length = bytes.len() as u8;
+    let mut telegram = vec![
+        DIRECT_NO_REPLY,
+        opcode::LS_WRITE,
+        port,
+        length,
+        answer_bytes,
+    ];
+    telegram.extend_from_slice(bytes);
+    telegram
+}
+
+pub(super) fn ls_read(port: u8) -> Vec<u8> {
+    vec![DIRECT, opcode::LS_READ, port]
+}
+
+pub(super) fn keep_alive() -> Vec<u8> {
+    vec![DIRECT_NO_REPLY, opcode::KEEP_ALIVE]
+}
+
+pub(super) fn firmware_version() -> Vec<u8> {
+    vec![SYSTEM, opcode::FIRMWARE_VERSION]
+}
+
+pub(super) fn read_io_map(module: u32, offset: u16, length: u16) -> Vec<u8> {
+    let mut telegram = vec![SYSTEM, opcode::READ_IO_MAP];
+    telegram.extend_from_slice(&module.to_le_bytes());
+    telegram.extend_from_slice(&offset.to_le_bytes());
+    telegram.extend_from_slice(&length.to_le_bytes());
+    telegram
+}
+
+/// A telegram as it stands on the link.
+#[must_use]
+pub fn framed(telegram: &[u8], framing: NxtFraming) -> Vec<u8> {
+    match framing {
+        NxtFraming::Bare => telegram.to_vec(),
+        NxtFraming::Prefixed => {
+            let mut bytes = (telegram.len() as u16).to_le_bytes().to_vec();
+            bytes.extend_from_slice(telegram);
+            bytes
+        }
+    }
+}
+
+/// A reply, cut into its parts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Reply<'a> {
+    pub(super) opcode: u8,
+    pub(super) status: Status,
+    /// What stands behind the status.
+    pub(super) values: &'a [u8],
+}
+
+impl<'a> Reply<'a> {
+    /// `None` if these bytes are no reply.
+    pub(super) const fn of(telegram: &'a [u8]) -> Option<Self> {
+        match telegram {
+            [REPLY, opcode, status, values @ ..] => Some(Self {
+                opcode: *opcode,
+                status: Status(*status),
+                values,
+            }),
+            _ => None,
+        }
+    }
+}
+
+/// How long a reply to this opcode is when all went well, IO maps apart, whose length was asked for; `None` for what is never asked.
+pub(super) const fn reply_bytes(opcode: u8) -> Option<usize> {
+    match opcode {
+        opcode::START_PROGRAM
+        | opcode::STOP_PROGRAM
+        | opcode::SET_OUTPUT_STATE
+        | opcode::SET_INPUT_MODE
+        | opcode::MESSAGE_WRITE
+        | opcode::LS_WRITE => Some(3),
+        opcode::GET_OUTPUT_STATE => Some(25),
+        opcode::GET_INPUT_VALUES => Some(16),
+        opcode::KEEP_ALIVE | opcode::FIRMWARE_VERSION => Some(7),
+        opcode::LS_READ => Some(20),
+        _ => None,
+    }
+}
+
+/// The bytes from `at`, if there are so many.
+pub(super) fn bytes_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
+    bytes.get(at..)?.first_chunk().copied()
+}

@@ -1,0 +1,184 @@
+//! A codec and a double of the brick in virtual time.
+
+use posebridge_protocol::bricks::nxt::NxtSettings;
+use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
+use posebridge_protocol::message::{Message, WireStamp};
+use posebridge_telemetry::{Defect, HostClock, Stamp};
+
+use crate::brick::Brick;
+
+/// What was heard and when, without what the codec only passes on.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Noted {
+    Message(Message),
+    /// When the question left, and the brick's clock, nanoseconds.
+    Time(i64, i64),
+    Note(String),
+    Defect(Defect),
+}
+
+/// What happens to the bytes of the n-th reply.
+pub(crate) type Damage = Box<dyn FnMut(usize, Vec<u8>) -> Vec<u8>>;
+
+pub(crate) struct Bench {
+    pub(crate) codec: Box<dyn BrickCodec>,
+    pub(crate) brick: Brick,
+    pub(crate) now_micros: i64,
+    pub(crate) heard: Vec<(i64, Noted)>,
+    pub(crate) damage: Damage,
+    /// Bytes of each chunk in which a reply arrives.
+    pub(crate) chunk: usize,
+    /// Whether anything arrives, either way.
+    pub(crate) is_cut: bool,
+    replies: usize,
+}
+
+impl Bench {
+    pub(crate) fn new(settings: NxtSettings, brick: Brick) -> Self {
+        Self::of("nxt", settings, brick)
+    }
+
+    pub(crate) fn of(protocol: &str, nxt: NxtSettings, brick: Brick) -> Self {
+        let settings = BrickSettings {
+            nxt,
+            ..BrickSettings::default()
+        };
+        let protocol = brick_protocol(protocol).expect("the row is there");
+        Self {
+            codec: (protocol.open)(&settings),
+            brick,
+            now_micros: 0,
+            heard: Vec::new(),
+            damage: Box::new(|_, reply| reply),
+            chunk: usize::MAX,
+            is_cut: false,
+            replies: 0,
+        }
+    }
+
+    pub(crate) fn now(&self) -> Stamp<HostClock> {
+        Stamp::from_micros(self.now_micros)
+    }
+
+    pub(crate) fn begin(&mut self) {
+        self.codec.begin(self.now());
+        self.deliver();
+    }
+
+    /// Runs until then; `each` sees the brick before every reply that arrives.
+    pub(crate) fn run_to_with(&mut self, end_micros: i64, each: &mut dyn FnMut(i64, &mut Brick)) {
+        loop {
+            let deadline = self.codec.deadline().map(Stamp::as_micros);
+            let next = [deadline, self.brick.next_reply()]
+                .into_iter()
+                .flatten()
+                .min()
+                .unwrap_or(i64::MAX);
+            if next > end_micros {
+                break;
+            }
+            // A deadline between two microseconds is met at the later one.
+            self.now_micros = self
+                .now_micros
+                .max(next + i64::from(deadline == Some(next)));
+            each(self.now_micros, &mut self.brick);
+            if let Some(reply) = self.brick.say(self.now_micros) {
+                self.arrive(reply);
+            } else {
+                let (now, heard, at) = (self.now(), &mut self.heard, self.now_micros);
+                self.codec.tick(now, &mut |item| note(heard, at, item));
+            }
+            self.deliver();
+        }
+        self.now_micros = end_micros;
+    }
+
+    pub(crate) fn run_to(&mut self, end_micros: i64) {
+        self.run_to_with(end_micros, &mut |_, _| {});
+    }
+
+    fn arrive(&mut self, reply: Vec<u8>) {
+        if self.is_cut {
+            return;
+        }
+        let reply = (self.damage)(self.replies, reply);
+        self.replies += 1;
+        for part in reply.chunks(self.chunk.min(reply.len().max(1))) {
+            self.push(part);
+        }
+    }
+
+    /// Bytes from the brick.
+    pub(crate) fn push(&mut self, bytes: &[u8]) {
+        let (now, heard, at) = (self.now(), &mut self.heard, self.now_micros);
+        self.codec
+            .push(now, bytes, &mut |item| note(heard, at, item));
+        self.deliver();
+    }
+
+    pub(crate) fn deliver(&mut self) {
+        while let Some(bytes) = self.codec.poll() {
+            if !self.is_cut {
+                self.brick.hear(self.now_micros, &bytes);
+            }
+        }
+    }
+
+    pub(crate) fn messages(&self) -> impl Iterator<Item = &Message> {
+        self.heard.iter().filter_map(|(_, item)| match item {
+            Noted::Message(message) => Some(message),
+            Noted::Time(..) | Noted::Note(_) | Noted::Defect(_) => None,
+        })
+    }
+
+    pub(crate) fn notes(&self) -> Vec<&str> {
+        self.heard
+            .iter()
+            .filter_map(|(_, item)| match item {
+                Noted::Note(text) => Some(text.as_str()),
+                Noted::Message(_) | Noted::Time(..) | Noted::Defect(_) => None,
+            })
+            .collect()
+    }
+
+    /// Left and right totals, in their order.
+    pub(crate) fn wheels(&self) -> Vec<(i64, i64)> {
+        self.messages()
+            .filter_map(|message| match message {
+                Message::WheelTicks(ticks) => Some((ticks.left.0, ticks.right.0)),
+                _ => None,
+            })
+            .collect()
+    }
+
+    pub(crate) fn lost(&self) -> u32 {
+        self.heard
+            .iter()
+            .map(|(_, item)| match item {
+                Noted::Defect(Defect::Lost { frames, .. }) => *frames,
+                _ => 0,
+            })
+            .sum()
+    }
+}
+
+/// When the question left and when the answer was there, milliseconds.
+pub(crate) fn asked_millis(stamp: WireStamp) -> (f64, f64) {
+    let WireStamp::Asked { sent, answered } = stamp else {
+        panic!("{stamp:?} is no answer");
+    };
+    (sent.as_secs_f64() * 1e3, answered.as_secs_f64() * 1e3)
+}
+
+fn note(heard: &mut Vec<(i64, Noted)>, at: i64, item: Heard<'_>) {
+    let noted = match item {
+        Heard::Message { message, .. } => Noted::Message(message),
+        Heard::Time {
+            sent, peer_nanos, ..
+        } => Noted::Time(sent.as_nanos(), peer_nanos),
+        Heard::Note { text, .. } => Noted::Note(text),
+        Heard::Defect(defect) => Noted::Defect(defect),
+        Heard::Other(_) => return,
+    };
+    heard.push((at, noted));
+}

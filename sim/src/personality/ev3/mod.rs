@@ -1,0 +1,254 @@
+//! The firmware of an unmodified LEGO EV3: it follows direct commands, takes mailbox messages, and lets a program run.
+//!
+//! ```text
+//! direct   LE16 length, LE16 counter, 00 (80: no answer), LE16 locals << 10 | globals, byte codes      answer .. 02 globals, 04 if it failed
+//! system   LE16 length, LE16 counter, 01 (81: no answer), opcode ..                                    answer .. 03 opcode status, 05 failed
+//! ```
+//! One command is followed after the other, each within a pass of 1 ms unless it waits for a sensor. It is written from the makers'
+//! documents, never from a station's codec.
+//!
+//! # Sources
+//! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulated-bricks.md tells what is ours.
+
+mod arithmetic;
+mod codes;
+mod motors;
+mod operand;
+mod sensors;
+mod wire;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::VecDeque;
+
+use posebridge_telemetry::{Arena, BrickClock, Pose, Span, Stamp};
+
+use self::motors::Motors;
+use self::operand::Machine;
+use self::sensors::Sensors;
+use self::wire::{FACTORY_NAME, Wire};
+use super::Moment;
+use super::estimate::{EV3_MAILBOX, estimate_from};
+use crate::scenario::{BrickProgram, Scenario};
+use crate::wheels::Pair;
+
+pub use self::wire::beacon;
+
+/// Types of frames.
+const DIRECT: u8 = 0x00;
+const SYSTEM: u8 = 0x01;
+const NO_ANSWER: u8 = 0x80;
+const DIRECT_DONE: u8 = 0x02;
+const DIRECT_FAILED: u8 = 0x04;
+const SYSTEM_DONE: u8 = 0x03;
+const SYSTEM_FAILED: u8 = 0x05;
+/// System command, and statuses.
+const WRITE_MAILBOX: u8 = 0x9E;
+const STATUS_OK: u8 = 0x00;
+const STATUS_UNKNOWN_ERROR: u8 = 0x0A;
+/// Byte codes that are followed in one pass; a jump back to itself must not hold up the world.
+const CODES_PER_PASS: usize = 1_000;
+
+/// What comes after a byte code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Flow {
+    /// The next one.
+    Next,
+    /// The same again, one pass later.
+    Wait,
+    /// Nothing: the command is at its end.
+    End,
+}
+
+/// A direct command under way.
+#[derive(Clone, Debug)]
+struct Command {
+    counter: [u8; 2],
+    is_answered: bool,
+    machine: Machine,
+}
+
+/// An EV3.
+#[derive(Debug)]
+pub(super) struct Ev3 {
+    wire: Wire,
+    motors: Motors,
+    sensors: Sensors,
+    command: Option<Command>,
+    is_running: bool,
+    scenario_program: BrickProgram,
+    /// The newest estimate in the mailbox.
+    mail: Option<Vec<u8>>,
+    name: String,
+    volume: i32,
+    sleep_min: i32,
+    outgoing: VecDeque<Vec<u8>>,
+    estimates: Vec<(Stamp<BrickClock>, Pose<Arena>)>,
+}
+
+impl Ev3 {
+    /// A brick that is switched on.
+    pub(super) fn new(scenario: &Scenario) -> Self {
+        let program = scenario.brick.program;
+        Self {
+            wire: Wire::new(scenario.brick.turn_around()),
+            motors: Motors::new(&scenario.robot),
+            sensors: Sensors::default(),
+            command: None,
+            is_running: program == BrickProgram::Path,
+            scenario_program: program,
+            mail: None,
+            name: FACTORY_NAME.to_owned(),
+            volume: 50,
+            sleep_min: 30,
+            outgoing: VecDeque::new(),
+            estimates: Vec::new(),
+        }
+    }
+
+    /// One pass; returns the duty of both motors.
+    pub(super) fn step(&mut self, moment: &mut Moment<'_>) -> Pair<f64> {
+        if self.command.is_none()
+            && let Some(frame) = self.wire.next_frame()
+        {
+            self.begin(&frame);
+        }
+        if let Some(command) = self.command.take() {
+            self.go_on(command, moment);
+        }
+        self.run(moment);
+        let duty = self.motors.step(moment.world, moment.counts());
+        self.outgoing.extend(self.wire.step(moment.world));
+        duty
+    }
+
+    /// Takes bytes that arrive from the station.
+    pub(super) fn receive(&mut self, world: Span, bytes: &[u8]) {
+        self.wire.receive(world, bytes);
+    }
+
+    /// Somebody else is at the other end of the link.
+    pub(super) fn reopen(&mut self) {
+        self.wire.reopen();
+        self.command = None;
+    }
+
+    /// Switched off and on: as from the beginning, but for its name.
+    pub(super) fn restart(&mut self, moment: &mut Moment<'_>) {
+        self.reopen();
+        self.motors.step(moment.world, moment.counts());
+        self.motors.stop(0xF);
+        self.motors.clear_counts(0xF);
+        self.motors.reset_tachos(0xF);
+        self.sensors = Sensors::default();
+        self.mail = None;
+        self.is_running = self.scenario_program == BrickProgram::Path;
+    }
+
+    /// The next frame on its way to the station.
+    pub(super) fn take(&mut self) -> Option<Vec<u8>> {
+        self.outgoing.pop_front()
+    }
+
+    /// The estimates that the program took out of its mailbox: of which instant, and where.
+    pub(super) fn take_estimates(&mut self) -> Vec<(Stamp<BrickClock>, Pose<Arena>)> {
+        std::mem::take(&mut self.estimates)
+    }
+
+    fn begin(&mut self, frame: &[u8]) {
+        let [low, high, kind, body @ ..] = frame else {
+            return;
+        };
+        let counter = [*low, *high];
+        let is_answered = kind & NO_ANSWER == 0;
+        match (kind & !NO_ANSWER, body) {
+            (DIRECT, [low, high, code @ ..]) => {
+                let memory = usize::from(u16::from_le_bytes([*low, *high]));
+                self.command = Some(Command {
+                    counter,
+                    is_answered,
+                    machine: Machine::new(code, memory & 0x3FF, memory >> 10),
+                });
+            }
+            (SYSTEM, [opcode, rest @ ..]) => {
+                let status = self.system(*opcode, rest);
+                let kind = if status == STATUS_OK {
+                    SYSTEM_DONE
+                } else {
+                    SYSTEM_FAILED
+                };
+                if is_answered {
+                    self.wire.send(&[*low, *high, kind, *opcode, status]);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Goes on with a command until it ends, fails or waits.
+    fn go_on(&mut self, mut command: Command, moment: &mut Moment<'_>) {
+        for _ in 0..CODES_PER_PASS {
+            let place = command.machine.place();
+            let Some(code) = command.machine.next_code() else {
+                return self.answer(&command, DIRECT_DONE);
+            };
+            match self.follow(code, &mut command.machine, moment) {
+                Ok(Flow::Next) => {}
+                Ok(Flow::End) => return self.answer(&command, DIRECT_DONE),
+                Ok(Flow::Wait) => {
+                    command.machine.go_to(place);
+                    break;
+                }
+                Err(_fault) => return self.answer(&command, DIRECT_FAILED),
+            }
+        }
+        self.command = Some(command);
+    }
+
+    fn answer(&mut self, command: &Command, kind: u8) {
+        if command.is_answered {
+            let globals = command.machine.globals();
+            self.wire
+                .send(&[&command.counter[..], &[kind], globals].concat());
+        }
+    }
+
+    /// Follows a system command and returns its status.
+    fn system(&mut self, opcode: u8, rest: &[u8]) -> u8 {
+        if opcode != WRITE_MAILBOX {
+            return STATUS_UNKNOWN_ERROR;
+        }
+        let Some((name, payload)) = mailbox_message(rest) else {
+            return STATUS_UNKNOWN_ERROR;
+        };
+        // A message to a mailbox that no program has opened is lost, as in the brick.
+        if self.is_running && name == EV3_MAILBOX {
+            self.mail = Some(payload.to_vec());
+        }
+        STATUS_OK
+    }
+
+    /// Lets the program run, which looks into its mailbox first.
+    fn run(&mut self, moment: &mut Moment<'_>) {
+        if !self.is_running {
+            moment.program.watch(moment.now, moment.counts());
+            return;
+        }
+        if let Some((stamp, pose)) = self.mail.take().and_then(|mail| estimate_from(&mail)) {
+            let instant = moment.program.take_estimate(moment.now, stamp, pose);
+            self.estimates.push((instant, pose));
+        }
+        let duty = moment.program.step(moment.now, moment.counts());
+        self.motors.drive(duty);
+    }
+}
+
+/// Name and payload: length with the final zero, name, LE16 length, payload.
+fn mailbox_message(rest: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = rest.split_first()?;
+    let (name, rest) = rest.split_at_checked(usize::from(*length))?;
+    let (length, payload) = rest.split_first_chunk()?;
+    let payload = payload.get(..usize::from(u16::from_le_bytes(*length)))?;
+    Some((name.strip_suffix(&[0]).unwrap_or(name), payload))
+}

@@ -1,0 +1,135 @@
+//! What is plugged into the EV3: a gyro in port 2, an ultrasonic sensor in port 4, large motors in B and C.
+//!
+//! # Model
+//! ```text
+//! gyro          mode 0 angle, 1 rate, 3 both; whole degrees, clockwise positive       ultrasonic   mode 0 centimetres; 255 without an echo
+//! motor         mode 0 degrees, 2 percent of the speed                                a new mode takes 100 ms, in which a READY command waits
+//! ```
+//! # Sources
+//! LEGO MINDSTORMS EV3 hardware developer kit (types, modes, units; the gyro's sign); how long a change of mode takes: ours.
+
+use posebridge_telemetry::Span;
+
+use super::super::senses::Senses;
+use super::motors::Motors;
+
+/// Types of devices.
+pub(super) const LARGE_MOTOR: u8 = 7;
+const ULTRASONIC: u8 = 30;
+const GYRO: u8 = 32;
+pub(super) const NOTHING: u8 = 126;
+/// Sensor ports count from 0, the motors follow at 16.
+const SENSOR_PORTS: usize = 4;
+const FIRST_MOTOR: usize = 16;
+const GYRO_PORT: usize = 1;
+const ULTRASONIC_PORT: usize = 3;
+/// A change of mode takes this long.
+const MODE_CHANGE: Span = Span::from_millis(100);
+/// Largest reading of each device, which is 100 percent.
+const GYRO_FULL_DEG_PER_S: f64 = 440.0;
+const RANGE_FULL_CM: f64 = 255.0;
+const MOTOR_FULL: f64 = 100.0;
+
+/// The modes of the sensors.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sensors {
+    modes: [u8; SENSOR_PORTS],
+    /// Since when each port is in its mode.
+    settled: [Span; SENSOR_PORTS],
+    /// Where the gyro's angle was zeroed, in degrees.
+    angle_zero_deg: f64,
+}
+
+/// What a reading is made of.
+#[derive(Clone, Copy)]
+pub(super) struct Sources<'a> {
+    pub(super) senses: &'a Senses,
+    pub(super) motors: &'a Motors,
+}
+
+/// What a port has to say.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Reading {
+    /// Its mode is being changed.
+    NotYet,
+    /// Nothing of that type is there.
+    Nothing,
+    /// Values in the device's units, and what is 100 percent.
+    Values(Vec<f64>, f64),
+}
+
+impl Sensors {
+    /// Type and mode of a port.
+    pub(super) fn kind_and_mode(&self, port: usize) -> (u8, u8) {
+        let kind = kind(port);
+        let mode = self.modes.get(port).copied().unwrap_or_default();
+        (kind, if kind == NOTHING { 0 } else { mode })
+    }
+
+    /// Reads a port as a device of `wanted` type in `mode`; type 0 takes what is there, mode -1 leaves it.
+    pub(super) fn read(
+        &mut self,
+        now: Span,
+        (port, wanted, mode): (usize, i32, i32),
+        sources: Sources<'_>,
+    ) -> Reading {
+        let kind = kind(port);
+        if kind == NOTHING || (wanted != 0 && wanted != i32::from(kind)) {
+            return Reading::Nothing;
+        }
+        if let Some(motor) = port.checked_sub(FIRST_MOTOR) {
+            return match mode {
+                0 | -1 => Reading::Values(vec![f64::from(sources.motors.count(motor))], MOTOR_FULL),
+                2 => Reading::Values(vec![f64::from(sources.motors.tacho(motor).1)], MOTOR_FULL),
+                _ => Reading::Nothing,
+            };
+        }
+        self.set_mode(now, port, mode);
+        if self.settled.get(port).is_some_and(|settled| now < *settled) {
+            return Reading::NotYet;
+        }
+        let rate = -sources.senses.rate_deg_per_s().round();
+        let angle = (self.angle_zero_deg - sources.senses.angle_deg()).round();
+        match (kind, self.modes.get(port).copied().unwrap_or_default()) {
+            (GYRO, 0) => Reading::Values(vec![angle], GYRO_FULL_DEG_PER_S),
+            (GYRO, 1) => Reading::Values(vec![rate], GYRO_FULL_DEG_PER_S),
+            (GYRO, 3) => Reading::Values(vec![angle, rate], GYRO_FULL_DEG_PER_S),
+            (ULTRASONIC, 0) => {
+                let range_cm = f64::from(sources.senses.range_cm());
+                Reading::Values(vec![range_cm], RANGE_FULL_CM)
+            }
+            _ => Reading::Nothing,
+        }
+    }
+
+    /// Whether a port is not changing its mode.
+    pub(super) fn is_ready(&self, now: Span, port: usize) -> bool {
+        self.settled.get(port).is_none_or(|settled| now >= *settled)
+    }
+
+    /// Zeroes the gyro's angle, as a sensor does that is told to clear its changes.
+    pub(super) const fn clear(&mut self, senses: &Senses) {
+        self.angle_zero_deg = senses.angle_deg();
+    }
+
+    fn set_mode(&mut self, now: Span, port: usize, mode: i32) {
+        let (Ok(mode), Some(current)) = (u8::try_from(mode), self.modes.get_mut(port)) else {
+            return;
+        };
+        if *current != mode {
+            *current = mode;
+            if let Some(settled) = self.settled.get_mut(port) {
+                *settled = now + MODE_CHANGE;
+            }
+        }
+    }
+}
+
+fn kind(port: usize) -> u8 {
+    match port.checked_sub(FIRST_MOTOR) {
+        None if port == GYRO_PORT => GYRO,
+        None if port == ULTRASONIC_PORT => ULTRASONIC,
+        Some(motor) if Motors::is_motor(motor) => LARGE_MOTOR,
+        None | Some(_) => NOTHING,
+    }
+}

@@ -1,0 +1,248 @@
+//! The NXT's four sensor ports as its A/D converter sees them, and the Input module.
+//!
+//! Setting a port makes its readings invalid for a while. A port with nothing, or with a sensor on I2C, reads 1023: the pull-up. The
+//! HiTechnic gyro reads its rest value, which is around 600 and another for each part, plus one count per degree per second.
+//!
+//! # Assumptions
+//! Edge and pulse counting, RCX angles and temperature scales are not simulated: these modes show the normalised value. The firmware turns the
+//! readings of light sensors around; here that is 1023 - raw. Read the raw value, as every gyro driver does.
+//!
+//! # Sources
+//! LEGO's NXT firmware: struct of the Input module, types and modes. Rest values: 580 to 625 in people's reports. Times until a port is
+//! valid: ours; nxt-python waits 100 ms.
+
+use crate::random::Stream;
+use crate::scenario::PortSensor;
+
+use super::super::senses::Senses;
+
+/// Number of ports.
+pub(super) const PORTS: usize = 4;
+/// Bytes of one port in the Input module.
+const MAP_BYTES: usize = 20;
+/// The converter's largest value.
+const FULL_SCALE: u16 = 1_023;
+/// Sensor types: the first that is not known, light sensors, I2C without and with 9 V.
+const TYPES: u8 = 19;
+const LIGHT_ACTIVE: u8 = 5;
+const LIGHT_INACTIVE: u8 = 6;
+const LOW_SPEED: u8 = 10;
+const LOW_SPEED_9V: u8 = 11;
+/// The mode is in the upper three bits, a slope in the others.
+const MODE_MASK: u8 = 0xE0;
+const MODE_BOOLEAN: u8 = 0x20;
+const MODE_PERCENT: u8 = 0x80;
+/// Below this share of the full scale a switch counts as pressed.
+const PRESSED_BELOW: u16 = 460;
+/// Passes until a freshly set port is valid: the converter's, and the I2C bus's.
+const ANALOG_PASSES: u32 = 10;
+const LOW_SPEED_PASSES: u32 = 60;
+/// Where rest values lie.
+const REST_COUNTS: (f64, f64) = (580.0, 625.0);
+
+/// One port.
+#[derive(Clone, Copy, Debug, Default)]
+struct Input {
+    sensor: PortSensor,
+    kind: u8,
+    mode: u8,
+    raw: u16,
+    /// Passes until it is valid.
+    invalid_passes: u32,
+}
+
+/// All ports.
+#[derive(Clone, Debug)]
+pub(super) struct Inputs {
+    ports: [Input; PORTS],
+    gyro_rest: f64,
+}
+
+impl Inputs {
+    /// Ports that nobody has set up; the gyro's rest value is drawn.
+    pub(super) fn new(sensors: [PortSensor; PORTS], seed: u64) -> Self {
+        let ports = sensors.map(|sensor| Input {
+            sensor,
+            raw: FULL_SCALE,
+            ..Input::default()
+        });
+        let gyro_rest = Stream::new(seed, "gyro at rest").uniform(REST_COUNTS.0, REST_COUNTS.1);
+        Self { ports, gyro_rest }
+    }
+
+    /// Converts once.
+    pub(super) fn step(&mut self, senses: &Senses) {
+        let gyro = (self.gyro_rest + senses.rate_deg_per_s()).round();
+        for port in &mut self.ports {
+            port.invalid_passes = port.invalid_passes.saturating_sub(1);
+            port.raw = match port.sensor {
+                PortSensor::Gyro => gyro.clamp(0.0, f64::from(FULL_SCALE)) as u16,
+                PortSensor::None
+                | PortSensor::Accelerometer
+                | PortSensor::Compass
+                | PortSensor::Ultrasonic
+                | PortSensor::Temperature => FULL_SCALE,
+            };
+        }
+    }
+
+    /// Sets a port up; false if there is no such port, type or mode.
+    pub(super) fn set(&mut self, port: u8, kind: u8, mode: u8) -> bool {
+        let Some(input) = self.ports.get_mut(usize::from(port)) else {
+            return false;
+        };
+        if kind >= TYPES {
+            return false;
+        }
+        (input.kind, input.mode) = (kind, mode);
+        input.invalid_passes = if is_low_speed(kind) {
+            LOW_SPEED_PASSES
+        } else {
+            ANALOG_PASSES
+        };
+        true
+    }
+
+    /// A program was started or stopped: nothing is set up any more.
+    pub(super) fn reset(&mut self) {
+        for port in &mut self.ports {
+            (port.kind, port.mode, port.invalid_passes) = (0, 0, 0);
+        }
+    }
+
+    /// Whether there is such a port.
+    pub(super) fn has(&self, port: u8) -> bool {
+        usize::from(port) < self.ports.len()
+    }
+
+    /// What is plugged in, if the port is set up for I2C and valid.
+    pub(super) fn on_bus(&self, port: u8) -> Option<PortSensor> {
+        let input = self.ports.get(usize::from(port))?;
+        (is_low_speed(input.kind) && input.invalid_passes == 0).then_some(input.sensor)
+    }
+
+    /// What GETINPUTVALUES answers after its status, if there is such a port.
+    pub(super) fn values(&self, port: u8) -> Option<Vec<u8>> {
+        let input = self.ports.get(usize::from(port))?;
+        let is_calibrated = 0;
+        let mut values = vec![port, u8::from(input.is_valid()), is_calibrated];
+        values.extend([input.kind, input.mode]);
+        values.extend(input.raw.to_le_bytes());
+        values.extend(input.normalised().to_le_bytes());
+        values.extend(input.scaled().to_le_bytes());
+        values.extend(input.normalised().to_le_bytes());
+        Some(values)
+    }
+
+    /// The Input module.
+    pub(super) fn map(&self) -> Vec<u8> {
+        self.ports.iter().flat_map(Input::map).collect()
+    }
+
+    /// Takes what is written into the module: type and mode.
+    pub(super) fn write(&mut self, offset: usize, bytes: &[u8]) {
+        for (index, byte) in (offset..).zip(bytes) {
+            let port = (index / MAP_BYTES) as u8;
+            let Some(input) = self.ports.get(usize::from(port)).copied() else {
+                return;
+            };
+            match index % MAP_BYTES {
+                8 => drop(self.set(port, *byte, input.mode)),
+                9 => drop(self.set(port, input.kind, *byte)),
+                _ => {}
+            }
+        }
+    }
+}
+
+impl Input {
+    const fn is_valid(&self) -> bool {
+        self.invalid_passes == 0
+    }
+
+    const fn normalised(&self) -> u16 {
+        if matches!(self.kind, LIGHT_ACTIVE | LIGHT_INACTIVE) {
+            FULL_SCALE - self.raw
+        } else {
+            self.raw
+        }
+    }
+
+    const fn is_pressed(&self) -> bool {
+        self.normalised() < PRESSED_BELOW
+    }
+
+    fn scaled(&self) -> i16 {
+        let normalised = self.normalised();
+        match self.mode & MODE_MASK {
+            MODE_BOOLEAN => i16::from(self.is_pressed()),
+            MODE_PERCENT => (u32::from(normalised) * 100 / u32::from(FULL_SCALE)) as i16,
+            _ => normalised as i16,
+        }
+    }
+
+    fn map(&self) -> [u8; MAP_BYTES] {
+        let mut map = [0; MAP_BYTES];
+        map[2..4].copy_from_slice(&self.raw.to_le_bytes());
+        map[4..6].copy_from_slice(&self.normalised().to_le_bytes());
+        map[6..8].copy_from_slice(&self.scaled().to_le_bytes());
+        map[8] = self.kind;
+        map[9] = self.mode;
+        map[10] = u8::from(self.is_pressed());
+        map[16] = u8::from(!self.is_valid());
+        map
+    }
+}
+
+const fn is_low_speed(kind: u8) -> bool {
+    matches!(kind, LOW_SPEED | LOW_SPEED_9V)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Scenario;
+
+    fn inputs() -> Inputs {
+        Inputs::new(PortSensor::USUAL, 5)
+    }
+
+    #[test]
+    fn a_port_that_was_set_up_is_invalid_until_it_has_settled() {
+        let mut inputs = inputs();
+        let senses = Senses::new(&Scenario::default());
+        assert!(inputs.set(0, LIGHT_INACTIVE, 0));
+        let valid = |inputs: &Inputs| inputs.values(0).unwrap()[1];
+        for _ in 0..ANALOG_PASSES {
+            assert_eq!((valid(&inputs), inputs.map()[16]), (0, 1));
+            inputs.step(&senses);
+        }
+        assert_eq!((valid(&inputs), inputs.map()[16]), (1, 0));
+        let raw = u16::from_le_bytes([inputs.map()[2], inputs.map()[3]]);
+        assert!((570..=635).contains(&raw), "{raw}");
+        // What a light sensor would show is another thing than the raw value.
+        assert_eq!(inputs.values(0).unwrap()[7..9], (1_023 - raw).to_le_bytes());
+    }
+
+    #[test]
+    fn only_known_ports_and_types_can_be_set_up() {
+        let mut inputs = inputs();
+        assert!(!inputs.set(4, 0, 0) && !inputs.set(0, 19, 0));
+        assert!(inputs.values(4).is_none() && !inputs.has(4));
+    }
+
+    #[test]
+    fn rest_values_differ_from_gyro_to_gyro() {
+        let rest = |seed| Inputs::new(PortSensor::USUAL, seed).gyro_rest;
+        assert!((580.0..625.0).contains(&rest(1)) && rest(1) != rest(2));
+    }
+
+    #[test]
+    fn a_port_without_an_analog_sensor_shows_the_pull_up() {
+        let mut inputs = inputs();
+        inputs.set(1, LOW_SPEED_9V, MODE_PERCENT);
+        inputs.step(&Senses::new(&Scenario::default()));
+        assert_eq!(inputs.map()[22..28], [0xFF, 3, 0xFF, 3, 100, 0]);
+        assert_eq!(inputs.on_bus(1), None);
+    }
+}

@@ -1,0 +1,235 @@
+//! The firmware of an unmodified LEGO NXT: it answers telegrams, and lets a program run.
+//!
+//! It has the sensor ports, three motors, the mailboxes, the IO maps and a radio that turns around slowly. Everything that a program or a
+//! station can see of the world goes through them. It is written from the protocol's documents, never from a station's codec.
+//!
+//! ```text
+//! a pass of 1 ms    buses and ports settle > one telegram is followed > the program runs > motors > the program pushes > the radio sends
+//! ```
+//! # Sources
+//! LEGO Bluetooth developer kit; the published firmware. docs/simulated-bricks.md tells what is ours.
+
+mod devices;
+mod direct;
+mod inputs;
+mod io_map;
+mod low_speed;
+mod mailboxes;
+mod outputs;
+mod status;
+mod system;
+mod telegram;
+mod wire;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::VecDeque;
+
+use posebridge_telemetry::{Arena, BrickClock, Pose, Span, Stamp};
+
+use self::devices::Inside;
+use self::inputs::Inputs;
+use self::low_speed::LowSpeed;
+use self::mailboxes::Mailboxes;
+use self::outputs::Outputs;
+use self::telegram::{Family, Request, answer_telegram};
+use self::wire::Wire;
+use super::Moment;
+use super::estimate::{NXT_INBOX, estimate_from};
+use crate::firmware::Talk;
+use crate::scenario::{BrickProgram, Personality, Scenario};
+use crate::wheels::Pair;
+
+/// The brick falls asleep after this time without a key or a keep-alive, unless a program runs. The factory's setting.
+const SLEEPS_AFTER: Span = Span::from_millis(600_000);
+/// The temperature of a room whose thermometer is not simulated, in degrees Celsius.
+const ROOM_C: f64 = 21.0;
+/// Frames that a pushing program holds back while the radio is busy; the oldest are given up.
+const PUSHED: usize = 8;
+
+/// An NXT.
+#[derive(Debug)]
+pub(super) struct Nxt {
+    wire: Wire,
+    inputs: Inputs,
+    outputs: Outputs,
+    low_speed: LowSpeed,
+    mailboxes: Mailboxes,
+    /// The name of the program that runs.
+    program: Option<Vec<u8>>,
+    /// What the program says by itself, if it does.
+    talk: Option<Talk>,
+    pushed: VecDeque<Vec<u8>>,
+    name: Vec<u8>,
+    awake_since: Span,
+    is_asleep: bool,
+    scenario_program: BrickProgram,
+    outgoing: VecDeque<Vec<u8>>,
+    estimates: Vec<(Stamp<BrickClock>, Pose<Arena>)>,
+}
+
+/// The file name of the program that drives the path.
+const PATH_PROGRAM: &[u8] = b"path.rxe";
+/// The name that comes from the factory.
+const FACTORY_NAME: &[u8] = b"NXT";
+
+impl Nxt {
+    /// A brick that is switched on at `now`.
+    pub(super) fn new(scenario: &Scenario, now: Stamp<BrickClock>) -> Self {
+        let brick = &scenario.brick;
+        let mut nxt = Self {
+            wire: Wire::new(brick.telegram_bytes, brick.turn_around()),
+            inputs: Inputs::new(brick.sensors, scenario.seed),
+            outputs: Outputs::new(&scenario.robot),
+            low_speed: LowSpeed::default(),
+            mailboxes: Mailboxes::default(),
+            program: None,
+            talk: (brick.personality == Personality::NxtPush).then(|| Talk::new(scenario, now)),
+            pushed: VecDeque::new(),
+            name: FACTORY_NAME.to_vec(),
+            awake_since: Span::ZERO,
+            is_asleep: false,
+            scenario_program: brick.program,
+            outgoing: VecDeque::new(),
+            estimates: Vec::new(),
+        };
+        nxt.autostart();
+        nxt
+    }
+
+    /// One pass; returns the duty of both motors.
+    pub(super) fn step(&mut self, moment: &mut Moment<'_>) -> Pair<f64> {
+        if self.program.is_some() {
+            self.awake_since = moment.world;
+        }
+        self.is_asleep |= moment.world - self.awake_since >= SLEEPS_AFTER;
+        if self.is_asleep {
+            moment.program.watch(moment.now, moment.counts());
+            return Pair::default();
+        }
+        self.inputs.step(moment.senses);
+        self.low_speed.step(Inside {
+            senses: moment.senses,
+            temperature_c: moment.board.read_temperature().unwrap_or(ROOM_C),
+        });
+        if let Some(telegram) = self.wire.next_telegram() {
+            self.follow(&telegram, moment);
+        }
+        self.run(moment);
+        let duty = self.outputs.step(moment.counts());
+        self.push(moment);
+        self.outgoing.extend(self.wire.step(moment.world));
+        duty
+    }
+
+    /// Takes bytes that arrive from the station.
+    pub(super) fn receive(&mut self, world: Span, bytes: &[u8]) {
+        if !self.is_asleep {
+            self.wire.receive(world, bytes);
+        }
+    }
+
+    /// Somebody else is at the other end of the link.
+    pub(super) fn reopen(&mut self) {
+        self.wire.reopen();
+    }
+
+    /// Switched off and on: as from the beginning, but for its name and its gyro.
+    pub(super) fn restart(&mut self, moment: &mut Moment<'_>) {
+        self.wire.reopen();
+        self.is_asleep = false;
+        self.awake_since = moment.world;
+        self.outputs.step(moment.counts());
+        self.forget();
+        if let Some(talk) = &mut self.talk {
+            talk.restart(moment.now, moment.counts());
+        }
+        self.autostart();
+    }
+
+    /// The next telegram on its way to the station.
+    pub(super) fn take(&mut self) -> Option<Vec<u8>> {
+        self.outgoing.pop_front()
+    }
+
+    /// The estimates that the program took out of its mailbox: of which instant, and where.
+    pub(super) fn take_estimates(&mut self) -> Vec<(Stamp<BrickClock>, Pose<Arena>)> {
+        std::mem::take(&mut self.estimates)
+    }
+
+    fn autostart(&mut self) {
+        self.program = (self.scenario_program == BrickProgram::Path).then(|| PATH_PROGRAM.to_vec());
+    }
+
+    fn follow(&mut self, telegram: &[u8], moment: &mut Moment<'_>) {
+        let Some(request) = Request::of(telegram) else {
+            return;
+        };
+        let answer = match request.family {
+            Family::Direct => self.direct(request, moment),
+            Family::System => self.system(request, moment),
+        };
+        if request.is_answered {
+            self.wire.send(&answer_telegram(request.opcode, &answer));
+        }
+    }
+
+    /// Lets the program run, which looks into its mailbox first.
+    fn run(&mut self, moment: &mut Moment<'_>) {
+        if self.program.is_none() {
+            moment.program.watch(moment.now, moment.counts());
+            return;
+        }
+        while let Some(message) = self.mailboxes.take(NXT_INBOX) {
+            if let Some((stamp, pose)) = estimate_from(&message) {
+                let instant = moment.program.take_estimate(moment.now, stamp, pose);
+                self.estimates.push((instant, pose));
+            }
+        }
+        let duty = moment.program.step(moment.now, moment.counts());
+        self.outputs.drive(duty);
+    }
+
+    /// Lets the program say what it has to say. It waits until the last frame is sent, so that the firmware has a buffer for its answers.
+    fn push(&mut self, moment: &mut Moment<'_>) {
+        let Some(talk) = self.talk.as_mut().filter(|_| self.program.is_some()) else {
+            return;
+        };
+        talk.step(moment.now, moment.board);
+        self.pushed.extend(talk.take_frames());
+        while self.pushed.len() > PUSHED {
+            self.pushed.pop_front();
+        }
+        if self.wire.is_idle()
+            && let Some(frame) = self.pushed.pop_front()
+        {
+            self.wire.send(&frame);
+        }
+    }
+
+    /// A program begins: all ports, counters and mailboxes begin anew.
+    fn start(&mut self, name: &[u8], moment: &mut Moment<'_>) {
+        self.outputs.step(moment.counts());
+        self.forget();
+        self.program = Some(name.to_vec());
+        moment.program.begin(moment.now, moment.counts());
+        if let Some(talk) = &mut self.talk {
+            talk.restart(moment.now, moment.counts());
+        }
+    }
+
+    /// The program ends, and with it everything that it has set up.
+    fn stop(&mut self) {
+        self.forget();
+        self.program = None;
+    }
+
+    fn forget(&mut self) {
+        self.outputs.reset();
+        self.inputs.reset();
+        self.low_speed.reset();
+        self.mailboxes.clear();
+        self.pushed.clear();
+    }
+}

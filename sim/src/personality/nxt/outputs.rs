@@ -1,0 +1,452 @@
+//! The NXT's three motor ports: what they are told, what they turn, and the Output module's view of them.
+//!
+//! # Model
+//! ```text
+//! on and running                  duty = power / 100
+//! regulated in speed              10 degrees per second for each percent of power, held by a PI control every 10 ms
+//! regulated in step with others   the same; a turn ratio t takes 2 |t| percent of the speed away from the right motor if t < 0, else from the left
+//! tacho limit                     the port goes idle when it has turned that far since it was told
+//! ```
+//! # Assumptions
+//! Motors sit on B (left) and C (right); A is empty. A motor without power is braked, whether brake or coast was asked for, since the simulated
+//! motor's terminals are never open. Ramps are steps.
+//!
+//! # Sources
+//! LEGO's NXT firmware: the struct of the Output module, its flags, and the regulation's 100 counts per 100 ms at full speed.
+
+use crate::firmware::SpeedControl;
+use crate::scenario::{RobotSettings, TICK_RAD};
+use crate::wheels::Pair;
+
+/// Number of ports.
+pub(super) const PORTS: usize = 3;
+/// Where the wheels' motors are plugged in.
+const LEFT: usize = 1;
+const RIGHT: usize = 2;
+/// The port byte that means all of them.
+const ALL: u8 = 0xFF;
+/// Bytes of one port in the Output module.
+pub(super) const MAP_BYTES: usize = 32;
+/// Mode bits.
+const ON: u8 = 0x01;
+const BRAKE: u8 = 0x02;
+const REGULATED: u8 = 0x04;
+/// Regulation in step with the other motors.
+const SYNC: u8 = 2;
+/// Run states; anything but idle runs.
+const IDLE: u8 = 0x00;
+const RUNNING: u8 = 0x20;
+/// Passes between two steps of the regulation.
+const REGULATION_PASSES: u32 = 10;
+/// Speed of one percent of power under regulation.
+const RAD_PER_S_PER_PERCENT: f64 = 10.0 * TICK_RAD;
+/// Flags in the module: which fields a writer wants to be taken over, and which counters are to be zeroed.
+const UPDATE_MODE: u8 = 0x01;
+const UPDATE_SPEED: u8 = 0x02;
+const UPDATE_LIMIT: u8 = 0x04;
+const RESET_TACHO: u8 = 0x08;
+const RESET_BLOCK: u8 = 0x20;
+const RESET_ROTATION: u8 = 0x40;
+/// Places in the module.
+const LIMIT_AT: usize = 12;
+const FLAGS_AT: usize = 18;
+const MODE_AT: usize = 19;
+const SPEED_AT: usize = 20;
+const ACTUAL_SPEED_AT: usize = 21;
+const RUN_STATE_AT: usize = 25;
+const REGULATION_AT: usize = 26;
+const OVERLOADED_AT: usize = 27;
+const TURN_RATIO_AT: usize = 28;
+
+/// What a port is told.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Order {
+    /// Percent, negative backwards.
+    pub(super) power: i8,
+    /// On, brake, regulated.
+    pub(super) mode: u8,
+    /// None, speed, in step.
+    pub(super) regulation: u8,
+    /// Percent.
+    pub(super) turn_ratio: i8,
+    /// Idle, ramp up, running, ramp down.
+    pub(super) run_state: u8,
+    /// Degrees to turn; 0 for no limit.
+    pub(super) limit: u32,
+}
+
+/// Which counter is to be zeroed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Counter {
+    /// Since the program began.
+    Rotation,
+    /// Since the block began.
+    Block,
+}
+
+/// One port.
+#[derive(Clone, Debug)]
+struct Output {
+    order: Order,
+    /// What the encoder has counted since power-up.
+    position: i64,
+    tacho_zero: i64,
+    block_zero: i64,
+    rotation_zero: i64,
+    /// Where the order began.
+    begun: i64,
+    control: SpeedControl,
+    duty: f64,
+    is_overloaded: bool,
+    /// What was written into the module and not yet taken over.
+    written: [u8; MAP_BYTES],
+}
+
+/// All ports.
+#[derive(Clone, Debug)]
+pub(super) struct Outputs {
+    ports: [Output; PORTS],
+    fresh_control: SpeedControl,
+    passes: u32,
+}
+
+impl Outputs {
+    /// Ports at rest.
+    pub(super) fn new(robot: &RobotSettings) -> Self {
+        let control = SpeedControl::new(robot);
+        let port = || Output {
+            order: Order::default(),
+            position: 0,
+            tacho_zero: 0,
+            block_zero: 0,
+            rotation_zero: 0,
+            begun: 0,
+            control: control.clone(),
+            duty: 0.0,
+            is_overloaded: false,
+            written: [0; MAP_BYTES],
+        };
+        Self {
+            ports: [port(), port(), port()],
+            fresh_control: control,
+            passes: 0,
+        }
+    }
+
+    /// Follows the encoders by one pass and returns the duty of both motors.
+    pub(super) fn step(&mut self, positions: Pair<i64>) -> Pair<f64> {
+        for (place, position) in [(LEFT, positions.left), (RIGHT, positions.right)] {
+            if let Some(port) = self.ports.get_mut(place) {
+                port.position = position;
+            }
+        }
+        let is_due = self.passes.is_multiple_of(REGULATION_PASSES);
+        self.passes = self.passes.wrapping_add(1);
+        for (place, port) in self.ports.iter_mut().enumerate() {
+            port.step();
+            if is_due {
+                port.regulate(place);
+            }
+        }
+        let duty = |place: usize| self.ports.get(place).map_or(0.0, |port| port.duty);
+        Pair {
+            left: duty(LEFT),
+            right: duty(RIGHT),
+        }
+    }
+
+    /// Gives an order to a port, or to all; false if there is no such port.
+    pub(super) fn order(&mut self, port: u8, order: Order) -> bool {
+        let fresh = self.fresh_control.clone();
+        let places = if port == ALL {
+            0..PORTS
+        } else {
+            usize::from(port)..usize::from(port) + 1
+        };
+        let Some(ports) = self.ports.get_mut(places) else {
+            return false;
+        };
+        for port in ports {
+            port.follow(order, fresh.clone());
+        }
+        true
+    }
+
+    /// What the program on the brick does: both motors on at these duties.
+    pub(super) fn drive(&mut self, duty: Pair<f64>) {
+        for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
+            if let Some(port) = self.ports.get_mut(place) {
+                port.order = Order {
+                    power: (duty * 100.0).round() as i8,
+                    mode: ON | BRAKE,
+                    run_state: RUNNING,
+                    ..Order::default()
+                };
+                port.duty = duty;
+            }
+        }
+    }
+
+    /// Zeroes a counter of a port; false if there is no such port.
+    pub(super) fn zero(&mut self, port: u8, counter: Counter) -> bool {
+        let Some(port) = self.ports.get_mut(usize::from(port)) else {
+            return false;
+        };
+        match counter {
+            Counter::Rotation => port.rotation_zero = port.position,
+            Counter::Block => port.block_zero = port.position,
+        }
+        true
+    }
+
+    /// A program was started or stopped: all motors idle, all counters at zero.
+    pub(super) fn reset(&mut self) {
+        for port in &mut self.ports {
+            port.follow(Order::default(), self.fresh_control.clone());
+            port.duty = 0.0;
+            port.tacho_zero = port.position;
+            port.block_zero = port.position;
+            port.rotation_zero = port.position;
+        }
+    }
+
+    /// What GETOUTPUTSTATE answers after its status, if there is such a port.
+    pub(super) fn state(&self, port: u8) -> Option<Vec<u8>> {
+        let output = self.ports.get(usize::from(port))?;
+        let order = output.order;
+        let mut state = vec![port, order.power as u8, order.mode, order.regulation];
+        state.extend([order.turn_ratio as u8, order.run_state]);
+        state.extend(order.limit.to_le_bytes());
+        for count in output.counts() {
+            state.extend(count.to_le_bytes());
+        }
+        Some(state)
+    }
+
+    /// The Output module.
+    pub(super) fn map(&self) -> Vec<u8> {
+        let mut map: Vec<u8> = self.ports.iter().flat_map(Output::map).collect();
+        // The motors' pulse frequency, in kilohertz.
+        map.push(8);
+        map
+    }
+
+    /// Takes what is written into the module. The fields wait until a flag tells to take them over.
+    pub(super) fn write(&mut self, offset: usize, bytes: &[u8]) {
+        let fresh = self.fresh_control.clone();
+        for (index, byte) in (offset..).zip(bytes) {
+            let port = self.ports.get_mut(index / MAP_BYTES);
+            if let Some(place) = port.and_then(|port| port.written.get_mut(index % MAP_BYTES)) {
+                *place = *byte;
+            }
+        }
+        for port in &mut self.ports {
+            port.take_over(&fresh);
+        }
+    }
+}
+
+impl Output {
+    fn step(&mut self) {
+        let limit = i64::from(self.order.limit);
+        if limit > 0 && (self.position - self.begun).abs() >= limit {
+            self.order.run_state = IDLE;
+            self.order.limit = 0;
+        }
+        if !self.is_on() {
+            self.duty = 0.0;
+            self.is_overloaded = false;
+        } else if !self.is_regulated() && (self.duty * 100.0).round() as i8 != self.order.power {
+            // A running program has set a finer duty than percent.
+            self.duty = f64::from(self.order.power) / 100.0;
+        }
+    }
+
+    fn regulate(&mut self, place: usize) {
+        if self.is_on() && self.is_regulated() {
+            let wanted = self.regulated_percent(place) * RAD_PER_S_PER_PERCENT;
+            self.duty = self.control.duty(wanted, self.position - self.begun);
+            self.is_overloaded = self.duty.abs() >= 1.0;
+        }
+    }
+
+    const fn is_on(&self) -> bool {
+        self.order.mode & ON != 0 && self.order.run_state != IDLE
+    }
+
+    const fn is_regulated(&self) -> bool {
+        self.order.mode & REGULATED != 0 && self.order.regulation != 0
+    }
+
+    fn regulated_percent(&self, place: usize) -> f64 {
+        let power = f64::from(self.order.power);
+        let ratio = f64::from(self.order.turn_ratio);
+        let is_slower = (ratio < 0.0) == (place == RIGHT);
+        if self.order.regulation == SYNC && is_slower {
+            power * (1.0 - ratio.abs() / 50.0)
+        } else {
+            power
+        }
+    }
+
+    fn follow(&mut self, order: Order, fresh: SpeedControl) {
+        self.order = Order {
+            power: order.power.clamp(-100, 100),
+            turn_ratio: order.turn_ratio.clamp(-100, 100),
+            ..order
+        };
+        self.begun = self.position;
+        self.control = fresh;
+    }
+
+    fn take_over(&mut self, fresh: &SpeedControl) {
+        let written = self.written;
+        let flags = std::mem::take(&mut self.written[FLAGS_AT]);
+        let is_set = |flag: u8| flags & flag != 0;
+        if is_set(UPDATE_MODE | UPDATE_SPEED | UPDATE_LIMIT) {
+            let mut order = self.order;
+            if is_set(UPDATE_MODE) {
+                (order.mode, order.regulation) = (written[MODE_AT], written[REGULATION_AT]);
+            }
+            if is_set(UPDATE_SPEED) {
+                order.power = written[SPEED_AT] as i8;
+                order.run_state = written[RUN_STATE_AT];
+                order.turn_ratio = written[TURN_RATIO_AT] as i8;
+            }
+            if is_set(UPDATE_LIMIT) {
+                let limit = written.get(LIMIT_AT..).and_then(<[u8]>::first_chunk);
+                order.limit = limit.map_or(0, |limit| u32::from_le_bytes(*limit));
+            }
+            self.follow(order, fresh.clone());
+        }
+        for (flag, zero) in [
+            (RESET_TACHO, &mut self.tacho_zero),
+            (RESET_BLOCK, &mut self.block_zero),
+            (RESET_ROTATION, &mut self.rotation_zero),
+        ] {
+            if flags & flag != 0 {
+                *zero = self.position;
+            }
+        }
+    }
+
+    /// Tacho, block and rotation count.
+    fn counts(&self) -> [i32; 3] {
+        [self.tacho_zero, self.block_zero, self.rotation_zero]
+            .map(|zero| (self.position - zero) as i32)
+    }
+
+    fn map(&self) -> [u8; MAP_BYTES] {
+        let mut map = [0; MAP_BYTES];
+        let counts = self.counts().into_iter().flat_map(i32::to_le_bytes);
+        let head = counts.chain(self.order.limit.to_le_bytes());
+        for (place, byte) in map.iter_mut().zip(head) {
+            *place = byte;
+        }
+        map[MODE_AT] = self.order.mode;
+        map[SPEED_AT] = self.order.power as u8;
+        map[ACTUAL_SPEED_AT] = (self.duty * 100.0).round() as i8 as u8;
+        map[RUN_STATE_AT] = self.order.run_state;
+        map[REGULATION_AT] = self.order.regulation;
+        map[OVERLOADED_AT] = u8::from(self.is_overloaded);
+        map[TURN_RATIO_AT] = self.order.turn_ratio as u8;
+        map
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RUN: Order = Order {
+        power: 50,
+        mode: ON,
+        regulation: 0,
+        turn_ratio: 0,
+        run_state: RUNNING,
+        limit: 0,
+    };
+
+    fn at(left: i64, right: i64) -> Pair<i64> {
+        Pair { left, right }
+    }
+
+    #[test]
+    fn power_is_a_duty_and_an_idle_port_stands() {
+        let mut outputs = Outputs::new(&RobotSettings::default());
+        assert!(outputs.order(1, RUN));
+        assert!(outputs.order(2, Order { power: -120, ..RUN }));
+        let duty = outputs.step(at(0, 0));
+        assert_eq!((duty.left, duty.right), (0.5, -1.0));
+        assert!(outputs.order(0xFF, Order::default()));
+        let duty = outputs.step(at(0, 0));
+        assert_eq!((duty.left, duty.right), (0.0, 0.0));
+        assert!(!outputs.order(3, RUN));
+    }
+
+    #[test]
+    fn a_limit_ends_the_run() {
+        let mut outputs = Outputs::new(&RobotSettings::default());
+        outputs.step(at(1_000, 0));
+        outputs.order(1, Order { limit: 90, ..RUN });
+        assert_eq!(outputs.step(at(1_089, 0)).left, 0.5);
+        assert_eq!(outputs.step(at(1_090, 0)).left, 0.0);
+    }
+
+    #[test]
+    fn each_counter_has_its_own_zero() {
+        let mut outputs = Outputs::new(&RobotSettings::default());
+        outputs.step(at(10, 0));
+        assert!(outputs.zero(1, Counter::Block));
+        outputs.step(at(14, 0));
+        assert!(outputs.zero(1, Counter::Rotation));
+        outputs.step(at(20, 0));
+        assert_eq!(outputs.ports[1].counts(), [20, 10, 6]);
+        outputs.reset();
+        assert_eq!(outputs.ports[1].counts(), [0, 0, 0]);
+        assert!(!outputs.zero(3, Counter::Block));
+    }
+
+    #[test]
+    fn what_is_written_into_the_module_waits_for_its_flag() {
+        let mut outputs = Outputs::new(&RobotSettings::default());
+        // Port C: mode on, speed 30, then run state, each in a telegram of its own.
+        outputs.write(64 + MODE_AT, &[ON, 30]);
+        outputs.write(64 + RUN_STATE_AT, &[RUNNING]);
+        assert_eq!(outputs.step(at(0, 0)).right, 0.0);
+        outputs.write(64 + FLAGS_AT, &[UPDATE_MODE | UPDATE_SPEED]);
+        assert_eq!(outputs.step(at(0, 7)).right, 0.3);
+        assert_eq!(outputs.map()[64..68], [7, 0, 0, 0]);
+        outputs.write(64 + FLAGS_AT, &[RESET_TACHO]);
+        assert_eq!(outputs.map()[64..72], [0, 0, 0, 0, 7, 0, 0, 0]);
+    }
+
+    #[test]
+    fn in_step_a_turn_ratio_slows_the_motor_inside_the_turn() {
+        let mut outputs = Outputs::new(&RobotSettings::default());
+        let order = Order {
+            mode: ON | REGULATED,
+            regulation: SYNC,
+            turn_ratio: 25,
+            ..RUN
+        };
+        outputs.order(0xFF, order);
+        let percent =
+            |outputs: &Outputs, place: usize| outputs.ports[place].regulated_percent(place);
+        assert_eq!(
+            (percent(&outputs, LEFT), percent(&outputs, RIGHT)),
+            (25.0, 50.0)
+        );
+        outputs.order(
+            0xFF,
+            Order {
+                turn_ratio: -50,
+                ..order
+            },
+        );
+        assert_eq!(
+            (percent(&outputs, LEFT), percent(&outputs, RIGHT)),
+            (50.0, 0.0)
+        );
+    }
+}
