@@ -248,5 +248,6 @@ fn every_robot_profile_loads_and_bears_the_name_of_its_file() {
         assert_eq!(profile.robot.name, stem);
         let config = Config::default().with_robot(profile);
         config.filter_config().unwrap();
+        config.pipeline().unwrap();
     }
 }
