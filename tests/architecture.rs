@@ -36,6 +36,8 @@ enum Kind {
 /// Who may name whom. A row stands here before its crate does; a crate without a row is a failure.
 const LAYERS: &[Layer] = &[
     pure("telemetry", &[]),
+    // For microcontrollers: names nobody, needs no standard library.
+    pure("brick", &[]),
     pure("protocol", &["telemetry"]),
     pure("estimator", &["telemetry"]),
     pure("recording", &["telemetry"]),
@@ -45,13 +47,21 @@ const LAYERS: &[Layer] = &[
         &["telemetry", "estimator", "pipeline", "recording"],
     ),
     // Never estimator or pipeline: nobody marks their own exam.
-    pure("sim", &["telemetry", "protocol"]),
+    pure("sim", &["telemetry", "protocol", "brick"]),
     io("link", &["telemetry"]),
     io("dashboard", &["telemetry", "recording"]),
     // Tests of the others; nobody may name it.
     io(
         "fuzz-bodies",
-        &["telemetry", "protocol", "recording", "link", "sim", ROOT],
+        &[
+            "telemetry",
+            "brick",
+            "protocol",
+            "recording",
+            "link",
+            "sim",
+            ROOT,
+        ],
     ),
     io(
         ROOT,

@@ -2,12 +2,33 @@
 //!
 //! The brick and the camera are two of them behind one link. Which telemetry is sent when is their business.
 
+use posebridge_brick::{Link, Sink};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, Span, Stamp};
+
+/// Place of the sequence number in a MAVLink 2 frame.
+const SEQUENCE: usize = 4;
+
+/// Any message: only the number of its frame is looked at.
+const NOT_SENT: Heartbeat = Heartbeat {
+    vehicle_type: 0,
+    autopilot: 0,
+    base_mode: 0,
+    system_status: 0,
+};
+
+/// Frames of the brick SDK behind those that wait.
+pub(crate) struct Outgoing<'a>(&'a mut Vec<Vec<u8>>);
+
+impl Sink for Outgoing<'_> {
+    fn put(&mut self, frame: &[u8]) {
+        self.0.push(frame.to_vec());
+    }
+}
 
 /// Somebody wants a message at an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,6 +93,21 @@ impl<C: Clock> Node<C> {
         let mut frame = Vec::new();
         self.encoder.encode(self.own, message, &mut frame);
         self.outgoing.push(frame);
+    }
+
+    /// Queues a frame that the brick SDK writes, under the number that is this participant's next.
+    pub(crate) fn send_by_sdk(&mut self, write: impl FnOnce(&mut Link, &mut Outgoing<'_>)) {
+        let sequence = self.next_sequence();
+        let mut link = Link::continued(self.own.system.0, self.own.component.0, sequence);
+        write(&mut link, &mut Outgoing(&mut self.outgoing));
+    }
+
+    /// Takes the next number from the encoder, which counts for both: it writes a frame that is not sent.
+    fn next_sequence(&mut self) -> u8 {
+        let mut frame = Vec::new();
+        self.encoder
+            .encode(self.own, &Message::Heartbeat(NOT_SENT), &mut frame);
+        frame.get(SEQUENCE).copied().unwrap_or_default()
     }
 
     /// The bytes that are to be sent, as whole frames.

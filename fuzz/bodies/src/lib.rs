@@ -6,6 +6,7 @@
 //! the same way. They read no clock, file or network.
 
 mod codecs;
+mod brick;
 mod config;
 mod decode;
 mod impairment;
@@ -34,6 +35,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("nxt", nxt::check, 60_000),
     Target::new("ev3", codecs::check_ev3, 150_000),
     Target::new("line", codecs::check_line, 150_000),
+    Target::new("brick", brick::check, 400_000),
 ];
 
 /// One untrusted input and what must hold for it.

@@ -5,6 +5,7 @@
 //! [personalities](crate::personality). Nothing here sees the world.
 
 mod belief;
+mod compact;
 mod follower;
 mod odometry;
 mod program;

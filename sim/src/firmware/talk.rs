@@ -3,13 +3,14 @@
 //! It knows the brick's clock, the sensors and whatever the station sends. It never sees the world.
 
 use posebridge_protocol::message::{
-    Heartbeat, Inertial, Message, OdometryPose, PlanarImu, RobotDescription, WheelTicks, WireStamp,
+    Heartbeat, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp,
 };
 use posebridge_telemetry::{
-    Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, EncoderTicks, Meters,
-    MetersPerSecondSquared, Pose, Radians, RadiansPerSecond, SensorNoise, Stamp,
+    Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, Meters,
+    MetersPerSecondSquared, Pose, RadiansPerSecond, SensorNoise, Stamp,
 };
 
+use super::compact;
 use super::schedule::{Schedule, Topic};
 use crate::clock::register_micros;
 use crate::node::Node;
@@ -69,14 +70,15 @@ impl Talk {
             self.schedule.follow(request, now);
         }
         while let Some(topic) = self.schedule.next(now) {
-            let message = match topic {
-                Topic::Wheels => Some(self.wheels(now, board.counts())),
-                Topic::Inertial => Some(self.inertial(now, board)),
-                Topic::Description => Some(self.description()),
-                Topic::Thermometer => self.temperature(now, board),
-            };
-            if let Some(message) = message {
-                self.node.send(&message);
+            match topic {
+                Topic::Wheels => self.send_wheels(now, board.counts()),
+                Topic::Inertial => self.send_inertial(now, board),
+                Topic::Description => self.node.send(&self.description()),
+                Topic::Thermometer => {
+                    if let Some(message) = self.temperature(now, board) {
+                        self.node.send(&message);
+                    }
+                }
             }
         }
     }
@@ -120,47 +122,44 @@ impl Talk {
         shown(self.settings.wire, now)
     }
 
-    fn wheels(&self, now: Stamp<BrickClock>, counts: Pair<i64>) -> Message {
+    fn send_wheels(&mut self, now: Stamp<BrickClock>, counts: Pair<i64>) {
         let counts = counts.zip(self.zero).map(|(count, zero)| count - zero);
         match self.settings.wire {
-            Wire::Compact => Message::WheelTicks(WheelTicks {
-                stamp: WireStamp::Micros32(register_micros(now)),
-                left: EncoderTicks(counts.left),
-                right: EncoderTicks(counts.right),
-            }),
+            Wire::Compact => {
+                let ticks = compact::wheel_ticks(register_micros(now), counts);
+                self.node
+                    .send_by_sdk(|link, sink| link.wheel_ticks(&ticks, sink));
+            }
             Wire::Standard => {
                 let rolled =
                     |radius: Meters, count: i64| radius * (self.geometry.tick.0 * count as f64);
-                Message::WheelDistance {
+                self.node.send(&Message::WheelDistance {
                     stamp: WireStamp::Micros64(now.as_micros() as u64),
                     left: rolled(self.geometry.left_wheel_radius, counts.left),
                     right: rolled(self.geometry.right_wheel_radius, counts.right),
-                }
+                });
             }
         }
     }
 
-    fn inertial(&self, now: Stamp<BrickClock>, board: &mut SensorBoard) -> Message {
+    fn send_inertial(&mut self, now: Stamp<BrickClock>, board: &mut SensorBoard) {
         let reading = board.read_inertial();
-        let wheels = reading.wheels_m_per_s2;
-        let turn_rate = Some(RadiansPerSecond(reading.turn_rate_rad_per_s));
         match self.settings.wire {
-            Wire::Compact => Message::Inertial(Inertial {
-                stamp: WireStamp::Micros32(register_micros(now)),
-                turn_rate,
-                turn: Some(Radians(reading.turn_rad)),
-                wheel_accelerations: Some((
-                    MetersPerSecondSquared(wheels.left),
-                    MetersPerSecondSquared(wheels.right),
-                )),
-            }),
-            Wire::Standard => Message::ScaledImu(PlanarImu {
-                stamp: WireStamp::Millis32((now.as_micros() / 1_000) as u32),
-                turn_rate,
-                forward_acceleration: Some(MetersPerSecondSquared(
-                    0.5 * (wheels.left + wheels.right),
-                )),
-            }),
+            Wire::Compact => {
+                let inertial = compact::inertial(register_micros(now), &reading);
+                self.node
+                    .send_by_sdk(|link, sink| link.inertial(&inertial, sink));
+            }
+            Wire::Standard => {
+                let wheels = reading.wheels_m_per_s2;
+                self.node.send(&Message::ScaledImu(PlanarImu {
+                    stamp: WireStamp::Millis32((now.as_micros() / 1_000) as u32),
+                    turn_rate: Some(RadiansPerSecond(reading.turn_rate_rad_per_s)),
+                    forward_acceleration: Some(MetersPerSecondSquared(
+                        0.5 * (wheels.left + wheels.right),
+                    )),
+                }));
+            }
         }
     }
 

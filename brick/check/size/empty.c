@@ -1,0 +1,6 @@
+/* What every program on an ATmega328P has: subtracted from the others. */
+int main(void)
+{
+    for (;;)
+        ;
+}
