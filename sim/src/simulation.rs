@@ -226,7 +226,8 @@ impl Simulation {
         self.duty = Pair::default();
     }
 
-    /// What brick and camera have found in the bytes that came: their counterpart to the station's link health.
+    /// What brick and camera have found in the bytes that came: their counterpart to the station's link health. The firmware of a LEGO
+    /// brick counts nothing.
     pub const fn heard(&self) -> &ScanCounters {
         self.scanner.counters()
     }
