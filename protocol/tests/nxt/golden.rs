@@ -109,8 +109,15 @@ fn codec() -> Box<dyn BrickCodec> {
     (brick_protocol("nxt").expect("the row is there").open)(&settings)
 }
 
-/// Plays the transcript with answers cut into chunks; what the codec asked and heard.
-fn play(chunk: usize) -> (Vec<Vec<u8>>, Vec<Message>, Vec<(i64, i64)>) {
+/// What the codec asked and heard; of the clock, when the question left and what was answered, nanoseconds.
+struct Played {
+    asked: Vec<Vec<u8>>,
+    messages: Vec<Message>,
+    times: Vec<(i64, i64)>,
+}
+
+/// Plays the transcript with answers cut into chunks.
+fn play(chunk: usize) -> Played {
     let mut codec = codec();
     let (mut asked, mut messages, mut times) = (Vec::new(), Vec::new(), Vec::new());
     codec.begin(Stamp::ZERO);
@@ -130,12 +137,16 @@ fn play(chunk: usize) -> (Vec<Vec<u8>>, Vec<Message>, Vec<(i64, i64)>) {
             });
         }
     }
-    (asked, messages, times)
+    Played {
+        asked,
+        messages,
+        times,
+    }
 }
 
 #[test]
 fn every_question_is_these_bytes_in_this_order() {
-    let (asked, ..) = play(usize::MAX);
+    let Played { asked, .. } = play(usize::MAX);
     let expected: Vec<&[u8]> = transcript()
         .into_iter()
         .flat_map(|(asked, _)| asked)
@@ -146,7 +157,11 @@ fn every_question_is_these_bytes_in_this_order() {
 #[test]
 fn every_answer_means_this_in_chunks_of_every_size() {
     for chunk in 1..=120 {
-        let (asked, messages, times) = play(chunk);
+        let Played {
+            asked,
+            messages,
+            times,
+        } = play(chunk);
         assert_eq!(asked.len(), 17, "chunk size {chunk}");
         assert_eq!(times.first(), Some(&(30_000_000, 0x12345 * 1_000_000)));
         assert_eq!(times.len(), 3);

@@ -4,6 +4,14 @@
     clippy::panic,
     reason = "helpers outside #[test] stop where the test is broken"
 )]
+#![expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "each test looks for one kind of message among all"
+)]
+#![expect(
+    clippy::print_stdout,
+    reason = "figures are for whoever runs the tests with --nocapture"
+)]
 
 mod bench;
 mod brick;

@@ -133,16 +133,12 @@ impl Conversation {
             return Matched::TooLate;
         }
         let found = self.waiting.iter().position(|asked| fits(&asked.question));
-        match found.and_then(|at| self.waiting.remove(at)) {
-            Some(asked) => {
-                self.tally.answered += 1;
-                Matched::Answer(asked)
-            }
-            None => {
-                self.tally.late += 1;
-                Matched::Unasked
-            }
-        }
+        let Some(asked) = found.and_then(|at| self.waiting.remove(at)) else {
+            self.tally.late += 1;
+            return Matched::Unasked;
+        };
+        self.tally.answered += 1;
+        Matched::Answer(asked)
     }
 
     /// Any fence that comes back is one: all that stood before it is known to be over.

@@ -167,7 +167,7 @@ impl Device {
             return None;
         }
         self.answered();
-        self.measured(&buffer.last())
+        self.measured(buffer.last())
     }
 
     /// What was fetched from the buffer: `said` bytes of `data`.
@@ -178,7 +178,7 @@ impl Device {
         }
         self.answered();
         let end = said % 16;
-        self.measured(&Buffer { ring: data, end }.last())
+        self.measured(Buffer { ring: data, end }.last())
     }
 
     /// The answer is not there yet.
@@ -196,8 +196,8 @@ impl Device {
     }
 
     /// `last` ends with the answer.
-    fn measured(&self, last: &[u8; LONGEST_ANSWER]) -> Option<Measured> {
-        let [x, y, z, x_low, y_low, z_low] = *last;
+    fn measured(&self, last: [u8; LONGEST_ANSWER]) -> Option<Measured> {
+        let [x, y, z, x_low, y_low, z_low] = last;
         match self.sensor {
             NxtSensor::None | NxtSensor::HtGyro => None,
             NxtSensor::HtAccelerometer { forward, .. } => {

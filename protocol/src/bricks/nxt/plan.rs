@@ -94,10 +94,6 @@ pub(super) enum Change {
 
 /// The plan of one link.
 #[derive(Debug)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "three facts about the brick, each found out on its own"
-)]
 pub(super) struct Plan {
     source: Source,
     wheels: [MotorPort; 2],
@@ -332,21 +328,19 @@ impl Plan {
             self.want_tick();
             return Some(Change::Outstanding);
         }
-        match question {
-            Question::SetUp { port, .. } => {
-                if let Some(port) = self.ports.get_mut(usize::from(*port)) {
-                    *port = match why {
-                        Failure::Lost => Port::Wanted,
-                        // Asking again would give the same answer.
-                        Failure::Refused => Port::Unused,
-                    };
-                }
-                None
-            }
-            _ if is_tick => self.tick_failed(),
-            question if question.is_for_data() => self.data_failed().then_some(Change::Reach),
-            _ => None,
+        if let Question::SetUp { port, .. } = question
+            && let Some(port) = self.ports.get_mut(usize::from(*port))
+        {
+            *port = match why {
+                Failure::Lost => Port::Wanted,
+                // Asking again would give the same answer.
+                Failure::Refused => Port::Unused,
+            };
         }
+        if is_tick {
+            return self.tick_failed();
+        }
+        (question.is_for_data() && self.data_failed()).then_some(Change::Reach)
     }
 
     fn tick_failed(&mut self) -> Option<Change> {

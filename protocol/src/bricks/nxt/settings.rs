@@ -240,32 +240,34 @@ mod tests {
     fn the_settings_of_no_robot_are_refused_by_name() {
         let sound = NxtSettings::default();
         assert_eq!(sound.check(), Ok(()));
-        let mut one = sound.clone();
-        one.right_motor.port = MotorPort::B;
+        let one = NxtSettings {
+            right_motor: sound.left_motor,
+            ..NxtSettings::default()
+        };
         assert_eq!(
             one.check().unwrap_err().to_string(),
             "both wheels are at motor port B"
         );
         let mailbox = NxtSettings {
             mailbox: 10,
-            ..sound.clone()
+            ..NxtSettings::default()
         };
         assert_eq!(mailbox.check(), Err(NxtSettingsError::Mailbox(10)));
         for rest in [f64::NAN, -1.0, 1024.0] {
             let gyro = NxtSettings {
                 gyro_rest: Some(rest),
-                ..sound.clone()
+                ..NxtSettings::default()
             };
             assert!(matches!(gyro.check(), Err(NxtSettingsError::GyroRest(_))));
         }
         let compass = NxtSettings {
             compass_zero_deg: f64::INFINITY,
-            ..sound.clone()
+            ..NxtSettings::default()
         };
         assert!(compass.check().is_err());
         let hasty = NxtSettings {
             answer_timeout: Span::ZERO,
-            ..sound
+            ..NxtSettings::default()
         };
         assert!(hasty.check().is_err());
     }
