@@ -122,8 +122,9 @@ fn channels(all: &Resting, recording: &str) -> Result<Vec<Channel>> {
     }
     if found.is_empty() {
         bail!(
-            "`{recording}` does not tell the noise of a gyro or of accelerometers while its wheels stood{}{}: record a minute of rest",
-            if reasons.is_empty() { "" } else { "; " },
+            "`{recording}` does not tell the noise of a gyro or of accelerometers while its wheels stood{}{}; record a minute of rest, ten \
+             where a coarse sensor hardly ever changes",
+            if reasons.is_empty() { "" } else { ": " },
             reasons.join("; ")
         );
     }
