@@ -1,7 +1,7 @@
 //! The three experiments: what is taken out of a run, given to the analysis, and told.
 
 use anyhow::{Context, Result, bail};
-use posebridge_analysis::calibration::at_rest::{Resting, STANDING_S};
+use posebridge_analysis::calibration::at_rest::{Resting, RestingChannel, STANDING_S};
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape};
 use posebridge_analysis::noise_identification::{
     AllanPoint, DelaySearch, RestNoise, RestRecord, Sighting, allan_deviation, find_delay,
@@ -17,9 +17,10 @@ const PANEL_PX: f64 = 300.0;
 
 /// The gyro of a robot that rests.
 pub(super) fn rest(seen: &Seen) -> Result<Findings> {
-    let (stretches, mut notes) = stretches_at_rest(seen)?;
+    let mut notes = Vec::new();
+    let resting = gyro_at_rest(seen, &mut notes)?;
     let of_the_gyro = || format!("the gyro of `{}`", seen.name);
-    let record = RestRecord::of(&stretches).with_context(of_the_gyro)?;
+    let record = RestRecord::of(&resting.stretches).with_context(of_the_gyro)?;
     let found = noise_at_rest(&record).with_context(of_the_gyro)?;
     let quantities = rest_quantities(seen, &found);
     notes.insert(
@@ -45,8 +46,8 @@ pub(super) fn rest(seen: &Seen) -> Result<Findings> {
     })
 }
 
-/// Instants and readings of the gyro, s and rad/s, while the robot stood, and what has to be said about that.
-fn stretches_at_rest(seen: &Seen) -> Result<(Vec<Vec<(f64, f64)>>, Vec<String>)> {
+/// The gyro while the robot stood; what has to be said about that is noted.
+fn gyro_at_rest(seen: &Seen, notes: &mut Vec<String>) -> Result<RestingChannel> {
     let mut observations: Vec<Observation> =
         seen.arrived.iter().map(|one| one.observation).collect();
     observations.sort_by_key(|observation| observation.stamp);
@@ -62,11 +63,13 @@ fn stretches_at_rest(seen: &Seen) -> Result<(Vec<Vec<(f64, f64)>>, Vec<String>)>
     }
     let is_wheel = |one: &Observation| matches!(one.observed, Observed::WheelAngles { .. });
     if !observations.iter().any(is_wheel) {
-        let note = "there are no wheel counts: that the robot stood is taken on trust";
-        return Ok((vec![all], vec![note.to_owned()]));
+        notes.push("there are no wheel counts: that the robot stood is taken on trust".to_owned());
+        return Ok(RestingChannel {
+            stretches: vec![all],
+        });
     }
-    let stretches = Resting::of(&observations).gyro.stretches;
-    let standing = stretches.iter().map(Vec::len).sum::<usize>();
+    let resting = Resting::of(&observations).gyro;
+    let standing = resting.stretches.iter().map(Vec::len).sum::<usize>();
     if standing == 0 {
         bail!(
             "the robot of `{}` never stood: no reading of its gyro lies where the counts of its wheels were the same for {STANDING_S} s \
@@ -75,13 +78,12 @@ fn stretches_at_rest(seen: &Seen) -> Result<(Vec<Vec<(f64, f64)>>, Vec<String>)>
         )
     }
     let left_out = all.len() - standing.min(all.len());
-    let mut notes = Vec::new();
     if left_out > 0 {
         notes.push(format!(
             "{left_out} more lie outside of rest: less than {STANDING_S} s after a wheel moved, or after the last count of the wheels"
         ));
     }
-    Ok((stretches, notes))
+    Ok(resting)
 }
 
 /// The Allan deviation of the longest stretch, and what is to be said about it.
