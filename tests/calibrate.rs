@@ -538,12 +538,14 @@ fn the_gyro_of_a_recorded_rest_has_the_noise_of_the_simulated_one() {
     let noise = scenario.sensor_noise();
     let (sigma, step) = (noise.gyro_rad_per_s, noise.gyro_resolution_rad_per_s);
     // White noise that is rounded; of 1200 readings its sigma is known to 2 %. The link's own unit smears the step by a thousandth.
-    let expected = sigma.hypot(step / 12.0_f64.sqrt());
     let found_sigma = number(gyro, "/noise");
     assert!(
-        (found_sigma / expected - 1.0).abs() < 0.1,
-        "{found_sigma} {expected}"
+        (found_sigma / sigma - 1.0).abs() < 0.1,
+        "{found_sigma} {sigma}"
     );
+    let rounded = number(gyro, "/noise_with_rounding");
+    let expected = sigma.hypot(step / 12.0_f64.sqrt());
+    assert!((rounded / expected - 1.0).abs() < 0.1, "{rounded}");
     assert!((number(gyro, "/step") / step - 1.0).abs() < 0.01, "{found}");
     assert!(number(gyro, "/rest_s") > 55.0, "{found}");
     let bias = number(gyro, "/bias").abs();
@@ -603,8 +605,8 @@ fn the_bias_of_a_gyro_at_rest_is_found_and_its_drive_left_out() {
     let gyro = &found["channels"][0];
     assert!((number(gyro, "/bias") - 0.02).abs() < 1e-5, "{found}");
     assert!((number(gyro, "/step") - 0.001).abs() < 1e-6, "{found}");
-    // Mean square of the steps from sample to sample, 1, 1, -4, 1, 1, over two: 2.
-    let white = 0.001 * 2.0_f64.sqrt();
+    // The mean square of the pattern is 2, of which rounding takes a twelfth.
+    let white = 0.001 * (2.0 - 1.0 / 12.0_f64).sqrt();
     assert!(
         (number(gyro, "/noise") / white - 1.0).abs() < 0.01,
         "{found}"

@@ -406,7 +406,7 @@ fn what_tells_nothing_says_why() {
             2,
             "nothing lies between them",
         ),
-        (vec!["rest", "--to", "2"], 1, "100 are the least"),
+        (vec!["rest", "--to", "2"], 1, "20 are the least"),
         (vec!["delay", "--most", "0.1"], 1, "widen it with --most"),
         (vec!["straight", "--sim", "nowhere.toml"], 2, "nowhere.toml"),
     ] {

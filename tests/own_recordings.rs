@@ -96,7 +96,8 @@ fn quantity(found: &Value, name: &str) -> [f64; 2] {
 fn a_recorded_rest_and_a_recorded_side_tell_the_noise() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    record(folder, "square.mcap", SQUARE, 300.0);
+    let coarse = SQUARE.replace("quantum_deg_per_s = 0.1", "quantum_deg_per_s = 1.0");
+    record(folder, "square.mcap", &coarse, 300.0);
     let rest = [
         "identify",
         "rest",
@@ -110,6 +111,9 @@ fn a_recorded_rest_and_a_recorded_side_tell_the_noise() {
     let truth = 0.4_f64.to_radians();
     println!("gyro noise {noise} +- {sigma}, true {truth}");
     assert!((noise / truth - 1.0).abs() < 0.1, "{noise}");
+    // The link carries it in a unit of its own, of which a step is 34.9.
+    let [step, _] = quantity(&rest, "gyro_resolution_rad_per_s");
+    assert!((step.to_degrees() - 1.0).abs() < 0.01, "{step}");
     // The first side: 0.8 m at 0.22 m/s after half a second at rest.
     let side = [
         "identify",

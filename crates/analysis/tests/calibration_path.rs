@@ -99,11 +99,25 @@ fn drive(truth: &Truth, rates: &[f64], rounds: usize, seed: u64) -> FreePath {
             }
         }
     }
-    let sights = (0..poses.len() - 1).step_by(2).map(|index| {
+    FreePath {
+        name: format!("seed {seed}"),
+        start: PathStart {
+            pose: truth.start,
+            position_sigma_m: 0.001,
+            heading_sigma_rad: 0.001,
+        },
+        sights: sights(truth, &poses, &mut random),
+        steps,
+    }
+}
+
+/// What is seen of the tag on the way through these poses.
+fn sights(truth: &Truth, poses: &[[f64; 3]], random: &mut Pcg64) -> Vec<Sight> {
+    let seen = (0..poses.len() - 1).step_by(2).map(|index| {
         let [x, y, heading] = poses[index];
         let (sin, cos) = heading.sin_cos();
         let [ahead, left] = truth.tag_m;
-        let mut seen = |exact: f64| exact + SIGMA_M * normal(&mut random);
+        let mut seen = |exact: f64| exact + SIGMA_M * normal(random);
         Sight {
             at_s: index as f64 * STEP_S + truth.delay_s,
             place_m: [
@@ -114,16 +128,7 @@ fn drive(truth: &Truth, rates: &[f64], rounds: usize, seed: u64) -> FreePath {
             tag_m: [0.0; 2],
         }
     });
-    FreePath {
-        name: format!("seed {seed}"),
-        start: PathStart {
-            pose: truth.start,
-            position_sigma_m: 0.001,
-            heading_sigma_rad: 0.001,
-        },
-        sights: sights.collect(),
-        steps,
-    }
+    seen.collect()
 }
 
 fn known(value: f64, sigma: f64) -> Known {

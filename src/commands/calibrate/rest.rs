@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, bail};
 use clap::Args;
-use posebridge_analysis::calibration::at_rest::{AtRest, Resting, RestingChannel};
+use posebridge_analysis::calibration::at_rest::{Resting, RestingChannel};
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape, plot};
+use posebridge_analysis::noise_identification::RestNoise;
 use posebridge_analysis::report::Table;
 use posebridge_analysis::report::page::{Page, Part};
 use posebridge_link::HostTimer;
-use posebridge_telemetry::Known;
 use serde_json::{Value, json};
 
 use super::profile::Calibrated;
@@ -19,6 +19,7 @@ use crate::commands::lab::live::LiveArgs;
 use crate::commands::lab::outcome::{Outcome, OutputArgs};
 use crate::commands::{Failure, Stage};
 use crate::config::{CalibrationEntry, RobotFile};
+use crate::stderr::say;
 
 /// What a person with a live robot is told to do.
 const TASK: &str = "leave the robot standing for a minute, its motors off";
@@ -47,7 +48,7 @@ pub struct RestArgs {
 struct Channel {
     name: &'static str,
     unit: &'static str,
-    rest: AtRest,
+    rest: RestNoise,
     readings: Vec<(f64, f64)>,
 }
 
@@ -78,14 +79,7 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
         all.left_accelerometer.stretches.extend(left.stretches);
         all.right_accelerometer.stretches.extend(right.stretches);
     }
-    let channels = channels(&all);
-    if channels.is_empty() {
-        return Err(anyhow!(
-            "`{}` holds too few readings of a gyro or of accelerometers while its wheels stood: record a minute of rest",
-            drives.recording
-        ))
-        .while_running();
-    }
+    let channels = channels(&all, &drives.recording).while_running()?;
     if let Some(path) = &args.save {
         let robot = with_noise(&first.robot, &channels);
         let calibrated = Calibrated {
@@ -101,22 +95,43 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
         .deliver(&folder, &outcome(&drives.recording, &channels))
 }
 
-fn channels(all: &Resting) -> Vec<Channel> {
+/// The channels that tell something; what the others lack is said.
+///
+/// # Errors
+/// None does.
+fn channels(all: &Resting, recording: &str) -> Result<Vec<Channel>> {
     let named: [(&'static str, &'static str, &RestingChannel); 3] = [
         ("gyro", "rad/s", &all.gyro),
         ("left accelerometer", "m/s²", &all.left_accelerometer),
         ("right accelerometer", "m/s²", &all.right_accelerometer),
     ];
-    let found = named.into_iter().filter_map(|(name, unit, channel)| {
-        Some(Channel {
-            name,
-            unit,
-            // Too few readings: no such sensor.
-            rest: channel.at_rest().ok()?,
-            readings: channel.stretches.iter().flatten().copied().collect(),
-        })
-    });
-    found.collect()
+    let mut found = Vec::new();
+    let mut reasons = Vec::new();
+    for (name, unit, channel) in named {
+        match channel.noise() {
+            Ok(rest) => found.push(Channel {
+                name,
+                unit,
+                rest,
+                readings: channel.stretches.iter().flatten().copied().collect(),
+            }),
+            // No such sensor, or no rest.
+            Err(_) if channel.stretches.is_empty() => {}
+            Err(reason) => reasons.push(format!("{name}: {reason}")),
+        }
+    }
+    if found.is_empty() {
+        bail!(
+            "`{recording}` does not tell the noise of a gyro or of accelerometers while its wheels stood{}{}; record a minute of rest, ten \
+             where a coarse sensor hardly ever changes",
+            if reasons.is_empty() { "" } else { ": " },
+            reasons.join("; ")
+        );
+    }
+    for reason in reasons {
+        say(&format!("{recording}: {reason}; it is left as it was"));
+    }
+    Ok(found)
 }
 
 /// The robot with the noise of the channels that were measured.
@@ -124,19 +139,23 @@ fn with_noise(robot: &RobotFile, channels: &[Channel]) -> RobotFile {
     let mut robot = robot.clone();
     let find = |name: &str| channels.iter().find(|channel| channel.name == name);
     if let Some(Channel { rest, .. }) = find("gyro") {
-        robot.noise.gyro_rad_per_s = rest.noise;
-        robot.noise.gyro_resolution_rad_per_s = rest.step;
-        if let Some(walk) = rest.walk_per_sqrt_s {
+        // The filters add the rounding to the resolution themselves.
+        robot.noise.gyro_rad_per_s = rest.beside_rounding();
+        robot.noise.gyro_resolution_rad_per_s = rest.quantum.unwrap_or(0.0);
+        if let Some((walk, _)) = rest.walk {
             robot.noise.gyro_bias_walk_rad_per_s_sqrt_s = walk;
         }
-        let Known { value, sigma } = rest.bias;
-        robot.calibration.gyro_bias_rad_per_s = Some(CalibrationEntry { value, sigma });
+        robot.calibration.gyro_bias_rad_per_s = Some(CalibrationEntry {
+            value: rest.bias,
+            sigma: rest.bias_sigma,
+        });
     }
     let accelerometers = [find("left accelerometer"), find("right accelerometer")];
+    // A profile has no resolution of an accelerometer: its noise is told with the rounding.
     let noise = accelerometers
         .into_iter()
         .flatten()
-        .map(|channel| channel.rest.noise);
+        .map(|channel| channel.rest.total);
     let largest = noise.fold(0.0, f64::max);
     if largest > 0.0 {
         robot.noise.accelerometer_m_per_s2 = largest;
@@ -151,6 +170,7 @@ fn table(channels: &[Channel]) -> String {
         "bias",
         "sigma",
         "noise",
+        "with rounding",
         "step",
         "walk/sqrt(s)",
         "readings",
@@ -163,13 +183,14 @@ fn table(channels: &[Channel]) -> String {
         table.push([
             (*name).to_owned(),
             (*unit).to_owned(),
-            format!("{:+.5}", rest.bias.value),
-            format!("{:.5}", rest.bias.sigma),
-            format!("{:.5}", rest.noise),
-            format!("{:.5}", rest.step),
-            rest.walk_per_sqrt_s
-                .map_or_else(|| "-".to_owned(), |walk| format!("{walk:.6}")),
-            rest.readings.to_string(),
+            format!("{:+.5}", rest.bias),
+            format!("{:.5}", rest.bias_sigma),
+            format!("{:.5}", rest.beside_rounding()),
+            format!("{:.5}", rest.total),
+            format!("{:.5}", rest.quantum.unwrap_or(0.0)),
+            rest.walk
+                .map_or_else(|| "-".to_owned(), |(walk, _)| format!("{walk:.6}")),
+            rest.samples.to_string(),
             format!("{:.1}", rest.rest_s),
         ]);
     }
@@ -189,7 +210,7 @@ fn outcome(recording: &str, channels: &[Channel]) -> Outcome {
             },
             Curve {
                 name: "bias".to_owned(),
-                shape: Shape::Level(channel.rest.bias.value),
+                shape: Shape::Level(channel.rest.bias),
             },
         ],
     });
@@ -205,12 +226,13 @@ fn outcome(recording: &str, channels: &[Channel]) -> Outcome {
             json!({
                 "sensor": channel.name,
                 "unit": channel.unit,
-                "bias": channel.rest.bias.value,
-                "bias_sigma": channel.rest.bias.sigma,
-                "noise": channel.rest.noise,
-                "step": channel.rest.step,
-                "walk_per_sqrt_s": channel.rest.walk_per_sqrt_s,
-                "readings": channel.rest.readings,
+                "bias": channel.rest.bias,
+                "bias_sigma": channel.rest.bias_sigma,
+                "noise": channel.rest.beside_rounding(),
+                "noise_with_rounding": channel.rest.total,
+                "step": channel.rest.quantum.unwrap_or(0.0),
+                "walk_per_sqrt_s": channel.rest.walk.map(|(walk, _)| walk),
+                "readings": channel.rest.samples,
                 "rest_s": channel.rest.rest_s,
             })
         })

@@ -1,10 +1,11 @@
 //! The three experiments: what is taken out of a run, given to the analysis, and told.
 
 use anyhow::{Context, Result, bail};
+use posebridge_analysis::calibration::at_rest::{Resting, RestingChannel, STANDING_S};
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape};
 use posebridge_analysis::noise_identification::{
-    AllanPoint, DelaySearch, RestNoise, Sighting, allan_deviation, find_delay, levels_of,
-    noise_at_rest, noise_of_straight, rounding_speed_sigma,
+    AllanPoint, DelaySearch, RestNoise, RestRecord, Sighting, allan_deviation, find_delay,
+    levels_of, noise_at_rest, noise_of_straight, rounding_speed_sigma,
 };
 use posebridge_telemetry::{Observation, Observed};
 
@@ -16,48 +17,97 @@ const PANEL_PX: f64 = 300.0;
 
 /// The gyro of a robot that rests.
 pub(super) fn rest(seen: &Seen) -> Result<Findings> {
-    let (stamps, rates): (Vec<f64>, Vec<f64>) = seen
-        .arrived
-        .iter()
-        .filter_map(|one| {
-            let Observed::TurnRate(rate) = one.observation.observed else {
-                return None;
-            };
-            Some((one.observation.stamp.as_secs_f64(), rate.0))
-        })
-        .unzip();
-    let (Some(first_s), Some(last_s)) = (stamps.first(), stamps.last()) else {
-        bail!("run `{}` has no gyro", seen.name)
-    };
-    let dt_s = (last_s - first_s) / (stamps.len().max(2) - 1) as f64;
-    let found =
-        noise_at_rest(&rates, dt_s).with_context(|| format!("the gyro of `{}`", seen.name))?;
+    let mut notes = Vec::new();
+    let resting = gyro_at_rest(seen, &mut notes)?;
+    let of_the_gyro = || format!("the gyro of `{}`", seen.name);
+    let record = RestRecord::of(&resting.stretches).with_context(of_the_gyro)?;
+    let found = noise_at_rest(&record).with_context(of_the_gyro)?;
     let quantities = rest_quantities(seen, &found);
-    let points = allan_deviation(&rates, dt_s);
+    notes.insert(
+        0,
+        format!("{} samples over {:.0} s", found.samples, found.rest_s),
+    );
+    let silences = record.silences();
+    if !silences.is_empty() {
+        notes.push(format!(
+            "the gyro was silent {} time(s), for {:.0} s in all: what lies between is left out",
+            silences.len(),
+            silences.iter().sum::<f64>()
+        ));
+    }
+    let points = longest_allan(&record, &mut notes);
+    Ok(Findings {
+        name: "identify-rest",
+        title: "A gyro at rest".to_owned(),
+        quantities,
+        notes,
+        plots: vec![allan_plot(&points)],
+        more: serde_json::Map::new(),
+    })
+}
+
+/// The gyro while the robot stood; what has to be said about that is noted.
+fn gyro_at_rest(seen: &Seen, notes: &mut Vec<String>) -> Result<RestingChannel> {
+    let mut observations: Vec<Observation> =
+        seen.arrived.iter().map(|one| one.observation).collect();
+    observations.sort_by_key(|observation| observation.stamp);
+    let rate = |observation: &Observation| {
+        let Observed::TurnRate(rate) = observation.observed else {
+            return None;
+        };
+        Some((observation.stamp.as_secs_f64(), rate.0))
+    };
+    let all: Vec<(f64, f64)> = observations.iter().filter_map(rate).collect();
+    if all.is_empty() {
+        bail!("run `{}` has no gyro", seen.name)
+    }
+    let is_wheel = |one: &Observation| matches!(one.observed, Observed::WheelAngles { .. });
+    if !observations.iter().any(is_wheel) {
+        notes.push("there are no wheel counts: that the robot stood is taken on trust".to_owned());
+        return Ok(RestingChannel {
+            stretches: vec![all],
+        });
+    }
+    let resting = Resting::of(&observations).gyro;
+    let standing = resting.stretches.iter().map(Vec::len).sum::<usize>();
+    if standing == 0 {
+        bail!(
+            "the robot of `{}` never stood: no reading of its gyro lies where the counts of its wheels were the same for {STANDING_S} s \
+             and more; record it standing, or cut such a stretch out with --from and --to",
+            seen.name
+        )
+    }
+    let left_out = all.len() - standing.min(all.len());
+    if left_out > 0 {
+        notes.push(format!(
+            "{left_out} more lie outside of rest: less than {STANDING_S} s after a wheel moved, or after the last count of the wheels"
+        ));
+    }
+    Ok(resting)
+}
+
+/// The Allan deviation of the longest stretch, and what is to be said about it.
+fn longest_allan(record: &RestRecord, notes: &mut Vec<String>) -> Vec<AllanPoint> {
+    if record.stretches().len() > 1 {
+        notes.push(format!(
+            "there are {} stretches of rest; the Allan deviation is that of the longest one, {} samples",
+            record.stretches().len(),
+            record.longest().len()
+        ));
+    }
+    let rates: Vec<f64> = record.longest().iter().map(|(_, rate)| *rate).collect();
+    let points = allan_deviation(&rates, record.interval_s());
     let bottom = points
         .iter()
         .copied()
         .min_by(|a, b| a.deviation.total_cmp(&b.deviation));
-    let mut notes = vec![format!(
-        "{} samples over {:.0} s",
-        found.samples,
-        last_s - first_s
-    )];
     if let Some(bottom) = bottom {
         notes.push(format!(
             "bias instability, the lowest Allan deviation: {:.2e} ± {:.1e} rad/s at {:.1} s",
             bottom.deviation, bottom.sigma, bottom.tau_s
         ));
     }
-    let plot = allan_plot(&points);
-    Ok(Findings {
-        name: "identify-rest",
-        title: "A gyro at rest".to_owned(),
-        quantities,
-        notes,
-        plots: vec![plot],
-        more: serde_json::Map::new(),
-    })
+    points
 }
 
 /// What a rest says of the gyro, beside the truth where there is one.

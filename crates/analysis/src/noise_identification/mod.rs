@@ -21,13 +21,17 @@
 mod allan;
 mod delay;
 mod levels;
+mod record;
 mod rest;
+mod step;
 mod straight;
 mod walk;
 
 pub use allan::{AllanPoint, allan_deviation};
 pub use delay::{Delay, DelayError, DelaySearch, find_delay};
 pub use levels::{Levels, Sighting, levels_of};
-pub use rest::{RestError, RestNoise, noise_at_rest, quantum_of};
+pub use record::RestRecord;
+pub use rest::{RestError, RestNoise, noise_at_rest};
+pub use step::step_of;
 pub use straight::{StraightError, StraightNoise, noise_of_straight, rounding_speed_sigma};
 pub use walk::{WhiteAndWalk, white_and_walk};

@@ -1,37 +1,65 @@
-//! A gyro that rests: bias, white noise, step and random walk.
+//! A sensor that rests: bias, white noise, step and random walk, equation (1) of the module's head.
+//!
+//! ```text
+//! white    s^2 = var v - q^2 / 12: rounding to a step adds the square of the step over twelve
+//! bias     the mean; var = var v / n + K^2 T / 3 + h^2 / 2
+//! hidden   h = q / pi e^(-2 pi^2 s^2 / q^2): by so much may the mean of rounded readings be off, however many there are
+//! ```
+//! Source: B. Widrow, I. Kollár, Quantization Noise (2008), section 4.4 for q^2 / 12, and the first harmonic of the mean of the rounding
+//! error of Gaussian noise for h.
 
+use std::f64::consts::PI;
+
+use super::RestRecord;
+use super::step::step_of;
 use super::walk::{WhiteAndWalk, white_and_walk};
 
-/// The noise of a rate that rests.
+/// The noise of a sensor that rests, in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestNoise {
     /// Samples.
     pub samples: usize,
-    /// Their spacing, in seconds.
+    /// For how long, in seconds; silences are left out.
+    pub rest_s: f64,
+    /// Their usual spacing, in seconds.
     pub dt_s: f64,
     /// The mean: the bias, on average over the record.
     pub bias: f64,
-    /// Its standard deviation, the walk included.
+    /// Its standard deviation, with the walk and with what rounding hides.
     pub bias_sigma: f64,
     /// The step in which the sensor speaks; `None` if none is seen.
     pub quantum: Option<f64>,
     /// White noise of a sample with its rounding, one standard deviation.
     pub total: f64,
-    /// White noise without the rounding.
+    /// White noise without the rounding; zero where rounding alone scatters as much.
     pub white: f64,
-    /// Its standard deviation.
+    /// Its standard deviation; where `white` is zero, the largest that it can be.
     pub white_sigma: f64,
-    /// Angle random walk: `total` times the root of `dt_s`.
+    /// Angle random walk of a rate: `total` times the root of `dt_s`.
     pub angle_random_walk: f64,
     /// Random walk of the bias per root of a second, with its standard deviation; `None` where none can be told from zero.
     pub walk: Option<(f64, f64)>,
+}
+
+impl RestNoise {
+    /// The noise that a filter shall be told which adds the rounding to `quantum` itself: never zero.
+    ///
+    /// Where rounding hides all other noise, the largest that it can be.
+    #[must_use]
+    pub const fn beside_rounding(&self) -> f64 {
+        if self.white > 0.0 {
+            self.white
+        } else {
+            self.white_sigma
+        }
+    }
 }
 
 /// Why a rest tells nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RestError {
     /// Too few samples.
-    #[error("only {0} samples; 100 are the least")]
+    #[error("only {0} samples; 20 are the least")]
     TooShort(usize),
     /// Not a number, or no time between samples.
     #[error("the samples hold a number that is not finite, or no time passes between them")]
@@ -43,37 +71,29 @@ pub enum RestError {
     Silent,
 }
 
-/// The least that is looked at.
-const LEAST_SAMPLES: usize = 100;
-
-/// Finds the noise of evenly sampled values.
+/// Finds the noise of a sensor that rests.
 ///
 /// # Errors
-/// [`RestError`].
-pub fn noise_at_rest(samples: &[f64], dt_s: f64) -> Result<RestNoise, RestError> {
-    if samples.len() < LEAST_SAMPLES {
-        return Err(RestError::TooShort(samples.len()));
-    }
-    let is_usable =
-        dt_s.is_finite() && dt_s > 0.0 && samples.iter().all(|sample| sample.is_finite());
-    if !is_usable {
-        return Err(RestError::NotFinite);
-    }
+/// [`RestError::Silent`].
+pub fn noise_at_rest(record: &RestRecord) -> Result<RestNoise, RestError> {
+    let found = white_and_walk(record).ok_or(RestError::Silent)?;
+    let samples: Vec<f64> = record.readings().collect();
+    let dt_s = record.interval_s();
     let n = samples.len() as f64;
-    let bias = samples.iter().sum::<f64>() / n;
-    let found = white_and_walk(samples).ok_or(RestError::Silent)?;
-    let quantum = quantum_of(samples);
+    let quantum = step_of(&samples);
     let (white, white_sigma) = without_rounding(&found, quantum);
     let walk = found.walk_per_step.map(|per_step| {
         let walk = per_step / dt_s.sqrt();
         (walk, walk * found.walk_ln_sigma)
     });
     let walked2 = walk.map_or(0.0, |(walk, _)| walk * walk * n * dt_s / 3.0);
+    let hidden2 = quantum.map_or(0.0, |quantum| hidden_by(quantum, white).powi(2) / 2.0);
     Ok(RestNoise {
         samples: samples.len(),
+        rest_s: record.rest_s(),
         dt_s,
-        bias,
-        bias_sigma: (found.white * found.white / n + walked2).sqrt(),
+        bias: samples.iter().sum::<f64>() / n,
+        bias_sigma: (found.white * found.white / n + walked2 + hidden2).sqrt(),
         quantum,
         total: found.white,
         white,
@@ -83,8 +103,7 @@ pub fn noise_at_rest(samples: &[f64], dt_s: f64) -> Result<RestNoise, RestError>
     })
 }
 
-/// Rounding to a step adds its square over twelve, as long as the noise is not far below the step (B. Widrow, I. Kollár,
-/// Quantization Noise, 2008, section 4.4).
+/// White noise less its rounding to a step, with its standard deviation.
 fn without_rounding(found: &WhiteAndWalk, quantum: Option<f64>) -> (f64, f64) {
     let rounding2 = quantum.map_or(0.0, |quantum| quantum * quantum / 12.0);
     let white = (found.white * found.white - rounding2).max(0.0).sqrt();
@@ -97,33 +116,9 @@ fn without_rounding(found: &WhiteAndWalk, quantum: Option<f64>) -> (f64, f64) {
     (white, sigma)
 }
 
-/// A difference is a whole number of steps when it is off by no more than this share of one.
-const WHOLE: f64 = 0.02;
-/// A sensor with more different values than this share of its samples has no step that is worth the name.
-const MOST_VALUES: f64 = 0.2;
-
-/// The step in which a sensor speaks: the smallest difference of two values, if all differences are multiples of it.
-#[must_use]
-pub fn quantum_of(samples: &[f64]) -> Option<f64> {
-    let mut sorted = samples.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let span = sorted.last()? - sorted.first()?;
-    let same = 1e-9 * span;
-    let gaps = sorted.windows(2).map(|pair| {
-        pair.iter()
-            .rev()
-            .copied()
-            .reduce(|high, low| high - low)
-            .unwrap_or(0.0)
-    });
-    let gaps: Vec<f64> = gaps.filter(|gap| *gap > same).collect();
-    let smallest = gaps.iter().copied().reduce(f64::min)?;
-    let is_whole = |gap: &f64| {
-        let steps = gap / smallest;
-        (steps - steps.round()).abs() < WHOLE * steps.max(1.0)
-    };
-    let is_coarse = (gaps.len() as f64) < MOST_VALUES * samples.len() as f64;
-    (is_coarse && gaps.iter().all(is_whole)).then_some(smallest)
+/// h of the module's head.
+fn hidden_by(quantum: f64, white: f64) -> f64 {
+    quantum / PI * (-2.0 * (PI * white / quantum).powi(2)).exp()
 }
 
 #[cfg(test)]
@@ -139,41 +134,60 @@ mod tests {
             .collect()
     }
 
+    /// Twenty a second.
+    fn found(samples: &[f64]) -> Result<RestNoise, RestError> {
+        let stamped = samples.iter().enumerate();
+        let stamped = stamped.map(|(k, sample)| (0.05 * k as f64, *sample));
+        noise_at_rest(&RestRecord::of(&[stamped.collect()])?)
+    }
+
     #[test]
     fn rounding_is_seen_and_taken_out() {
         let rounded: Vec<f64> = normal(20_000, 5)
             .iter()
             .map(|n| (0.3 + 0.6 * n).round())
             .collect();
-        let found = noise_at_rest(&rounded, 0.05).unwrap();
-        assert_eq!(found.quantum, Some(1.0));
+        let found = found(&rounded).unwrap();
+        let step = found.quantum.unwrap();
+        assert!((step - 1.0).abs() < 1e-9, "{step}");
         assert!(
             (found.white - 0.6).abs() < 3.0 * found.white_sigma + 0.005,
             "{found:?}"
         );
+        assert_eq!(found.beside_rounding(), found.white);
         assert!((found.total * found.total - 0.36 - 1.0 / 12.0).abs() < 0.02);
         assert!((found.bias - 0.3).abs() < 3.0 * found.bias_sigma);
-        assert_eq!(found.angle_random_walk, found.total * 0.05_f64.sqrt());
+        let random_walk = found.total * 0.05_f64.sqrt();
+        assert!((found.angle_random_walk - random_walk).abs() < 1e-12);
+        assert!((found.rest_s - 999.95).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_bias_within_a_step_is_known_to_no_better_than_the_step() {
+        // 0.12 steps of noise on a bias of 0.3 steps: five readings of a hundred are not zero.
+        let rounded: Vec<f64> = normal(20_000, 8)
+            .iter()
+            .map(|n| (0.3 + 0.12 * n).round())
+            .collect();
+        let found = found(&rounded).unwrap();
+        assert!((found.bias - 0.3).abs() > 0.15, "{found:?}");
+        assert!((found.bias - 0.3).abs() < 2.0 * found.bias_sigma);
+        // Rounding alone scatters more than that.
+        assert_eq!(found.white, 0.0);
+        assert_eq!(found.beside_rounding(), found.total);
     }
 
     #[test]
     fn fine_values_have_no_step() {
-        assert_eq!(quantum_of(&normal(1_000, 6)), None);
-        assert_eq!(quantum_of(&[]), None);
-        assert_eq!(quantum_of(&[2.0; 50]), None);
+        let found = found(&normal(1_000, 6)).unwrap();
+        assert_eq!((found.quantum, found.walk), (None, None));
+        assert_eq!(found.white, found.total);
     }
 
     #[test]
     fn what_tells_nothing_says_why() {
-        assert_eq!(noise_at_rest(&[0.0; 10], 0.1), Err(RestError::TooShort(10)));
-        assert_eq!(noise_at_rest(&[0.0; 1_000], 0.1), Err(RestError::Silent));
-        assert_eq!(
-            noise_at_rest(&normal(1_000, 1), 0.0),
-            Err(RestError::NotFinite)
-        );
-        assert_eq!(
-            noise_at_rest(&[f64::NAN; 1_000], 0.1),
-            Err(RestError::NotFinite)
-        );
+        assert_eq!(found(&[0.0; 10]), Err(RestError::TooShort(10)));
+        assert_eq!(found(&[0.0; 1_000]), Err(RestError::Silent));
+        assert_eq!(found(&[f64::NAN; 1_000]), Err(RestError::NotFinite));
     }
 }

@@ -1,9 +1,13 @@
 //! White noise and a random walk told apart: the most likely variances of a local level, equation (1) of the module's head.
 //!
 //! ```text
-//! L(l) = -1/2 (n-1) (ln s2(l) + 1) - 1/2 sum ln f_k         l = var w / var v         (var v in front is taken out)
-//! s2(l) = sum nu_k^2 / f_k / (n-1)                          nu_k, f_k of a Kalman filter with var v = 1, var w = l
+//! L(l) = -1/2 m (ln s2(l) + 1) - 1/2 sum ln f_k         l = var w / var v         (var v in front is taken out)
+//! s2(l) = sum nu_k^2 / f_k / m                          nu_k, f_k of a Kalman filter with var v = 1, var w = l dt_k / dt
 //! ```
+//! The sums go over the m samples that have one before them: each stretch begins with a level that nothing is known of. dt_k is what lies
+//! between two samples, dt the usual interval: where a sample was lost, the level has walked for longer.
+
+use super::RestRecord;
 
 /// What was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,7 +16,7 @@ pub struct WhiteAndWalk {
     pub white: f64,
     /// Its standard deviation.
     pub white_sigma: f64,
-    /// The random walk: standard deviation that is gained in one step. `None` where none can be told from zero.
+    /// The random walk: standard deviation that is gained in a usual interval. `None` where none can be told from zero.
     pub walk_per_step: Option<f64>,
     /// Standard deviation of ln of that.
     pub walk_ln_sigma: f64,
@@ -29,13 +33,19 @@ const CURVATURE_STEP: f64 = 0.1;
 /// By so much must a walk raise L to be told from none: chi-square with one degree of freedom at 95 %, halved.
 const LEAST_GAIN: f64 = 1.92;
 
-/// Tells them apart; `None` for fewer than ten samples, values that are not finite, or no noise at all.
+/// Tells them apart; `None` for fewer than ten samples that have one before them, or no noise at all.
 #[must_use]
-pub fn white_and_walk(samples: &[f64]) -> Option<WhiteAndWalk> {
-    if samples.len() < 10 || samples.iter().any(|sample| !sample.is_finite()) {
+pub fn white_and_walk(record: &RestRecord) -> Option<WhiteAndWalk> {
+    let stretches: Vec<Level> = record
+        .stretches()
+        .iter()
+        .filter_map(|stretch| Level::of(stretch, record.interval_s()))
+        .collect();
+    let samples = stretches.as_slice();
+    let n = followers(samples);
+    if n < 10.0 {
         return None;
     }
-    let n = samples.len() as f64;
     let ln_l = best_ratio(samples);
     let (value, white2) = profile(samples, ln_l)?;
     let near = |by: f64| profile(samples, ln_l + by).map(|(value, _)| value);
@@ -53,8 +63,38 @@ pub fn white_and_walk(samples: &[f64]) -> Option<WhiteAndWalk> {
     })
 }
 
+/// A stretch as the filter takes it.
+struct Level {
+    first: f64,
+    /// Of every further sample: usual intervals since the one before, and its value.
+    rest: Vec<(f64, f64)>,
+}
+
+impl Level {
+    /// From (instant in s, value).
+    fn of(stretch: &[(f64, f64)], dt_s: f64) -> Option<Self> {
+        let (first, rest) = stretch.split_first()?;
+        let steps = stretch.iter().zip(rest).map(|(before, after)| {
+            let intervals = (after.0 - before.0) / dt_s;
+            (intervals.max(0.0), after.1)
+        });
+        Some(Self {
+            first: first.1,
+            rest: steps.collect(),
+        })
+    }
+}
+
+/// m of the module's head.
+fn followers(stretches: &[Level]) -> f64 {
+    stretches
+        .iter()
+        .map(|stretch| stretch.rest.len() as f64)
+        .sum()
+}
+
 /// ln l with the largest L: the best of a grid, then a golden section about it.
-fn best_ratio(samples: &[f64]) -> f64 {
+fn best_ratio(samples: &[Level]) -> f64 {
     let value = |ln_l: f64| profile(samples, ln_l).map_or(f64::NEG_INFINITY, |(value, _)| value);
     let width = (LN_RATIO[1] - LN_RATIO[0]) / f64::from(GRID - 1);
     let grid = (0..GRID).map(|i| LN_RATIO[0] + width * f64::from(i));
@@ -81,21 +121,23 @@ fn best_ratio(samples: &[f64]) -> f64 {
 }
 
 /// L and var v for a ratio; `None` where nothing varies.
-fn profile(samples: &[f64], ln_l: f64) -> Option<(f64, f64)> {
+fn profile(stretches: &[Level], ln_l: f64) -> Option<(f64, f64)> {
     let l = ln_l.exp();
-    let (first, rest) = samples.split_first()?;
-    // A level that nothing is known of is the first sample, with its noise.
-    let (mut level, mut p) = (*first, 1.0 + l);
     let (mut squares, mut ln_f) = (0.0, 0.0);
-    for sample in rest {
-        let f = p + 1.0;
-        let nu = sample - level;
-        squares += nu * nu / f;
-        ln_f += f.ln();
-        level += p / f * nu;
-        p = p / f + l;
+    for stretch in stretches {
+        // A level that nothing is known of is the first sample, with its noise.
+        let (mut level, mut p) = (stretch.first, 1.0);
+        for (intervals, sample) in &stretch.rest {
+            p += l * intervals;
+            let f = p + 1.0;
+            let nu = sample - level;
+            squares += nu * nu / f;
+            ln_f += f.ln();
+            level += p / f * nu;
+            p /= f;
+        }
     }
-    let n = rest.len() as f64;
+    let n = followers(stretches);
     let white2 = squares / n;
     (white2 > 0.0).then(|| (-0.5 * (n * (white2.ln() + 1.0) + ln_f), white2))
 }
@@ -118,32 +160,62 @@ mod tests {
             .collect()
     }
 
+    /// A record of these samples, ten a second, in stretches of so many.
+    fn record(samples: &[f64], per_stretch: usize) -> RestRecord {
+        let stamped: Vec<(f64, f64)> = samples
+            .iter()
+            .enumerate()
+            .map(|(k, sample)| (0.1 * k as f64, *sample))
+            .collect();
+        let stretches: Vec<_> = stamped.chunks(per_stretch).map(<[_]>::to_vec).collect();
+        RestRecord::of(&stretches).unwrap()
+    }
+
     #[test]
     fn both_are_found_and_their_sigmas_cover() {
-        let (mut white2, mut walk2) = (0.0, 0.0);
-        for seed in 0..20 {
-            let found = white_and_walk(&drawn(0.5, 0.02, 20_000, seed)).unwrap();
-            white2 += ((found.white - 0.5) / found.white_sigma).powi(2);
-            walk2 += ((found.walk_per_step.unwrap() / 0.02).ln() / found.walk_ln_sigma).powi(2);
+        for per_stretch in [20_000, 500] {
+            let (mut white2, mut walk2) = (0.0, 0.0);
+            for seed in 0..20 {
+                let samples = drawn(0.5, 0.02, 20_000, seed);
+                let found = white_and_walk(&record(&samples, per_stretch)).unwrap();
+                white2 += ((found.white - 0.5) / found.white_sigma).powi(2);
+                walk2 += ((found.walk_per_step.unwrap() / 0.02).ln() / found.walk_ln_sigma).powi(2);
+            }
+            // Chi-square with 20 degrees of freedom: 99.8 % lie between 5.4 and 45.3.
+            assert!((5.4..45.3).contains(&white2), "{white2}");
+            assert!((5.4..45.3).contains(&walk2), "{walk2}");
         }
-        // Chi-square with 20 degrees of freedom: 99.8 % lie between 5.4 and 45.3.
-        assert!((5.4..45.3).contains(&white2), "{white2}");
-        assert!((5.4..45.3).contains(&walk2), "{walk2}");
+    }
+
+    #[test]
+    fn the_level_walks_on_where_samples_are_lost() {
+        // Two of six are lost: one step of four is three intervals long.
+        let samples = drawn(0.5, 0.1, 40_000, 3);
+        let left = samples.iter().enumerate();
+        let left = left.filter(|(k, _)| k % 6 != 1 && k % 6 != 2);
+        let left = left.map(|(k, sample)| (0.1 * k as f64, *sample));
+        let record = RestRecord::of(&[left.collect()]).unwrap();
+        assert!((record.interval_s() - 0.1).abs() < 1e-9);
+        let found = white_and_walk(&record).unwrap();
+        let walk = found.walk_per_step.unwrap();
+        assert!(
+            (walk / 0.1).ln().abs() < 3.0 * found.walk_ln_sigma && found.walk_ln_sigma < 0.03,
+            "{found:?}"
+        );
     }
 
     #[test]
     fn no_walk_is_told_where_there_is_none() {
-        let found = white_and_walk(&drawn(0.5, 0.0, 5_000, 1)).unwrap();
+        let found = white_and_walk(&record(&drawn(0.5, 0.0, 5_000, 1), 5_000)).unwrap();
         assert_eq!(found.walk_per_step, None);
         assert!((found.white - 0.5).abs() < 0.02);
     }
 
     #[test]
     fn what_says_nothing_gives_nothing() {
-        assert_eq!(white_and_walk(&[1.0; 100]), None);
-        assert_eq!(white_and_walk(&[1.0, 2.0]), None);
-        let mut broken = drawn(1.0, 0.0, 50, 1);
-        broken[20] = f64::INFINITY;
-        assert_eq!(white_and_walk(&broken), None);
+        assert_eq!(white_and_walk(&record(&[1.0; 100], 100)), None);
+        // Each stretch stands still, at a value of its own.
+        let steps: Vec<f64> = (0..200).map(|k| f64::from(k / 100)).collect();
+        assert_eq!(white_and_walk(&record(&steps, 100)), None);
     }
 }

@@ -124,7 +124,7 @@ impl Chain {
         super::score::order(&self.names, &self.runs, metric)
     }
 
-    /// Root mean square over the drives of one method's error; `None` where no drive has it.
+    /// Root mean square of one method's error over the drives that have it; `None` where none has it.
     #[must_use]
     pub fn rms(&self, method: usize, metric: Metric) -> Option<f64> {
         let squares: Vec<f64> = self
@@ -135,6 +135,13 @@ impl Chain {
             .collect();
         let count = squares.len() as f64;
         (count > 0.0).then(|| (squares.iter().sum::<f64>() / count).sqrt())
+    }
+
+    /// In how many drives one method diverged; [`Chain::rms`] leaves these out.
+    #[must_use]
+    pub fn diverged(&self, method: usize) -> usize {
+        let errors = self.runs.iter().filter_map(|run| run.get(method));
+        errors.filter(|errors| errors.diverged).count()
     }
 }
 
@@ -167,6 +174,7 @@ impl Report {
 
     fn tables(&self) -> Vec<Part> {
         let mut parts = vec![Part::Heading("How far off".to_owned()), self.error_table()];
+        parts.extend(self.divergences());
         for chain in &self.chains {
             parts.extend(order_parts(chain));
         }
@@ -212,6 +220,25 @@ impl Report {
         )
     }
 
+    /// Who diverged, and how often; nothing if nobody did.
+    fn divergences(&self) -> Option<Part> {
+        let mut told: Vec<(&str, String)> = Vec::new();
+        for chain in self.chains.iter().chain([&self.outlook]) {
+            for (method, name) in chain.names.iter().enumerate() {
+                let count = chain.diverged(method);
+                if count > 0 && told.iter().all(|(known, _)| known != name) {
+                    let drives = chain.runs.len();
+                    let line = format!(
+                        "{name} diverged in {count} of {drives} drives, which its figures leave out"
+                    );
+                    told.push((name, line));
+                }
+            }
+        }
+        let lines: Vec<String> = told.into_iter().map(|(_, line)| line).collect();
+        (!lines.is_empty()).then_some(Part::List(lines))
+    }
+
     fn reading_parts(&self) -> Vec<Part> {
         if self.readings.is_empty() {
             return Vec::new();
@@ -225,10 +252,11 @@ impl Report {
             row.push(if is_so { "yes" } else { "no" }.to_owned());
             row
         });
-        let notes = self
-            .readings
-            .iter()
-            .map(|reading| format!("{}: {}", reading.name, reading.note));
+        let notes = self.readings.iter().map(|reading| {
+            let left_out = left_out(&reading.order).map(|text| format!("; {text}"));
+            let (name, note) = (reading.name, reading.note);
+            format!("{name}: {note}{}", left_out.unwrap_or_default())
+        });
         vec![
             Part::Heading("Other readings of the paper, with its matrices".to_owned()),
             Part::Text(
@@ -335,7 +363,7 @@ fn order_parts(chain: &Chain) -> Vec<Part> {
         "all of them together".to_owned(),
         percent(share(order.all_hold, order.drives)),
     ]);
-    vec![
+    let mut parts = vec![
         Part::Heading(format!("The order, {}", chain.setting)),
         Part::table(
             &[
@@ -348,7 +376,20 @@ fn order_parts(chain: &Chain) -> Vec<Part> {
             ],
             rows,
         ),
-    ]
+    ];
+    parts.extend(left_out(&order).map(Part::Text));
+    parts
+}
+
+/// How many drives an order leaves out; nothing if it leaves out none.
+fn left_out(order: &Order) -> Option<String> {
+    (order.left_out > 0).then(|| {
+        format!(
+            "{} of {} drives are left out: a method diverged, or there was nothing to compare with",
+            order.left_out,
+            order.left_out + order.drives
+        )
+    })
 }
 
 fn order_row(step: &OrderStep) -> Vec<String> {

@@ -3,7 +3,7 @@
 //! # Model
 //! ```text
 //! e_k     distance of (x, y) to the reference after row k; heading the short way; speeds against central differences of the truth
-//! rms     sqrt(mean(e_k^2)) over the rows that have a reference
+//! rms     sqrt(mean(e_k^2)) over the rows that have a reference; none if one of these e_k is not finite: the method diverged
 //! order   method i is worse than method i + 1 in a drive when its rms is larger there; equal ones are not worse
 //! p       two-sided sign test: the probability that a tossed coin is as uneven, drives without a tie
 //! ratio   exp of the mean of ln(rms_i / rms_(i+1)) over the drives, and its 95 % interval by the normal quantile 1.96
@@ -47,7 +47,7 @@ impl Metric {
     }
 }
 
-/// The errors of one method over one drive; `None` where nothing could be compared.
+/// The errors of one method over one drive; `None` where nothing could be compared, and where the method diverged.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Errors {
     /// See [`Metric::Position`].
@@ -60,6 +60,8 @@ pub struct Errors {
     pub forward_m_per_s: Option<f64>,
     /// See [`Metric::Turn`].
     pub turn_rad_per_s: Option<f64>,
+    /// Whether a state that was compared was not finite.
+    pub diverged: bool,
 }
 
 impl Errors {
@@ -84,15 +86,15 @@ struct Squares {
 }
 
 impl Squares {
-    fn add(&mut self, square: f64) {
-        if square.is_finite() {
-            self.sum += square;
-            self.count += 1;
-        }
+    /// One that is not finite stays in the sum: a method that diverged has no error there.
+    const fn add(&mut self, square: f64) {
+        self.sum += square;
+        self.count += 1;
     }
 
     fn root(self) -> Option<f64> {
-        (self.count > 0).then(|| (self.sum / self.count as f64).sqrt())
+        let is_some = self.count > 0 && self.sum.is_finite();
+        is_some.then(|| (self.sum / self.count as f64).sqrt())
     }
 }
 
@@ -115,7 +117,9 @@ pub fn errors(table: &SensorTable, path: &[State], camera_every: usize) -> Error
             turn.add((state[4] - w).powi(2));
         }
     }
+    let all = [position, heading, forward, turn];
     Errors {
+        diverged: all.iter().any(|squares| !squares.sum.is_finite()),
         position_m: position.root(),
         end_m,
         heading_rad: heading.root(),
@@ -150,7 +154,8 @@ pub struct OrderStep {
     pub drives: u64,
     /// The sign test's p.
     pub sign_p: f64,
-    /// Geometric mean of the ratio of the errors, worse over better, with its 95 % interval; `None` below two drives.
+    /// Geometric mean of the ratio of the errors, worse over better, with its 95 % interval; `None` below two drives, and where an
+    /// error is exactly zero.
     pub ratio: Option<[f64; 3]>,
 }
 
@@ -175,7 +180,8 @@ impl OrderStep {
             _ if self.share() >= 0.95 => "holds",
             _ if self.holds_on_average() => "on average only",
             Some([_, _, most]) if most < 1.0 => "the other way round",
-            _ => "no difference on average",
+            Some(_) => "no difference on average",
+            None => "no ratio on average",
         }
     }
 }
@@ -189,6 +195,8 @@ pub struct Order {
     pub all_hold: u64,
     /// Of how many.
     pub drives: u64,
+    /// How many more there were, in which a method diverged or nothing could be compared.
+    pub left_out: u64,
 }
 
 impl Order {
@@ -221,6 +229,7 @@ pub fn order(names: &[&'static str], runs: &[Vec<Errors>], metric: Metric) -> Or
         steps: steps.collect(),
         all_hold: figures.iter().filter(falls).count() as u64,
         drives: figures.len() as u64,
+        left_out: (runs.len() - figures.len()) as u64,
     }
 }
 
@@ -230,7 +239,6 @@ fn step(worse: &'static str, better: &'static str, pairs: &[[f64; 2]]) -> OrderS
     let logs: Vec<f64> = pairs
         .iter()
         .map(|[one, other]| (one / other).ln())
-        .filter(|log| log.is_finite())
         .collect();
     OrderStep {
         worse,
@@ -243,7 +251,7 @@ fn step(worse: &'static str, better: &'static str, pairs: &[[f64; 2]]) -> OrderS
 }
 
 fn geometric_mean(logs: &[f64]) -> Option<[f64; 3]> {
-    if logs.len() < 2 {
+    if logs.len() < 2 || logs.iter().any(|log| !log.is_finite()) {
         return None;
     }
     let n = logs.len() as f64;
@@ -329,7 +337,7 @@ mod tests {
             vec![Errors::default(); 3],
         ];
         let order = order(&["a", "b", "c"], &runs, Metric::Position);
-        assert_eq!((order.all_hold, order.drives), (1, 3));
+        assert_eq!((order.all_hold, order.drives, order.left_out), (1, 3, 1));
         assert_eq!((order.steps[0].holds, order.steps[1].holds), (2, 2));
         // (3/2 3/2 1/2)^(1/3)
         assert!((order.steps[0].ratio.unwrap()[0] - 1.125_f64.cbrt()).abs() < 1e-12);
@@ -343,6 +351,24 @@ mod tests {
             "on average only"
         );
         assert_eq!(verdict(&[[1.0, 2.0], [1.0, 2.1]]), "the other way round");
+        let exact = step("a", "b", &[[2.0, 1.0], [0.0, 1.0], [2.0, 1.0]]);
+        assert_eq!(
+            (exact.ratio, exact.in_words()),
+            (None, "no ratio on average")
+        );
+    }
+
+    #[test]
+    fn who_diverges_has_no_error_instead_of_that_of_its_good_rows() {
+        let table = table(&[(0.0, 0.0, 90.0), (0.0, 0.1, 90.0), (0.0, 0.2, 90.0)]);
+        let good = [0.0, 0.1, 1.0, 1.0, 0.0];
+        let path = [good, [f64::NAN, 0.1, 1.0, f64::INFINITY, 0.0], good];
+        let errors = errors(&table, &path, 10);
+        assert!(errors.diverged);
+        assert_eq!((errors.position_m, errors.forward_m_per_s), (None, None));
+        // What stayed finite is compared.
+        assert!(errors.end_m.is_some() && errors.heading_rad.is_some());
+        assert!(!super::errors(&table, &[good; 3], 10).diverged);
     }
 
     #[test]

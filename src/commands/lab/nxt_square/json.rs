@@ -41,6 +41,7 @@ fn chain(chain: &Chain) -> Value {
             "heading_rms_rad": chain.rms(index, Metric::Heading),
             "forward_rms_m_per_s": chain.rms(index, Metric::Forward),
             "turn_rms_rad_per_s": chain.rms(index, Metric::Turn),
+            "diverged": chain.diverged(index),
             "runs": runs,
         })
     });
@@ -79,6 +80,7 @@ fn order(order: &Order) -> Value {
         "holds_on_average": order.holds_on_average(),
         "all_hold": order.all_hold,
         "drives": order.drives,
+        "left_out": order.left_out,
     })
 }
 
