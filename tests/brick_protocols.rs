@@ -80,6 +80,9 @@ fn every_protocol_brings_the_robot_round_the_square() {
     }
 }
 
+/// Worlds over which stalls are looked at.
+const SEEDS: u64 = 5;
+
 #[test]
 fn an_nxt_whose_link_stalls_is_followed_without_false_motion() {
     let stalling = VirtualLink {
@@ -88,7 +91,6 @@ fn an_nxt_whose_link_stalls_is_followed_without_false_motion() {
         ..VirtualLink::default()
     };
     let (mut squares, mut calm) = (0.0, 0.0);
-    const SEEDS: u64 = 5;
     for seed in 1..=SEEDS {
         let link = VirtualLink {
             seed,

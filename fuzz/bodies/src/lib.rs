@@ -5,8 +5,8 @@
 //! the short run of the test suite (`tests/fuzz_short.rs`, any compiler). Bodies are deterministic: the same bytes take
 //! the same way. They read no clock, file or network.
 
-mod codecs;
 mod brick;
+mod codecs;
 mod config;
 mod decode;
 mod impairment;
