@@ -6,6 +6,9 @@ use std::collections::VecDeque;
 /// Microseconds from a request to its reply: the radio chip turns around.
 pub(crate) const TURN_AROUND_MICROS: i64 = 30_000;
 
+/// By how much the motor's own count, that of its block and that of its rotation differ here.
+const OTHER_COUNTS: [i32; 3] = [0, 1_000, 2_000];
+
 /// What a brick allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Maps {
@@ -189,9 +192,9 @@ impl Brick {
 
     fn output_state(&self, at_micros: i64, port: u8) -> Vec<u8> {
         let mut values = vec![0x00, port, 0, 0, 0, 0, 0, 0, 0, 0, 0];
-        for _ in 0..3 {
-            let count = self.counts(at_micros)[usize::from(port)];
-            values.extend(count.to_le_bytes());
+        let count = self.counts(at_micros)[usize::from(port)];
+        for relative in OTHER_COUNTS {
+            values.extend((count + relative).to_le_bytes());
         }
         values
     }
@@ -282,9 +285,9 @@ impl Brick {
     fn output_module(&self, at_micros: i64) -> Vec<u8> {
         let mut module = vec![0; 100];
         for (motor, count) in self.counts(at_micros).iter().enumerate() {
-            for copy in 0..3 {
-                let at = 32 * motor + 4 * copy;
-                module[at..at + 4].copy_from_slice(&count.to_le_bytes());
+            for (place, relative) in OTHER_COUNTS.into_iter().enumerate() {
+                let at = 32 * motor + 4 * place;
+                module[at..at + 4].copy_from_slice(&(count + relative).to_le_bytes());
             }
         }
         module
