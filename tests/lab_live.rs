@@ -137,7 +137,7 @@ fn a_recorded_square_is_judged_by_images_as_the_simulated_one_is_by_its_truth() 
     assert!(closed["source"].as_str().unwrap().contains("the start"));
     // Its page has the command that gives it again.
     let page = std::fs::read_to_string(folder.join("lab-nxt-square.html")).unwrap();
-    let command = "posebridge lab nxt-square --recording drive-0.mcap --judge start --json";
+    let command = "posebridge lab nxt-square --recording drive-0.mcap --judge start";
     assert!(page.contains(command));
 }
 
@@ -466,7 +466,7 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     assert_eq!(lab(folder, &again), found);
     // The live page tells how to have it without the robot.
     let page = std::fs::read_to_string(folder.join("out/lab-nxt-square.html")).unwrap();
-    let command = "posebridge lab nxt-square --out out --json --recording out/live.mcap";
+    let command = "posebridge lab nxt-square --recording out/live.mcap";
     assert!(page.contains(command));
     // The simulated brick feels its accelerations, so paper 4's filters have their say as well.
     let indirect = lab(folder, &["indirect", "--recording", "out/live.mcap"]);

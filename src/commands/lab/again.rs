@@ -10,7 +10,12 @@ const OF_A_LIVE_ROBOT: [&str; 6] = [
     "--set",
 ];
 
-/// The arguments of this process; with what a live robot left in the robot's place.
+/// Where results go, which is nothing that a page shows.
+const FOLDER: &str = "--out";
+/// How they are printed; without a value.
+const PRINTED: &str = "--json";
+
+/// The arguments of this process that a page depends on; with what a live robot left in the robot's place.
 pub(super) fn command(live_recording: Option<&str>) -> String {
     let args = std::env::args_os().skip(1);
     let args: Vec<String> = args.map(|arg| arg.to_string_lossy().into_owned()).collect();
@@ -25,9 +30,12 @@ fn line(args: &[String], live_recording: Option<&str>) -> String {
             Some((flag, _)) => (flag, true),
             None => (arg.as_str(), false),
         };
-        if live_recording.is_none() || !OF_A_LIVE_ROBOT.contains(&flag) {
+        let is_of_live = live_recording.is_some() && OF_A_LIVE_ROBOT.contains(&flag);
+        let is_left_out = is_of_live || flag == FOLDER;
+        if !is_left_out && flag != PRINTED {
             words.push(quoted(arg));
-        } else if !has_value {
+        }
+        if is_left_out && !has_value {
             args.next();
         }
     }
@@ -57,7 +65,9 @@ mod tests {
 
     #[test]
     fn a_command_is_told_as_it_was_typed_and_fits_through_a_shell() {
-        let args = ["lab", "wall", "--run", "step one", "--set", "a=it's"];
+        let args = [
+            "lab", "wall", "--out", "o", "--json", "--run", "step one", "--set", "a=it's",
+        ];
         assert_eq!(
             said(&args, None),
             r"posebridge lab wall --run 'step one' --set 'a=it'\''s'"
@@ -81,7 +91,7 @@ mod tests {
         ];
         assert_eq!(
             said(&args, Some("o/live.mcap")),
-            "posebridge lab indirect --judge start --out o --recording o/live.mcap"
+            "posebridge lab indirect --judge start --recording o/live.mcap"
         );
     }
 }
