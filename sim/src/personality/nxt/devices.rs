@@ -118,9 +118,9 @@ impl Device {
         self.show(KIND, kind);
         match sensor {
             PortSensor::Accelerometer => {
-                let counts = senses.acceleration_counts();
-                self.show(READINGS, &counts.map(|count| (count >> 2) as u8));
-                self.show(READINGS + 3, &counts.map(|count| (count & 3) as u8));
+                let [high, low] = acceleration_registers(senses.acceleration_counts());
+                self.show(READINGS, &high);
+                self.show(READINGS + 3, &low);
             }
             PortSensor::Compass => {
                 let degrees = senses.compass_deg();
@@ -174,6 +174,14 @@ impl Device {
     }
 }
 
+/// Ten bits of each axis with a sign: the upper eight, then the lower two.
+fn acceleration_registers(counts: [i16; 3]) -> [[u8; 3]; 2] {
+    [
+        counts.map(|count| (count >> 2) as u8),
+        counts.map(|count| (count & 3) as u8),
+    ]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -197,6 +205,16 @@ mod tests {
     fn the_accelerometer_at_rest_shows_one_g_upwards_in_ten_bits() {
         let answer = ask(PortSensor::Accelerometer, &[0x02, 0x42], 6, 0.0).unwrap();
         assert_eq!(answer, [0, 0, 50, 0, 0, 0]);
+    }
+
+    #[test]
+    fn an_acceleration_is_eight_bits_with_a_sign_and_two_without() {
+        let registers = acceleration_registers([-1, 2, 203]);
+        assert_eq!(registers, [[0xFF, 0, 50], [3, 2, 3]]);
+        assert_eq!(
+            acceleration_registers([-512, 511, -6])[0],
+            [0x80, 0x7F, 0xFE]
+        );
     }
 
     #[test]
