@@ -1,7 +1,6 @@
 //! The station and an EV3: what passes between them byte for byte, and what damage, stalls and missing sensors cost.
 //!
 //! The figures: `cargo test -p posebridge-protocol --test ev3 -- --nocapture`.
-#![expect(clippy::print_stdout, reason = "the figures are to be read")]
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
 
 #[path = "support/ev3_double.rs"]
@@ -64,6 +63,9 @@ fn without_gyro() -> Ev3Settings {
         ..Ev3Settings::default()
     }
 }
+
+/// Damages one answer.
+type Spoil = Box<dyn Fn(Vec<u8>) -> Vec<u8>>;
 
 /// What happens to the bytes of an answer on their way, by its number.
 type Damage<'a> = &'a dyn Fn(usize, Vec<u8>) -> Vec<u8>;
@@ -133,16 +135,22 @@ impl Talk {
     }
 
     fn ticks(&self) -> impl Iterator<Item = (Stamp<HostClock>, &WheelTicks)> {
-        self.heard.iter().filter_map(|(now, item)| match item {
-            Item::Message(Message::WheelTicks(ticks)) => Some((*now, ticks)),
-            _ => None,
+        self.heard.iter().filter_map(|(now, item)| {
+            if let Item::Message(Message::WheelTicks(ticks)) = item {
+                Some((*now, ticks))
+            } else {
+                None
+            }
         })
     }
 
     fn notes(&self) -> Vec<&str> {
-        let notes = self.heard.iter().filter_map(|(_, item)| match item {
-            Item::Note(text) => Some(text.as_str()),
-            _ => None,
+        let notes = self.heard.iter().filter_map(|(_, item)| {
+            if let Item::Note(text) = item {
+                Some(text.as_str())
+            } else {
+                None
+            }
         });
         notes.collect()
     }
@@ -276,7 +284,9 @@ fn chunking_does_not_change_what_is_heard() {
         let (defects, sound): (Vec<_>, Vec<_>) = items.into_iter().partition(is_defect);
         let garbage = defects.iter().map(|item| match item {
             Item::Defect(Defect::Garbage { bytes }) => *bytes,
-            other => panic!("{other:?}"),
+            Item::Message(_) | Item::Time { .. } | Item::Note(_) | Item::Defect(_) => {
+                panic!("{item:?}")
+            }
         });
         (sound, garbage.sum::<u32>())
     };
@@ -293,11 +303,11 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
     let (mut cases, mut worst_ms) = (0, 0.0_f64);
     for outstanding in [1, 2] {
         for at in 0..21 {
-            let lose = |mut bytes: Vec<u8>| {
+            let lose = move |mut bytes: Vec<u8>| {
                 bytes.remove(at);
                 bytes
             };
-            let insert = |mut bytes: Vec<u8>| {
+            let insert = move |mut bytes: Vec<u8>| {
                 bytes.insert(at, 0x02);
                 bytes
             };
@@ -305,9 +315,9 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
                 Box::new(move |mut bytes: Vec<u8>| {
                     bytes[at] ^= 1 << bit;
                     bytes
-                }) as Box<dyn Fn(Vec<u8>) -> Vec<u8>>
+                }) as Spoil
             });
-            let others: [Box<dyn Fn(Vec<u8>) -> Vec<u8>>; 2] = [Box::new(lose), Box::new(insert)];
+            let others: [Spoil; 2] = [Box::new(lose), Box::new(insert)];
             for (case, spoil) in others.into_iter().chain(flips).enumerate() {
                 let settings = Ev3Settings {
                     outstanding,
@@ -357,9 +367,12 @@ fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
         .iter()
         .filter(|(_, item)| matches!(item, Item::Defect(Defect::Lost { .. })));
     assert_eq!(lost.count(), 2);
-    let round_trips = talk.heard.iter().filter_map(|(now, item)| match item {
-        Item::Time { sent, .. } => Some((*now - *sent).as_millis_f64()),
-        _ => None,
+    let round_trips = talk.heard.iter().filter_map(|(now, item)| {
+        if let Item::Time { sent, .. } = item {
+            Some((*now - *sent).as_millis_f64())
+        } else {
+            None
+        }
     });
     // That of a late answer would be 2 s.
     let longest_ms = round_trips.fold(0.0, f64::max);
@@ -368,9 +381,8 @@ fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
 
 #[test]
 fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
-    let mut brick = Ev3Double::default();
     // Half a second of rest around the start of the program at 4 s.
-    brick.counts = |host_s| match host_s {
+    let counts = |host_s| match host_s {
         ..3.5 => curve(host_s),
         3.5..4.0 => curve(3.5),
         4.0..4.5 => [0; 4],
@@ -378,6 +390,10 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
             let ([_, left, right, _], [_, left0, right0, _]) = (curve(host_s), curve(4.5));
             [0, left - left0, right - right0, 0]
         }
+    };
+    let brick = Ev3Double {
+        counts,
+        ..Ev3Double::default()
     };
     let mut talk = Talk::new(Ev3Settings::default(), brick);
     talk.run_for(8.0);
@@ -432,9 +448,18 @@ fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
     }
 }
 
-#[test]
-fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set() {
-    let settings = Ev3Settings {
+/// A sensor in a mode that nobody asks for.
+const fn plugged(kind: u8, values: [f32; 2]) -> Plugged {
+    Plugged {
+        kind,
+        mode: 7,
+        values,
+    }
+}
+
+/// Everything that can be set, at other ports than usual.
+fn all_else() -> Ev3Settings {
+    Ev3Settings {
         motors: MotorDirection::Backward,
         gyro: Some(GyroSettings {
             port: SensorPort::P3,
@@ -446,48 +471,38 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
             kind: DistanceKind::Ultrasonic,
         }),
         ..Ev3Settings::default()
-    };
+    }
+}
+
+#[test]
+fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set() {
     let brick = Ev3Double {
         sensors: [
             None,
             None,
-            Some(Plugged {
-                kind: 32,
-                mode: 0,
-                values: [100.0, 45.0],
-            }),
-            Some(Plugged {
-                kind: 30,
-                mode: 1,
-                values: [37.5, 0.0],
-            }),
+            Some(plugged(32, [100.0, 45.0])),
+            Some(plugged(30, [37.5, 0.0])),
         ],
         ..Ev3Double::default()
     };
-    let mut talk = Talk::new(settings, brick);
+    let mut talk = Talk::new(all_else(), brick);
     talk.run_for(0.12);
-    talk.brick.sensors[2] = Some(Plugged {
-        kind: 32,
-        mode: 3,
-        values: [101.0, 45.0],
-    });
-    talk.brick.sensors[3] = Some(Plugged {
-        kind: 30,
-        mode: 0,
-        values: [255.0, 0.0],
-    });
+    let modes = talk
+        .brick
+        .sensors
+        .map(|sensor| sensor.map(|sensor| sensor.mode));
+    assert_eq!(modes[2..], [Some(3), Some(0)]);
+    talk.brick.sensors[2] = Some(plugged(32, [101.0, 45.0]));
+    talk.brick.sensors[3] = Some(plugged(30, [255.0, 0.0]));
     talk.run_for(0.06);
     let heard: Vec<_> = talk.heard.iter().map(|(_, item)| item).collect();
     let stamps: Vec<_> = talk.ticks().map(|(_, ticks)| ticks.stamp).collect();
-    assert_eq!(
-        talk.brick
-            .sensors
-            .map(|sensor| sensor.map(|sensor| sensor.mode))[2..],
-        [Some(3), Some(0)]
-    );
-    let turns = heard.iter().filter_map(|item| match item {
-        Item::Message(Message::Inertial(inertial)) => Some((inertial.turn_rate, inertial.turn)),
-        _ => None,
+    let turns = heard.iter().filter_map(|item| {
+        if let Item::Message(Message::Inertial(inertial)) = item {
+            Some((inertial.turn_rate, inertial.turn))
+        } else {
+            None
+        }
     });
     let rate = Some(RadiansPerSecond(45.0_f64.to_radians()));
     let turned = |deg: f64| (rate, Some(Radians(deg.to_radians())));
@@ -496,9 +511,12 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
     assert_eq!(turns[turns.len() - 1], turned(1.0));
     let ranges: Vec<_> = heard
         .iter()
-        .filter_map(|item| match item {
-            Item::Message(Message::DistanceSensor { stamp, range, .. }) => Some((*stamp, *range)),
-            _ => None,
+        .filter_map(|item| {
+            if let Item::Message(Message::DistanceSensor { stamp, range, .. }) = item {
+                Some((*stamp, *range))
+            } else {
+                None
+            }
         })
         .collect();
     // None where nothing was in sight.
