@@ -24,6 +24,18 @@ fn calibrate(folder: &Path, args: &[&str]) -> Value {
     serde_json::from_str(&printed).expect("one JSON object")
 }
 
+/// Exit code and talk of a command that cannot do what it is asked.
+fn refused(folder: &Path, args: &[&str]) -> (i32, String) {
+    let output = posebridge(folder)
+        .arg("calibrate")
+        .args(args)
+        .output()
+        .unwrap();
+    assert!(output.stdout.is_empty());
+    let said = String::from_utf8(output.stderr).unwrap();
+    (output.status.code().unwrap(), said)
+}
+
 fn number(object: &Value, pointer: &str) -> f64 {
     let value = object.pointer(pointer).and_then(Value::as_f64);
     value.unwrap_or_else(|| panic!("{pointer} in {object}"))
@@ -151,7 +163,7 @@ fn what_the_filter_has_learned_on_line_is_a_profile_too() {
     assert!(page.contains("What the filter has learned"));
     // What it takes is one run that was watched.
     let committed = root().join("tests/data");
-    let optiodom = recording("optiodom.toml");
+    let optiodom = root().join("config/recordings/optiodom.toml");
     let of = [
         "path",
         optiodom.to_str().unwrap(),

@@ -72,10 +72,18 @@ fn the_table_and_the_picture_are_those_of_any_brick() {
             assert!(folder.join("run").join(picture).exists(), "{kind}");
         }
         // What was recorded is what happened, and the truth says how far off that was.
-        let replay = ["replay", "run/recording.mcap", "--truth", "truth.csv", "--json"];
+        let replay = [
+            "replay",
+            "run/recording.mcap",
+            "--truth",
+            "truth.csv",
+            "--json",
+        ];
         let replayed = stdout_of(posebridge(folder).args(replay));
         let replayed: Value = serde_json::from_str(&replayed).unwrap();
-        let off_m = replayed["estimators"][0]["position_rms_m"].as_f64().unwrap();
+        let off_m = replayed["estimators"][0]["position_rms_m"]
+            .as_f64()
+            .unwrap();
         println!("{kind}: off by {:.1} mm", 1e3 * off_m);
         assert!(off_m < 0.01, "{kind}: {off_m}");
     }

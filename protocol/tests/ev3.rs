@@ -1,166 +1,27 @@
 //! The station and an EV3: what passes between them byte for byte, and what damage, stalls and missing sensors cost.
 //!
 //! The figures: `cargo test -p posebridge-protocol --test ev3 -- --nocapture`.
-#![expect(clippy::print_stdout, reason = "the figures are to be read")]
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
 
 #[path = "support/ev3_double.rs"]
 mod ev3_double;
+#[path = "support/ev3_talk.rs"]
+mod ev3_talk;
 
-use ev3_double::{Ev3Double, Fails, Plugged, Way, curve};
+use ev3_double::{Ev3Double, Fails, Plugged, curve};
+use ev3_talk::{Item, Spoil, TURN_AROUND, Talk, codec, item, without_gyro};
+use posebridge_protocol::bricks::ONLY_BRICK;
 use posebridge_protocol::bricks::ev3::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings,
     MotorDirection, SensorPort,
 };
-use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, ONLY_BRICK, brick_protocol};
 use posebridge_protocol::message::{
     Inertial, Message, PlanarPose, PoseFlags, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
-    Defect, EncoderTicks, Heading, HostClock, Meters, MetersPerSecond, Pose, Radians,
-    RadiansPerSecond, SourceHealth, Span, Stamp,
+    Defect, EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, Span,
+    Stamp,
 };
-
-const TURN_AROUND: Span = Span::from_millis(30);
-
-/// What was heard, owned.
-#[derive(Clone, Debug, PartialEq)]
-enum Item {
-    Message(Message),
-    Time {
-        sent: Stamp<HostClock>,
-        peer_nanos: i64,
-    },
-    Note(String),
-    Defect(Defect),
-}
-
-fn item(heard: Heard<'_>) -> Item {
-    match heard {
-        Heard::Message { from, message } => {
-            assert_eq!(from, ONLY_BRICK);
-            Item::Message(message)
-        }
-        Heard::Time {
-            sent, peer_nanos, ..
-        } => Item::Time { sent, peer_nanos },
-        Heard::Note { text, .. } => Item::Note(text),
-        Heard::Defect(defect) => Item::Defect(defect),
-        Heard::Other(frame) => panic!("an EV3 sends no {frame:?}"),
-    }
-}
-
-fn codec(settings: Ev3Settings) -> Box<dyn BrickCodec> {
-    let protocol = brick_protocol("ev3").expect("there is a row");
-    (protocol.open)(&BrickSettings {
-        ev3: settings,
-        ..BrickSettings::default()
-    })
-}
-
-fn without_gyro() -> Ev3Settings {
-    Ev3Settings {
-        gyro: None,
-        ..Ev3Settings::default()
-    }
-}
-
-/// What happens to the bytes of an answer on their way, by its number.
-type Damage<'a> = &'a dyn Fn(usize, Vec<u8>) -> Vec<u8>;
-
-/// Station and brick in virtual time.
-struct Talk {
-    codec: Box<dyn BrickCodec>,
-    brick: Ev3Double,
-    way: Way,
-    now: Stamp<HostClock>,
-    answers: usize,
-    heard: Vec<(Stamp<HostClock>, Item)>,
-}
-
-impl Talk {
-    fn new(settings: Ev3Settings, brick: Ev3Double) -> Self {
-        let mut talk = Self {
-            codec: codec(settings),
-            brick,
-            way: Way::new(TURN_AROUND),
-            now: Stamp::ZERO,
-            answers: 0,
-            heard: vec![],
-        };
-        talk.codec.begin(talk.now);
-        talk.send();
-        talk
-    }
-
-    fn send(&mut self) {
-        while let Some(bytes) = self.codec.poll() {
-            self.way.send(&mut self.brick, self.now, &bytes);
-        }
-    }
-
-    fn run_until(&mut self, until: Stamp<HostClock>, damage: Damage<'_>) {
-        loop {
-            let next = [self.way.next(), self.codec.deadline()];
-            let Some(next) = next
-                .into_iter()
-                .flatten()
-                .min()
-                .filter(|next| *next <= until)
-            else {
-                self.now = until;
-                return;
-            };
-            assert!(next >= self.now, "{next:?} is past at {:?}", self.now);
-            self.now = next;
-            let (now, heard) = (self.now, &mut self.heard);
-            let mut sink = |found: Heard<'_>| heard.push((now, item(found)));
-            if self.way.next() == Some(next) {
-                let bytes = self.way.take().expect("it is there");
-                let bytes = damage(self.answers, bytes);
-                self.answers += 1;
-                self.codec.push(now, &bytes, &mut sink);
-            } else {
-                self.codec.tick(now, &mut sink);
-                assert!(self.codec.deadline().is_none_or(|due| due > now));
-            }
-            self.send();
-        }
-    }
-
-    fn run_for(&mut self, seconds: f64) {
-        self.run_until(self.now + Span::from_secs_f64(seconds), &|_, bytes| bytes);
-    }
-
-    fn ticks(&self) -> impl Iterator<Item = (Stamp<HostClock>, &WheelTicks)> {
-        self.heard.iter().filter_map(|(now, item)| match item {
-            Item::Message(Message::WheelTicks(ticks)) => Some((*now, ticks)),
-            _ => None,
-        })
-    }
-
-    fn notes(&self) -> Vec<&str> {
-        let notes = self.heard.iter().filter_map(|(_, item)| match item {
-            Item::Note(text) => Some(text.as_str()),
-            _ => None,
-        });
-        notes.collect()
-    }
-
-    fn source(&self) -> SourceHealth {
-        self.codec.sources()[0]
-    }
-
-    /// How far the counts that were heard last are from those of the brick at the instant of their stamp.
-    fn error(&self, (now, ticks): (Stamp<HostClock>, &WheelTicks)) -> i64 {
-        let WireStamp::Micros32(micros) = ticks.stamp else {
-            panic!("the brick's own clock: {ticks:?}");
-        };
-        let [_, left, right, _] = curve(self.brick.host_s(micros, now));
-        let off = |heard: EncoderTicks, count: i32| (heard.0 - i64::from(count)).abs();
-        off(ticks.left, left).max(off(ticks.right, right))
-    }
-}
 
 #[test]
 fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
@@ -276,7 +137,9 @@ fn chunking_does_not_change_what_is_heard() {
         let (defects, sound): (Vec<_>, Vec<_>) = items.into_iter().partition(is_defect);
         let garbage = defects.iter().map(|item| match item {
             Item::Defect(Defect::Garbage { bytes }) => *bytes,
-            other => panic!("{other:?}"),
+            Item::Message(_) | Item::Time { .. } | Item::Note(_) | Item::Defect(_) => {
+                panic!("{item:?}")
+            }
         });
         (sound, garbage.sum::<u32>())
     };
@@ -293,11 +156,11 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
     let (mut cases, mut worst_ms) = (0, 0.0_f64);
     for outstanding in [1, 2] {
         for at in 0..21 {
-            let lose = |mut bytes: Vec<u8>| {
+            let lose = move |mut bytes: Vec<u8>| {
                 bytes.remove(at);
                 bytes
             };
-            let insert = |mut bytes: Vec<u8>| {
+            let insert = move |mut bytes: Vec<u8>| {
                 bytes.insert(at, 0x02);
                 bytes
             };
@@ -305,9 +168,9 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
                 Box::new(move |mut bytes: Vec<u8>| {
                     bytes[at] ^= 1 << bit;
                     bytes
-                }) as Box<dyn Fn(Vec<u8>) -> Vec<u8>>
+                }) as Spoil
             });
-            let others: [Box<dyn Fn(Vec<u8>) -> Vec<u8>>; 2] = [Box::new(lose), Box::new(insert)];
+            let others: [Spoil; 2] = [Box::new(lose), Box::new(insert)];
             for (case, spoil) in others.into_iter().chain(flips).enumerate() {
                 let settings = Ev3Settings {
                     outstanding,
@@ -357,9 +220,12 @@ fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
         .iter()
         .filter(|(_, item)| matches!(item, Item::Defect(Defect::Lost { .. })));
     assert_eq!(lost.count(), 2);
-    let round_trips = talk.heard.iter().filter_map(|(now, item)| match item {
-        Item::Time { sent, .. } => Some((*now - *sent).as_millis_f64()),
-        _ => None,
+    let round_trips = talk.heard.iter().filter_map(|(now, item)| {
+        if let Item::Time { sent, .. } = item {
+            Some((*now - *sent).as_millis_f64())
+        } else {
+            None
+        }
     });
     // That of a late answer would be 2 s.
     let longest_ms = round_trips.fold(0.0, f64::max);
@@ -368,9 +234,8 @@ fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
 
 #[test]
 fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
-    let mut brick = Ev3Double::default();
     // Half a second of rest around the start of the program at 4 s.
-    brick.counts = |host_s| match host_s {
+    let counts = |host_s| match host_s {
         ..3.5 => curve(host_s),
         3.5..4.0 => curve(3.5),
         4.0..4.5 => [0; 4],
@@ -378,6 +243,10 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
             let ([_, left, right, _], [_, left0, right0, _]) = (curve(host_s), curve(4.5));
             [0, left - left0, right - right0, 0]
         }
+    };
+    let brick = Ev3Double {
+        counts,
+        ..Ev3Double::default()
     };
     let mut talk = Talk::new(Ev3Settings::default(), brick);
     talk.run_for(8.0);
@@ -432,9 +301,18 @@ fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
     }
 }
 
-#[test]
-fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set() {
-    let settings = Ev3Settings {
+/// A sensor in a mode that nobody asks for.
+const fn plugged(kind: u8, values: [f32; 2]) -> Plugged {
+    Plugged {
+        kind,
+        mode: 7,
+        values,
+    }
+}
+
+/// Everything that can be set, at other ports than usual.
+fn all_else() -> Ev3Settings {
+    Ev3Settings {
         motors: MotorDirection::Backward,
         gyro: Some(GyroSettings {
             port: SensorPort::P3,
@@ -446,48 +324,38 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
             kind: DistanceKind::Ultrasonic,
         }),
         ..Ev3Settings::default()
-    };
+    }
+}
+
+#[test]
+fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set() {
     let brick = Ev3Double {
         sensors: [
             None,
             None,
-            Some(Plugged {
-                kind: 32,
-                mode: 0,
-                values: [100.0, 45.0],
-            }),
-            Some(Plugged {
-                kind: 30,
-                mode: 1,
-                values: [37.5, 0.0],
-            }),
+            Some(plugged(32, [100.0, 45.0])),
+            Some(plugged(30, [37.5, 0.0])),
         ],
         ..Ev3Double::default()
     };
-    let mut talk = Talk::new(settings, brick);
+    let mut talk = Talk::new(all_else(), brick);
     talk.run_for(0.12);
-    talk.brick.sensors[2] = Some(Plugged {
-        kind: 32,
-        mode: 3,
-        values: [101.0, 45.0],
-    });
-    talk.brick.sensors[3] = Some(Plugged {
-        kind: 30,
-        mode: 0,
-        values: [255.0, 0.0],
-    });
+    let modes = talk
+        .brick
+        .sensors
+        .map(|sensor| sensor.map(|sensor| sensor.mode));
+    assert_eq!(modes[2..], [Some(3), Some(0)]);
+    talk.brick.sensors[2] = Some(plugged(32, [101.0, 45.0]));
+    talk.brick.sensors[3] = Some(plugged(30, [255.0, 0.0]));
     talk.run_for(0.06);
     let heard: Vec<_> = talk.heard.iter().map(|(_, item)| item).collect();
     let stamps: Vec<_> = talk.ticks().map(|(_, ticks)| ticks.stamp).collect();
-    assert_eq!(
-        talk.brick
-            .sensors
-            .map(|sensor| sensor.map(|sensor| sensor.mode))[2..],
-        [Some(3), Some(0)]
-    );
-    let turns = heard.iter().filter_map(|item| match item {
-        Item::Message(Message::Inertial(inertial)) => Some((inertial.turn_rate, inertial.turn)),
-        _ => None,
+    let turns = heard.iter().filter_map(|item| {
+        if let Item::Message(Message::Inertial(inertial)) = item {
+            Some((inertial.turn_rate, inertial.turn))
+        } else {
+            None
+        }
     });
     let rate = Some(RadiansPerSecond(45.0_f64.to_radians()));
     let turned = |deg: f64| (rate, Some(Radians(deg.to_radians())));
@@ -496,9 +364,12 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
     assert_eq!(turns[turns.len() - 1], turned(1.0));
     let ranges: Vec<_> = heard
         .iter()
-        .filter_map(|item| match item {
-            Item::Message(Message::DistanceSensor { stamp, range, .. }) => Some((*stamp, *range)),
-            _ => None,
+        .filter_map(|item| {
+            if let Item::Message(Message::DistanceSensor { stamp, range, .. }) = item {
+                Some((*stamp, *range))
+            } else {
+                None
+            }
         })
         .collect();
     // None where nothing was in sight.

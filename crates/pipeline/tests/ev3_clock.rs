@@ -1,7 +1,6 @@
 //! An EV3's clock of 32 bits of microseconds, through the whole pipeline: it stays aligned when it wraps after 71.6 minutes.
 //!
 //! The figures: `cargo test -p posebridge-pipeline --test ev3_clock -- --nocapture`.
-#![expect(clippy::print_stdout, reason = "the figures are to be read")]
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
 #![expect(dead_code, reason = "support that other tests use")]
 
@@ -118,13 +117,13 @@ impl Scene {
 
 /// The brick instants of all observations.
 fn observed(station: &Station) -> Vec<(Stamp<HostClock>, Stamp<BrickClock>)> {
-    let observed = station
-        .outputs
-        .iter()
-        .filter_map(|(now, output)| match output {
-            Output::Event(Event::Observed { observation, .. }) => Some((*now, observation.stamp)),
-            _ => None,
-        });
+    let observed = station.outputs.iter().filter_map(|(now, output)| {
+        if let Output::Event(Event::Observed { observation, .. }) = output {
+            Some((*now, observation.stamp))
+        } else {
+            None
+        }
+    });
     observed.collect()
 }
 

@@ -1,7 +1,6 @@
 //! Lines of a board through the whole pipeline: with a clock that wraps or is reset, and without any clock.
 //!
 //! The figures: `cargo test -p posebridge-pipeline --test line_clock -- --nocapture`.
-#![expect(clippy::print_stdout, reason = "the figures are to be read")]
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
 #![expect(dead_code, reason = "support that other tests use")]
 
@@ -59,9 +58,12 @@ fn minute(columns: &[&str], line: impl Fn(f64, i64) -> String) -> Station {
 }
 
 fn last_estimate(station: &Station) -> Estimate {
-    let estimates = station.events().filter_map(|event| match event {
-        Event::Estimated { estimate, .. } => Some(*estimate),
-        _ => None,
+    let estimates = station.events().filter_map(|event| {
+        if let Event::Estimated { estimate, .. } = event {
+            Some(*estimate)
+        } else {
+            None
+        }
     });
     estimates.last().expect("it is estimated")
 }
@@ -97,9 +99,12 @@ fn lines_without_a_time_drive_the_filter_at_the_cost_of_the_first_ones() {
     });
     let observations: Vec<_> = station
         .events()
-        .filter_map(|event| match event {
-            Event::Observed { observation, .. } => Some(*observation),
-            _ => None,
+        .filter_map(|event| {
+            if let Event::Observed { observation, .. } = event {
+                Some(*observation)
+            } else {
+                None
+            }
         })
         .collect();
     println!(

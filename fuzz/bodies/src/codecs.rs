@@ -1,6 +1,12 @@
 //! Any bytes and any time to the codecs of bricks that speak no MAVLink: they never stick, ask no more than they may, and what they believe
 //! is a number.
 
+#![expect(
+    clippy::expect_used,
+    clippy::wildcard_enum_match_arm,
+    reason = "a body stops at the first thing that must not be"
+)]
+
 use posebridge_protocol::bricks::ev3::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroReading, GyroSettings, SensorPort,
 };

@@ -32,10 +32,10 @@ pub const TARGETS: &[Target] = &[
     Target::new("signing", signing::check, 9_000),
     Target::new("impairment", impairment::check, 100_000),
     Target::new("routing", routing::check, 1_500),
-    Target::new("ev3", codecs::check_ev3, 150_000),
-    Target::new("line", codecs::check_line, 150_000),
-    Target::new("brick", brick::check, 400_000),
     Target::new("nxt", nxt::check, 150_000),
+    Target::new("ev3", codecs::check_ev3, 500_000),
+    Target::new("brick", brick::check, 400_000),
+    Target::new("line", codecs::check_line, 700_000),
 ];
 
 /// One untrusted input and what must hold for it.

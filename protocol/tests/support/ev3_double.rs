@@ -104,16 +104,14 @@ impl Ev3Double {
                 }
                 0x99 => {
                     assert_eq!(take(&mut code), 0x1D, "READY_SI");
-                    let sensor = self.select(&mut code)?;
-                    for index in 0..constant(&mut code) as usize {
-                        let value = sensor.map_or(f32::NAN, |sensor| sensor.values[index]);
+                    let values = self.select(&mut code)?;
+                    for value in values.iter().take(constant(&mut code) as usize) {
                         store(memory, variable(&mut code), value.to_le_bytes());
                     }
                 }
                 0x9D => {
-                    let sensor = self.select(&mut code)?;
-                    let value = sensor.map_or(f32::NAN, |sensor| sensor.values[0]);
-                    store(memory, variable(&mut code), value.to_le_bytes());
+                    let values = self.select(&mut code)?;
+                    store(memory, variable(&mut code), values[0].to_le_bytes());
                 }
                 _ => panic!("bytecode {opcode:02x}"),
             }
@@ -121,12 +119,12 @@ impl Ev3Double {
         Some(())
     }
 
-    /// Layer, port, type, mode; `None` ends the command with an error.
-    fn select(&mut self, code: &mut &[u8]) -> Option<Option<Plugged>> {
+    /// Layer, port, type, mode, and what the sensor shows; `None` ends the command with an error.
+    fn select(&mut self, code: &mut &[u8]) -> Option<[f32; 2]> {
         assert_eq!(constant(code), 0, "layer");
         let (port, kind, mode) = (constant(code) as usize, constant(code), constant(code));
         let Some(sensor) = &mut self.sensors[port] else {
-            return (self.fails == Fails::WithNoNumber).then_some(None);
+            return (self.fails == Fails::WithNoNumber).then_some([f32::NAN; 2]);
         };
         if kind != 0 {
             assert_eq!(kind, i32::from(sensor.kind), "type at port {port}");
@@ -134,7 +132,7 @@ impl Ev3Double {
         } else {
             assert_eq!(mode, -1, "the mode stays");
         }
-        Some(Some(*sensor))
+        Some(sensor.values)
     }
 }
 

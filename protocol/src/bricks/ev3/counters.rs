@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn a_damaged_count_costs_one_sample_and_moves_nothing() {
         for bit in 6..32 {
-            let taken = taken(&[[100, 90], [110, 100], [120 ^ (1 << bit), 110], [130, 120]]);
+            let taken = taken(&[[100, 90], [110, 100], [0x78 ^ (1 << bit), 110], [130, 120]]);
             assert_eq!(taken[2], Counted::Refused, "bit {bit}");
             assert_eq!(taken[3], Counted::Total([130, 120]), "bit {bit}");
         }
