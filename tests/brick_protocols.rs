@@ -57,11 +57,16 @@ fn errors_mm(run: &VirtualRun) -> [f64; 2] {
     [estimate, odometry].map(|error| 1e3 * error.position_rms_m.unwrap())
 }
 
+/// How many observations of a sensor were used.
+fn used(run: &VirtualRun, sensor: SensorId) -> f64 {
+    let mut sources = run.collector.sources.iter();
+    let tally = sources.find(|tally| tally.sensor == sensor);
+    tally.map_or(0.0, |tally| tally.used as f64)
+}
+
 /// How many observations a sensor gave, per second.
 fn rate_hz(run: &VirtualRun, sensor: SensorId) -> f64 {
-    let mut sources = run.collector.sources.iter();
-    let used = sources.find(|tally| tally.sensor == sensor);
-    used.map_or(0.0, |tally| tally.used as f64) / run.simulation.elapsed().as_secs_f64()
+    used(run, sensor) / run.simulation.elapsed().as_secs_f64()
 }
 
 #[test]
@@ -77,6 +82,19 @@ fn every_protocol_brings_the_robot_round_the_square() {
         );
         assert!(estimate_mm < 6.0, "{brick}: {estimate_mm}");
         assert!(estimate_mm < 0.5 * odometry_mm, "{brick}");
+    }
+}
+
+#[test]
+fn an_nxt_tells_its_whole_state_at_least_fourteen_times_a_second() {
+    let drive = |laps| driven("nxt", laps, 3, &VirtualLink::default());
+    // What connecting costs drops out.
+    let (one, three) = (drive(1), drive(3));
+    let seconds = (three.simulation.elapsed() - one.simulation.elapsed()).as_secs_f64();
+    for sensor in [SensorId::WHEELS, SensorId::GYRO] {
+        let rate = (used(&three, sensor) - used(&one, sensor)) / seconds;
+        println!("{sensor:?}: {rate:.2} per second at a turn-around of 30 ms");
+        assert!(rate >= 14.0, "{sensor:?}: {rate}");
     }
 }
 

@@ -4,7 +4,7 @@
 //! ```text
 //! first of these that is due:
 //!   fence     at connect and after every disturbance
-//!   tick      three at connect, one after every disturbance, one after every ninth other question
+//!   tick      three at connect, one after every disturbance, one after every nineteenth other question
 //!   set up    each port with a sensor, after connect and whenever the brick's counters began anew
 //!   reach     how much of an IO map one reply holds: 119 bytes, else 55, else none; until that is known
 //!   trial     with two outstanding: four ticks and four reads of the motors, by turns; all eight must be answered
@@ -23,8 +23,9 @@ use super::settings::{MotorPort, NxtSensor, NxtSettings, Outstanding};
 
 /// Ticks at connect: the first places the clock, the others narrow it.
 const FIRST_TICKS: u8 = 3;
-/// Other questions between two ticks.
-const BETWEEN_TICKS: u8 = 9;
+/// Other questions between two ticks: at the pace of Bluetooth, with 30 ms for each, 0.6 s. A clock that is 2000 ppm off drifts by 1.2 ms in
+/// that time, and what ticks cost is a twentieth of the states per second.
+const BETWEEN_TICKS: u8 = 19;
 /// Questions of the trial of two outstanding.
 const TRIAL_QUESTIONS: u8 = 8;
 /// Refusals or time-outs of one kind of read in a row that mean that the brick cannot do it.
