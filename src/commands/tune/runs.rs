@@ -442,9 +442,12 @@ right = { column = "right", unit = "ticks" }
             std::fs::write(path(&format!("{name}.toml")), text).unwrap();
         }
         let (held, trained) = (path("held.toml"), path("trained.toml"));
+        let data = folder.path().display().to_string();
         let line = [
             "posebridge",
             "tune",
+            "--data",
+            &data,
             "--hold-out",
             "held",
             "--recording",
