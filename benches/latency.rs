@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 
 use posebridge::config::{AtInstant, Config, LinkSection, OutputSection};
 use posebridge::report::live::LiveView;
+use posebridge::tasks::desk::Desk;
 use posebridge::tasks::observer::{Observer, ObserverConfig};
 use posebridge::tasks::recorder::Recorder;
 use posebridge::tasks::shard::{Ending, Shard};
@@ -335,7 +336,7 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, Socke
     let timer = HostTimer::start();
     let (brick, ground) = ("udp://127.0.0.1:0", format!("udp://{ground}"));
     let to_ground = LinkSection {
-        outputs: shown(),
+        outputs: Some(shown()),
         ..LinkSection::new(&ground)
     };
     let from_brick = LinkSection {
@@ -371,9 +372,17 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, Socke
         ports,
         timer,
         recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),
+        tlog: None,
         observer: Observer::start(observed).expect("an observer"),
         recording_failure: None,
+        given: 0,
         signing: None,
+        desk: Desk::new(
+            recording.with_extension("folder"),
+            timer,
+            (config.clone(), config),
+            Some(recording.to_owned()),
+        ),
     };
     (shard, address)
 }

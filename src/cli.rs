@@ -1,16 +1,20 @@
 //! Every flag of the program, and nothing else.
 
+mod lab;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use posebridge_estimator::params::ParamError;
+use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::TRANSPORTS;
 use posebridge_sim::impairment::PROFILES;
-use posebridge_sim::montecarlo::SCENARIOS;
 
-use crate::commands::lab::Estimator;
-use crate::commands::lab::outcome::OutputArgs;
 use crate::commands::relay::RelayEnds;
 use crate::config::Setting;
+use crate::link_flags::LinkFlags;
+
+pub use lab::{LabAccuracyArgs, LabArgs, LabExperiment, LabLinksArgs};
 
 /// Ground station for robots that are too weak to filter for themselves.
 ///
@@ -42,6 +46,14 @@ pub enum Command {
     Relay(RelayArgs),
     /// Run the estimators over a recording, offline.
     Replay(ReplayArgs),
+    /// Write a recording as CSV, as trajectories for evo, as a telemetry log or as a recording of ours (docs/export.md).
+    Export(crate::commands::export::ExportArgs),
+    /// Make a recording of ours from a telemetry log or a run of a descriptor (docs/import.md).
+    Import(crate::commands::import::ImportArgs),
+    /// Make a page of a recording that needs nothing else: path, errors, innovations with verdicts, links, clock (docs/report.md).
+    Report(crate::commands::report::ReportArgs),
+    /// Say what a file carries: messages, rates, losses, gaps, clocks, senders (docs/inspect.md).
+    Inspect(crate::commands::inspect::InspectArgs),
     /// Run an experiment: simulated, and those of the papers on a recording or a live robot as well.
     Lab(LabArgs),
     /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibrate.md).
@@ -83,12 +95,13 @@ pub struct RunArgs {
     /// Configuration.
     #[command(flatten)]
     pub config: ConfigFlags,
-    /// Call this link; may be repeated, replaces the links of the configuration.
-    #[arg(long = "link", value_name = "URL")]
-    pub links: Vec<String>,
-    /// Wait for a call on this link; may be repeated.
-    #[arg(long = "listen", value_name = "URL")]
-    pub listen: Vec<String>,
+    /// Links, in their order.
+    #[command(flatten)]
+    pub links: LinkFlags,
+    /// Show robot and estimator to ground stations on this link, e.g. udp://127.0.0.1:14550 or tcp://127.0.0.1:5760; may be repeated,
+    /// beside the other links (docs/ground-stations.md).
+    #[arg(long = "gcs", value_name = "URL")]
+    pub ground_stations: Vec<String>,
     /// What the brick of the first link speaks: mavlink, or a protocol of its own (docs/protocols/README.md).
     #[arg(long, value_name = "PROTOCOL")]
     pub brick: Option<String>,
@@ -107,6 +120,9 @@ pub struct RunArgs {
     /// Do not record.
     #[arg(long)]
     pub no_record: bool,
+    /// Write a telemetry log (.tlog) beside the recording, for other ground stations.
+    #[arg(long, conflicts_with = "no_record")]
+    pub tlog: bool,
     /// Write every event as a line of text.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
@@ -182,6 +198,10 @@ pub struct SimArgs {
     /// The camera's link, where it has one of its own.
     #[command(flatten)]
     pub camera: CameraLink,
+    /// Play the eye of a camera program, which calls this link: the corners of the tag in each image go there as lines of JSON, and the
+    /// simulated camera sends no fixes (docs/protocols/camera-json.md).
+    #[arg(long, value_name = "URL")]
+    pub images_listen: Option<String>,
     /// Tell this UDP address once per second that there is an EV3, as one on a network does, e.g. udp://127.0.0.1:3015; it has to listen
     /// on a TCP port of four digits.
     #[arg(long, value_name = "URL", requires = "listen")]
@@ -260,26 +280,46 @@ pub struct RelayArgs {
     pub json: bool,
 }
 
-/// Flags of `replay`.
+/// Which recording goes through the engine, which part of it counts, and what is changed.
 #[derive(Args, Clone, Debug)]
-pub struct ReplayArgs {
-    /// A recording (*.mcap) or a recording's descriptor (*.toml).
+pub struct SessionFlags {
+    /// A recording (*.mcap), a telemetry log (*.tlog) or a recording's descriptor (*.toml).
     pub recording: PathBuf,
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
-    /// Estimators to run; may be repeated.
-    #[arg(long = "filter", value_name = "NAME")]
-    pub filters: Vec<String>,
     /// Lay the `[robot]` and `[filter]` of this profile over those of the recording; --set goes over both.
     #[arg(long, value_name = "FILE.toml")]
     pub robot: Option<PathBuf>,
-    /// Truth written by `posebridge sim --truth`, to score a recording against.
+    /// Set one tunable of the filter, e.g. gate_prob=0.99, over everything else; may be repeated.
+    #[arg(long = "param", value_name = "KEY=VALUE", value_parser = a_param)]
+    pub params: Vec<Setting>,
+    /// Truth written by `posebridge sim --truth`, instead of what the recording itself holds.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
     /// A key of a link that was signed, instead of the file that held it when it was recorded; may be repeated.
     #[arg(long = "key", value_name = "FILE")]
     pub keys: Vec<PathBuf>,
+    /// Count from so many seconds behind the beginning; the filter is given all that came before, too.
+    #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
+    pub from: Option<f64>,
+    /// End so many seconds behind the beginning; nothing later is given to the filter.
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    pub to: Option<f64>,
+}
+
+/// Flags of `replay`.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// What to replay.
+    #[command(flatten)]
+    pub session: SessionFlags,
+    /// Estimators to run, side by side; may be repeated.
+    #[arg(long = "filter", visible_alias = "estimator", value_name = "NAME")]
+    pub filters: Vec<String>,
+    /// As fast as it was recorded (1), or so many times faster; without it as fast as possible.
+    #[arg(long, value_name = "FACTOR", value_parser = positive)]
+    pub speed: Option<f64>,
     /// Write every event as a line of text.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
@@ -287,7 +327,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,
     /// Find the most likely path of each run as well, from its wheels, gyro and fixes; takes time on long runs.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["from", "to"])]
     pub smooth: bool,
     /// Write the picture here: of the last run and the last estimator.
     #[arg(long, value_name = "FILE.svg")]
@@ -295,115 +335,6 @@ pub struct ReplayArgs {
     /// Print one JSON object (docs/replay-json.md) instead of tables.
     #[arg(long)]
     pub json: bool,
-}
-
-/// Flags of `lab`.
-#[derive(Args, Clone, Debug)]
-pub struct LabArgs {
-    /// Which experiment.
-    #[command(subcommand)]
-    pub experiment: LabExperiment,
-}
-
-/// The experiments.
-#[derive(Clone, Debug, Subcommand)]
-pub enum LabExperiment {
-    /// Run every estimator over the Monte-Carlo scenarios: errors, and whether the claimed ones are right.
-    ///
-    /// Prints one table per scenario and writes the page lab-accuracy.html with its picture.
-    /// docs/lab-accuracy.md describes --json.
-    #[command(after_long_help = accuracy_help())]
-    Accuracy(LabAccuracyArgs),
-    /// Align clocks and drive laps over links that delay, lose and damage, in virtual time.
-    ///
-    /// Prints a table of the clocks and one of the poses, and writes the page lab-links.html with its picture.
-    /// docs/lab-links.md describes --json.
-    Links(LabLinksArgs),
-    /// Run the filters of paper 1 on its square, on exported sensor data, on recordings or a live robot: errors, order, R, figures.
-    NxtSquare(crate::commands::lab::nxt_square::LabNxtSquareArgs),
-    /// Tell what a slow thermometer will show in the end, simulated or recorded, and how it is identified (docs/lab/thermometer.md).
-    Thermometer(crate::commands::lab::thermometer::LabThermometerArgs),
-    /// Paper 3: identify a car before a wall, and stop it there by readings, lines and filters; or foretell a recorded or a live
-    /// robot's readings.
-    Wall(crate::commands::lab::wall::LabWallArgs),
-    /// Paper 4: a square by wheels alone, and with accelerometers by the indirect filter, fed forward and back; simulated, recorded or
-    /// live.
-    Indirect(crate::commands::lab::indirect::LabIndirectArgs),
-}
-
-/// Flags of `lab links`.
-#[derive(Args, Clone, Debug)]
-pub struct LabLinksArgs {
-    /// A bundled link profile's name or a TOML file; may be repeated. Without it all bundled ones.
-    #[arg(long = "profile", value_name = "NAME|FILE.toml")]
-    pub profiles: Vec<String>,
-    /// Probability that what is sent at once is lost, each way, on top of the profile; several with commas.
-    #[arg(long = "loss", value_name = "P,..", value_delimiter = ',', default_values_t = [0.0, 0.05], value_parser = a_probability)]
-    pub losses: Vec<f64>,
-    /// Delay of each way on top of the profile, ms; several with commas.
-    #[arg(long = "delay-ms", value_name = "MS,..", value_delimiter = ',', default_values_t = [0.0, 50.0], value_parser = a_delay_ms)]
-    pub delays_ms: Vec<f64>,
-    /// Rate error of the brick's clock, ppm; several with commas.
-    #[arg(long = "skew-ppm", value_name = "PPM,..", value_delimiter = ',', default_values_t = [50.0, 2021.0], value_parser = a_skew_ppm, allow_hyphen_values = true)]
-    pub skews_ppm: Vec<f64>,
-    /// Laps of each case; world and link differ from lap to lap.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub runs: u32,
-    /// Seed of the first lap.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
-    /// What to leave.
-    #[command(flatten)]
-    pub output: OutputArgs,
-}
-
-fn a_probability(text: &str) -> Result<f64, String> {
-    number_within(text, 0.0..=0.99)
-}
-
-fn a_delay_ms(text: &str) -> Result<f64, String> {
-    number_within(text, 0.0..=10_000.0)
-}
-
-/// As far off as the alignment allows.
-fn a_skew_ppm(text: &str) -> Result<f64, String> {
-    let most_ppm = posebridge_pipeline::clock::LARGEST_SKEW * 1e6;
-    number_within(text, -most_ppm..=most_ppm)
-}
-
-fn number_within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, String> {
-    let number: f64 = text
-        .parse()
-        .map_err(|_no_number| format!("`{text}` is not a number"))?;
-    if range.contains(&number) {
-        Ok(number)
-    } else {
-        Err(format!(
-            "{number} is not from {} to {}",
-            range.start(),
-            range.end()
-        ))
-    }
-}
-
-/// Flags of `lab accuracy`.
-#[derive(Args, Clone, Debug)]
-pub struct LabAccuracyArgs {
-    /// A bundled scenario's name or a TOML file; may be repeated. Without it all bundled ones.
-    #[arg(long = "scenario", value_name = "NAME|FILE.toml")]
-    pub scenarios: Vec<String>,
-    /// An estimator's name; may be repeated. Without it all that estimate a pose.
-    #[arg(long = "estimator", value_name = "NAME")]
-    pub estimators: Vec<String>,
-    /// Runs of each scenario, instead of what its file says (mostly 40).
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(posebridge_sim::montecarlo::MAX_RUNS)))]
-    pub runs: Option<u32>,
-    /// Base seed, instead of each scenario's.
-    #[arg(long, value_name = "N")]
-    pub seed: Option<u64>,
-    /// What to leave.
-    #[command(flatten)]
-    pub output: OutputArgs,
 }
 
 /// Flags of `key`.
@@ -458,6 +389,8 @@ pub enum ConfigAction {
     Check(ConfigFlags),
     /// Print the JSON schema.
     Schema,
+    /// Print every parameter of the filters: those of `[filter]`, which ground stations can set while a station runs.
+    Params,
 }
 
 /// Flags of `completions`.
@@ -475,26 +408,41 @@ pub(crate) fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A number of zero or more.
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() && number >= 0.0 => Ok(number),
+        _ => Err("must be a number of zero or more".to_owned()),
+    }
+}
+
+/// `KEY=VALUE` of a tunable of the filters, as a setting of the configuration.
+fn a_param(text: &str) -> Result<Setting, String> {
+    let setting = Setting::parse(text)?;
+    let (key, value) = (setting.path.join("."), setting.value.to_string());
+    let value: f64 = value
+        .parse()
+        .map_err(|_not_a_number| format!("`{key}`: `{value}` is no number"))?;
+    Params::default().set(&key, value).map_err(|error| {
+        let known: Vec<&str> = PARAMS.iter().map(|param| param.key).collect();
+        if matches!(error, ParamError::Unknown { .. }) {
+            format!("{error}; there are: {}", known.join(", "))
+        } else {
+            error.to_string()
+        }
+    })?;
+    Ok(Setting {
+        path: vec!["filter".to_owned(), key],
+        value: toml::Value::Float(value),
+    })
+}
+
 /// A number of seconds of more than zero and up to an hour.
 fn up_to_an_hour(text: &str) -> Result<f64, String> {
     match positive(text) {
         Ok(seconds) if seconds <= 3_600.0 => Ok(seconds),
         _ => Err("must be a number of seconds of more than zero, up to 3600".to_owned()),
     }
-}
-
-/// What `lab accuracy` can run, from the tables.
-fn accuracy_help() -> String {
-    let scenarios = SCENARIOS.iter().map(|(name, _)| format!("  {name}\n"));
-    let estimators = Estimator::all()
-        .into_iter()
-        .map(|estimator| format!("  {:20} {}\n", estimator.name(), estimator.summary()));
-    let lines: Vec<String> = std::iter::once("Scenarios:\n".to_owned())
-        .chain(scenarios)
-        .chain(std::iter::once("Estimators:\n".to_owned()))
-        .chain(estimators)
-        .collect();
-    lines.concat()
 }
 
 /// The profiles, and the kinds of link, from their tables.

@@ -150,7 +150,8 @@ impl<T> Default for Thinned<T> {
 
 impl<T> Thinned<T> {
     /// An empty list that never holds more than `most` items.
-    fn keeping(most: usize) -> Self {
+    #[must_use]
+    pub fn keeping(most: usize) -> Self {
         Self {
             items: Vec::new(),
             most,
@@ -167,7 +168,8 @@ impl<T> Thinned<T> {
         }
     }
 
-    fn push(&mut self, item: T) {
+    /// Takes the next item.
+    pub fn push(&mut self, item: T) {
         if self.seen.is_multiple_of(self.stride) {
             self.items.push(item);
         }

@@ -26,6 +26,8 @@ pub struct RobotRun {
     pub run: dataset::Run,
     /// The robot, as the descriptor and the flags describe it.
     pub robot: RobotFile,
+    /// The filter's tunables, as they say.
+    pub filter: FilterSection,
     /// The robot's filter configuration, start included.
     pub filter_config: FilterConfig,
 }
@@ -99,6 +101,7 @@ impl DataSet {
         Ok(RobotRun {
             run,
             robot,
+            filter,
             filter_config: config,
         })
     }

@@ -5,13 +5,14 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::{Ending, Reader};
+use posebridge_recording::container::{Beginning, Ending, Reader};
 use posebridge_telemetry::{
     BrickClock, ChannelName, Event, HostClock, Observation, Observed, Output, RobotId, SensorId,
     Span, Stamp,
 };
 
 use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
+use crate::import::{self, Station};
 use crate::signing;
 use crate::stderr::say;
 
@@ -200,6 +201,17 @@ pub fn is_own(path: &Path) -> bool {
     path.extension().is_none_or(|extension| extension != "toml")
 }
 
+/// What a recording lacks of its session's beginning, in words; `None` if it begins with the session.
+#[must_use]
+pub fn lack_of(beginning: &Beginning) -> Option<String> {
+    let before = beginning.inputs_before;
+    let holder = match &beginning.continues {
+        Some(name) => format!("they are in `{name}` and what that continues"),
+        None => "nobody recorded them".to_owned(),
+    };
+    (before > 0).then(|| format!("it lacks the first {before} inputs of its session ({holder})"))
+}
+
 /// Reads a recording as far as it goes; what is cut off or damaged is said on stderr.
 ///
 /// # Errors
@@ -207,34 +219,29 @@ pub fn is_own(path: &Path) -> bool {
 /// sense.
 pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
     let name = path.display().to_string();
-    let bytes = std::fs::read(path).with_context(|| format!("reading the recording `{name}`"))?;
+    let station = Station {
+        config: None,
+        robot: overlay.robot,
+        settings: overlay.settings,
+    };
+    let (bytes, notes) = import::recording_bytes(path, station)?;
+    for note in notes {
+        say(&note);
+    }
     let mut reader = Reader::open(&bytes).with_context(|| {
         format!(
             "recording `{name}` ({} bytes): `posebridge run` writes recordings",
             bytes.len()
         )
     })?;
+    if let Some(lack) = lack_of(reader.beginning()) {
+        say(&format!("{name}: {lack}"));
+    }
     let config = laid_over(&reader.header().config_toml, overlay)?;
     let mut pipeline_config = config.pipeline()?;
     signing::recall(&config, &[], &mut pipeline_config)?;
     let mut pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
-    let mut heard = Heard::default();
-    for item in &mut reader {
-        match item {
-            Ok((now, input)) => pipeline.handle(now, &input),
-            Err(error) => say(&format!("{name}: {error}; what is whole is used")),
-        }
-        while let Some(output) = pipeline.poll() {
-            if let Output::Event(event) = output {
-                heard.take(&event);
-            }
-        }
-    }
-    if let Ending::Torn { offset, what } = reader.ending() {
-        say(&format!(
-            "{name}: cut off at byte {offset} ({what}); everything before is used"
-        ));
-    }
+    let heard = hear(&name, &mut reader, &mut pipeline);
     ensure!(
         !(heard.observations.is_empty() && heard.thermometers.is_empty()),
         "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \
@@ -258,17 +265,39 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
     })
 }
 
-/// The recording's configuration with another robot, if there is one, and single keys on top.
-fn laid_over(header: &str, overlay: Overlay<'_>) -> Result<Config> {
-    let origin = "the recording's own configuration";
-    let mut config = config::load_text(origin, header, overlay.settings)?.config;
-    if let Some(path) = overlay.robot {
-        config = config.with_robot(RobotProfile::read(path)?);
-        for setting in overlay.settings {
-            config = config::lay_over(&config, setting)?;
+/// What the pipeline made of all that is whole.
+fn hear(name: &str, reader: &mut Reader<'_>, pipeline: &mut Pipeline) -> Heard {
+    let mut heard = Heard::default();
+    for item in &mut *reader {
+        match item {
+            Ok((now, input)) => pipeline.handle(now, &input),
+            Err(error) => say(&format!("{name}: {error}; what is whole is used")),
+        }
+        while let Some(output) = pipeline.poll() {
+            if let Output::Event(event) = output {
+                heard.take(&event);
+            }
         }
     }
-    Ok(config)
+    if let Ending::Torn { offset, what } = reader.ending() {
+        say(&format!(
+            "{name}: cut off at byte {offset} ({what}); everything before is used"
+        ));
+    }
+    heard
+}
+
+/// The recording's configuration with another robot, if there is one, and single keys on top.
+///
+/// # Errors
+/// The configuration or what is laid over it makes no sense.
+pub fn laid_over(header: &str, overlay: Overlay<'_>) -> Result<Config> {
+    let origin = "the recording's own configuration";
+    let mut config = config::load_text(origin, header, &[])?.config;
+    if let Some(path) = overlay.robot {
+        config = config.with_robot(RobotProfile::read(path)?);
+    }
+    Ok(config::lay_over(&config, overlay.settings)?)
 }
 
 /// The robot with the geometry that its brick has described.

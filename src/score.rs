@@ -57,6 +57,19 @@ pub struct Scorer {
     pub errors: Vec<PoseError>,
     /// Errors at the fixes' own stamps; empty unless the others are corrected for a delay.
     pub uncorrected: Vec<PoseError>,
+    /// What the errors are between, in their order.
+    pub pairs: Vec<Pair>,
+}
+
+/// What was believed of one instant, and what it is held against.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// The instant of the yardstick.
+    pub stamp: Stamp<BrickClock>,
+    /// The truth, or the withheld fix; heading 0 where it has none.
+    pub expected: Pose<Arena>,
+    /// The same point of the robot as it was believed.
+    pub believed: Pose<Arena>,
 }
 
 /// Whether the stamps of the withheld fixes are taken as they are.
@@ -92,6 +105,7 @@ impl Scorer {
             },
             errors: Vec::new(),
             uncorrected: Vec::new(),
+            pairs: Vec::new(),
         }
     }
 
@@ -113,6 +127,13 @@ impl Scorer {
         }
     }
 
+    /// Leaves out what was scored so far.
+    pub fn forget(&mut self) {
+        self.errors.clear();
+        self.uncorrected.clear();
+        self.pairs.clear();
+    }
+
     /// At the end: what lies behind the last motion, as far as anything was observed.
     pub fn finish(&mut self, belief: &impl Belief) {
         if let Some(latest) = belief.latest() {
@@ -128,13 +149,17 @@ impl Scorer {
             .next
             .filter(|next| next.stamp.max(true_at(next)) <= until)
         {
-            let error_at = |stamp| {
+            let scored_at = |stamp| {
                 let estimate = belief.estimate_at(stamp)?;
                 error(&estimate, &yardstick)
             };
-            self.errors.extend(error_at(true_at(&yardstick)));
+            if let Some((error, pair)) = scored_at(true_at(&yardstick)) {
+                self.errors.push(error);
+                self.pairs.push(pair);
+            }
             if delay.is_some() {
-                self.uncorrected.extend(error_at(yardstick.stamp));
+                let uncorrected = scored_at(yardstick.stamp);
+                self.uncorrected.extend(uncorrected.map(|(error, _)| error));
             }
             self.next = self.yardsticks.next();
         }
@@ -174,7 +199,7 @@ fn of_withheld(withheld: &Withheld) -> Yardstick {
 
 /// The error of the observed point, and of the heading where the yardstick has one. Only real truth can judge a covariance: a
 /// withheld fix has an error of its own.
-fn error(estimate: &Estimate, yardstick: &Yardstick) -> Option<PoseError> {
+fn error(estimate: &Estimate, yardstick: &Yardstick) -> Option<(PoseError, Pair)> {
     if !estimate.validity.position {
         return None;
     }
@@ -192,7 +217,12 @@ fn error(estimate: &Estimate, yardstick: &Yardstick) -> Option<PoseError> {
     if !yardstick.is_truth || yardstick.heading.is_none() {
         error.covariance = None;
     }
-    Some(error)
+    let pair = Pair {
+        stamp: yardstick.stamp,
+        expected: truth,
+        believed: of_point.pose,
+    };
+    Some((error, pair))
 }
 
 /// A point of the arena as the figures want it.

@@ -1,6 +1,7 @@
 //! The simulator's truth as CSV: written by `posebridge sim --truth`, read by `posebridge replay --truth`.
 
 use std::fmt::Write as _;
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use posebridge_analysis::{TimedPose, Track};
@@ -34,6 +35,17 @@ pub fn write(samples: &[TruthSample]) -> String {
         );
     }
     text
+}
+
+/// The true track of a file.
+///
+/// # Errors
+/// It cannot be read, or as [`read`] says.
+pub fn open(path: &Path) -> Result<Track> {
+    let name = path.display();
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("reading the truth `{name}`"))?;
+    read(&text).with_context(|| format!("truth `{name}`"))
 }
 
 /// The true track.

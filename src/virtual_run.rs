@@ -275,6 +275,8 @@ impl Session {
                     self.to_brick.begin(unit, at);
                 }
                 Output::Event(event) => self.collector.take(&event),
+                // There is no file to write.
+                Output::Request(_) => {}
             }
         }
     }

@@ -13,28 +13,7 @@ use posebridge::config::RobotProfile;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde_json::Value;
-use support::{WHEELS_CSV, posebridge, stdout_of};
-
-/// A gyro beside wheels.
-const ROBOT: &str = r#"
-name = "by-hand"
-source = "written by this test"
-licence = "-"
-default_run = "rest"
-
-[robot]
-left_wheel_radius_m = 0.1
-right_wheel_radius_m = 0.1
-track_width_m = 0.2
-ticks_per_turn = 360.0
-
-[[runs]]
-name = "rest"
-
-[[gyro]]
-file = "wheels"
-turn_rate = "gyro"
-"#;
+use support::{GYRO_BESIDE_WHEELS, WHEELS_CSV, posebridge, stdout_of};
 
 /// Twenty rows a second: an instant in seconds, the counts of both wheels, the gyro in rad/s.
 type Row = (f64, u32, f64);
@@ -62,7 +41,11 @@ fn write(folder: &Path, rows: &[Row]) {
         writeln!(table, "{at_s},{counts},{counts},{rate}").unwrap();
     }
     std::fs::write(folder.join("wheels.csv"), table).unwrap();
-    std::fs::write(folder.join("rest.toml"), ROBOT.to_owned() + WHEELS_CSV).unwrap();
+    std::fs::write(
+        folder.join("rest.toml"),
+        GYRO_BESIDE_WHEELS.to_owned() + WHEELS_CSV,
+    )
+    .unwrap();
 }
 
 const CALIBRATE: [&str; 7] = [
@@ -185,7 +168,7 @@ fn a_robot_that_drives_does_not_rest() {
     let (code, said) = refusal(folder, &driven);
     assert!(code == 1 && said.contains("never stood"), "{said}");
     // Nobody can say that of a gyro alone.
-    let text = ROBOT.to_owned() + WHEELS_CSV.split("[[wheels]]").next().unwrap();
+    let text = GYRO_BESIDE_WHEELS.to_owned() + WHEELS_CSV.split("[[wheels]]").next().unwrap();
     std::fs::write(folder.join("rest.toml"), text).unwrap();
     assert!(has_note(&found(folder, &IDENTIFY), "taken on trust"));
 }

@@ -143,7 +143,7 @@ fn drive(command: Command) -> Drive {
                     Output::Transmit { bytes, .. } => to_robot.extend(bytes),
                     Output::Event(Event::Estimated { estimate: new, .. }) => estimate = Some(new),
                     Output::Event(Event::BrickClockAligned { .. }) => alignments += 1,
-                    Output::Event(_) => {}
+                    Output::Event(_) | Output::Request(_) => {}
                 }
             }
         }

@@ -8,14 +8,17 @@
     reason = "a test stops where its set-up is broken"
 )]
 
+#[path = "support/calibrating.rs"]
+mod calibrating;
 mod support;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use calibrating::{calibrate, number, refused};
 use posebridge::config::RobotProfile;
 use serde_json::Value;
-use support::{posebridge, root, stdout_of};
+use support::{GYRO_BESIDE_WHEELS, WHEELS_CSV, posebridge, root, stdout_of};
 
 fn shared_data() -> Option<PathBuf> {
     std::env::var_os("POSEBRIDGE_DATA").map(PathBuf::from)
@@ -25,35 +28,12 @@ fn recording(name: &str) -> PathBuf {
     root().join("config/recordings").join(name)
 }
 
-/// Runs a way of `calibrate` in a folder and reads its object.
-fn calibrate(folder: &Path, args: &[&str]) -> Value {
-    let printed = stdout_of(posebridge(folder).arg("calibrate").args(args).arg("--json"));
-    serde_json::from_str(&printed).expect("one JSON object")
-}
-
 fn calibrate_path(folder: &Path, descriptor: &Path, data: &Path, more: &[&str]) -> Value {
     let (descriptor, data) = (descriptor.to_str().unwrap(), data.to_str().unwrap());
     calibrate(
         folder,
         &[&["path", descriptor, "--data", data], more].concat(),
     )
-}
-
-/// Exit code and talk of a command that cannot do what it is asked.
-fn refused(folder: &Path, args: &[&str]) -> (i32, String) {
-    let output = posebridge(folder)
-        .arg("calibrate")
-        .args(args)
-        .output()
-        .unwrap();
-    assert!(output.stdout.is_empty());
-    let said = String::from_utf8(output.stderr).unwrap();
-    (output.status.code().unwrap(), said)
-}
-
-fn number(object: &Value, pointer: &str) -> f64 {
-    let value = object.pointer(pointer).and_then(Value::as_f64);
-    value.unwrap_or_else(|| panic!("{pointer} in {object}"))
 }
 
 #[test]
@@ -382,27 +362,6 @@ fn what_cannot_be_done_is_said_with_what_to_do() {
     );
 }
 
-/// A gyro of a bias of 0.02 rad/s and steps of 0.001 rad/s on a robot that stands for a minute, then drives.
-const RESTING: &str = r#"
-name = "by-hand"
-source = "written by this test"
-licence = "-"
-default_run = "rest"
-
-[robot]
-left_wheel_radius_m = 0.1
-right_wheel_radius_m = 0.1
-track_width_m = 0.2
-ticks_per_turn = 360.0
-
-[[runs]]
-name = "rest"
-
-[[gyro]]
-file = "wheels"
-turn_rate = "gyro"
-"#;
-
 #[test]
 fn the_bias_of_a_gyro_at_rest_is_found_and_its_drive_left_out() {
     let folder = tempfile::tempdir().unwrap();
@@ -421,7 +380,7 @@ fn the_bias_of_a_gyro_at_rest_is_found_and_its_drive_left_out() {
         .unwrap();
     }
     std::fs::write(folder.path().join("wheels.csv"), table).unwrap();
-    let text = RESTING.to_owned() + support::WHEELS_CSV;
+    let text = GYRO_BESIDE_WHEELS.to_owned() + WHEELS_CSV;
     std::fs::write(folder.path().join("rest.toml"), text).unwrap();
     let found = calibrate(folder.path(), &["rest", "rest.toml", "--data", "."]);
     let gyro = &found["channels"][0];
@@ -447,7 +406,7 @@ fn drives_of_different_robots_are_not_mixed() {
         writeln!(table, "{},{driven},{driven},0", f64::from(tenth) / 10.0).unwrap();
     }
     std::fs::write(folder.path().join("wheels.csv"), table).unwrap();
-    let text = RESTING.to_owned() + support::WHEELS_CSV;
+    let text = GYRO_BESIDE_WHEELS.to_owned() + WHEELS_CSV;
     std::fs::write(folder.path().join("one.toml"), &text).unwrap();
     let wide = text
         .replace("track_width_m = 0.2", "track_width_m = 0.3")

@@ -5,41 +5,21 @@
     reason = "a test stops where its set-up is broken"
 )]
 
+#[path = "support/calibrating.rs"]
+mod calibrating;
 mod support;
 #[path = "support/virtual_drive.rs"]
 mod virtual_drive;
 
 use std::path::Path;
 
+use calibrating::{calibrate, number, refused};
 use posebridge::config::RobotProfile;
 use posebridge_sim::Scenario;
 use posebridge_telemetry::Span;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 use virtual_drive::record_drive;
-
-/// Runs a way of `calibrate` in a folder and reads its object.
-fn calibrate(folder: &Path, args: &[&str]) -> Value {
-    let printed = stdout_of(posebridge(folder).arg("calibrate").args(args).arg("--json"));
-    serde_json::from_str(&printed).expect("one JSON object")
-}
-
-/// Exit code and talk of a command that cannot do what it is asked.
-fn refused(folder: &Path, args: &[&str]) -> (i32, String) {
-    let output = posebridge(folder)
-        .arg("calibrate")
-        .args(args)
-        .output()
-        .unwrap();
-    assert!(output.stdout.is_empty());
-    let said = String::from_utf8(output.stderr).unwrap();
-    (output.status.code().unwrap(), said)
-}
-
-fn number(object: &Value, pointer: &str) -> f64 {
-    let value = object.pointer(pointer).and_then(Value::as_f64);
-    value.unwrap_or_else(|| panic!("{pointer} in {object}"))
-}
 
 /// How far the wheels and the track of the simulated robot are off, as shares: mean radius, difference of the radii, track.
 const OFF: [f64; 3] = [0.02, 0.008, 0.04];

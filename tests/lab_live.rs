@@ -18,7 +18,7 @@ use posebridge_telemetry::{
 };
 use serde_json::Value;
 
-use support::{Running, posebridge, root, stdout_of};
+use support::{Running, listening_brick, posebridge, root, stdout_of};
 
 fn lab(folder: &Path, args: &[&str]) -> Value {
     let text = stdout_of(posebridge(folder).arg("lab").args(args).arg("--json"));
@@ -415,20 +415,11 @@ rest_s = 1.5
 clock_skew_ppm = 2000.0
 "#;
 
-/// A simulated brick that waits to be called, and its URL.
-fn brick(folder: &Path, scenario: &str) -> (Running, String) {
-    std::fs::write(folder.join("small.toml"), scenario).unwrap();
-    let sim = ["sim", "small.toml", "--listen", "tcp://127.0.0.1:0"];
-    let mut brick = Running::start(posebridge(folder).args(sim));
-    let address = brick.listening_address("");
-    (brick, format!("tcp://{address}"))
-}
-
 #[test]
 fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let (_brick, url) = brick(folder, SMALL_SQUARE);
+    let (_brick, url) = listening_brick(folder, SMALL_SQUARE);
     let live = [
         "lab",
         "nxt-square",
@@ -532,7 +523,7 @@ fn a_live_robot_that_stands_is_calibrated() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let standing = SMALL_SQUARE.replace("rest_s = 1.5", "rest_s = 60.0");
-    let (_brick, url) = brick(folder, &standing);
+    let (_brick, url) = listening_brick(folder, &standing);
     let live = [
         "calibrate",
         "rest",

@@ -39,23 +39,46 @@ sensor = [{ port = 1, kind = "ht-gyro" }]
 gyro_port = 2
 "#;
 
+/// How brick and station find each other: the arguments of each.
+struct Meeting<'a> {
+    brick: &'a [&'a str],
+    station: &'a [&'a str],
+}
+
 /// Drives the square with a brick that speaks so; gives what the station printed.
-fn driven(folder: &Path, kind: &str) -> String {
+fn driven(folder: &Path, kind: &str, meeting: &Meeting<'_>) -> String {
     std::fs::write(folder.join("small.toml"), SQUARE).unwrap();
     std::fs::write(folder.join("robot.toml"), ROBOT).unwrap();
     let mut sim = posebridge(folder);
     sim.args(["sim", "small.toml", "--brick", kind]);
-    sim.args(["--listen", "pty:brick.tty", "--truth", "truth.csv"]);
+    sim.args(meeting.brick).args(["--truth", "truth.csv"]);
     sim.args(["--camera-listen", "tcp://127.0.0.1:0"]);
     let mut brick = Running::start(&mut sim);
     let camera = format!("tcp://{}", brick.listening_address("camera "));
     let mut run = posebridge(folder);
-    run.args(["run", "--link", "serial:brick.tty", "--brick", kind]);
-    run.args(["--link", &camera, "--robot", "robot.toml"]);
+    run.arg("run").args(meeting.station);
+    run.args(["--brick", kind, "--robot", "robot.toml"]);
+    run.args(["--link", &camera]);
     run.args(["--until-silent", "2", "--out", "run"]);
     let printed = stdout_of(&mut run);
     brick.output();
     printed
+}
+
+/// How far off the recorded run was: what was recorded is what happened, and the truth says how far off that was.
+fn off_m(folder: &Path) -> f64 {
+    let replay = [
+        "replay",
+        "run/recording.mcap",
+        "--truth",
+        "truth.csv",
+        "--json",
+    ];
+    let replayed = stdout_of(posebridge(folder).args(replay));
+    let replayed: Value = serde_json::from_str(&replayed).unwrap();
+    replayed["estimators"][0]["position_rms_m"]
+        .as_f64()
+        .unwrap()
 }
 
 #[test]
@@ -63,28 +86,54 @@ fn the_table_and_the_picture_are_those_of_any_brick() {
     for kind in ["nxt", "nxt-push", "ev3"] {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
-        let printed = driven(folder, kind);
+        let meeting = Meeting {
+            brick: &["--listen", "pty:brick.tty"],
+            station: &["--link", "serial:brick.tty"],
+        };
+        let printed = driven(folder, kind, &meeting);
         println!("{kind}\n{printed}");
-        for source in ["wheels (0)", "camera (3)"] {
+        for source in ["wheels (0)", "gyro (1)", "camera (3)"] {
             assert!(printed.contains(source), "{kind}: {printed}");
         }
         for picture in ["track.svg", "error.svg"] {
             assert!(folder.join("run").join(picture).exists(), "{kind}");
         }
-        // What was recorded is what happened, and the truth says how far off that was.
-        let replay = [
-            "replay",
-            "run/recording.mcap",
-            "--truth",
-            "truth.csv",
-            "--json",
-        ];
-        let replayed = stdout_of(posebridge(folder).args(replay));
-        let replayed: Value = serde_json::from_str(&replayed).unwrap();
-        let off_m = replayed["estimators"][0]["position_rms_m"]
-            .as_f64()
-            .unwrap();
+        let off_m = off_m(folder);
         println!("{kind}: off by {:.1} mm", 1e3 * off_m);
         assert!(off_m < 0.01, "{kind}: {off_m}");
     }
+}
+
+/// A TCP port of four digits, as an EV3 announces one.
+fn four_digit_port() -> u16 {
+    (5_555..=9_999)
+        .find(|port| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok())
+        .unwrap()
+}
+
+#[test]
+fn an_ev3_in_the_network_is_found_by_its_announcement_and_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let beside = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let announced = beside.local_addr().unwrap();
+    drop(beside);
+    let door = format!("tcp://127.0.0.1:{}", four_digit_port());
+    let meeting = Meeting {
+        brick: &[
+            "--listen",
+            &door,
+            "--announce",
+            &format!("udp://{announced}"),
+        ],
+        station: &[
+            "--listen",
+            &format!("ev3://{announced}?serial=0016530b0e03"),
+        ],
+    };
+    let printed = driven(folder, "ev3", &meeting);
+    assert!(printed.contains("wheels (0)"), "{printed}");
+    let off_m = off_m(folder);
+    println!("by WiFi: off by {:.1} mm", 1e3 * off_m);
+    assert!(off_m < 0.01, "{off_m}");
 }

@@ -14,7 +14,7 @@ use std::path::Path;
 use posebridge_sim::Scenario;
 use posebridge_telemetry::Span;
 use serde_json::Value;
-use support::{Running, posebridge, stdout_of};
+use support::{listening_brick, posebridge, stdout_of};
 use virtual_drive::record_drive;
 
 /// A lap of a square whose robot is off by what UMBmark finds, and its camera late by 0.15 s.
@@ -255,21 +255,12 @@ fn recorded_drives_are_tuned_on_and_held_out() {
     assert!(folder.join("tuned.toml").exists());
 }
 
-/// A simulated brick that waits to be called, and its URL.
-fn brick(folder: &Path, scenario: &str) -> (Running, String) {
-    std::fs::write(folder.join("small.toml"), scenario).unwrap();
-    let sim = ["sim", "small.toml", "--listen", "tcp://127.0.0.1:0"];
-    let mut brick = Running::start(posebridge(folder).args(sim));
-    let address = brick.listening_address("");
-    (brick, format!("tcp://{address}"))
-}
-
 #[test]
 fn a_live_robot_is_recorded_and_its_recording_says_the_same_again() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record(folder, "one.mcap", THERMOMETER, 0.0);
-    let (_brick, url) = brick(folder, THERMOMETER);
+    let (_brick, url) = listening_brick(folder, THERMOMETER);
     let live = ["--link", &url, "--duration", "9", "--out", "out"];
     let foretold = ["lab", "thermometer", "--recording", "one.mcap"];
     let text = stdout_of(posebridge(folder).args(foretold).args(live));

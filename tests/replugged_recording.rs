@@ -137,6 +137,7 @@ fn recorded(path: &Path) -> Vec<Vec<u8>> {
             | Input::Port { .. }
             | Input::Observation(_)
             | Input::Command(_)
+            | Input::Report { .. }
             | Input::Tick => {}
         }
     }

@@ -253,6 +253,7 @@ impl Soak {
                         self.collector.take(&event);
                         opt_out(|| self.hear(at, &event));
                     }
+                    Output::Request(request) => panic!("nobody asked for {request:?}"),
                 }
             }
         });

@@ -76,7 +76,7 @@ fn driven(seed: u64, until_s: f64) -> Vec<Told> {
                             bound_k: settled.bound_95(),
                         });
                     }
-                    Output::Event(_) => {}
+                    Output::Event(_) | Output::Request(_) => {}
                 }
             }
         }

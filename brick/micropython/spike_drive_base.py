@@ -57,7 +57,10 @@ def main():
 
 def steer(hub, pose):
     """Your robot steers here; pose.time_us says for which instant it holds."""
-    hub.display.number(int(pose.x_m * 100) % 100)
+    if pose.position_is_valid():
+        hub.display.number(int(pose.x_m * 100) % 100)
+    else:
+        hub.display.char("?")  # until the first fix, or a start that somebody gave
 
 
 main()

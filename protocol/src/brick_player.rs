@@ -13,8 +13,8 @@ use posebridge_telemetry::{
 use crate::dialect::{Encoder, decode};
 use crate::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
 use crate::message::{
-    Heartbeat, Message, Odometry, OdometryPose, PlanarImu, RobotDescription, VisionFix, WheelTicks,
-    WireStamp,
+    CommandResult, Heartbeat, Message, Odometry, OdometryPose, PlanarImu, RobotDescription,
+    VisionFix, WheelTicks, WireStamp,
 };
 use crate::session::{Session, SessionConfig, SessionOutput};
 
@@ -250,8 +250,19 @@ impl BrickPlayer {
 
     fn drain(&mut self) {
         while let Some(output) = self.session.poll() {
-            if let SessionOutput::Send(message) = output {
-                self.say(&message);
+            match output {
+                SessionOutput::Send(message) => self.say(&message),
+                SessionOutput::Commanded { by, command } => {
+                    let result = CommandResult::Unsupported;
+                    self.session.answer(by, command.command, result);
+                }
+                SessionOutput::PeerSeen { .. }
+                | SessionOutput::PeerLost { .. }
+                | SessionOutput::TimeExchanged { .. }
+                | SessionOutput::IntervalRequested { .. }
+                // Of parameters it offers none.
+                | SessionOutput::ParameterWish { .. }
+                | SessionOutput::ParameterUnknown { .. } => {}
             }
         }
     }

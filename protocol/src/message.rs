@@ -10,6 +10,20 @@ use posebridge_telemetry::{
     Stamp,
 };
 
+mod component;
+
+pub use component::{
+    AutopilotVersion, ComponentInformation, FloatArray, MessageInterval, NamedValue,
+    ProtocolVersion, TextPart,
+};
+
+use crate::dialect::ids::{
+    COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL,
+};
+
+/// The largest message id: 24 bits, all of them exact in a 32-bit float.
+const LARGEST_ID: f32 = 16_777_215.0;
+
 /// A time stamp as it stood on the wire, before unwrapping and alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WireStamp {
@@ -64,6 +78,8 @@ pub enum Message {
     SetMessageInterval(SetMessageInterval),
     /// COMMAND_LONG (76) with any other command, known to us or not.
     Command(CommandLong),
+    /// COMMAND_INT (75), whatever the command.
+    CommandInt(CommandInt),
     /// COMMAND_ACK (77).
     CommandAck(CommandAck),
     /// STATUSTEXT (253), one chunk.
@@ -72,7 +88,21 @@ pub enum Message {
         severity: u8,
         /// At most 50 bytes on the wire.
         text: String,
+        /// Which part of a longer text.
+        part: TextPart,
     },
+    /// AUTOPILOT_VERSION (148).
+    AutopilotVersion(AutopilotVersion),
+    /// PROTOCOL_VERSION (300).
+    ProtocolVersion(ProtocolVersion),
+    /// COMPONENT_INFORMATION_BASIC (396).
+    ComponentInformation(ComponentInformation),
+    /// MESSAGE_INTERVAL (244).
+    MessageInterval(MessageInterval),
+    /// NAMED_VALUE_FLOAT (251), temperatures apart: those are [`Self::Thermometer`].
+    NamedValue(NamedValue),
+    /// DEBUG_FLOAT_ARRAY (350).
+    FloatArray(FloatArray),
     /// PB_WHEEL_TICKS (own dialect).
     WheelTicks(WheelTicks),
     /// PB_INERTIAL (own dialect).
@@ -215,8 +245,16 @@ impl Message {
             | Self::TimeSync(_)
             | Self::SetMessageInterval(_)
             | Self::Command(_)
+            | Self::CommandInt(_)
             | Self::CommandAck(_)
             | Self::StatusText { .. }
+            | Self::AutopilotVersion(_)
+            | Self::ProtocolVersion(_)
+            | Self::ComponentInformation(_)
+            | Self::MessageInterval(_)
+            // For people's eyes, by whichever clock their sender had at hand.
+            | Self::NamedValue(_)
+            | Self::FloatArray(_)
             | Self::RobotDescription(_)
             | Self::ParamRequestList { .. }
             | Self::ParamRequestRead { .. }
@@ -261,6 +299,22 @@ pub struct SetMessageInterval {
     pub interval: Option<Span>,
 }
 
+impl SetMessageInterval {
+    /// The request that a command is; `None` if it is another one, or its parameters name no message or no interval.
+    #[must_use]
+    pub fn of(command: &CommandLong) -> Option<Self> {
+        let [_, interval_micros, ..] = command.params;
+        let message_id = command.named_message()?;
+        let is_request = command.command == COMMAND_SET_MESSAGE_INTERVAL;
+        (is_request && interval_micros.is_finite()).then(|| Self {
+            target: command.target,
+            message_id,
+            interval: (interval_micros >= 0.0)
+                .then(|| Span::from_micros(interval_micros.round() as i64)),
+        })
+    }
+}
+
 /// Any other command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandLong {
@@ -270,6 +324,79 @@ pub struct CommandLong {
     pub command: u16,
     /// Its seven parameters.
     pub params: [f32; 7],
+}
+
+impl CommandLong {
+    /// The message that a command about a message names by its first parameter; `None` for other commands, and for what is no id.
+    #[must_use]
+    pub fn named_message(&self) -> Option<u32> {
+        let is_about_one = matches!(
+            self.command,
+            COMMAND_GET_MESSAGE_INTERVAL | COMMAND_SET_MESSAGE_INTERVAL | COMMAND_REQUEST_MESSAGE
+        );
+        let [first, ..] = self.params;
+        (is_about_one && (0.0..=LARGEST_ID).contains(&first)).then_some(first as u32)
+    }
+}
+
+/// Any command, with coordinates in integers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandInt {
+    /// Whom it is for.
+    pub target: Address,
+    /// MAV_FRAME of the coordinates.
+    pub frame: u8,
+    /// MAV_CMD, known to us or not.
+    pub command: u16,
+    /// Its first four parameters.
+    pub params: [f32; 4],
+    /// The fifth: metres times 10^4 in a local frame, degrees of latitude times 10^7 in a global one, itself in a frame of neither kind.
+    pub x: i32,
+    /// The sixth, like `x`.
+    pub y: i32,
+    /// The seventh.
+    pub z: f32,
+}
+
+impl CommandInt {
+    /// The same command with seven parameters: coordinates in metres or degrees, to the 24 bits of a float.
+    ///
+    /// Source: common.xml, COMMAND_INT (fields x and y) and MAV_FRAME (which frames are local).
+    #[must_use]
+    pub fn to_long(self) -> CommandLong {
+        let unit = match self.frame {
+            // LOCAL_NED, LOCAL_ENU, LOCAL_OFFSET_NED to BODY_OFFSET_NED, BODY_FRD to LOCAL_FLU.
+            1 | 4 | 7..=9 | 12..=21 => 1e-4,
+            // GLOBAL and its relatives, those with INT and those relative to the terrain among them.
+            0 | 3 | 5 | 6 | 10 | 11 => 1e-7,
+            _ => 1.0,
+        };
+        let [p1, p2, p3, p4] = self.params;
+        let scaled = |value: i32| (f64::from(value) * unit) as f32;
+        CommandLong {
+            target: self.target,
+            command: self.command,
+            params: [p1, p2, p3, p4, scaled(self.x), scaled(self.y), self.z],
+        }
+    }
+}
+
+/// What becomes of a command: MAV_RESULT of common.xml, those that are sent or understood here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum CommandResult {
+    /// It is valid and was done.
+    Accepted = 0,
+    /// It is valid but cannot be done now; the sender may try again.
+    TemporarilyRejected = 1,
+    /// It is known but its parameters are not valid.
+    Denied = 2,
+    /// It is not known here.
+    Unsupported = 3,
+    /// It is valid, was tried, and did not succeed.
+    Failed = 4,
+    /// It was begun; another answer follows.
+    InProgress = 5,
 }
 
 /// The answer to a command.

@@ -19,8 +19,7 @@ use posebridge_protocol::message::{
     Inertial, Message, PlanarPose, PoseFlags, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
-    Defect, EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, Span,
-    Stamp,
+    Defect, EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, Stamp,
 };
 
 #[test]
@@ -301,6 +300,74 @@ fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
     }
 }
 
+#[test]
+fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
+    // It stands from 60 s on.
+    let brick = Ev3Double {
+        fails: Fails::InSilence,
+        sensors: [None; 4],
+        counts: |host_s| curve(host_s.min(60.0)),
+        ..Ev3Double::default()
+    };
+    let mut talk = Talk::new(Ev3Settings::default(), brick);
+    talk.run_for(360.0);
+    let heard: Vec<f64> = talk.ticks().map(|(now, _)| now.as_secs_f64()).collect();
+    let gaps: Vec<f64> = heard
+        .windows(2)
+        .filter(|pair| pair[1] - pair[0] > 1.0)
+        .map(|pair| pair[0])
+        .collect();
+    println!(
+        "first wheels at {:.1} s; none for more than a second from {gaps:.1?} s on",
+        heard[0]
+    );
+    assert!(heard[0] < 3.2, "{}", heard[0]);
+    // Standing for a second; then 20, 40, 80 and 160 s, with 3 s for each try.
+    assert_eq!(gaps.len(), 4, "{gaps:?}");
+    assert!((61.0..61.2).contains(&gaps[0]), "{gaps:?}");
+    for (at, pair) in gaps.windows(2).enumerate() {
+        let expected = 3.0 + 20.0 * f64::from(1 << at);
+        assert!((pair[1] - pair[0] - expected).abs() < 0.1, "{gaps:?}");
+    }
+    assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
+    assert!(talk.notes()[0].contains("port 2"), "{:?}", talk.notes());
+    // Plugged in, it is found at the next try.
+    talk.brick.sensors[1] = Some(plugged(32, [12.0, 0.0]));
+    talk.run_for(340.0);
+    let is_turn = |item: &&(_, Item)| matches!(item.1, Item::Message(Message::Inertial(_)));
+    assert!(talk.heard.iter().any(|item| is_turn(&item)));
+}
+
+#[test]
+fn a_calendar_that_is_set_costs_no_motion_and_is_called_what_it_is() {
+    let mut talk = Talk::new(without_gyro(), Ev3Double::default());
+    talk.run_for(5.0);
+    talk.brick.start_micros += 900_000_000;
+    talk.run_for(5.0);
+    let heard: Vec<_> = talk
+        .ticks()
+        .map(|(_, ticks)| (ticks.left.0, ticks.right.0))
+        .collect();
+    let (first, last) = (heard[0], heard[heard.len() - 1]);
+    // 300 and 330 counts per second.
+    let seconds = [
+        (last.0 - first.0) as f64 / 300.0,
+        (last.1 - first.1) as f64 / 330.0,
+    ];
+    assert!(
+        seconds
+            .iter()
+            .all(|seconds| (9.85..=10.0).contains(seconds)),
+        "{seconds:?}"
+    );
+    assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
+    assert!(
+        talk.notes()[0].contains("clock of the EV3 was set"),
+        "{:?}",
+        talk.notes()
+    );
+}
+
 /// A sensor in a mode that nobody asks for.
 const fn plugged(kind: u8, values: [f32; 2]) -> Plugged {
     Plugged {
@@ -379,37 +446,6 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
         talk.ticks()
             .all(|(_, ticks)| ticks.left.0 < 0 && ticks.right.0 < 0)
     );
-}
-
-#[test]
-fn a_brick_by_wifi_is_opened_by_its_serial_number_before_it_is_asked() {
-    let settings = Ev3Settings {
-        unlock: Some("0016533f0c1e".to_owned()),
-        ..without_gyro()
-    };
-    let mut codec = codec(settings);
-    let mut notes = Vec::new();
-    codec.begin(Stamp::ZERO);
-    let opening = b"GET /target?sn=0016533f0c1eVMTP1.0\nProtocol: EV3";
-    assert_eq!(codec.poll().as_deref(), Some(&opening[..]));
-    assert_eq!(codec.poll(), None);
-    // Nothing comes: it is told, and said again.
-    let again = codec.deadline().unwrap();
-    codec.tick(again, &mut |found| notes.push(item(found)));
-    assert_eq!(notes.len(), 1, "{notes:?}");
-    assert_eq!(codec.poll().as_deref(), Some(&opening[..]));
-    for part in b"Accept:EV340\r\n\r\n".chunks(5) {
-        codec.push(again + Span::from_millis(5), part, &mut |_| {});
-    }
-    let question = codec.poll().expect("now it is asked");
-    assert_eq!(question[7], 0x8F);
-    let answer = Ev3Double::default().answer(again, &question).unwrap();
-    let mut heard = Vec::new();
-    codec.push(again + Span::from_millis(20), &answer, &mut |found| {
-        heard.push(item(found));
-    });
-    let is_message = |item: &&Item| matches!(item, Item::Message(Message::WheelTicks(_)));
-    assert_eq!(heard.iter().filter(is_message).count(), 1, "{heard:?}");
 }
 
 #[test]

@@ -15,8 +15,8 @@ use posebridge_protocol::dialect::PayloadError;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
     CommandAck, CommandLong, EstimatorStatus, FusionHealth, Heartbeat, Inertial, Message, Odometry,
-    OdometryPose, PlanarImu, PlanarPose, PoseFlags, RobotDescription, SetMessageInterval, TimeSync,
-    VisionFix, WheelTicks, WireStamp,
+    OdometryPose, PlanarImu, PlanarPose, PoseFlags, RobotDescription, SetMessageInterval, TextPart,
+    TimeSync, VisionFix, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
     Address, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians,
@@ -220,6 +220,7 @@ fn commands_and_text() {
         &Message::StatusText {
             severity: 4,
             text: "battery is low".to_owned(),
+            part: TextPart::default(),
         },
     );
 }

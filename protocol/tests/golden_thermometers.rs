@@ -6,7 +6,7 @@
 mod frames;
 
 use frames::{check, decode_golden};
-use posebridge_protocol::message::{Message, SCALED_PRESSURE_CHANNEL, WireStamp};
+use posebridge_protocol::message::{Message, NamedValue, SCALED_PRESSURE_CHANNEL, WireStamp};
 use posebridge_telemetry::{Celsius, ChannelName};
 
 /// What a thermometer of SCALED_PRESSURE says.
@@ -40,7 +40,14 @@ fn thermometers() {
         "named_temperature_without_terminator",
         &named_temperature("temp_water", -40.5),
     );
-    assert_eq!(decode_golden("named_value_of_another_kind").unwrap(), None);
+    check(
+        "named_value_of_another_kind",
+        &Message::NamedValue(NamedValue {
+            stamp: WireStamp::Millis32(u32::MAX),
+            name: ChannelName::from_bytes(b"voltage"),
+            value: 7.5,
+        }),
+    );
 }
 
 #[test]

@@ -427,6 +427,21 @@ fn counts_that_fall_to_zero_are_no_motion() {
 }
 
 #[test]
+fn counts_that_fall_for_ever_from_far_away_are_told_at_each_doubling() {
+    let mut board = codec(columns(&["left_ticks", "right_ticks"]));
+    let far = 1_i64 << 53;
+    let mut notes = 0;
+    // So many falls would carry the totals around more than once.
+    for _ in 0..3_000 {
+        let lines = format!("{far},{far}\n{far},{far}\n0,0\n");
+        board.push(Stamp::ZERO, lines.as_bytes(), &mut |heard| {
+            notes += usize::from(matches!(heard, Heard::Note { .. }));
+        });
+    }
+    assert_eq!(notes, 12);
+}
+
+#[test]
 fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() {
     let settings = LineSettings {
         estimate_interval: Some(Span::from_millis(100)),

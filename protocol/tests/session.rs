@@ -3,7 +3,8 @@
 #![expect(clippy::wildcard_enum_match_arm, reason = "helpers of tests")]
 
 use posebridge_protocol::message::{
-    CommandAck, CommandLong, Heartbeat, Message, SetMessageInterval, TimeSync,
+    CommandAck, CommandInt, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval,
+    TextPart, TimeSync,
 };
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::{Address, BrickClock, HostClock, Span, Stamp};
@@ -159,6 +160,7 @@ fn peers_are_seen_lost_and_seen_again() {
     let text = Message::StatusText {
         severity: 6,
         text: String::new(),
+        part: TextPart::default(),
     };
     assert!(station.hear(ROBOT, &text).is_empty());
     let outputs = station.run_until(at(6_000));
@@ -422,7 +424,7 @@ fn an_interval_of_a_message_that_is_not_offered_is_refused() {
 }
 
 #[test]
-fn other_commands_are_answered_only_when_meant_for_us_alone() {
+fn other_commands_reach_us_only_when_meant_for_us_alone() {
     let mut station = Station::new(quiet());
     let gcs = Address::new(255, 190);
     let command = |target| {
@@ -432,14 +434,72 @@ fn other_commands_are_answered_only_when_meant_for_us_alone() {
             params: [0.0; 7],
         })
     };
+    let commanded = Output::Commanded {
+        by: gcs,
+        command: CommandLong {
+            target: STATION,
+            command: 65_000,
+            params: [0.0; 7],
+        },
+    };
+    assert_eq!(station.hear(gcs, &command(STATION)), [commanded]);
+    station
+        .session
+        .answer(gcs, 65_000, CommandResult::Unsupported);
     let unsupported = Output::Send(Message::CommandAck(CommandAck {
         command: 65_000,
         result: 3,
         target: Some(gcs),
     }));
-    assert_eq!(station.hear(gcs, &command(STATION)), [unsupported]);
+    assert_eq!(station.session.poll(), Some(unsupported));
     assert!(station.hear(gcs, &command(Address::new(1, 0))).is_empty());
     assert!(station.hear(gcs, &command(ROBOT)).is_empty());
+}
+
+#[test]
+fn a_command_with_integer_coordinates_is_the_same_command() {
+    let mut station = Station::new(SessionConfig {
+        offered: vec![331],
+        ..quiet()
+    });
+    let gcs = Address::new(255, 190);
+    let whole = |command, frame, params| {
+        Message::CommandInt(CommandInt {
+            target: STATION,
+            frame,
+            command,
+            params,
+            x: 15_000,
+            y: -20_000,
+            z: 0.5,
+        })
+    };
+    let commanded = |p5, p6| Output::Commanded {
+        by: gcs,
+        command: CommandLong {
+            target: STATION,
+            command: 65_000,
+            params: [1.0, 2.0, 3.0, 4.0, p5, p6, 0.5],
+        },
+    };
+    let params = [1.0, 2.0, 3.0, 4.0];
+    // Local coordinates are 1e-4 m, global ones 1e-7 degrees; a mission's are what they are.
+    for (frame, p5, p6) in [
+        (1, 1.5, -2.0),
+        (20, 1.5, -2.0),
+        (6, 0.0015, -0.002),
+        (2, 15_000.0, -20_000.0),
+    ] {
+        let heard = station.hear(gcs, &whole(65_000, frame, params));
+        assert_eq!(heard, [commanded(p5, p6)], "frame {frame}");
+    }
+    let heard = station.hear(gcs, &whole(SET_MESSAGE_INTERVAL, 2, [331.0, 2e5, 0.0, 0.0]));
+    let requested = Output::IntervalRequested {
+        by: gcs,
+        message_id: 331,
+        interval: Some(Span::from_millis(200)),
+    };
+    assert_eq!(heard[1..], [requested]);
 }
 
 #[test]

@@ -1,7 +1,12 @@
 //! The overhead camera: sees the tag on the robot, takes its time, and tells the station in its own clock.
 //!
+//! It streams, or it waits to be asked for each fix; or it is only the eye of another program, which then has its images (the corners of
+//! the tag, in pixels) and says itself where the robot was.
+//!
 //! It shares the link with the brick but is a component of its own. What it sent is logged with the outliers marked, for
 //! tests and scores; the log never reaches the station.
+
+use std::collections::VecDeque;
 
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message, VisionFix, WireStamp};
@@ -11,8 +16,9 @@ use posebridge_telemetry::{
 
 use crate::clock::SkewedClock;
 use crate::node::{IntervalRequest, Node};
+use crate::overhead_view;
 use crate::random::Stream;
-use crate::scenario::{CameraOrder, CameraSettings};
+use crate::scenario::{CameraImages, CameraOrder, CameraSettings};
 use crate::simulation::History;
 
 /// The camera's address on the link: MAV_COMP_ID_CAMERA of the robot's system (minimal.xml).
@@ -54,12 +60,20 @@ pub(crate) struct Camera {
     /// Time between images; `None` while a station has stopped them.
     interval: Option<Span>,
     next_exposure: Span,
+    /// Somebody wants a fix of what there is to see now.
+    is_asked: bool,
     /// Seen but not sent, in the order of sending.
     pending: Vec<CameraFix>,
     last_due: Span,
     history: History,
     log: Vec<CameraFix>,
+    /// What it sees goes there and no fix is sent, once somebody looks through it.
+    images: Option<VecDeque<String>>,
+    image_count: u64,
 }
+
+/// So many images wait for whoever looks; older ones are of no use to anybody.
+const MOST_IMAGES: usize = 64;
 
 impl Camera {
     /// A camera that is switched on at the beginning of the world.
@@ -72,8 +86,12 @@ impl Camera {
             &[ids::VISION_POSITION_ESTIMATE],
         );
         Self {
-            interval: Some(Span::from_secs_f64(1.0 / settings.rate_hz)),
+            interval: match settings.images {
+                CameraImages::Steady => Some(Span::from_secs_f64(1.0 / settings.rate_hz)),
+                CameraImages::OnRequest => None,
+            },
             next_exposure: Span::ZERO,
+            is_asked: false,
             settings,
             clock,
             node,
@@ -82,13 +100,28 @@ impl Camera {
             last_due: Span::ZERO,
             history: History::Kept,
             log: Vec::new(),
+            images: None,
+            image_count: 0,
         }
+    }
+
+    /// From here on it is the eye of another program: it shows images and sends nothing.
+    pub(crate) fn show_images(&mut self) {
+        self.images = Some(VecDeque::new());
+    }
+
+    /// The next image that was taken, as a line of text.
+    pub(crate) fn take_image(&mut self) -> Option<String> {
+        self.images.as_mut()?.pop_front()
     }
 
     /// Lives through one step of the world that ends at `world` with the robot at `pose`.
     pub(crate) fn step(&mut self, world: Span, pose: Pose<Arena>) {
+        let is_asked = std::mem::take(&mut self.is_asked);
         if let Some(interval) = self.interval.filter(|_| world >= self.next_exposure) {
             self.next_exposure = (self.next_exposure + interval).max(world);
+            self.expose(world, pose);
+        } else if is_asked {
             self.expose(world, pose);
         }
         let due = self.pending.partition_point(|fix| fix.sent <= world);
@@ -107,11 +140,15 @@ impl Camera {
     pub(crate) fn handle(&mut self, world: Span, from: Address, message: &Message) {
         let requests = self.node.handle(self.clock.reading(world), from, message);
         self.follow(world, &requests);
+        if self.node.take_fix_request() {
+            self.is_asked = true;
+        }
     }
 
     /// The bytes that wait to be sent.
     pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
-        self.node.take()
+        let bytes = self.node.take();
+        bytes.filter(|_| self.images.is_none())
     }
 
     /// Keeps no log.
@@ -172,6 +209,19 @@ impl Camera {
             true_tag: Pose::new(tag.x, tag.y, pose.heading),
             is_outlier,
         };
+        if let Some(images) = &mut self.images {
+            self.image_count += 1;
+            if images.len() >= MOST_IMAGES {
+                images.pop_front();
+            }
+            let heading = fix.heading.unwrap_or(pose.heading);
+            images.push_back(overhead_view::image(
+                self.image_count,
+                fix.position,
+                heading,
+            ));
+            return;
+        }
         let place = self.pending.partition_point(|other| other.sent <= sent);
         self.pending.insert(place, fix);
     }

@@ -33,6 +33,7 @@ pub mod impairment;
 pub mod montecarlo;
 mod motor;
 mod node;
+pub mod overhead_view;
 mod path;
 mod personality;
 mod random;

@@ -3,9 +3,9 @@
 //! The brick and the camera are two of them behind one link. Which telemetry is sent when is their business.
 
 use posebridge_brick::{Link, Sink};
-use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::dialect::{Encoder, ids};
 use posebridge_protocol::framing::WireVersion;
-use posebridge_protocol::message::{Heartbeat, Message};
+use posebridge_protocol::message::{CommandLong, CommandResult, Heartbeat, Message};
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, Span, Stamp};
@@ -47,6 +47,9 @@ pub(crate) struct Node<C: Clock> {
     encoder: Encoder,
     /// Whole frames.
     outgoing: Vec<Vec<u8>>,
+    /// Messages that are sent once when somebody asks.
+    offered: Vec<u32>,
+    is_fix_requested: bool,
 }
 
 impl<C: Clock> Node<C> {
@@ -68,7 +71,21 @@ impl<C: Clock> Node<C> {
             session: Session::new(config, now),
             encoder: Encoder::new(WireVersion::V2),
             outgoing: Vec::new(),
+            offered: offered.to_vec(),
+            is_fix_requested: false,
         }
+    }
+
+    /// Whether a fix was asked for since this was asked last.
+    pub(crate) fn take_fix_request(&mut self) -> bool {
+        std::mem::take(&mut self.is_fix_requested)
+    }
+
+    /// Whether a command asks for one of the offered fixes, once.
+    fn asks_for_fix(&self, command: &CommandLong) -> bool {
+        command.command == ids::COMMAND_REQUEST_MESSAGE
+            && command.named_message() == Some(ids::VISION_POSITION_ESTIMATE)
+            && self.offered.contains(&ids::VISION_POSITION_ESTIMATE)
     }
 
     /// Takes a message from the link and returns what it asks for beyond the session's own business.
@@ -133,9 +150,22 @@ impl<C: Clock> Node<C> {
                     message_id,
                     interval,
                 }),
+                SessionOutput::Commanded { by, command } => {
+                    let is_for_fix = self.asks_for_fix(&command);
+                    self.is_fix_requested |= is_for_fix;
+                    let result = if is_for_fix {
+                        CommandResult::Accepted
+                    } else {
+                        CommandResult::Unsupported
+                    };
+                    self.session.answer(by, command.command, result);
+                }
                 SessionOutput::PeerSeen { .. }
                 | SessionOutput::PeerLost { .. }
-                | SessionOutput::TimeExchanged { .. } => {}
+                | SessionOutput::TimeExchanged { .. }
+                // Of these it offers none.
+                | SessionOutput::ParameterWish { .. }
+                | SessionOutput::ParameterUnknown { .. } => {}
             }
         }
         requests

@@ -178,6 +178,20 @@ impl Simulation {
         self.camera_outgoing.pop_front()
     }
 
+    /// The same world, whose camera is only the eye of another program: it sends nothing, and what it sees is [`Self::poll_image`]'s.
+    #[must_use]
+    pub fn with_images(mut self) -> Self {
+        if let Some(camera) = &mut self.camera {
+            camera.show_images();
+        }
+        self
+    }
+
+    /// The next image that the camera has taken, as a line of JSON without its end; `None` unless [`Self::with_images`].
+    pub fn poll_image(&mut self) -> Option<String> {
+        self.camera.as_mut()?.take_image()
+    }
+
     /// Takes bytes that arrive from the station at this moment on the brick's link, in any pieces; damage is skipped.
     ///
     /// One call is one write of the station where that matters, as it does for an NXT behind a socket.

@@ -10,6 +10,8 @@ use posebridge_telemetry::{Address, Span, Stamp};
 use proptest::prelude::*;
 
 const LEGO: [Personality; 3] = [Personality::Nxt, Personality::NxtPush, Personality::Ev3];
+/// The square takes half a minute.
+const LONGEST_LAP: Span = Span::from_millis(60_000);
 /// GETBATTERYLEVEL of the NXT, TIMER_READ_US of the EV3.
 const BATTERY: [u8; 4] = [2, 0, 0x00, 0x0B];
 const CLOCK: [u8; 9] = [7, 0, 1, 0, 0, 4, 0, 0x8F, 0x60];
@@ -142,8 +144,11 @@ fn the_same_program_drives_the_same_way_whatever_the_brick_speaks() {
             .unwrap()
             .with_personality(personality);
         let mut simulation = Simulation::new(scenario.with_steering(Steering::Odometry));
+        // The program of an NXT that is polled waits for the first telegram of whoever looks.
+        simulation.receive(&BATTERY);
         while !simulation.is_finished() {
             listen(&mut simulation, 100);
+            assert!(simulation.elapsed() < LONGEST_LAP, "{personality:?}");
         }
         let poses = simulation
             .truth()

@@ -1,4 +1,6 @@
-//! `posebridge config`: print the configuration with origins, check it, or print its schema.
+//! `posebridge config`: print the configuration with origins, check it, or print its schema or its parameters.
+
+use std::fmt::Write as _;
 
 use super::{Failure, Stage};
 use crate::cli::{ConfigAction, ConfigArgs, ConfigFlags};
@@ -22,6 +24,7 @@ pub fn execute(args: &ConfigArgs) -> Result<(), Failure> {
             let schema = serde_json::to_string_pretty(&schema()).while_running()?;
             stdout::print(&(schema + "\n")).while_running()?;
         }
+        ConfigAction::Params => stdout::print(&params()).while_running()?,
     }
     Ok(())
 }
@@ -31,6 +34,22 @@ fn checked(flags: &ConfigFlags) -> Result<Loaded, Failure> {
     loaded.config.targets().at_start()?;
     loaded.config.pipeline().at_start()?;
     Ok(loaded)
+}
+
+/// The tunables, one line each: key, default, range, unit and meaning.
+#[must_use]
+pub fn params() -> String {
+    let mut text = String::new();
+    for row in posebridge_estimator::PARAMS {
+        let range = format!("{} to {}", row.range.start(), row.range.end());
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{:<16} {:>8}   {range:<18} {:<7} {}",
+            row.key, row.default, row.unit, row.doc
+        );
+    }
+    text
 }
 
 /// The schema, with the filters and their tunables from their tables.
@@ -61,6 +80,16 @@ pub fn schema() -> serde_json::Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_tunable_has_a_line_with_its_range() {
+        let text = params();
+        assert_eq!(text.lines().count(), posebridge_estimator::PARAMS.len());
+        assert!(
+            text.contains("slip_nis            10.83   4 to 100           "),
+            "{text}"
+        );
+    }
 
     #[test]
     fn the_schema_lists_every_tunable_of_the_filters() {

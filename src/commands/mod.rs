@@ -4,12 +4,16 @@ pub mod calibrate;
 pub mod completions;
 pub mod config;
 pub mod doctor;
+pub mod export;
 pub mod identify;
+pub mod import;
+pub mod inspect;
 pub mod key;
 pub mod lab;
 pub mod play;
 pub mod relay;
 pub mod replay;
+pub mod report;
 pub mod run;
 pub mod sim;
 mod station_link;
@@ -79,6 +83,10 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Play(args) => play::execute(&args),
         Command::Relay(args) => relay::execute(&args),
         Command::Replay(args) => replay::execute(&args),
+        Command::Export(args) => export::execute(&args),
+        Command::Import(args) => import::execute(&args),
+        Command::Report(args) => report::execute(&args),
+        Command::Inspect(args) => inspect::execute(&args),
         Command::Lab(args) => lab::execute(&args),
         Command::Calibrate(args) => calibrate::execute(&args),
         Command::Identify(args) => identify::execute(&args),

@@ -30,7 +30,7 @@ use crate::config::{Config, LinkSection};
 use crate::link_profile;
 use crate::stderr::say;
 use crate::stdout;
-use crate::tasks::recorder::Recorder;
+use crate::tasks::recorder::{Kept, Recorder};
 
 /// How long a chunk that an end does not take waits before it is offered again: a timer's width.
 const RETRY: Span = Span::from_millis(2);
@@ -277,7 +277,7 @@ impl Relay {
     fn record(&mut self, at: Stamp<HostClock>, input: Input) {
         let is_lost = self
             .recorder
-            .as_ref()
+            .as_mut()
             .is_some_and(|recorder| recorder.record(at, input).is_err());
         if is_lost && let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
             tracing::error!(error = format!("{error:#}"), "the recording ends here");
@@ -365,7 +365,7 @@ impl Relay {
         let recorded = self.recorder.map(Recorder::finish).transpose();
         match self.recording_failure {
             Some(error) => Err(error),
-            None => recorded.map(drop),
+            None => recorded.and_then(|kept| kept.map_or(Ok(()), Kept::whole)),
         }
         .context("the recording is not whole")
         .while_running()

@@ -3,11 +3,18 @@
 //! A recording of ours (`*.mcap`) is given to the pipeline exactly as it was given live, so its events are those of the live run,
 //! bit for bit. A descriptor of a foreign recording (`*.toml`) is read into observations; each estimator is then scored against the
 //! truth or against the fixes that were withheld.
+//!
+//! Several estimators of one recording of ours run side by side, input by input; those of a descriptor one after the other. `--from`
+//! and `--to` choose what counts: the filter is given all that came before, so that it is the filter that ran, but its events, tallies
+//! and errors begin there. Flags that change the configuration make it another run than the one that was recorded, and it is said.
 
-mod foreign;
-mod own;
+pub mod foreign;
+pub mod own;
+pub mod recording;
 mod robot;
+mod seen;
 mod smooth;
+pub mod watch;
 
 use std::fmt::Write as _;
 use std::fs::File;
@@ -17,19 +24,19 @@ use anyhow::{Context, Result, bail};
 use posebridge_analysis::report::{SmoothRow, estimator_table, smooth_table, source_table};
 use posebridge_analysis::{ErrorSummary, EstimatorRow, FIGURES, RunLayers, SourceTally, Track};
 use posebridge_link::HostTimer;
-use posebridge_pipeline::Pipeline;
-use posebridge_telemetry::{Output, Span, Stamp};
+use posebridge_telemetry::{Span, Stamp};
 
 use super::{Failure, Stage};
 use crate::cli::ReplayArgs;
 use crate::collect::Collector;
 use crate::config::Provenance;
 use crate::learned::{Learned, learned_table, save};
+use crate::own_recording::is_own;
 use crate::report::json;
 use crate::stderr::say;
 use crate::stdout;
-use crate::tasks::observer::write_event;
 
+use seen::Seen;
 pub use smooth::{Found, NoPath, SmoothedRun};
 
 /// What one estimator did over everything that was replayed.
@@ -48,6 +55,7 @@ pub struct Outcome {
 }
 
 /// Everything that was replayed.
+#[derive(Default)]
 pub struct Replayed {
     /// The recording's name.
     pub recording: String,
@@ -61,6 +69,10 @@ pub struct Replayed {
     pub outcomes: Vec<Outcome>,
     /// One per run; empty unless it was asked for.
     pub smoothed: Vec<SmoothedRun>,
+    /// How much time was replayed, over all runs, once and not for each estimator.
+    pub recorded: Span,
+    /// What was laid over the recording's own configuration, in words.
+    pub changed: Vec<String>,
 }
 
 /// Replays.
@@ -69,14 +81,10 @@ pub struct Replayed {
 /// The recording cannot be read or makes no sense, or an output cannot be written.
 pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
-    let is_descriptor = args
-        .recording
-        .extension()
-        .is_some_and(|extension| extension == "toml");
-    let replayed = if is_descriptor {
-        foreign::replay(args)?
-    } else {
+    let replayed = if is_own(&args.session.recording) {
         own::replay(args)?
+    } else {
+        foreign::replay(args)?
     };
     print(args, &replayed, timer.now() - Stamp::ZERO).while_running()?;
     save_calibration(args, &replayed, timer.utc_start()).while_running()
@@ -172,27 +180,12 @@ fn finish_events(mut events: BufWriter<File>) -> Result<()> {
     events.flush().context("writing the events")
 }
 
-fn take_outputs(
-    pipeline: &mut Pipeline,
-    collector: &mut Collector,
-    mut events: Option<&mut BufWriter<File>>,
-) -> Result<()> {
-    while let Some(output) = pipeline.poll() {
-        if let Output::Event(event) = output {
-            collector.take(&event);
-            if let Some(file) = events.as_deref_mut() {
-                write_event(file, &event).context("writing the events")?;
-            }
-        }
-    }
-    Ok(())
-}
-
+/// Truth, odometry and smoothed path go with the estimates of the collector.
 fn draw(
     args: &ReplayArgs,
     title: &str,
     collector: &Collector,
-    (truth, smoothed): (Option<&Track>, Option<&Track>),
+    (truth, odometry, smoothed): (Option<&Track>, Option<&Track>, Option<&Track>),
 ) -> Result<()> {
     let (Some(path), Some(figure)) = (&args.figure, FIGURES.first()) else {
         return Ok(());
@@ -200,6 +193,7 @@ fn draw(
     let layers = RunLayers {
         title,
         truth,
+        odometry,
         estimates: collector.estimates.items(),
         fixes: collector.fixes.items(),
         smoothed,

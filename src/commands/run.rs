@@ -10,15 +10,15 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortSet, Role};
 use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::Header;
-use posebridge_sim::{Scenario, Steering};
+use posebridge_recording::container::TruthSample;
+use posebridge_sim::{Scenario, Simulation, Steering};
 use posebridge_telemetry::{LinkId, Span, Stamp};
 use tokio_util::sync::CancellationToken;
 
 use super::{Failure, Stage};
 use crate::cli::RunArgs;
 use crate::collect::Collector;
-use crate::config::{self, Config, LinkSection, Provenance, RobotProfile};
+use crate::config::{self, Config, LinkSection, Provenance, RobotProfile, Setting};
 use crate::learned::{Learned, learned_table, save};
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::live::LiveView;
@@ -26,10 +26,12 @@ use crate::report::run::{self as report, Truth};
 use crate::signing::{SigningSession, warn_of_open_listeners};
 use crate::stderr::say;
 use crate::stdout;
+use crate::tasks::desk::{Desk, RECORDING, header};
 use crate::tasks::observer::{Observer, ObserverConfig};
-use crate::tasks::recorder::Recorder;
+use crate::tasks::recorder::{Kept, Recorder};
 use crate::tasks::shard::{Ending, Shard};
 use crate::tasks::sim_brick::EmbeddedBrick;
+use crate::tasks::tlog_recorder::{TlogRecorder, TlogWritten};
 use crate::virtual_run;
 
 /// Runs the station.
@@ -43,8 +45,8 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
         &config,
         &session.folder,
         &session.collector,
-        session.embedded.take(),
-        session.recorded.as_ref(),
+        session.driven.take(),
+        &session.recorded,
     )
     .while_running()?;
     report_learned(args, &config, &session).while_running()?;
@@ -59,17 +61,11 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
 pub(crate) fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     let mut config = configuration(args).at_start()?;
     config.record.enabled = true;
-    let mut session = in_runtime(session(args, &config, file_name))?;
-    if let Some((embedded, _)) = session.embedded.take() {
-        embedded.brick.finish().while_running()?;
-    }
+    let session = in_runtime(session(args, &config, file_name))?;
     let heard = report::sources(&session.collector);
     session.whole().while_running()?;
     Ok(heard)
 }
-
-/// The name of a run's recording in its folder.
-const RECORDING: &str = "recording.mcap";
 
 fn in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -84,14 +80,29 @@ fn in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Fa
 
 /// The configuration with the command line's flags laid over it.
 fn configuration(args: &RunArgs) -> Result<Config> {
-    let mut config = config::load(args.config.config.as_deref(), &args.config.settings)?.config;
-    if !args.links.is_empty() || !args.listen.is_empty() {
-        let dialled = args.links.iter().map(|url| LinkSection::new(url));
-        let awaited = args.listen.iter().map(|url| LinkSection {
-            listen: true,
-            ..LinkSection::new(url)
+    let is_of = |setting: &Setting, sections: &[&str]| {
+        let section = setting.path.first();
+        section.is_some_and(|section| sections.contains(&section.as_str()))
+    };
+    let mut settings = args.config.settings.clone();
+    if args.robot.is_some() {
+        // They may be single keys of the file's robot, and make no sense without it.
+        settings.retain(|setting| !is_of(setting, &["robot"]));
+    }
+    let mut config = config::load(args.config.config.as_deref(), &settings)?.config;
+    let flags = &args.links.0;
+    if !flags.is_empty() {
+        let links = flags.iter().map(|flag| LinkSection {
+            listen: flag.role == Role::Listen,
+            ..LinkSection::new(&flag.url)
         });
-        config.links = dialled.chain(awaited).collect();
+        config.links = links.collect();
+    }
+    for url in &args.ground_stations {
+        let section = LinkSection::for_ground_stations(url);
+        config
+            .links
+            .push(section.with_context(|| format!("--gcs {url}"))?);
     }
     if let (Some(name), Some(first)) = (&args.brick, config.links.first_mut()) {
         first.brick = Some(name.clone());
@@ -99,12 +110,9 @@ fn configuration(args: &RunArgs) -> Result<Config> {
     if let Some(path) = &args.robot {
         config = config.with_robot(RobotProfile::read(path)?);
         // What is set by hand is meant for the robot of the file, too.
-        for setting in &args.config.settings {
-            let section = setting.path.first().map(String::as_str);
-            if let Some("robot" | "filter") = section {
-                config = config::lay_over(&config, setting)?;
-            }
-        }
+        let mut settings = args.config.settings.clone();
+        settings.retain(|setting| is_of(setting, &["robot", "filter"]));
+        config = config::lay_over(&config, &settings)?;
     }
     if let Some(name) = &args.filter {
         config.filter.name.clone_from(name);
@@ -126,15 +134,44 @@ struct Embedded {
     link: LinkId,
 }
 
+/// A simulated brick that has stopped.
+struct Driven {
+    simulation: Simulation,
+    scenario: Scenario,
+    name: String,
+    link: LinkId,
+    /// Whether it drove its path to the end: a lap that was cut short cannot be compared with a whole one.
+    is_whole: bool,
+}
+
+impl Driven {
+    /// Where the robot was, as its recording keeps it.
+    fn truth(&self) -> Vec<TruthSample> {
+        let sample = |sample: &posebridge_sim::TruthSample| TruthSample {
+            stamp: sample.brick,
+            pose: sample.pose,
+            odometry: Some(sample.odometry),
+        };
+        self.simulation.truth().iter().map(sample).collect()
+    }
+}
+
+/// What was written down while a session ran.
+#[derive(Default)]
+struct Recorded {
+    /// The recordings and what they hold.
+    inputs: Vec<(PathBuf, Kept)>,
+    /// The telemetry log.
+    tlog: Option<TlogWritten>,
+}
+
 /// What a session has left.
 struct Session {
     timer: HostTimer,
     folder: PathBuf,
     collector: Collector,
-    /// The recording and how many inputs it holds.
-    recorded: Option<(PathBuf, u64)>,
-    /// The simulated brick, and whether it drove its path to the end: a lap that was cut short cannot be compared with a whole one.
-    embedded: Option<(Embedded, bool)>,
+    recorded: Recorded,
+    driven: Option<Driven>,
     learned: Option<Learned>,
     /// Whether the stamps of signed links were kept.
     kept: Result<()>,
@@ -146,8 +183,13 @@ impl Session {
     /// Whether everything was written that had to be.
     fn whole(self) -> Result<()> {
         self.kept?;
+        let recorded = self
+            .recorded
+            .inputs
+            .iter()
+            .try_for_each(|(_, kept)| kept.whole());
         self.recording_failure
-            .map_or(Ok(()), Err)
+            .map_or(recorded, Err)
             .context("the recording is not whole")
     }
 }
@@ -166,48 +208,76 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
         drop(std::fs::remove_dir(&folder));
     }
     let (ports, embedded) = opened.at_start()?;
-    let progress = embedded
-        .as_ref()
-        .map(|embedded| embedded.brick.progress.clone());
-    let observed = ObserverConfig {
-        events: args.events.as_deref(),
-        view: LiveView::new(progress),
-    };
     warn_of_open_listeners(&ports, config);
     let recording = folder.join(file_name);
-    let recorder = start_recorder(args, &signing.recorded(config), &timer, &recording);
+    let for_recordings = signing.recorded(config);
+    let started = start_recorder(args, &for_recordings, &timer, &recording);
+    let (recorder, recording_failure) = unless_it_was_made(started, &recording).at_start()?;
+    let tlog = start_tlog(args, config, &timer, &recording).at_start()?;
+    let current = recorder.as_ref().map(|_| recording);
+    let configs = (config.clone(), for_recordings);
     let mut shard = Shard {
         pipeline,
         ports,
         timer,
-        recorder: recorder.at_start()?,
-        observer: Observer::start(observed).at_start()?,
-        recording_failure: None,
+        recorder,
+        given: 0,
+        tlog,
+        observer: observer(args, embedded.as_ref()).at_start()?,
+        recording_failure,
         signing: signing.keep().at_start()?,
+        desk: Desk::new(folder.clone(), timer, configs, current),
     };
     let ending = ending(args, embedded.as_ref(), &stop);
     tokio::select! {
         () = shard.run(&ending) => {}
         () = signals.received() => {}
     }
+    let driven = stop_brick(embedded, &stop).while_running()?;
+    let kept = shard.keep_last_stamps();
+    let learned = learned_of(&shard.pipeline, config).at_start()?;
+    let closed = close(shard, driven.as_ref()).while_running()?;
+    Ok(Session {
+        timer,
+        folder,
+        collector: closed.collector,
+        recorded: Recorded {
+            inputs: closed.recorded,
+            tlog: closed.tlog,
+        },
+        driven,
+        learned,
+        kept,
+        recording_failure: closed.recording_failure,
+    })
+}
+
+/// Shows people what happens.
+fn observer(args: &RunArgs, embedded: Option<&Embedded>) -> Result<Observer> {
+    let progress = embedded.map(|embedded| embedded.brick.progress.clone());
+    Observer::start(ObserverConfig {
+        events: args.events.as_deref(),
+        view: LiveView::new(progress),
+    })
+}
+
+/// Tells everybody to stop and waits for the simulated brick, if there is one.
+fn stop_brick(embedded: Option<Embedded>, stop: &CancellationToken) -> Result<Option<Driven>> {
+    // Whoever is stopped is finished as well.
     let is_whole = embedded
         .as_ref()
         .is_some_and(|embedded| embedded.brick.finished.is_cancelled());
     stop.cancel();
-    let kept = shard.keep_last_stamps();
-    let recording_failure = shard.recording_failure.take();
-    let learned = learned_of(&shard.pipeline, config).at_start()?;
-    let (collector, inputs) = close(shard).while_running()?;
-    Ok(Session {
-        timer,
-        folder,
-        collector,
-        recorded: inputs.map(|inputs| (recording, inputs)),
-        embedded: embedded.map(|embedded| (embedded, is_whole)),
-        learned,
-        kept,
-        recording_failure,
-    })
+    let Some(embedded) = embedded else {
+        return Ok(None);
+    };
+    Ok(Some(Driven {
+        is_whole,
+        simulation: embedded.brick.finish()?,
+        scenario: embedded.scenario,
+        name: embedded.name,
+        link: embedded.link,
+    }))
 }
 
 /// When the run ends by itself: at the latest with its simulated brick.
@@ -256,12 +326,23 @@ fn report_learned(args: &RunArgs, config: &Config, session: &Session) -> Result<
     save(path, learned, &provenance)
 }
 
+/// What recorder and observer leave.
+struct Closed {
+    collector: Collector,
+    recorded: Vec<(PathBuf, Kept)>,
+    tlog: Option<TlogWritten>,
+    recording_failure: Option<anyhow::Error>,
+}
+
 /// Closes the links, then lets recorder and observer finish what waits.
-fn close(shard: Shard) -> Result<(Collector, Option<u64>)> {
+fn close(shard: Shard, driven: Option<&Driven>) -> Result<Closed> {
     let Shard {
-        recorder,
+        mut recorder,
+        tlog,
         observer,
         ports,
+        recording_failure,
+        desk,
         ..
     } = shard;
     let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
@@ -271,7 +352,23 @@ fn close(shard: Shard) -> Result<(Collector, Option<u64>)> {
         ));
     }
     drop(ports);
-    let recorded = recorder.map(Recorder::finish).transpose()?;
+    if let (Some(recorder), Some(driven)) = (&mut recorder, driven) {
+        recorder.record_truth(driven.truth());
+    }
+    let last = desk.current().map(Path::to_owned);
+    let mut recorded = desk.finish()?;
+    // A disk that fails now must not cost the tables.
+    let last_failure = match recorder.map(Recorder::finish).transpose() {
+        Ok(kept) => {
+            recorded.extend(last.zip(kept));
+            None
+        }
+        Err(error) => Some(error),
+    };
+    let tlog = tlog.map(TlogRecorder::finish).transpose()?;
+    if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
+        say("the telemetry log has holes: the disk was too slow for it");
+    }
     let (collector, dropped) = observer.finish()?;
     if dropped > 0 {
         tracing::warn!(
@@ -279,7 +376,12 @@ fn close(shard: Shard) -> Result<(Collector, Option<u64>)> {
             "events were not shown because the terminal was slow"
         );
     }
-    Ok((collector, recorded))
+    Ok(Closed {
+        collector,
+        recorded,
+        tlog,
+        recording_failure: recording_failure.or(last_failure),
+    })
 }
 
 /// Opens what must open at once and starts simulated bricks.
@@ -384,15 +486,41 @@ fn start_recorder(
     if args.no_record || !config.record.enabled {
         return Ok(None);
     }
-    let header = Header {
-        format: posebridge_recording::container::FORMAT,
-        program_version: env!("CARGO_PKG_VERSION").to_owned(),
-        utc_start_micros: timer.utc_start(),
-        config_toml: toml::to_string(config)
-            .context("writing the configuration into the recording")?,
-        links: config.links.iter().map(|link| link.url.clone()).collect(),
-    };
-    Recorder::start(path, &header).map(Some)
+    Recorder::start_limited(path, &header(config, timer)?, config.record.limits()).map(Some)
+}
+
+/// A recording that cannot be begun is told once and costs the exit code, not the run: a robot may steer by us. One that is there
+/// already is a slip of who started the run, and cheap to mend before the robot drives.
+fn unless_it_was_made(
+    started: Result<Option<Recorder>>,
+    path: &Path,
+) -> Result<(Option<Recorder>, Option<anyhow::Error>)> {
+    match started {
+        Ok(recorder) => Ok((recorder, None)),
+        Err(error) if path.exists() => Err(error),
+        Err(error) => {
+            tracing::error!(
+                error = format!("{error:#}"),
+                "there is no recording; the run goes on"
+            );
+            Ok((None, Some(error)))
+        }
+    }
+}
+
+/// The telemetry log beside the recording, if it is asked for.
+fn start_tlog(
+    args: &RunArgs,
+    config: &Config,
+    timer: &HostTimer,
+    recording: &Path,
+) -> Result<Option<TlogRecorder>> {
+    if args.no_record || !(args.tlog || config.record.tlog) {
+        return Ok(None);
+    }
+    let path = recording.with_extension("tlog");
+    let links = config.pipeline()?.links;
+    TlogRecorder::start(&path, timer.utc_start(), &links).map(Some)
 }
 
 /// Tables and pictures.
@@ -400,18 +528,18 @@ fn finish(
     config: &Config,
     folder: &Path,
     collector: &Collector,
-    embedded: Option<(Embedded, bool)>,
-    recorded: Option<&(PathBuf, u64)>,
+    driven: Option<Driven>,
+    recorded: &Recorded,
 ) -> Result<()> {
     let mut title = "live run".to_owned();
     let mut truth = None;
     let mut other = None;
-    if let Some((embedded, is_whole)) = embedded {
-        title = format!("{}, seed {}", embedded.name, embedded.scenario.seed);
-        if is_whole {
-            other = Some(steered_the_other_way(config, &embedded)?);
+    if let Some(driven) = driven {
+        title = format!("{}, seed {}", driven.name, driven.scenario.seed);
+        if driven.is_whole {
+            other = Some(steered_the_other_way(config, &driven)?);
         }
-        truth = Some(Truth::of(&embedded.brick.finish()?));
+        truth = Some(Truth::of(&driven.simulation));
     }
     let mut text = report::sources(collector) + "\n" + &report::links(collector) + "\n";
     if let Some(truth) = &truth {
@@ -422,21 +550,81 @@ fn finish(
         // Writing to a String cannot fail.
         let _ = writeln!(text, "picture    {}", picture.display());
     }
-    if let Some((recording, inputs)) = recorded {
-        let _ = writeln!(text, "recording  {} ({inputs} inputs)", recording.display());
+    for (recording, kept) in &recorded.inputs {
+        let (file, inputs) = (recording.display(), kept.inputs);
+        let parts = match kept.parts {
+            ..=1 => String::new(),
+            parts => format!(", {parts} parts"),
+        };
+        let _ = writeln!(text, "recording  {file} ({inputs} inputs{parts})");
+    }
+    if let Some(tlog) = &recorded.tlog {
+        let (path, frames) = (tlog.path.display(), tlog.frames);
+        let _ = writeln!(text, "tlog       {path} ({frames} frames)");
     }
     stdout::print(&text)?;
     Ok(())
 }
 
 /// The same world, steered by the brick's own odometry where the run steered by the estimate, and the other way round.
-fn steered_the_other_way(config: &Config, embedded: &Embedded) -> Result<Truth> {
-    let other = match embedded.scenario.steering {
+fn steered_the_other_way(config: &Config, driven: &Driven) -> Result<Truth> {
+    let other = match driven.scenario.steering {
         Steering::Odometry => Steering::Estimate,
         Steering::Estimate => Steering::Odometry,
     };
     let mut pipeline = config.pipeline()?;
-    pipeline.links.retain(|link| link.id == embedded.link);
-    let run = virtual_run::run(embedded.scenario.clone().with_steering(other), pipeline)?;
+    pipeline.links.retain(|link| link.id == driven.link);
+    let run = virtual_run::run(driven.scenario.clone().with_steering(other), pipeline)?;
     Ok(Truth::of(&run.simulation))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::{Cli, Command};
+    use clap::Parser as _;
+
+    /// Commands of the pages, each in one line, without comments and quotes.
+    fn commands(page: &Path) -> Vec<Vec<String>> {
+        let text = std::fs::read_to_string(page).unwrap();
+        let shells = text.split("```sh\n").skip(1);
+        let blocks = shells.filter_map(|rest| rest.split("```").next());
+        let lines: Vec<String> = blocks
+            .flat_map(|block| {
+                let joined = block.replace("\\\n", " ");
+                joined.lines().map(str::to_owned).collect::<Vec<_>>()
+            })
+            .collect();
+        lines
+            .iter()
+            .map(|line| line.split(" #").next().unwrap_or_default())
+            .filter(|line| line.starts_with("posebridge run") && line.contains("config/robots"))
+            .map(|line| {
+                line.split_whitespace()
+                    .map(|word| word.trim_matches('\'').to_owned())
+                    .collect()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_commands_of_the_pages_about_bricks_make_sense() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut found = 0;
+        for folder in ["docs/bricks", "docs/protocols"] {
+            for entry in std::fs::read_dir(root.join(folder)).unwrap() {
+                for command in commands(&entry.unwrap().path()) {
+                    let cli = Cli::try_parse_from(&command).unwrap();
+                    let Some(Command::Run(args)) = cli.command else {
+                        panic!("{command:?} does not run");
+                    };
+                    if let Err(error) = configuration(&args) {
+                        panic!("{}: {error:#}", command.join(" "));
+                    }
+                    found += 1;
+                }
+            }
+        }
+        assert!(found >= 5, "{found} commands");
+    }
 }

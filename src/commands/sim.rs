@@ -79,7 +79,10 @@ fn check_links(args: &SimArgs, personality: Personality) -> Result<()> {
 
 /// The world; without a file for its truth it keeps none, so that it may run for days.
 fn simulation(scenario: Scenario, args: &SimArgs) -> Simulation {
-    let simulation = Simulation::new(scenario);
+    let mut simulation = Simulation::new(scenario);
+    if args.images_listen.is_some() {
+        simulation = simulation.with_images();
+    }
     if args.truth.is_some() {
         simulation
     } else {
@@ -116,6 +119,16 @@ async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)>
         let (port, its_place) = open(&camera, timer).await?;
         ports.camera = Some(port);
         place.push_str("; its camera ");
+        place.push_str(&its_place);
+    }
+    if args.images_listen.is_some() {
+        let eye = StationLink {
+            listen: args.images_listen.clone(),
+            link: None,
+        };
+        let (port, its_place) = open(&eye, timer).await?;
+        ports.images = Some(port);
+        place.push_str("; its images ");
         place.push_str(&its_place);
     }
     if let Some(url) = &args.announce {

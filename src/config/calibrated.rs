@@ -122,7 +122,8 @@ const DAYS_OF_ERA: u64 = 146_097;
 /// Date and time of day in the notation of RFC 3339, to the second.
 ///
 /// Years are counted from March, so that the leap day is the last of its year and months follow a pattern of 153 days in five.
-fn utc_date(utc_micros: u64) -> String {
+#[must_use]
+pub fn utc_date(utc_micros: u64) -> String {
     let seconds = utc_micros / 1_000_000;
     let days = seconds / 86_400 + DAYS_BEFORE_EPOCH;
     let (era, day_of_era) = (days / DAYS_OF_ERA, days % DAYS_OF_ERA);

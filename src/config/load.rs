@@ -79,31 +79,59 @@ pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded,
     };
     let config: Config = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
     let file: toml::Table = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
-    let mut config = config;
-    for setting in settings {
-        config = lay_over(&config, setting)?;
-    }
     Ok(Loaded {
-        config,
+        config: lay_over(&config, settings)?,
         file,
         settings: settings.to_vec(),
     })
 }
 
-/// A configuration with one key set.
+/// A configuration with some keys set. They are judged together: a section that has no default may be made of several.
 ///
 /// # Errors
-/// There is no such key, or the value makes no sense there.
-pub fn lay_over(config: &Config, setting: &Setting) -> Result<Config, ConfigError> {
-    let failed = |why: String| ConfigError::WrongSetting {
-        setting: setting.to_string(),
-        why,
+/// There is no such key, or a value makes no sense there. The error names the setting that is to blame, or all if it cannot be told.
+pub fn lay_over(config: &Config, settings: &[Setting]) -> Result<Config, ConfigError> {
+    let all: Vec<&Setting> = settings.iter().collect();
+    laid_over(config, &all).map_err(|why| {
+        let guilty = guilty_of(config, &all, &why);
+        let names: Vec<String> = guilty.iter().map(ToString::to_string).collect();
+        ConfigError::WrongSetting {
+            setting: names.join(" --set "),
+            why,
+        }
+    })
+}
+
+fn laid_over(config: &Config, settings: &[&Setting]) -> Result<Config, String> {
+    let mut table = toml::Table::try_from(config).map_err(|error| error.to_string())?;
+    for setting in settings {
+        setting.lay_over(&mut table)?;
+    }
+    let laid = table.try_into();
+    laid.map_err(|error: toml::de::Error| error.message().to_owned())
+}
+
+/// The one without which the others make sense; else the one whose key the error names; else all.
+fn guilty_of<'a>(config: &Config, settings: &[&'a Setting], why: &str) -> Vec<&'a Setting> {
+    let others = |guilty: usize| -> Vec<&Setting> {
+        let others = settings.iter().enumerate().filter(|(at, _)| *at != guilty);
+        others.map(|(_, setting)| *setting).collect()
     };
-    let mut table = toml::Table::try_from(config).map_err(|error| failed(error.to_string()))?;
-    setting.lay_over(&mut table).map_err(failed)?;
-    table
-        .try_into()
-        .map_err(|error: toml::de::Error| failed(error.message().to_owned()))
+    let innocent_without = |at: &usize| laid_over(config, &others(*at)).is_ok();
+    if let Some(setting) = (0..settings.len())
+        .find(innocent_without)
+        .and_then(|at| settings.get(at))
+    {
+        return vec![*setting];
+    }
+    let is_named = |setting: &&&Setting| {
+        let key = setting.path.last();
+        key.is_some_and(|key| why.starts_with(&format!("unknown field `{key}`")))
+    };
+    match settings.iter().find(is_named) {
+        Some(setting) => vec![*setting],
+        None => settings.to_vec(),
+    }
 }
 
 /// What a TOML error says, with line and column in front.
@@ -126,4 +154,68 @@ fn located(error: &toml::de::Error, text: &str) -> String {
         }
     }
     said + error.message()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(settings: &[&str]) -> Result<Config, String> {
+        let settings: Vec<Setting> = settings
+            .iter()
+            .map(|text| Setting::parse(text).unwrap())
+            .collect();
+        let loaded = load_text("test", "", &settings);
+        loaded
+            .map(|loaded| loaded.config)
+            .map_err(|error| error.to_string())
+    }
+
+    const START: [&str; 5] = [
+        "robot.start.x_m=0.5",
+        "robot.start.y_m=0",
+        "robot.start.heading_deg=0.0",
+        "robot.start.position_sigma_m=0.01",
+        "robot.start.heading_sigma_deg=1.0",
+    ];
+
+    #[test]
+    fn a_section_without_a_default_can_be_made_of_several_settings() {
+        let start = with(&START).unwrap().robot.start.unwrap();
+        assert_eq!((start.x_m, start.y_m), (0.5, 0.0));
+    }
+
+    #[test]
+    fn the_setting_that_is_wrong_is_named_and_no_other() {
+        let error = with(&START[..1]).unwrap_err();
+        assert!(
+            error.starts_with("`--set robot.start.x_m=0.5`: missing field `y_m`"),
+            "{error}"
+        );
+        for wrong in [
+            "robot.start.z_m=1",
+            "robot.track=1",
+            "robot.track_width_m=wide",
+            "robot.name.x=1",
+        ] {
+            for place in 0..=START.len() {
+                let mut settings = START.to_vec();
+                settings.insert(place, wrong);
+                let error = with(&settings).unwrap_err();
+                let named = format!("`--set {}`: ", Setting::parse(wrong).unwrap());
+                assert!(error.starts_with(&named), "{error}");
+            }
+        }
+        // Two that are wrong: the one that the reader stumbles over; and a section that is not whole, by all that are given.
+        let error = with(&["robot.start.x_m=0.5", "robot.axle=1"]).unwrap_err();
+        assert!(
+            error.contains("`--set robot.axle=1`: unknown field"),
+            "{error}"
+        );
+        let error = with(&START[..2]).unwrap_err();
+        assert!(
+            error.contains("x_m=0.5 --set robot.start.y_m=0`: missing field"),
+            "{error}"
+        );
+    }
 }

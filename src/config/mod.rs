@@ -20,9 +20,10 @@ mod thermometer;
 mod world;
 
 pub use bricks::{
-    Ev3Distance, Ev3Section, LineSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
+    Ev3Distance, Ev3Section, FixSection, LineSection, NxtSection, NxtSensorKind, NxtSensorSection,
+    Place,
 };
-pub use calibrated::{CalibratedRobot, Provenance};
+pub use calibrated::{CalibratedRobot, Provenance, utc_date};
 pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration};
 pub use filter::{FilterSection, filter_config};
 pub use load::{ConfigError, Loaded, lay_over, load, load_text};

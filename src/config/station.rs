@@ -1,11 +1,13 @@
 //! The station's own part of the configuration, and how it becomes a pipeline.
 
+use std::net::IpAddr;
+
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::{LinkUrl, Role};
 use posebridge_pipeline::{
-    AcceptedVersions, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputStream,
-    PipelineConfig,
+    AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS, OutputInstant,
+    OutputStream, PipelineConfig, Voices,
 };
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_protocol::routing::LinkRules;
@@ -14,13 +16,14 @@ use posebridge_telemetry::{Address, LinkId, Meters, Point2, Span, SystemId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::bricks::brick_link;
+use super::bricks::{FixSection, brick_link};
 use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection, RoutingSection, rules_of};
 use super::signing::SigningSection;
 use super::world::WorldConfig;
 use crate::link_target::LinkTarget;
+use crate::tasks::parts::Limits;
 
 /// Everything that a run needs to know.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -62,6 +65,10 @@ pub struct StationConfig {
 /// One link.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(deny_unknown_fields)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "four independent keys of a file, each with a name"
+)]
 pub struct LinkSection {
     /// What to open; see `posebridge run --help` for the kinds.
     pub url: String,
@@ -77,9 +84,12 @@ pub struct LinkSection {
     /// Send MAVLink 1. It has no message ids above 255: choose outputs such as local_position and attitude.
     #[serde(default)]
     pub send_mavlink1: bool,
-    /// What is sent there.
-    #[serde(default = "default_outputs")]
-    pub outputs: Vec<OutputSection>,
+    /// Ground stations are at its other end: the station speaks there as the robot, too (docs/ground-stations.md).
+    #[serde(default)]
+    pub ground_station: bool,
+    /// What is sent there; without it planar_pose, or on a link for ground stations what they draw.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outputs: Option<Vec<OutputSection>>,
     /// How its frames are signed; without it anybody who reaches the link is believed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub signing: Option<SigningSection>,
@@ -104,7 +114,8 @@ pub struct LinkSection {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct OutputSection {
-    /// planar_pose, odometry, local_position, attitude, estimator_status or fusion_health.
+    /// planar_pose, odometry, local_position, attitude, estimator_status, fusion_health, distance_sensor, named_value_float or
+    /// debug_float_array.
     pub message: String,
     /// At least this long between two of them; 0 sends one with every estimate.
     #[serde(default)]
@@ -126,13 +137,61 @@ pub enum AtInstant {
 }
 
 /// The camera.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraConfig {
     /// Where the tag sits, forward of mid-axle.
     pub tag_x_m: f64,
     /// Where the tag sits, left of mid-axle.
     pub tag_y_m: f64,
+    /// Ask cameras that answer for a fix when the position's standard deviation is above this.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ask_above_m: Option<f64>,
+    /// Ask them when the heading's standard deviation is above this.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ask_above_deg: Option<f64>,
+    /// Not sooner after the last request.
+    pub ask_interval_ms: u32,
+    /// How cameras that speak JSON are heard.
+    pub json: FixSection,
+}
+
+impl Default for CameraConfig {
+    fn default() -> Self {
+        Self {
+            tag_x_m: 0.0,
+            tag_y_m: 0.0,
+            ask_above_m: None,
+            ask_above_deg: None,
+            ask_interval_ms: 250,
+            json: FixSection::default(),
+        }
+    }
+}
+
+impl CameraConfig {
+    /// When cameras are asked for a fix.
+    fn fix_requests(&self) -> Result<FixRequestConfig> {
+        for (key, limit) in [
+            ("ask_above_m", self.ask_above_m),
+            ("ask_above_deg", self.ask_above_deg),
+        ] {
+            ensure!(
+                limit.is_none_or(|limit| limit.is_finite() && limit > 0.0),
+                "`camera.{key}` is {}, must be more than zero; leave it out to ask nobody",
+                limit.unwrap_or_default()
+            );
+        }
+        ensure!(
+            self.ask_interval_ms >= 10,
+            "`camera.ask_interval_ms` must be at least 10"
+        );
+        Ok(FixRequestConfig {
+            above_m: self.ask_above_m,
+            above_rad: self.ask_above_deg.map(f64::to_radians),
+            interval: Span::from_millis(i64::from(self.ask_interval_ms)),
+        })
+    }
 }
 
 /// The alignment of clocks.
@@ -153,6 +212,16 @@ pub struct RecordSection {
     pub enabled: bool,
     /// The folder that holds one folder per run.
     pub directory: String,
+    /// The recording goes on in a new file when the old one is so large, in MB of a million bytes; 0: never.
+    pub part_max_mb: u32,
+    /// The recording goes on in a new file when the old one is so old; 0: never.
+    pub part_max_minutes: u32,
+    /// The recording ends when the disk has less room than this, in MB of a million bytes.
+    pub min_free_mb: u32,
+    /// Estimates beside the inputs, for viewers, lie at least so far apart; 0: all of them. A replay is exact whatever stands here.
+    pub outputs_interval_ms: u32,
+    /// Whether to write a telemetry log (.tlog) beside the recording.
+    pub tlog: bool,
 }
 
 impl Default for Config {
@@ -183,6 +252,33 @@ impl Default for StationConfig {
 }
 
 impl LinkSection {
+    /// A link for ground stations. TCP waits for their calls, and so does UDP at an address of this computer.
+    ///
+    /// # Errors
+    /// It is no URL of a link, or opens what no ground station speaks through.
+    pub fn for_ground_stations(url: &str) -> Result<Self> {
+        let LinkTarget::Url(parsed) = LinkTarget::parse(url)? else {
+            bail!("`{url}` is a simulated brick; a ground station is reached by udp:// or tcp://");
+        };
+        let host = parsed.host_and_port().0;
+        let any_address = host.parse().is_ok_and(|ip: IpAddr| ip.is_unspecified());
+        Ok(Self {
+            listen: parsed.transport().scheme() == "tcp" || any_address,
+            ground_station: true,
+            outputs: None,
+            ..Self::new(url)
+        })
+    }
+
+    /// What is sent there.
+    fn outputs(&self) -> Vec<OutputSection> {
+        match (&self.outputs, self.ground_station) {
+            (Some(outputs), _) => outputs.clone(),
+            (None, true) => outputs_for_ground_stations(),
+            (None, false) => outputs_for_bricks(),
+        }
+    }
+
     /// A link with the usual outputs.
     #[must_use]
     pub fn new(url: &str) -> Self {
@@ -192,7 +288,8 @@ impl LinkSection {
             brick: None,
             accept_mavlink1: false,
             send_mavlink1: false,
-            outputs: default_outputs(),
+            ground_station: false,
+            outputs: Some(outputs_for_bricks()),
             signing: None,
             group: None,
             forward: ForwardChoice::default(),
@@ -204,12 +301,27 @@ impl LinkSection {
 }
 
 /// What a brick needs to steer by.
-fn default_outputs() -> Vec<OutputSection> {
-    vec![OutputSection {
-        message: "planar_pose".to_owned(),
-        interval_ms: 0,
+fn outputs_for_bricks() -> Vec<OutputSection> {
+    vec![output("planar_pose", 0)]
+}
+
+/// What ground stations draw: 10 Hz are smooth to the eye, and together they take about 4 kB/s.
+fn outputs_for_ground_stations() -> Vec<OutputSection> {
+    vec![
+        output("attitude", 100),
+        output("local_position", 100),
+        output("odometry", 100),
+        output("distance_sensor", 200),
+        output("estimator_status", 1_000),
+    ]
+}
+
+fn output(message: &str, interval_ms: u32) -> OutputSection {
+    OutputSection {
+        message: message.to_owned(),
+        interval_ms,
         at: AtInstant::Observed,
-    }]
+    }
 }
 
 impl Default for ClockConfig {
@@ -226,6 +338,27 @@ impl Default for RecordSection {
         Self {
             enabled: true,
             directory: "posebridge-runs".to_owned(),
+            part_max_mb: 1_000,
+            part_max_minutes: 15,
+            min_free_mb: 200,
+            outputs_interval_ms: 100,
+            tlog: false,
+        }
+    }
+}
+
+impl RecordSection {
+    /// As the recorder takes them.
+    #[must_use]
+    pub fn limits(&self) -> Limits {
+        const MEGABYTE: u64 = 1_000_000;
+        let limit = |number: u32| (number != 0).then_some(number);
+        Limits {
+            part_bytes: limit(self.part_max_mb).map(|mb| u64::from(mb) * MEGABYTE),
+            part_span: limit(self.part_max_minutes)
+                .map(|minutes| Span::from_millis(i64::from(minutes) * 60_000)),
+            floor_bytes: u64::from(self.min_free_mb) * MEGABYTE,
+            output_spacing: Span::from_millis(i64::from(self.outputs_interval_ms)),
         }
     }
 }
@@ -253,7 +386,7 @@ impl Config {
             .zip(rules)
             .enumerate()
             .map(|(index, (link, rules))| {
-                let brick = brick_link(link, &self.robot);
+                let brick = brick_link(link, &self.robot, &self.camera.json);
                 let brick = brick.with_context(|| format!("link {} `{}`", index + 1, link.url))?;
                 let pipeline = link.pipeline(index, rules)?;
                 Ok(LinkConfig { brick, ..pipeline })
@@ -282,6 +415,7 @@ impl Config {
             robot_system: (self.station.robot_system != 0)
                 .then_some(SystemId(self.station.robot_system)),
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
+            fix_requests: self.camera.fix_requests()?,
             timesync_period: Span::from_millis(i64::from(self.clock.timesync_period_ms)),
             wanted,
             duplicate_window: self.routing.window()?,
@@ -293,11 +427,9 @@ impl Config {
     /// A simulated robot's tag is where its scenario says, unless the configuration says otherwise.
     #[must_use]
     pub fn with_tag_of(mut self, scenario: &Scenario) -> Self {
-        if self.camera == CameraConfig::default() {
-            self.camera = CameraConfig {
-                tag_x_m: scenario.camera.tag_x_m,
-                tag_y_m: scenario.camera.tag_y_m,
-            };
+        if (self.camera.tag_x_m, self.camera.tag_y_m) == (0.0, 0.0) {
+            self.camera.tag_x_m = scenario.camera.tag_x_m;
+            self.camera.tag_y_m = scenario.camera.tag_y_m;
         }
         self
     }
@@ -329,19 +461,12 @@ impl Config {
 
 impl LinkSection {
     fn pipeline(&self, index: usize, rules: LinkRules) -> Result<LinkConfig> {
-        let is_datagram = match LinkTarget::parse(&self.url) {
-            Ok(LinkTarget::Url(url)) => is_datagram(&url),
-            _ => false,
-        };
-        let outputs = self.outputs.iter().map(OutputSection::pipeline);
+        let outputs = self.outputs();
+        let outputs = outputs.iter().map(OutputSection::pipeline);
         Ok(LinkConfig {
             brick: None,
             id: LinkId(index as u16),
-            framing: if is_datagram {
-                Framing::Datagram
-            } else {
-                Framing::Stream
-            },
+            framing: framing_of(&self.url),
             version: if self.accept_mavlink1 {
                 AcceptedVersions::V1AndV2
             } else {
@@ -355,9 +480,22 @@ impl LinkSection {
             outputs: outputs
                 .collect::<Result<_>>()
                 .with_context(|| format!("link {} `{}`", index + 1, self.url))?,
+            voices: if self.ground_station {
+                Voices::OwnAndRobot
+            } else {
+                Voices::Own
+            },
             signing: None,
             rules,
         })
+    }
+}
+
+/// Whether a chunk from there is a datagram.
+pub(super) fn framing_of(url: &str) -> Framing {
+    match LinkTarget::parse(url) {
+        Ok(LinkTarget::Url(url)) if is_datagram(&url) => Framing::Datagram,
+        _ => Framing::Stream,
     }
 }
 

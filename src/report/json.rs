@@ -17,6 +17,9 @@ struct Report<'a> {
     observations: u64,
     wall_seconds: f64,
     cpu_seconds: f64,
+    recorded_seconds: f64,
+    times_real_time: Option<f64>,
+    changed: &'a [String],
     estimators: Vec<Estimator<'a>>,
     runs: &'a [String],
     bad_rows: u64,
@@ -53,10 +56,10 @@ struct Estimator<'a> {
 }
 
 /// By key.
-type Entries = BTreeMap<&'static str, CalibrationEntry>;
+pub(super) type Entries = BTreeMap<&'static str, CalibrationEntry>;
 
 #[derive(Serialize)]
-struct Source {
+pub(super) struct Source {
     name: &'static str,
     used: u64,
     gated: u64,
@@ -80,6 +83,10 @@ pub fn text(replayed: &Replayed, wall: Span, cpu: Span) -> Result<String> {
         observations: replayed.observations,
         wall_seconds: wall.as_secs_f64(),
         cpu_seconds: cpu.as_secs_f64(),
+        recorded_seconds: replayed.recorded.as_secs_f64(),
+        times_real_time: (wall > Span::ZERO)
+            .then(|| replayed.recorded.as_secs_f64() / wall.as_secs_f64()),
+        changed: &replayed.changed,
         estimators: replayed.outcomes.iter().map(estimator).collect(),
         runs: &replayed.runs,
         bad_rows: replayed.bad_rows,
@@ -136,7 +143,7 @@ fn calibration(runs: &[Learned]) -> Option<BTreeMap<&str, Entries>> {
     (!runs.is_empty()).then(|| by_run.collect())
 }
 
-fn source(tally: &SourceTally) -> Source {
+pub(super) fn source(tally: &SourceTally) -> Source {
     Source {
         name: tally.sensor.name(),
         used: tally.used + tally.reset_to,

@@ -1,87 +1,356 @@
-//! The thread that owns the recording's file.
+//! The thread that owns the recording's files.
+//!
+//! Nobody waits for it: what does not fit into its queue is dropped and counted, what came out of the pipeline first and the inputs
+//! last. The recording itself says what it lacks.
 
-use std::fs::File;
 use std::path::Path;
-use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
-use posebridge_recording::container::{Header, Writer};
-use posebridge_telemetry::{HostClock, Input, Span, Stamp};
+use posebridge_recording::container::{Header, TruthSample};
+use posebridge_recording::foxglove::Outputs;
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, Stamp};
 
 use super::gulps::Gulps;
+use super::parts::{FLUSH_PERIOD, Parts};
+pub use super::parts::{Kept, Limits};
 
-/// So many inputs wait for the disk before the shard waits too: several seconds of a busy link.
+/// So many items wait for the disk: several seconds of a busy link.
 const WAITING: usize = 16_384;
-/// What was recorded reaches the system at least this often, so that a killed program loses less than a second.
-const FLUSH_PERIOD: Span = Span::from_millis(250);
+/// With so many waiting only inputs are still taken.
+const WAITING_OUTPUTS: usize = WAITING / 2;
+
+/// What goes to the thread.
+enum Item {
+    Input(Stamp<HostClock>, u64, Input),
+    Events(Stamp<HostClock>, Vec<Event>),
+    Calibration(Stamp<HostClock>, Box<Calibration>),
+    Line(Stamp<HostClock>, u8, String),
+    Truth(Vec<TruthSample>),
+    /// The last one: so many inputs the session has had.
+    End(u64),
+}
 
 /// A running recorder.
 pub struct Recorder {
-    sender: SyncSender<(Stamp<HostClock>, Input)>,
-    thread: JoinHandle<Result<u64>>,
+    sender: SyncSender<Item>,
+    thread: JoinHandle<Result<Kept>>,
+    waiting: Arc<AtomicUsize>,
+    /// Inputs of the session up to here.
+    given: u64,
+    lost: u64,
+    lost_outputs: u64,
 }
 
 impl Recorder {
-    /// Creates the file and starts the thread.
+    /// Creates the file and starts the thread, at the start of a session and with the usual limits.
     ///
     /// # Errors
     /// The file cannot be created; one that is there already is never overwritten.
     pub fn start(path: &Path, header: &Header) -> Result<Self> {
-        let name = path.display().to_string();
-        let file =
-            File::create_new(path).with_context(|| format!("creating the recording `{name}`"))?;
-        let writer = Writer::create(file, header).with_context(|| format!("recording `{name}`"))?;
-        let (sender, receiver) = sync_channel(WAITING);
-        let thread = std::thread::Builder::new()
-            .name("recorder".to_owned())
-            .spawn(move || {
-                write(writer, Gulps::new(receiver)).with_context(|| format!("recording `{name}`"))
-            })
-            .context("starting the recorder's thread")?;
-        Ok(Self { sender, thread })
+        Self::start_limited(path, header, Limits::default())
     }
 
-    /// Records an input; waits if the disk is behind.
+    /// Creates the file and starts the thread, at the start of a session.
     ///
     /// # Errors
-    /// The recorder has stopped, because its file could not be written.
-    pub fn record(&self, now: Stamp<HostClock>, input: Input) -> Result<()> {
-        self.sender
-            .send((now, input))
-            .map_err(|_gone| anyhow!("the recorder has stopped"))
+    /// The file cannot be created; one that is there already is never overwritten.
+    pub fn start_limited(path: &Path, header: &Header, limits: Limits) -> Result<Self> {
+        let parts = Parts::create(path, header.clone(), limits, 0)?;
+        Self::spawn(0, move || Ok(parts))
     }
 
-    /// Writes what still waits, ends the file and says how many inputs it holds.
+    /// Starts the thread in the midst of a session, after so many inputs; the thread creates the file, so that nobody waits for the
+    /// disk. That it could not is what the next [`Self::record`] tells.
+    ///
+    /// The recording lacks what came before and says so in its header: replaying it is not replaying the session.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn start_in_session(
+        path: &Path,
+        header: &Header,
+        limits: Limits,
+        inputs_before: u64,
+    ) -> Result<Self> {
+        let (path, header) = (path.to_owned(), header.clone());
+        Self::spawn(inputs_before, move || {
+            Parts::create(&path, header, limits, inputs_before)
+        })
+    }
+
+    fn spawn(given: u64, open: impl FnOnce() -> Result<Parts> + Send + 'static) -> Result<Self> {
+        let (sender, receiver) = sync_channel(WAITING);
+        let waiting = Arc::new(AtomicUsize::new(0));
+        let counter = Arc::clone(&waiting);
+        let thread = std::thread::Builder::new()
+            .name("recorder".to_owned())
+            .spawn(move || write(open()?, Gulps::new(receiver), &counter))
+            .context("starting the recorder's thread")?;
+        Ok(Self {
+            sender,
+            thread,
+            waiting,
+            given,
+            lost: 0,
+            lost_outputs: 0,
+        })
+    }
+
+    /// Records an input; never waits. What the disk is too slow for is counted.
+    ///
+    /// # Errors
+    /// The recorder has stopped, because its file could not be written: [`Self::finish`] says why.
+    pub fn record(&mut self, now: Stamp<HostClock>, input: Input) -> Result<()> {
+        let item = Item::Input(now, self.given, input);
+        self.given += 1;
+        match self.give(item) {
+            Ok(()) => Ok(()),
+            Err(TrySendError::Full(_)) => {
+                if self.lost == 0 {
+                    tracing::error!(
+                        "the disk is too slow: inputs are missing in the recording from here on, its replay will not be exact"
+                    );
+                }
+                self.lost += 1;
+                Ok(())
+            }
+            Err(TrySendError::Disconnected(_)) => Err(anyhow!("the recorder has stopped")),
+        }
+    }
+
+    /// Records what came out of the pipeline for viewers; never waits, and gives way to the inputs.
+    pub fn show(&mut self, now: Stamp<HostClock>, events: Vec<Event>) {
+        if !events.is_empty() {
+            self.offer(Item::Events(now, events));
+        }
+    }
+
+    /// Whether an event is worth [`Self::show`].
+    #[must_use]
+    pub const fn wants(event: &Event) -> bool {
+        Outputs::wants(event)
+    }
+
+    /// Records what the filter has learned, as [`Self::show`].
+    pub fn show_calibration(&mut self, now: Stamp<HostClock>, calibration: Calibration) {
+        self.offer(Item::Calibration(now, Box::new(calibration)));
+    }
+
+    /// Records a line for people with its MAVLink severity, as [`Self::show`].
+    pub fn show_line(&mut self, now: Stamp<HostClock>, severity: u8, text: &str) {
+        self.offer(Item::Line(now, severity, text.to_owned()));
+    }
+
+    /// Inputs, and batches of what came out, that were dropped so far.
+    #[must_use]
+    pub const fn losses(&self) -> (u64, u64) {
+        (self.lost, self.lost_outputs)
+    }
+
+    /// Hands over where a simulated robot really was, when the run is over; waits for the disk.
+    pub fn record_truth(&mut self, truth: Vec<TruthSample>) {
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        // A thread that has gone says so in the end.
+        drop(self.sender.send(Item::Truth(truth)));
+    }
+
+    /// Ends the recording without waiting for the disk.
+    pub fn stop(self) -> Stopping {
+        let end = Item::End(self.given);
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        // With a full queue the last gap is not told; it ends where its channel does.
+        drop(self.sender.try_send(end));
+        Stopping {
+            thread: self.thread,
+        }
+    }
+
+    /// Writes what still waits, ends the file and says what it holds.
     ///
     /// # Errors
     /// The file could not be written.
-    pub fn finish(self) -> Result<u64> {
+    pub fn finish(self) -> Result<Kept> {
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        // A thread that has gone says why when it is joined.
+        drop(self.sender.send(Item::End(self.given)));
         drop(self.sender);
+        Stopping {
+            thread: self.thread,
+        }
+        .wait()
+    }
+
+    /// Hands over something that gives way to the inputs.
+    fn offer(&mut self, item: Item) {
+        let is_crowded = self.waiting.load(Ordering::Relaxed) >= WAITING_OUTPUTS;
+        if is_crowded || self.give(item).is_err() {
+            self.lost_outputs += 1;
+        }
+    }
+
+    #[expect(
+        clippy::result_large_err,
+        reason = "the item that did not fit is dropped where the error is"
+    )]
+    fn give(&self, item: Item) -> Result<(), TrySendError<Item>> {
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        let given = self.sender.try_send(item);
+        if given.is_err() {
+            self.waiting.fetch_sub(1, Ordering::Relaxed);
+        }
+        given
+    }
+}
+
+/// A recorder that writes what still waited.
+pub struct Stopping {
+    thread: JoinHandle<Result<Kept>>,
+}
+
+impl Stopping {
+    /// Whether [`Self::wait`] would return at once.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Waits for the end of the file and says what it holds.
+    ///
+    /// # Errors
+    /// The file could not be written.
+    pub fn wait(self) -> Result<Kept> {
         self.thread
             .join()
             .map_err(|_panic| anyhow!("the recorder's thread died"))?
     }
 }
 
-fn write(mut writer: Writer<File>, mut inputs: Gulps<(Stamp<HostClock>, Input)>) -> Result<u64> {
-    let mut recorded = 0;
-    let mut flushed = Stamp::<HostClock>::ZERO;
+fn write(mut parts: Parts, mut items: Gulps<Item>, waiting: &AtomicUsize) -> Result<Kept> {
+    let mut given = None;
     loop {
-        match inputs.next(Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs())) {
-            Ok((now, input)) => {
-                writer.record(now, &input)?;
-                recorded += 1;
-                if now - flushed >= FLUSH_PERIOD {
-                    writer.flush()?;
-                    flushed = now;
-                }
+        let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
+        let item = match items.next(patience) {
+            Ok(item) => item,
+            Err(RecvTimeoutError::Timeout) => {
+                parts.flush()?;
+                continue;
             }
-            Err(RecvTimeoutError::Timeout) => writer.flush()?,
             Err(RecvTimeoutError::Disconnected) => break,
+        };
+        waiting.fetch_sub(1, Ordering::Relaxed);
+        match item {
+            Item::Input(now, number, input) => parts.record(now, number, &input)?,
+            Item::Events(now, events) => parts.show(now, &events)?,
+            Item::Calibration(now, calibration) => parts.show_calibration(now, &calibration)?,
+            Item::Line(now, severity, text) => parts.show_line(now, severity, &text)?,
+            Item::Truth(truth) => parts.record_truth(&truth)?,
+            Item::End(number) => given = Some(number),
         }
     }
-    writer.finish()?;
-    Ok(recorded)
+    let last = given.unwrap_or_else(|| parts.next());
+    parts.finish(last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_recording::container::{FORMAT, ReadError, Reader};
+    use posebridge_telemetry::{LinkId, LinkState, Span};
+
+    const LIMITS: Limits = Limits {
+        part_bytes: None,
+        part_span: None,
+        floor_bytes: 0,
+        output_spacing: Span::ZERO,
+    };
+
+    /// A recorder whose disk does nothing until the sender is dropped.
+    fn behind_a_stuck_disk(path: &Path) -> (Recorder, SyncSender<()>) {
+        let (stuck, gate) = sync_channel::<()>(1);
+        let header = Header {
+            format: FORMAT,
+            ..Header::default()
+        };
+        let path = path.to_owned();
+        let recorder = Recorder::spawn(0, move || {
+            assert!(gate.recv().is_err(), "it is never sent anything");
+            Parts::create(&path, header, LIMITS, 0)
+        });
+        (recorder.unwrap(), stuck)
+    }
+
+    fn seen() -> Vec<Event> {
+        vec![Event::Link {
+            link: LinkId(0),
+            state: LinkState::Up,
+        }]
+    }
+
+    #[test]
+    fn a_stuck_disk_holds_nobody_up_and_the_recording_says_what_it_lacks() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let (mut recorder, stuck) = behind_a_stuck_disk(&path);
+        let now = |n: u64| Stamp::from_millis(i64::try_from(n).unwrap());
+        let given = WAITING as u64 + 500;
+        for n in 0..given {
+            recorder.record(now(n), Input::Tick).unwrap();
+            recorder.show(now(n), seen());
+        }
+        let (lost, lost_outputs) = recorder.losses();
+        // What came out gives way at half the queue, and the inputs have the other half to themselves.
+        let outputs = WAITING_OUTPUTS as u64 / 2;
+        assert_eq!(lost_outputs, given - outputs);
+        assert_eq!(lost, outputs + 500);
+        drop(stuck);
+        while recorder.waiting.load(Ordering::Relaxed) > 0 {
+            assert!(!recorder.thread.is_finished(), "the recorder has stopped");
+            std::thread::yield_now();
+        }
+        recorder.record(now(given), Input::Tick).unwrap();
+        let kept = recorder.finish().unwrap();
+        assert_eq!((kept.inputs, kept.lost), (given - lost + 1, lost));
+
+        let bytes = std::fs::read(&path).unwrap();
+        let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
+        let gaps: Vec<_> = found
+            .iter()
+            .filter_map(|item| item.as_ref().err())
+            .collect();
+        let expected = u32::try_from(given - lost).unwrap();
+        let [
+            ReadError::Gap {
+                expected: at,
+                found: next,
+                ..
+            },
+        ] = gaps[..]
+        else {
+            panic!("{gaps:?}");
+        };
+        assert_eq!((*at, u64::from(*next)), (expected, given));
+        assert_eq!(found.last(), Some(&Ok((now(given), Input::Tick))));
+    }
+
+    #[test]
+    fn what_is_missing_at_the_end_is_told_as_well() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let (mut recorder, stuck) = behind_a_stuck_disk(&path);
+        for n in 0..WAITING + 3 {
+            let now = Stamp::from_millis(i64::try_from(n).unwrap());
+            recorder.record(now, Input::Tick).unwrap();
+        }
+        drop(stuck);
+        let kept = recorder.finish().unwrap();
+        assert_eq!((kept.inputs, kept.lost), (WAITING as u64, 3));
+        let bytes = std::fs::read(&path).unwrap();
+        let gap = b"\"inputs\":3";
+        assert!(bytes.windows(gap.len()).any(|found| found == gap));
+    }
 }

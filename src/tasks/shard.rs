@@ -4,11 +4,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_link::{Alarm, HostTimer, Outgoing, PortEvent, PortSet};
 use posebridge_pipeline::Pipeline;
-use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, Span, Stamp};
+use posebridge_telemetry::{
+    Event, HostClock, Input, LinkId, LinkState, Output, Priority, Span, Stamp,
+};
 use tokio_util::sync::CancellationToken;
 
+use super::calendar::CalendarWatch;
+use super::desk::{Desk, WARNING};
 use super::observer::Observer;
 use super::recorder::Recorder;
+use super::tlog_recorder::TlogRecorder;
 use crate::signing::Keeper;
 
 /// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
@@ -36,14 +41,21 @@ pub struct Shard {
     pub ports: PortSet,
     /// The session's clock.
     pub timer: HostTimer,
-    /// The recording, if there is one.
+    /// The recording, if there is one. It can be taken away and another one put here while the shard runs; such a one begins after
+    /// [`Self::given`] inputs.
     pub recorder: Option<Recorder>,
+    /// How many inputs the pipeline has been given.
+    pub given: u64,
+    /// The telemetry log beside it, if there is one.
+    pub tlog: Option<TlogRecorder>,
     /// The terminal.
     pub observer: Observer,
     /// Why the recording ended before the run.
     pub recording_failure: Option<anyhow::Error>,
     /// What keeps the stamps of signed links, if there are any.
     pub signing: Option<Keeper>,
+    /// What carries out the pipeline's requests.
+    pub desk: Desk,
 }
 
 impl Shard {
@@ -57,6 +69,7 @@ impl Shard {
         let stopped = ending.stop.cancelled();
         tokio::pin!(stopped);
         let mut alarm = Alarm::new(self.timer);
+        let mut calendar = CalendarWatch::default();
         while !ending.stop.is_cancelled() {
             let silent_at = ending
                 .silence
@@ -89,6 +102,8 @@ impl Shard {
             if now >= next_counts {
                 next_counts = now + COUNTS_PERIOD;
                 self.tell_counts(now);
+                self.look_at_the_calendar(now, &mut calendar);
+                self.show_calibration(now);
             }
             if finished.len() == self.ports.iter().len() {
                 return;
@@ -119,10 +134,35 @@ impl Shard {
         }
     }
 
+    /// Says so when the computer's date was set: the recording goes on by the date at its start.
+    fn look_at_the_calendar(&mut self, now: Stamp<HostClock>, calendar: &mut CalendarWatch) {
+        let Some(leap) = calendar.leap(self.timer.calendar_ahead()) else {
+            return;
+        };
+        let text = format!(
+            "the computer's date was set by {:+.1} s; the session goes on by its own clock, its recording by the date at its start",
+            leap.as_secs_f64()
+        );
+        tracing::warn!("{text}");
+        if let Some(recorder) = &mut self.recorder {
+            recorder.show_line(now, 4, &text);
+        }
+    }
+
+    /// Keeps what the filter has learned beside the inputs.
+    fn show_calibration(&mut self, now: Stamp<HostClock>) {
+        if let (Some(recorder), Some(learned)) = (&mut self.recorder, self.pipeline.calibration()) {
+            recorder.show_calibration(now, learned);
+        }
+    }
+
     fn take(&mut self, now: Stamp<HostClock>, input: Input) {
         self.pipeline.handle(now, &input);
+        self.given += 1;
         // The reply first: to wake the threads that watch and record must not delay it.
         let mut events = Vec::with_capacity(USUAL_EVENTS);
+        let mut sent = Vec::new();
+        let mut requests = Vec::new();
         while let Some(output) = self.pipeline.poll() {
             match output {
                 Output::Transmit {
@@ -139,23 +179,76 @@ impl Shard {
                             frame,
                         });
                     }
+                    if self.tlog.is_some() {
+                        sent.push((link, priority, bytes));
+                    }
                 }
                 Output::Event(event) => events.push(event),
+                Output::Request(request) => requests.push(request),
             }
         }
+        self.log_traffic(now, &input, &sent);
+        self.desk.note(&input);
+        let is_lost = self.record(now, input, &events).is_err();
         for event in events {
             self.observer.show(now, event);
         }
         if let Some(keeper) = &mut self.signing {
             keeper.offer(now, &self.pipeline);
         }
-        let is_lost = self
-            .recorder
-            .as_ref()
-            .is_some_and(|recorder| recorder.record(now, input).is_err());
         if is_lost && let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
+            let text = format!("no longer recording: {error:#}");
             tracing::error!(error = format!("{error:#}"), "the recording ends here");
             self.recording_failure = Some(error);
+            self.desk.lose_recording();
+            let severity = WARNING;
+            self.take(now, Input::Report { severity, text });
+        }
+        // After the input that led to it: a recording that it ends holds it.
+        for request in requests {
+            let report = self
+                .desk
+                .carry_out((now, self.given), &request, &mut self.recorder);
+            self.take(now, report);
+        }
+    }
+
+    /// Hands the recorder what came in and what came out.
+    fn record(
+        &mut self,
+        now: Stamp<HostClock>,
+        input: Input,
+        events: &[Event],
+    ) -> anyhow::Result<()> {
+        let Some(recorder) = &mut self.recorder else {
+            return Ok(());
+        };
+        recorder.record(now, input)?;
+        let wanted = events.iter().filter(|event| Recorder::wants(event));
+        recorder.show(now, wanted.cloned().collect());
+        Ok(())
+    }
+}
+
+impl Shard {
+    /// Gives the telemetry log what came and what was sent for it. One that fails is put away, as a recorder is.
+    fn log_traffic(
+        &mut self,
+        now: Stamp<HostClock>,
+        input: &Input,
+        sent: &[(LinkId, Priority, Vec<u8>)],
+    ) {
+        let Some(tlog) = &mut self.tlog else {
+            return;
+        };
+        let mut taken = tlog.received(now, input);
+        for (link, priority, frame) in sent {
+            taken = taken.and_then(|()| tlog.sent(now, *link, *priority, frame));
+        }
+        if taken.is_err()
+            && let Some(Err(error)) = self.tlog.take().map(TlogRecorder::finish)
+        {
+            tracing::error!(error = format!("{error:#}"), "the telemetry log ends here");
         }
     }
 }

@@ -26,6 +26,8 @@ pub struct BrickPorts {
     station: Option<PeerId>,
     /// The camera's own, where it does not share the brick's. Without it nobody hears such a camera.
     pub camera: Option<Port>,
+    /// Where the camera's images go, if another program looks through it.
+    pub images: Option<Port>,
     /// Where the brick is announced.
     pub announcement: Option<Announcement>,
 }
@@ -64,6 +66,7 @@ impl BrickPorts {
             brick,
             station: None,
             camera: None,
+            images: None,
             announcement: None,
         }
     }
@@ -98,6 +101,8 @@ impl BrickPorts {
                     simulation.receive_camera(&bytes);
                 }
             }
+            // Nobody answers an image. Polled, the port takes whoever calls.
+            _ = next_of(self.images.as_mut()) => {}
             // Nobody answers an announcement there; polled, the port comes back after a loss.
             _ = next_of(self.announcement.as_mut().map(|announcement| &mut announcement.port)) => {}
         }
@@ -111,6 +116,11 @@ impl BrickPorts {
         while let Some(bytes) = simulation.poll_camera() {
             if let Some(camera) = &mut self.camera {
                 camera.send(&bytes);
+            }
+        }
+        while let Some(image) = simulation.poll_image() {
+            if let Some(port) = &mut self.images {
+                port.send(format!("{image}\n").as_bytes());
             }
         }
         if let Some(announcement) = &mut self.announcement {

@@ -3,11 +3,13 @@
 Nothing here sleeps: every wait is for bytes or for a line, with a deadline after which the test fails.
 """
 
+import json
 import os
 import re
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 
@@ -24,20 +26,44 @@ def stamp_of_now():
     return int((time.time() - 1420070400) * 1e5)
 
 
-class Program:
-    """The program as a process, in a folder of its own; what it says on stderr is kept."""
+def listening(scheme, *keys):
+    """A link of a configuration that waits at a free port of this computer."""
+    return "\n".join((f'[[link]]\nurl = "{scheme}://127.0.0.1:0"\nlisten = true', *keys, ""))
 
-    def __init__(self, folder, *arguments):
+
+def output_of(*command, folder=None, environment=None):
+    """What a program prints that has to end well; what it says on stderr is shown if it does not."""
+    done = subprocess.run(
+        command, cwd=folder, env={**os.environ, **(environment or {})}, stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, timeout=120)
+    if done.returncode != 0:
+        raise AssertionError(f"{' '.join(map(str, command))} ended with {done.returncode}: {done.stdout[-2000:]}{done.stderr[-4000:]}")
+    return done.stdout
+
+
+def posebridge(folder, *arguments):
+    """What our program prints."""
+    return output_of(os.environ["POSEBRIDGE"], *arguments, folder=folder)
+
+
+def json_of(folder, *arguments):
+    """The JSON object that our program prints."""
+    return json.loads(posebridge(folder, *arguments))
+
+
+class Process:
+    """A program as a process, in a folder of its own; what it says is kept."""
+
+    def __init__(self, folder, command, stdin=subprocess.DEVNULL, **streams):
         self.folder = folder
-        self.process = subprocess.Popen(
-            [os.environ["POSEBRIDGE"], *arguments],
-            cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(command, cwd=folder, stdin=stdin, text=True, **streams)
+        self.voice = self.process.stderr or self.process.stdout
         self.said, self.news = [], threading.Condition()
         self.reader = threading.Thread(target=self._read, daemon=True)
         self.reader.start()
 
     def _read(self):
-        for line in self.process.stderr:
+        for line in self.voice:
             with self.news:
                 self.said.append(line)
                 self.news.notify_all()
@@ -45,8 +71,8 @@ class Program:
             self.said.append(None)
             self.news.notify_all()
 
-    def wait_for(self, text):
-        """The first line on stderr that holds the text."""
+    def wait_for(self, text, times=1):
+        """The first line that holds the text, or the last one of that many."""
         deadline = time.monotonic() + DEADLINE_S
         seen = 0
         with self.news:
@@ -54,7 +80,8 @@ class Program:
                 for line in self.said[seen:]:
                     if line is None:
                         raise AssertionError(f"the program ended before it said {text!r}: {self.talk()}")
-                    if text in line:
+                    times -= text in line
+                    if times == 0:
                         return line
                 seen = len(self.said)
                 if not self.news.wait(deadline - time.monotonic()):
@@ -63,43 +90,81 @@ class Program:
     def talk(self):
         return "".join(line for line in self.said if line)
 
-    def address_of(self, line):
-        """Host and port at the end of a line."""
-        host, port = line.strip().rsplit(" ", 1)[1].rsplit(":", 1)
-        return host, int(port)
-
     def kill(self):
         """Ends it as kill -9 does."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait(DEADLINE_S)
         self.reader.join(DEADLINE_S)
-        self.process.stderr.close()
+        self.voice.close()
+
+    def belongs_to(self, test):
+        """It ends with the test, and what it said is shown if that fails."""
+
+        def end():
+            self.kill()
+            result = test._outcome.result
+            if any(failed is test for failed, _ in result.failures + result.errors):
+                print(f"\n-- {' '.join(self.process.args)}\n{self.talk()}", file=sys.stderr)
+
+        test.addCleanup(end)
+        return self
+
+    def end(self, deadline_s=DEADLINE_S):
+        """Waits until it has ended well."""
+        code = self.process.wait(deadline_s)
+        self.reader.join(DEADLINE_S)
+        if code != 0:
+            raise AssertionError(f"the program ended with {code}: {self.talk()}")
 
 
-class Station(Program):
-    """`posebridge run` with one listening link."""
+class Program(Process):
+    """Our program; what it says on stderr is kept."""
 
-    def __init__(self, folder, name, scheme="udp", signing=None):
-        self.name = name
-        link = f'[[link]]\nurl = "{scheme}://127.0.0.1:0"\nlisten = true\n'
-        if signing:
-            link += f"signing = {signing}\n"
-        with open(os.path.join(folder, f"{name}.toml"), "w") as file:
-            file.write(link)
+    def __init__(self, folder, *arguments):
         super().__init__(
-            folder, "run", "--config", f"{name}.toml", "--out", name, "--events", f"{name}.txt")
-        self.address = self.address_of(self.wait_for("listening on "))
+            folder, [os.environ["POSEBRIDGE"], *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+    def address_of(self, line):
+        """Host and port at the end of a line."""
+        host, port = line.strip().rsplit(" ", 1)[1].rsplit(":", 1)
+        return host, int(port)
+
+
+class RunningStation(Program):
+    """`posebridge run` with a configuration, which may say where it listens any number of times."""
+
+    def __init__(self, folder, name, config, *arguments):
+        self.name = name
+        with open(os.path.join(folder, f"{name}.toml"), "w") as file:
+            file.write(config)
+        super().__init__(
+            folder, "run", "--config", f"{name}.toml", "--out", name, "--events", f"{name}.txt", *arguments)
+        times = range(1, config.count("listen = true") + 1)
+        try:
+            self.addresses = [self.address_of(self.wait_for("listening on ", time)) for time in times]
+        except AssertionError:
+            self.kill()
+            raise
 
     def stop(self):
         """Ends it as Ctrl-C does and returns its events, one per line."""
         self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(DEADLINE_S)
-        self.reader.join(DEADLINE_S)
-        if code != 0:
-            raise AssertionError(f"the station ended with {code}: {self.talk()}")
+        self.end()
+        return self.events()
+
+    def events(self):
+        """What it has told so far, one event per line."""
         with open(os.path.join(self.folder, f"{self.name}.txt")) as file:
             return file.read().splitlines()
+
+
+class Station(RunningStation):
+    """`posebridge run` with one listening link."""
+
+    def __init__(self, folder, name, scheme="udp", signing=None):
+        super().__init__(folder, name, listening(scheme, f"signing = {signing}" if signing else ""))
+        self.address = self.addresses[0]
 
 
 class SimulatedBrick(Program):

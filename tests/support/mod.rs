@@ -106,9 +106,25 @@ impl Running {
 
     /// Asks it to end, as Ctrl-C does, and returns its standard output.
     pub(crate) fn interrupt(mut self) -> String {
+        self.ask_to_end();
+        self.output()
+    }
+
+    /// Asks it to end, as Ctrl-C does, and returns its exit code and what it said since it was last listened to.
+    pub(crate) fn interrupted(mut self) -> (Option<i32>, String) {
+        use std::io::Read as _;
+        self.ask_to_end();
+        let mut said = String::new();
+        self.lines
+            .read_to_string(&mut said)
+            .expect("stderr is text");
+        let status = self.child.wait().expect("it can be waited for");
+        (status.code(), said)
+    }
+
+    fn ask_to_end(&self) {
         let pid = nix::unistd::Pid::from_raw(i32::try_from(self.child.id()).expect("a process id"));
         nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGINT).expect("it can be signalled");
-        self.output()
     }
 
     /// Waits for its end and returns its standard output.
@@ -156,6 +172,27 @@ clock_skew_ppm = 2000.0
 clock_start_micros = 4290967296
 "#;
 
+/// Of a descriptor: a robot at rest with a gyro, whose column in `wheels.csv` is `gyro`; [`WHEELS_CSV`] belongs behind it.
+pub(crate) const GYRO_BESIDE_WHEELS: &str = r#"
+name = "by-hand"
+source = "written by this test"
+licence = "-"
+default_run = "rest"
+
+[robot]
+left_wheel_radius_m = 0.1
+right_wheel_radius_m = 0.1
+track_width_m = 0.2
+ticks_per_turn = 360.0
+
+[[runs]]
+name = "rest"
+
+[[gyro]]
+file = "wheels"
+turn_rate = "gyro"
+"#;
+
 /// Of a descriptor: wheels that count ticks, in a file `wheels.csv` with the columns `t_s`, `left` and `right`.
 pub(crate) const WHEELS_CSV: &str = r#"
 [files.wheels]
@@ -169,3 +206,13 @@ counting = "absolute"
 left = { column = "left", unit = "ticks" }
 right = { column = "right", unit = "ticks" }
 "#;
+
+/// A simulated brick that waits to be called, and its URL.
+pub(crate) fn listening_brick(folder: &Path, scenario: &str) -> (Running, String) {
+    let path = folder.join("small.toml");
+    std::fs::write(path, scenario).expect("the folder can be written");
+    let sim = ["sim", "small.toml", "--listen", "tcp://127.0.0.1:0"];
+    let mut brick = Running::start(posebridge(folder).args(sim));
+    let address = brick.listening_address("");
+    (brick, format!("tcp://{address}"))
+}

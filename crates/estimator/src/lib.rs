@@ -25,6 +25,7 @@ pub mod params;
 pub mod update;
 
 pub use filters::{
-    Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, StartPose, filter_named,
+    Adjustment, Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, StartPose,
+    filter_named,
 };
 pub use params::{PARAMS, Param, Params};

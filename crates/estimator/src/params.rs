@@ -342,6 +342,11 @@ mod tests {
                 row.key
             );
             let mut params = Params::default();
+            assert_eq!(
+                row.key,
+                row.key.to_ascii_lowercase(),
+                "a PARAM message tells it in capitals"
+            );
             (row.write)(&mut params, -1.0);
             for (other_index, other) in PARAMS.iter().enumerate() {
                 let expected = if index == other_index {

@@ -49,6 +49,24 @@ pub enum OpenError {
         /// The link.
         url: String,
     },
+    /// A brick has to be opened by its serial number, and none was given.
+    #[error(
+        "{url} names no serial number: add `?serial=` and the twelve digits that stand on the brick under Brick Info"
+    )]
+    NoSerialNumber {
+        /// The link.
+        url: String,
+    },
+    /// What is at the other end does not open to this serial number.
+    #[error(
+        "{peer} does not accept the serial number {serial_number}: compare it with what stands on the brick under Brick Info"
+    )]
+    NotWelcome {
+        /// Host and port.
+        peer: String,
+        /// The serial number that it was told.
+        serial_number: String,
+    },
     /// Another program has made a pseudo-terminal at the path and holds it open.
     #[error(
         "{} is the pseudo-terminal of another program that is still running: stop that program (`fuser -v {}` names it) or choose another path",
@@ -135,6 +153,7 @@ impl OpenError {
             | Self::AddressInUse { .. }
             | Self::AddressNotAvailable { .. }
             | Self::NoHost { .. }
+            | Self::NoSerialNumber { .. }
             | Self::LinkTaken { .. }
             | Self::WrongKind { .. }
             | Self::NotBuilt { .. }
@@ -143,6 +162,7 @@ impl OpenError {
             | Self::Missing { .. }
             | Self::UnknownHost { .. }
             | Self::Unreachable { .. }
+            | Self::NotWelcome { .. }
             | Self::TimedOut { .. }
             | Self::Io { .. } => true,
         }

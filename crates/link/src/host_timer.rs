@@ -6,7 +6,7 @@
 use std::pin::Pin;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use posebridge_telemetry::{HostClock, Stamp};
+use posebridge_telemetry::{HostClock, Span, Stamp};
 use tokio::time::{Instant, Sleep};
 
 /// A handle to the host's clock, zero at the start of the session. Copies tell the same time.
@@ -46,6 +46,15 @@ impl HostTimer {
     #[must_use]
     pub const fn utc_start(&self) -> u64 {
         self.utc_start_micros
+    }
+
+    /// How far the computer's date runs ahead of this clock since the start of the session: it leaps when somebody sets the date.
+    #[must_use]
+    pub fn calendar_ahead(&self) -> Span {
+        let elapsed = self.now() - Stamp::ZERO;
+        let since_start = i128::from(read_utc_micros()) - i128::from(self.utc_start_micros);
+        let by_date = i64::try_from(since_start).unwrap_or(i64::MAX);
+        Span::from_micros(by_date) - elapsed
     }
 
     /// The runtime's name for `stamp`; the start of the session for stamps before it.
@@ -119,7 +128,17 @@ fn read_utc_micros() -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::Span;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_date_that_stays_behind_the_session_is_seen_to() {
+        let timer = HostTimer::start();
+        let before = timer.calendar_ahead();
+        assert!(before < Span::from_millis(60_000) && before > Span::from_millis(-60_000));
+        // The session's clock goes on by an hour, the date does not: as if it had been set back.
+        tokio::time::advance(Duration::from_secs(3_600)).await;
+        let leapt = timer.calendar_ahead() - before;
+        assert!((leapt.as_secs_f64() + 3_600.0).abs() < 60.0, "{leapt:?}");
+    }
 
     #[tokio::test(start_paused = true)]
     async fn a_sleeper_wakes_at_its_stamp_or_later() {

@@ -91,6 +91,11 @@ pub enum OptionKind {
         /// The words; the first is the default.
         words: &'static [&'static str],
     },
+    /// So many hexadecimal digits; nothing is the default.
+    HexDigits {
+        /// How many.
+        count: usize,
+    },
 }
 
 impl OptionKind {
@@ -100,6 +105,10 @@ impl OptionKind {
                 .parse::<u32>()
                 .is_ok_and(|number| (min..=max).contains(&number)),
             Self::Choice { words } => words.contains(&value),
+            Self::HexDigits { count } => {
+                value.is_empty()
+                    || value.len() == count && value.bytes().all(|byte| byte.is_ascii_hexdigit())
+            }
         }
     }
 
@@ -109,6 +118,7 @@ impl OptionKind {
         match self {
             Self::Integer { default, .. } => default.to_string(),
             Self::Choice { words } => words.first().copied().unwrap_or_default().to_owned(),
+            Self::HexDigits { .. } => String::new(),
         }
     }
 }
@@ -119,6 +129,7 @@ impl fmt::Display for OptionKind {
         match self {
             Self::Integer { min, max, .. } => write!(f, "a whole number from {min} to {max}"),
             Self::Choice { words } => write!(f, "one of {}", words.join(", ")),
+            Self::HexDigits { count } => write!(f, "{count} hexadecimal digits"),
         }
     }
 }

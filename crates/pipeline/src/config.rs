@@ -23,6 +23,8 @@ pub struct PipelineConfig {
     pub robot_system: Option<SystemId>,
     /// Where the camera's tag sits on the robot, if fixes are of a tag and not of mid-axle.
     pub tag_in_body: Point2<Body>,
+    /// When cameras are asked for a fix.
+    pub fix_requests: FixRequestConfig,
     /// How often to ask the brick and the camera for their time, once the first answers are in.
     pub timesync_period: Span,
     /// Messages that the brick is asked to send, with their interval.
@@ -33,6 +35,28 @@ pub struct PipelineConfig {
     pub thermometers: Vec<ThermometerConfig>,
     /// The links, by id.
     pub links: Vec<LinkConfig>,
+}
+
+/// When cameras that take requests are asked for a fix: as soon as the station is less sure than this.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FixRequestConfig {
+    /// Above this standard deviation of the position, the larger of both axes, in metres.
+    pub above_m: Option<f64>,
+    /// Above this standard deviation of the heading, in radians.
+    pub above_rad: Option<f64>,
+    /// Not sooner after the last request.
+    pub interval: Span,
+}
+
+impl Default for FixRequestConfig {
+    /// Nobody is asked.
+    fn default() -> Self {
+        Self {
+            above_m: None,
+            above_rad: None,
+            interval: Span::from_millis(250),
+        }
+    }
 }
 
 /// What is known of one thermometer, whichever brick it sits on.
@@ -69,6 +93,8 @@ pub struct LinkConfig {
     pub speaks: WireVersion,
     /// What is sent there.
     pub outputs: Vec<OutputStream>,
+    /// As whom the station speaks there.
+    pub voices: Voices,
     /// How its frames are signed; `None` believes everybody and signs nothing.
     pub signing: Option<SigningConfig>,
     /// What passes between it and the other links.
@@ -88,6 +114,17 @@ impl PartialEq for BrickLink {
     fn eq(&self, other: &Self) -> bool {
         self.protocol.name == other.protocol.name && self.settings == other.settings
     }
+}
+
+/// As whom the station speaks on a link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Voices {
+    /// As itself.
+    #[default]
+    Own,
+    /// As the robot, too: ground stations show a vehicle only if component 1 of its system speaks. For links on which the robot is not
+    /// heard itself.
+    OwnAndRobot,
 }
 
 /// Which MAVLink versions a link accepts.
@@ -111,7 +148,7 @@ pub struct OutputStream {
 }
 
 /// The messages in which an estimate can leave.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum OutputKind {
     /// PB_PLANAR_POSE, compact.
     PlanarPose,
@@ -125,6 +162,12 @@ pub enum OutputKind {
     EstimatorStatus,
     /// PB_FUSION_HEALTH, one per observation that could be held against a prediction.
     FusionHealth,
+    /// DISTANCE_SENSOR, the robot's range as it was observed.
+    DistanceSensor,
+    /// NAMED_VALUE_FLOAT, the NIS of each sensor.
+    NamedValue,
+    /// DEBUG_FLOAT_ARRAY, innovation, NIS and what was expected of them, of each sensor.
+    FloatArray,
 }
 
 /// Every output, with the name that the configuration uses.
@@ -135,6 +178,9 @@ pub const OUTPUTS: &[(&str, OutputKind)] = &[
     ("attitude", OutputKind::Attitude),
     ("estimator_status", OutputKind::EstimatorStatus),
     ("fusion_health", OutputKind::FusionHealth),
+    ("distance_sensor", OutputKind::DistanceSensor),
+    ("named_value_float", OutputKind::NamedValue),
+    ("debug_float_array", OutputKind::FloatArray),
 ];
 
 /// For which instant an estimate is sent.

@@ -3,29 +3,38 @@
 //! Here stand the value itself, its doors and its time; what it does with bytes, conversations and estimates stands in the
 //! modules below.
 
+mod announce;
 mod bricks;
+mod commands;
 mod converse;
 mod deliver;
+mod fix_requests;
 mod forward;
+mod ground_station;
 mod intake;
 mod receive;
+mod requests;
 mod warmth;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use posebridge_estimator::{Filter, StartPose, filter_named};
+use posebridge_estimator::{Filter, filter_named};
 use posebridge_protocol::routing::{Forward, Router, RouterConfig, Way};
 use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, CameraClock, Command, DriveGeometry, Estimate, Event,
-    HostClock, Input, LinkId, LinkState, Output, PeerId, Radians, RobotId, Span, Stamp, Verdict,
+    Address, BrickClock, Calibration, CameraClock, DriveGeometry, Estimate, Event, FusionRecord,
+    HostClock, Input, LinkId, LinkState, Output, PeerId, Radians, RobotId, SensorId, Span, Stamp,
 };
 
+use self::announce::Announcer;
+use self::commands::Standing;
+use self::fix_requests::FixRequests;
+use self::ground_station::LastRange;
 use self::intake::Arrival;
 use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
 use crate::interpret::Interpreter;
-use crate::link_state::Link;
+use crate::link_state::{Link, Speaker};
 use crate::thermometers::Thermometers;
 use forward::Seen;
 
@@ -63,15 +72,33 @@ pub struct Pipeline {
     links: BTreeMap<LinkId, Link>,
     router: Router,
     robot: Option<RobotId>,
+    /// By which way and when the robot was heard last.
+    robot_heard: Option<(Way, Stamp<HostClock>)>,
     filter: Box<dyn Filter>,
     interpreter: Interpreter,
     brick_clock: ClockAligner<BrickClock>,
     observers: BTreeMap<(LinkId, Address), ClockAligner<CameraClock>>,
+    /// Who has sent fixes in clocks of their own, in the order of their first: each is a sensor of its own.
+    cameras: Vec<(LinkId, Address)>,
+    fix_requests: FixRequests,
+    /// What was told of payloads without sense, once for each sender and message.
+    told_payloads: BTreeSet<(LinkId, Address, u32)>,
     last_gyro_turn: Option<(Stamp<BrickClock>, Radians)>,
     thermometers: Thermometers,
     /// Normalised innovation squared of the last fix over its gate; 0 before the first.
     fix_ratio: f64,
+    /// The gate that was looked up last, because a search for each fix takes longer than its use: degrees of freedom, probability,
+    /// quantile of chi-square.
+    fix_gate: Option<(u8, f64, f64)>,
+    /// The robot's range as it was observed last.
+    last_range: Option<LastRange>,
+    /// What became of each sensor's last observation that could be held against a prediction.
+    last_records: BTreeMap<SensorId, FusionRecord>,
+    /// What ground stations are told in words.
+    announcer: Announcer,
     described: bool,
+    /// What people have asked and still holds.
+    standing: Standing,
     /// Something was observed since the last estimate left.
     is_news: bool,
     /// The estimate that the robot has been sent and the others not yet.
@@ -115,6 +142,7 @@ impl Pipeline {
             links,
             router: Router::new(router_config(&config)),
             robot: None,
+            robot_heard: None,
             filter: (entry.build)(&config.filter_config),
             interpreter: Interpreter {
                 geometry: config.filter_config.geometry,
@@ -122,10 +150,18 @@ impl Pipeline {
             },
             brick_clock: ClockAligner::default(),
             observers: BTreeMap::new(),
+            cameras: Vec::new(),
+            fix_requests: FixRequests::default(),
+            told_payloads: BTreeSet::new(),
             last_gyro_turn: None,
             thermometers: Thermometers::default(),
             fix_ratio: 0.0,
+            fix_gate: None,
+            last_range: None,
+            last_records: BTreeMap::new(),
+            announcer: Announcer::default(),
             described: false,
+            standing: Standing::new(config.filter_config.params),
             is_news: false,
             for_others: None,
             passages: Vec::new(),
@@ -164,6 +200,7 @@ impl Pipeline {
                 self.observe(robot, robot.address, arrival, *observation);
             }
             Input::Command(command) => self.handle_command(*command),
+            Input::Report { severity, text } => self.handle_report(*severity, text),
             Input::Tick => {}
         }
         // What is due goes first: a time request that waited behind the estimate would measure that, too.
@@ -193,6 +230,7 @@ impl Pipeline {
             self.finish_passage(now, link, &seen);
         }
         self.settle_temperatures();
+        self.say_texts();
     }
 
     /// The next output: our own and what happened, oldest first, then what is passed on, oldest first.
@@ -212,7 +250,7 @@ impl Pipeline {
             .values()
             .flat_map(|link| {
                 let codec = link.codec_deadline();
-                [link.peers.deadline(), link.session.deadline(), codec]
+                [link.peers.deadline(), link.conversation_deadline(), codec]
             })
             .flatten();
         links.chain(self.next_health).min()
@@ -272,33 +310,9 @@ impl Pipeline {
         self.ask_brick(id);
     }
 
-    fn handle_command(&mut self, command: Command) {
-        match command {
-            Command::SetPose {
-                pose,
-                position_sigma_m,
-                heading_sigma_rad,
-            } => {
-                let verdict = self.filter.set_pose(&StartPose {
-                    pose,
-                    position_sigma_m,
-                    heading_sigma_rad,
-                });
-                if verdict == Verdict::Malformed {
-                    self.tell(Event::Text {
-                        source: self.config.own,
-                        severity: SEVERITY_WARNING,
-                        text: "the pose was not set: a number is not finite or a sigma is negative"
-                            .to_owned(),
-                    });
-                }
-                self.is_news = true;
-            }
-        }
-    }
-
     fn pass_time(&mut self, now: Stamp<HostClock>) {
         let ids: Vec<LinkId> = self.links.keys().copied().collect();
+        self.show_robot();
         for id in &ids {
             let stalled = self
                 .links
@@ -311,6 +325,9 @@ impl Pipeline {
             self.wake_brick(now, *id);
             if let Some(link) = self.links.get_mut(id) {
                 link.session.tick(now);
+                if let Some(session) = link.conversation(Speaker::Robot) {
+                    session.tick(now);
+                }
             }
             let way = Way {
                 link: *id,
@@ -351,6 +368,7 @@ impl Pipeline {
     }
 
     fn tell(&mut self, event: Event) {
+        self.announce(&event);
         self.outputs.push_back(Output::Event(event));
     }
 }

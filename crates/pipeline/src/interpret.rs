@@ -73,8 +73,15 @@ impl Interpreter {
             | Message::TimeSync(_)
             | Message::SetMessageInterval(_)
             | Message::Command(_)
+            | Message::CommandInt(_)
             | Message::CommandAck(_)
             | Message::StatusText { .. }
+            | Message::AutopilotVersion(_)
+            | Message::ProtocolVersion(_)
+            | Message::ComponentInformation(_)
+            | Message::MessageInterval(_)
+            | Message::NamedValue(_)
+            | Message::FloatArray(_)
             // Thermometers have filters of their own.
             | Message::Thermometer { .. }
             | Message::PlanarPose(_)

@@ -14,10 +14,13 @@ mod interpret;
 mod link_state;
 mod peers;
 mod publish;
+mod publisher;
+mod records;
+mod robot_voice;
 mod thermometers;
 
 pub use config::{
-    AcceptedVersions, BrickLink, DescriptionPolicy, LinkConfig, OUTPUTS, OutputInstant, OutputKind,
-    OutputStream, PipelineConfig, ThermometerConfig,
+    AcceptedVersions, BrickLink, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS,
+    OutputInstant, OutputKind, OutputStream, PipelineConfig, ThermometerConfig, Voices,
 };
 pub use engine::{BuildError, Pipeline};

@@ -1,17 +1,20 @@
 //! What the pipeline keeps for one link: its peers, encoder, session, counters.
 
+use posebridge_estimator::PARAMS;
 use posebridge_protocol::bricks::BrickCodec;
 use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::dialect::commands::UNDERSTOOD;
 use posebridge_protocol::framing::{ScannerConfig, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::routing::Limiter;
-use posebridge_protocol::session::{Session, SessionConfig};
+use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
 use posebridge_protocol::signing::LinkSigning;
 use posebridge_telemetry::{Address, HostClock, LinkHealth, LinkState, SourceHealth, Span, Stamp};
 
-use crate::config::{AcceptedVersions, LinkConfig, PipelineConfig};
+use crate::config::{AcceptedVersions, LinkConfig, PipelineConfig, Voices};
 use crate::peers::Peers;
-use crate::publish::{self, Publisher};
+use crate::publisher::{self, Publisher};
+use crate::robot_voice::RobotVoice;
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.
 const ONBOARD_CONTROLLER: u8 = 18;
@@ -22,7 +25,16 @@ const ACTIVE: u8 = 4;
 /// The common interval of heartbeats.
 const HEARTBEAT_PERIOD: Span = Span::from_millis(1_000);
 /// Five missed heartbeats: the usual limit of ground stations.
-const PEER_TIMEOUT: Span = Span::from_millis(5_000);
+pub(crate) const PEER_TIMEOUT: Span = Span::from_millis(5_000);
+
+/// As whom something is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Speaker {
+    /// As the station itself.
+    Station,
+    /// As the robot, on a link for ground stations.
+    Robot,
+}
 
 /// One link.
 pub(crate) struct Link {
@@ -36,6 +48,8 @@ pub(crate) struct Link {
     /// Holds back what would be too much.
     pub(crate) limiter: Limiter,
     pub(crate) session: Session<HostClock>,
+    /// The robot's voice, where the station lends it one.
+    pub(crate) voice: Option<RobotVoice>,
     pub(crate) publisher: Publisher,
     pub(crate) state: LinkState,
     /// It has been up before.
@@ -61,7 +75,9 @@ impl Link {
             encoder: Encoder::new(config.speaks),
             speaks: config.speaks,
             limiter: Limiter::new(config.rules.limits.clone(), now),
-            session: Session::new(session_config(config, pipeline), now),
+            session: session(config, pipeline, now),
+            voice: (config.voices == Voices::OwnAndRobot && config.brick.is_none())
+                .then(RobotVoice::default),
             publisher: Publisher::new(&config.outputs),
             state: LinkState::Down,
             was_up: false,
@@ -83,6 +99,29 @@ impl Link {
             (LinkState::Up, LinkState::Up) => {}
         }
         self.state = state;
+    }
+
+    /// What the conversations on the link want next, and whose it is.
+    pub(crate) fn poll_conversation(&mut self) -> Option<(Speaker, SessionOutput<HostClock>)> {
+        if let Some(output) = self.session.poll() {
+            return Some((Speaker::Station, output));
+        }
+        let output = self.voice.as_mut()?.poll()?;
+        Some((Speaker::Robot, output))
+    }
+
+    /// The conversation of one of them; `None` if the robot has no voice there.
+    pub(crate) fn conversation(&mut self, speaker: Speaker) -> Option<&mut Session<HostClock>> {
+        match speaker {
+            Speaker::Station => Some(&mut self.session),
+            Speaker::Robot => self.voice.as_mut()?.session(),
+        }
+    }
+
+    /// When the conversations must be woken.
+    pub(crate) fn conversation_deadline(&self) -> Option<Stamp<HostClock>> {
+        let robot = self.voice.as_ref().and_then(RobotVoice::deadline);
+        self.session.deadline().into_iter().chain(robot).min()
     }
 
     /// When the codec must be woken; never while there is nobody to talk to.
@@ -135,7 +174,25 @@ fn scanner_config(config: &LinkConfig) -> ScannerConfig {
     }
 }
 
-fn session_config(link: &LinkConfig, pipeline: &PipelineConfig) -> SessionConfig {
+fn session(
+    config: &LinkConfig,
+    pipeline: &PipelineConfig,
+    now: Stamp<HostClock>,
+) -> Session<HostClock> {
+    let mut session = Session::new(session_config(config, pipeline), now);
+    let params = &pipeline.filter_config.params;
+    session.offer_parameters(
+        PARAMS
+            .iter()
+            // In capitals, as MAVLink's parameters are: MAVProxy asks for no others.
+            .map(|row| (row.key.to_ascii_uppercase(), (row.read)(params) as f32)),
+    );
+    session.serve_commands(&UNDERSTOOD);
+    session
+}
+
+/// A conversation of the station's on any link.
+pub(crate) fn conversation_of(pipeline: &PipelineConfig) -> SessionConfig {
     SessionConfig {
         own: pipeline.own,
         heartbeat: Heartbeat {
@@ -147,11 +204,20 @@ fn session_config(link: &LinkConfig, pipeline: &PipelineConfig) -> SessionConfig
         heartbeat_period: HEARTBEAT_PERIOD,
         timesync_period: Some(pipeline.timesync_period),
         peer_timeout: PEER_TIMEOUT,
-        // Who speaks no MAVLink cannot be asked for its messages.
-        wanted: match link.brick {
-            Some(_) => Vec::new(),
-            None => pipeline.wanted.clone(),
-        },
-        offered: publish::SETTABLE.iter().map(|(id, _)| *id).collect(),
+        wanted: pipeline.wanted.clone(),
+        offered: publisher::SETTABLE.iter().map(|(id, _)| *id).collect(),
+    }
+}
+
+fn session_config(link: &LinkConfig, pipeline: &PipelineConfig) -> SessionConfig {
+    let conversation = conversation_of(pipeline);
+    // Who speaks no MAVLink cannot be asked for its messages.
+    let wanted = match link.brick {
+        Some(_) => Vec::new(),
+        None => conversation.wanted.clone(),
+    };
+    SessionConfig {
+        wanted,
+        ..conversation
     }
 }

@@ -1,126 +1,13 @@
-//! From estimates to messages: which leave on a link, how often, and for which instant.
+//! From estimates to messages.
 
-use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{
-    EstimatorStatus, FusionHealth, Message, Odometry, OdometryPose, PlanarPose, PoseFlags,
-    WireStamp,
+    EstimatorStatus, Message, Odometry, OdometryPose, PlanarPose, PoseFlags, WireStamp,
 };
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, HostClock, Meters, MetersPerSecond, Priority, SensorId,
-    Span, Stamp, Verdict, estimate::row,
+    BrickClock, Estimate, HostClock, Meters, MetersPerSecond, Pose, Span, Stamp, estimate::row,
 };
-use std::collections::BTreeMap;
 
-use crate::config::{OutputInstant, OutputKind, OutputStream};
-
-/// The messages whose interval a peer may set with SET_MESSAGE_INTERVAL, for its own link.
-pub(crate) const SETTABLE: [(u32, OutputKind); 6] = [
-    (ids::PB_PLANAR_POSE, OutputKind::PlanarPose),
-    (ids::ODOMETRY, OutputKind::Odometry),
-    (ids::LOCAL_POSITION_NED, OutputKind::LocalPosition),
-    (ids::ATTITUDE, OutputKind::Attitude),
-    (ids::ESTIMATOR_STATUS, OutputKind::EstimatorStatus),
-    (ids::PB_FUSION_HEALTH, OutputKind::FusionHealth),
-];
-
-/// What one of the outputs is worth on a slow link.
-pub(crate) fn priority(kind: OutputKind) -> Priority {
-    let named = SETTABLE.iter().find(|(_, known)| *known == kind);
-    Priority::Estimate {
-        stream: named.map_or(0, |(id, _)| *id),
-    }
-}
-
-/// Keeps the intervals of one link's outputs.
-#[derive(Clone, Debug)]
-pub(crate) struct Publisher {
-    /// What is sent unless a peer asks for something else.
-    configured: Vec<OutputStream>,
-    streams: Vec<(OutputStream, Option<Stamp<HostClock>>)>,
-    /// Used and refused observations per sensor, for PB_FUSION_HEALTH.
-    counts: BTreeMap<SensorId, (u16, u16)>,
-}
-
-impl Publisher {
-    pub(crate) fn new(streams: &[OutputStream]) -> Self {
-        Self {
-            configured: streams.to_vec(),
-            streams: streams.iter().map(|stream| (*stream, None)).collect(),
-            counts: BTreeMap::new(),
-        }
-    }
-
-    /// Follows a peer's request: another interval, none at all, or (zero) what is configured.
-    pub(crate) fn set_interval(&mut self, message_id: u32, interval: Option<Span>) {
-        let Some((_, kind)) = SETTABLE.iter().find(|(id, _)| *id == message_id) else {
-            return;
-        };
-        let configured = self
-            .configured
-            .iter()
-            .find(|stream| stream.kind == *kind)
-            .copied();
-        self.streams.retain(|(stream, _)| stream.kind != *kind);
-        let asked = |interval| OutputStream {
-            kind: *kind,
-            interval,
-            instant: configured.map_or(OutputInstant::Observed, |stream| stream.instant),
-        };
-        let stream = match interval {
-            None => None,
-            Some(Span::ZERO) => configured,
-            Some(interval) => Some(asked(interval)),
-        };
-        self.streams.extend(stream.map(|stream| (stream, None)));
-    }
-
-    /// Which outputs are due; they count as sent.
-    pub(crate) fn due(&mut self, now: Stamp<HostClock>) -> Vec<OutputStream> {
-        let mut due = Vec::new();
-        for (stream, last) in &mut self.streams {
-            if stream.kind == OutputKind::FusionHealth {
-                continue;
-            }
-            if last.is_none_or(|last| now - last >= stream.interval) {
-                *last = Some(now);
-                due.push(*stream);
-            }
-        }
-        due
-    }
-
-    /// The health message of an observation that was held against a prediction, if this link wants it.
-    pub(crate) fn fusion_health(&mut self, record: &FusionRecord) -> Option<Message> {
-        let counts = self.counts.entry(record.sensor).or_default();
-        match record.verdict {
-            Verdict::Accepted | Verdict::ResetTo | Verdict::Rebased => {
-                counts.0 = counts.0.wrapping_add(1);
-            }
-            Verdict::Gated | Verdict::TooOld | Verdict::Malformed => {
-                counts.1 = counts.1.wrapping_add(1);
-            }
-            Verdict::Unused => {}
-        }
-        let wanted = self
-            .streams
-            .iter()
-            .any(|(stream, _)| stream.kind == OutputKind::FusionHealth);
-        if !wanted || record.degrees_of_freedom == 0 {
-            return None;
-        }
-        let (accepted, refused) = *counts;
-        Some(Message::FusionHealth(FusionHealth {
-            stamp: wrapped(record.stamp),
-            sensor: record.sensor,
-            verdict: verdict_code(record.verdict),
-            nis_per_dof: record.nis / f64::from(record.degrees_of_freedom),
-            innovation: record.innovation,
-            lag: record.lag,
-            accepted,
-            refused,
-        }))
-    }
-}
+use crate::config::{OutputKind, Voices};
 
 /// Whether an estimate was predicted ahead of the last observation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,6 +25,8 @@ pub(crate) struct Circumstances {
     pub(crate) host: Stamp<HostClock>,
     /// Normalised innovation squared of the last fix over its gate: above 1 it was refused.
     pub(crate) fix_ratio: f64,
+    /// For whom it is: to a ground station the arena is a floor like any other.
+    pub(crate) voices: Voices,
 }
 
 /// The message of an estimate.
@@ -150,15 +39,15 @@ pub(crate) fn message(
         prediction,
         host,
         fix_ratio,
+        voices,
     } = *circumstances;
-    let since_boot = WireStamp::Millis32(host.as_micros().div_euclid(1_000) as u32);
     match kind {
         OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, prediction))),
-        OutputKind::Odometry => Some(Message::Odometry(odometry(estimate, host))),
+        OutputKind::Odometry => Some(Message::Odometry(odometry(estimate, host, voices))),
         OutputKind::LocalPosition => {
             let (sin, cos) = estimate.pose.heading.rad().sin_cos();
             Some(Message::LocalPosition {
-                stamp: since_boot,
+                stamp: since_boot(host),
                 x: estimate.pose.x,
                 y: estimate.pose.y,
                 x_speed: MetersPerSecond(estimate.forward_speed.0 * cos),
@@ -166,7 +55,7 @@ pub(crate) fn message(
             })
         }
         OutputKind::Attitude => Some(Message::Attitude {
-            stamp: since_boot,
+            stamp: since_boot(host),
             heading: estimate.pose.heading,
             turn_rate: estimate.turn_rate,
         }),
@@ -176,7 +65,10 @@ pub(crate) fn message(
             position_ratio: fix_ratio,
             position_sigma: Meters(estimate.x_sigma_m().hypot(estimate.y_sigma_m())),
         })),
-        OutputKind::FusionHealth => None,
+        OutputKind::FusionHealth
+        | OutputKind::DistanceSensor
+        | OutputKind::NamedValue
+        | OutputKind::FloatArray => None,
     }
 }
 
@@ -193,10 +85,16 @@ fn planar_pose(estimate: &Estimate, prediction: Prediction) -> PlanarPose {
     }
 }
 
-fn odometry(estimate: &Estimate, host: Stamp<HostClock>) -> Odometry {
+/// To a brick the pose is one in the arena, which it must tell from a drifting one. To a ground station, which knows the arena's
+/// place on the globe no better, it is one on a floor whose heading is arbitrary: MAV_FRAME_LOCAL_FRD.
+fn odometry(estimate: &Estimate, host: Stamp<HostClock>, voices: Voices) -> Odometry {
+    let Pose { x, y, heading, .. } = estimate.pose;
     Odometry {
         stamp: WireStamp::Micros64(host.as_micros().unsigned_abs()),
-        pose: OdometryPose::Arena(estimate.pose),
+        pose: match voices {
+            Voices::Own => OdometryPose::Arena(estimate.pose),
+            Voices::OwnAndRobot => OdometryPose::Odom(Pose::new(x, y, heading)),
+        },
         forward_speed: estimate.forward_speed,
         turn_rate: estimate.turn_rate,
         covariance: Some(upper_triangle(estimate)),
@@ -232,21 +130,14 @@ fn flags(estimate: &Estimate, prediction: Prediction) -> PoseFlags {
     }
 }
 
-/// A brick instant as the brick's own 32-bit microsecond counter shows it.
-fn wrapped(stamp: Stamp<BrickClock>) -> WireStamp {
-    WireStamp::Micros32(stamp.as_micros().rem_euclid(1 << 32) as u32)
+/// An instant of the host as milliseconds since the station began.
+pub(crate) fn since_boot(host: Stamp<HostClock>) -> WireStamp {
+    WireStamp::Millis32(host.as_micros().div_euclid(1_000) as u32)
 }
 
-const fn verdict_code(verdict: Verdict) -> u8 {
-    match verdict {
-        Verdict::Accepted => 0,
-        Verdict::Gated => 1,
-        Verdict::TooOld => 2,
-        Verdict::Malformed => 3,
-        Verdict::Rebased => 4,
-        Verdict::ResetTo => 5,
-        Verdict::Unused => 6,
-    }
+/// A brick instant as the brick's own 32-bit microsecond counter shows it.
+pub(crate) fn wrapped(stamp: Stamp<BrickClock>) -> WireStamp {
+    WireStamp::Micros32(stamp.as_micros().rem_euclid(1 << 32) as u32)
 }
 
 /// Half of a round trip: the best guess of how long an estimate travels.

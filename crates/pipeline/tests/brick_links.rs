@@ -249,7 +249,7 @@ fn questions_are_commands_estimates_leave_by_the_codec_and_nothing_else_does() {
             Output::Transmit {
                 priority, bytes, ..
             } => Some((*priority, bytes.as_slice())),
-            Output::Event(_) => None,
+            Output::Event(_) | Output::Request(_) => None,
         });
     let sent: Vec<_> = sent.collect();
     let questions = sent.iter().filter(|(_, bytes)| *bytes == [ASK]).count();

@@ -258,7 +258,7 @@ fn answer_as(
         .iter()
         .filter_map(|(_, output)| match output {
             Output::Transmit { bytes, .. } => Some(messages(bytes)),
-            Output::Event(_) => None,
+            Output::Event(_) | Output::Request(_) => None,
         })
         .flatten()
         .filter_map(|message| match message {

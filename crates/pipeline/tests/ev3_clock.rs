@@ -68,7 +68,7 @@ impl Scene {
         let sent: Vec<_> = outputs
             .filter_map(|(_, output)| match output {
                 Output::Transmit { bytes, .. } => Some(bytes.clone()),
-                Output::Event(_) => None,
+                Output::Event(_) | Output::Request(_) => None,
             })
             .collect();
         self.given = self.station.outputs.len();

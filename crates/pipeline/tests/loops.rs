@@ -64,7 +64,7 @@ fn said(station: &Station, seen: usize, on: LinkId) -> Vec<Message> {
     let outputs = station.outputs[seen..].iter();
     let sent = outputs.filter_map(|(_, output)| match output {
         Output::Transmit { link, bytes, .. } if *link == on => Some(messages(bytes)),
-        Output::Transmit { .. } | Output::Event(_) => None,
+        Output::Transmit { .. } | Output::Event(_) | Output::Request(_) => None,
     });
     sent.flatten().collect()
 }

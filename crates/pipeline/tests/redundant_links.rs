@@ -110,7 +110,7 @@ impl Run {
                 Output::Transmit { link, bytes, .. } => {
                     Some((usize::from(link.0 - LINKS[0].0), brick::messages(bytes)))
                 }
-                Output::Event(_) => None,
+                Output::Event(_) | Output::Request(_) => None,
             })
             .flat_map(|(index, messages)| messages.into_iter().map(move |said| (index, said)))
             .filter_map(|(index, message)| match message {

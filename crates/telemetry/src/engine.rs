@@ -3,7 +3,7 @@
 //! A recording is the sequence of [`Input`]s with the instants at which they were given, chunk boundaries included.
 //! That is why these two types stand in the vocabulary: the recorder must name them without naming the pipeline.
 
-use crate::command::Command;
+use crate::command::{Command, Request};
 use crate::event::{Event, LinkState};
 use crate::ids::{LinkId, PeerId};
 use crate::link_health::PortCounts;
@@ -40,6 +40,13 @@ pub enum Input {
     Observation(Observation),
     /// A request of a person or a program.
     Command(Command),
+    /// What became of something that the program around the pipeline does: of an [`Output::Request`], of its own files.
+    Report {
+        /// MAVLink severity, 0 emergency to 7 debug.
+        severity: u8,
+        /// A line for people.
+        text: String,
+    },
     /// Time passed; given when the pipeline's deadline is reached.
     Tick,
 }
@@ -64,4 +71,6 @@ pub enum Output {
         /// One whole frame, ready for the wire.
         bytes: Vec<u8>,
     },
+    /// Something that only the program around the pipeline can do.
+    Request(Request),
 }

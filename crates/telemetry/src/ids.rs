@@ -57,6 +57,24 @@ impl SensorId {
     /// A compass.
     pub const COMPASS: Self = Self(9);
 
+    /// The first of the further cameras; those before it are taken.
+    const SECOND_CAMERA: u8 = 32;
+    /// The names of the further cameras.
+    const FURTHER_CAMERAS: [&'static str; 7] = [
+        "camera 2", "camera 3", "camera 4", "camera 5", "camera 6", "camera 7", "camera 8",
+    ];
+
+    /// The camera with this place in the order in which they were first heard, from 0: [`Self::CAMERA`], then up to seven more. What
+    /// comes after them shares the last one.
+    #[must_use]
+    pub const fn camera(place: usize) -> Self {
+        match place {
+            0 => Self::CAMERA,
+            1..=7 => Self(Self::SECOND_CAMERA + place as u8 - 1),
+            _ => Self(Self::SECOND_CAMERA + 6),
+        }
+    }
+
     /// The name under which people see this sensor.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -71,7 +89,11 @@ impl SensorId {
             Self::LANDMARKS => "landmarks",
             Self::BEACONS => "beacons",
             Self::COMPASS => "compass",
-            Self(_) => "sensor",
+            Self(id) => id
+                .checked_sub(Self::SECOND_CAMERA)
+                .and_then(|place| Self::FURTHER_CAMERAS.get(usize::from(place)))
+                .copied()
+                .unwrap_or("sensor"),
         }
     }
 }
@@ -167,6 +189,16 @@ impl fmt::Display for RobotId {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn further_cameras_have_ids_and_names_of_their_own() {
+        let names: Vec<_> = (0..10)
+            .map(|place| SensorId::camera(place).name())
+            .collect();
+        assert_eq!(names[..3], ["camera", "camera 2", "camera 3"]);
+        assert_eq!(names[7..], ["camera 8"; 3]);
+        assert_eq!(SensorId(31).name(), "sensor");
+    }
 
     #[test]
     fn a_name_ends_at_its_terminator_or_with_its_room_and_cannot_command_a_terminal() {

@@ -9,6 +9,7 @@
 pub mod calibration;
 pub mod clock;
 pub mod command;
+pub mod ellipse;
 pub mod engine;
 pub mod estimate;
 pub mod event;
@@ -24,7 +25,8 @@ pub mod world;
 
 pub use calibration::{Calibration, Known};
 pub use clock::{BrickClock, CameraClock, HostClock, Span, Stamp};
-pub use command::Command;
+pub use command::{Command, Learning, ParameterName, ParameterStorage, Request, Switch};
+pub use ellipse::Ellipse;
 pub use engine::{Input, Output};
 pub use estimate::{Estimate, PoseJump, ScalarEstimate, Validity};
 pub use event::{Defect, Event, LinkState, Refusal};

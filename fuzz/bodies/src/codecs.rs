@@ -10,12 +10,14 @@
 use posebridge_protocol::bricks::ev3::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroReading, GyroSettings, SensorPort,
 };
+use posebridge_protocol::bricks::fixes::FixSettings;
 use posebridge_protocol::bricks::line::{
     Checksum, Column, LineLayout, LineSettings, QUANTITIES, Separator,
 };
 use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
+use posebridge_protocol::framing::Framing;
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, Span, Stamp};
 
 use crate::operands::Operands;
 
@@ -43,7 +45,6 @@ pub(crate) fn check_ev3(data: &[u8]) {
             port: SensorPort::P4,
             kind: DistanceKind::Infrared,
         }),
-        unlock: (options & 32 != 0).then(|| "0016533f0c1e".to_owned()),
         ..Ev3Settings::default()
     };
     run(
@@ -108,6 +109,30 @@ pub(crate) fn check_line(data: &[u8]) {
     );
 }
 
+/// Input: framing and quality, then operations as above; odd lengths come from another sender than even ones.
+pub(crate) fn check_camera_json(data: &[u8]) {
+    let mut operands = Operands::new(data);
+    let options = operands.byte();
+    let framing = if options & 1 == 0 {
+        Framing::Stream
+    } else {
+        Framing::Datagram
+    };
+    let fixes = FixSettings {
+        framing,
+        least_quality: f64::from(options >> 1 & 63),
+        ..FixSettings::default()
+    };
+    run(
+        "camera-json",
+        &BrickSettings {
+            fixes,
+            ..BrickSettings::default()
+        },
+        operands,
+    );
+}
+
 fn run(name: &str, settings: &BrickSettings, mut operands: Operands<'_>) {
     let protocol = brick_protocol(name).expect("there is a row of this name");
     let mut codec = (protocol.open)(settings);
@@ -120,7 +145,8 @@ fn run(name: &str, settings: &BrickSettings, mut operands: Operands<'_>) {
         if operation < 128 {
             let bytes = operands.part(usize::from(operation));
             pushed += bytes.len() as u64;
-            codec.push(now, bytes, &mut believe);
+            let peer = PeerId(u32::from(operation & 1));
+            codec.push_from(now, peer, bytes, &mut believe);
         } else {
             now = now + Span::from_millis(i64::from(operation - 127) * 9);
             let is_due = |due: &Stamp<HostClock>| *due <= now;
@@ -188,6 +214,17 @@ fn believe_message(message: &Message) {
                 "{temperature:?}"
             );
         }
+        Message::VisionPosition(fix) => {
+            assert!(fix.x.0.abs() <= 1e5 && fix.y.0.abs() <= 1e5, "{fix:?}");
+            let is_variance = |variance: f64| variance >= 0.0;
+            assert!(
+                fix.covariance.is_none_or(|[xx, _, yy, hh]| {
+                    is_variance(xx) && is_variance(yy) && is_variance(hh)
+                }),
+                "{fix:?}"
+            );
+        }
+        Message::TimeSync(sync) => assert!(sync.answer_nanos > 0, "{sync:?}"),
         other => assert!(
             matches!(other, Message::WheelTicks(_) | Message::Heartbeat(_)),
             "{other:?}"

@@ -19,6 +19,7 @@ pub(crate) fn check(data: &[u8]) {
         payload: &payload[..payload.len().min(255)],
         raw: &[],
     };
+    numbered(data);
     let Ok(Some(message)) = decode(&frame) else {
         return;
     };
@@ -33,4 +34,20 @@ pub(crate) fn check(data: &[u8]) {
         }
     });
     assert_eq!(seen, 1);
+    assert!(numbered(&bytes), "{message:?}");
+}
+
+/// Whether bytes are a frame that can be given another number; then it is still a frame that says the same, else nothing was changed.
+fn numbered(bytes: &[u8]) -> bool {
+    let mut renumbered = bytes.to_vec();
+    let outcome = Encoder::new(WireVersion::V2).renumber(&mut renumbered);
+    let differs = bytes.iter().zip(&renumbered).filter(|(a, b)| a != b);
+    // The number, and the checksum's two bytes.
+    assert!(differs.count() <= 3 && (outcome.is_ok() || renumbered == bytes));
+    if outcome.is_ok() {
+        let mut back = renumbered.clone();
+        assert_eq!(Encoder::new(WireVersion::V2).renumber(&mut back), Ok(()));
+        assert_eq!(back, renumbered, "number 0 stays number 0");
+    }
+    outcome.is_ok()
 }

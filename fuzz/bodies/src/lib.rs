@@ -12,12 +12,14 @@ mod decode;
 mod impairment;
 mod nxt;
 mod operands;
+mod parameters;
 mod recognise;
 mod recording;
 mod routing;
 mod scanner;
 mod session;
 mod signing;
+mod tlog;
 mod url;
 
 /// Every fuzz target. Adding one: a module with its `check`, a line here, and seeds in `fuzz/corpus/<name>/`.
@@ -25,6 +27,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("scanner", scanner::check, 250_000),
     Target::new("decode", decode::check, 1_500_000),
     Target::new("session", session::check, 120_000),
+    Target::new("parameters", parameters::check, 120_000),
     Target::new("url", url::check, 1_500_000),
     Target::new("config", config::check, 90_000),
     Target::new("recognise", recognise::check, 700_000),
@@ -35,7 +38,9 @@ pub const TARGETS: &[Target] = &[
     Target::new("nxt", nxt::check, 150_000),
     Target::new("ev3", codecs::check_ev3, 500_000),
     Target::new("brick", brick::check, 400_000),
+    Target::new("tlog", tlog::check, 60_000),
     Target::new("line", codecs::check_line, 700_000),
+    Target::new("camera_json", codecs::check_camera_json, 200_000),
 ];
 
 /// One untrusted input and what must hold for it.

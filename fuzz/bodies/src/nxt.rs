@@ -1,7 +1,7 @@
-//! Any bytes at any time as what an NXT answers: the codec is never woken for nothing, and asks no more than one question at a time,
-//! with at most one telegram in front of it.
+//! Any bytes at any time as what an NXT answers: the codec is never woken for nothing, never stops asking, and asks no more than one
+//! question at a time, with at most one telegram in front of it.
 
-use posebridge_protocol::bricks::nxt::{NxtFraming, NxtSensor, NxtSettings, Outstanding};
+use posebridge_protocol::bricks::nxt::{NxtSensor, NxtSettings, Outstanding};
 use posebridge_protocol::bricks::{BrickSettings, Heard, brick_protocol};
 use posebridge_telemetry::{Span, Stamp};
 
@@ -14,7 +14,8 @@ const MOST_TELEGRAMS: usize = 4;
 pub(crate) fn check(data: &[u8]) {
     let mut operands = Operands::new(data);
     let choice = operands.byte();
-    let row = if choice & 1 == 0 { "nxt" } else { "nxt-push" };
+    let is_pushed = choice & 1 == 1;
+    let row = if is_pushed { "nxt-push" } else { "nxt" };
     let Some(protocol) = brick_protocol(row) else {
         return;
     };
@@ -27,10 +28,11 @@ pub(crate) fn check(data: &[u8]) {
             telegrams += 1;
             assert!(telegrams <= MOST_TELEGRAMS, "{telegrams} telegrams at once");
         }
-        assert!(
-            codec.deadline().is_some_and(|due| due > now),
-            "nothing to wait for"
-        );
+        // A program that answers no commands is left alone, and waited for until it has been silent for two seconds.
+        match codec.deadline() {
+            Some(due) => assert!(due > now, "due at {due:?}, and it is {now:?}"),
+            None => assert!(is_pushed, "nothing to wait for"),
+        }
         if operands.is_empty() {
             break;
         }
@@ -58,11 +60,6 @@ fn settings(choice: u8) -> BrickSettings {
                 Outstanding::Two
             } else {
                 Outstanding::One
-            },
-            framing: if is(2) {
-                NxtFraming::Bare
-            } else {
-                NxtFraming::Prefixed
             },
             ..NxtSettings::default()
         },

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use flate2::Crc;
-use posebridge_recording::container::{Ending, Header, ReadError, Reader, Writer};
+use posebridge_recording::container::{Ending, Header, ReadError, Reader, Writer, truth};
 use posebridge_telemetry::{HostClock, Input, Stamp};
 
 /// Bit of the first byte: mend the checksums of the messages, so that damage reaches what stands behind them.
@@ -16,8 +16,15 @@ const RECORD_HEADER_BYTES: usize = 9;
 const MESSAGE: u8 = 0x05;
 /// Where channel (2), sequence (4), log time (8) and publish time (8) of a message end.
 const MESSAGE_HEADER_BYTES: usize = 22;
-/// Sequence and log time in a message's header, which its checksum covers: docs/recording-format.md.
-const COVERED: std::ops::Range<usize> = 2..14;
+/// Sequence and log time in a message's header: docs/recording-format.md says how its checksum covers them.
+const SEQUENCE: std::ops::Range<usize> = 2..6;
+const LOG_TIME: std::ops::Range<usize> = 6..14;
+/// Opcode of a chunk, MCAP specification, "Chunk (op=0x06)".
+const CHUNK: u8 = 0x06;
+/// First and last time (8 each), size (8), checksum (4), name of the compression (4 and none), length of the records (8).
+const CHUNK_HEADER_BYTES: usize = 40;
+/// The checksum in it.
+const CHUNK_CHECKSUM: std::ops::Range<usize> = 24..28;
 /// Bytes of the checksum at the end of a message.
 const CHECKSUM_BYTES: usize = 4;
 
@@ -36,6 +43,9 @@ pub(crate) fn check(data: &[u8]) {
     };
     if let Ending::Torn { offset, .. } = reader.ending() {
         assert!(offset <= file.len() as u64);
+    }
+    if let Err(error) = truth(&file) {
+        assert_inside(&error, file.len());
     }
     let header = reader.header().clone();
     let mut inputs = Vec::new();
@@ -56,7 +66,9 @@ pub(crate) fn check(data: &[u8]) {
 fn assert_inside(error: &ReadError, length: usize) {
     assert!(!error.to_string().is_empty());
     let (ReadError::NoHeader { offset, .. }
-    | ReadError::Chunked { offset }
+    | ReadError::Compressed { offset, .. }
+    | ReadError::Chunk { offset, .. }
+    | ReadError::Truth { offset, .. }
     | ReadError::Damaged { offset, .. }
     | ReadError::Message { offset, .. }
     | ReadError::Gap { offset, .. }) = error
@@ -93,31 +105,57 @@ fn write(header: &Header, inputs: &[(Stamp<HostClock>, Input)]) -> Vec<u8> {
     }
 }
 
-/// Gives every whole message the checksum that its bytes ask for.
+/// Gives every whole message, and every chunk, the checksum that its bytes ask for.
 fn mend_checksums(file: &mut [u8]) {
-    let mut rest = file.get_mut(MAGIC_BYTES..).unwrap_or_default();
+    // Since format 3 the times in the file are UTC, and a message's checksum covers the time since the start of the session.
+    let zero = Reader::open(file).map_or(0, |reader| match reader.header().format {
+        ..=2 => 0,
+        _ => reader.header().utc_start_micros * 1_000,
+    });
+    mend_records(file.get_mut(MAGIC_BYTES..).unwrap_or_default(), zero);
+}
+
+fn mend_records(mut rest: &mut [u8], zero: u64) {
     while let Some((header, content)) = rest.split_first_chunk_mut::<RECORD_HEADER_BYTES>() {
         let [opcode, length @ ..] = *header;
         let length = usize::try_from(u64::from_le_bytes(length)).unwrap_or(usize::MAX);
         let Some((body, behind)) = content.split_at_mut_checked(length) else {
             return;
         };
-        if opcode == MESSAGE {
-            mend_message(body);
+        match opcode {
+            MESSAGE => mend_message(body, zero),
+            CHUNK => mend_chunk(body, zero),
+            _ => {}
         }
         rest = behind;
     }
 }
 
-fn mend_message(body: &mut [u8]) {
+/// Of a chunk without compression: its records, then its checksum.
+fn mend_chunk(body: &mut [u8], zero: u64) {
+    let Some((head, records)) = body.split_at_mut_checked(CHUNK_HEADER_BYTES) else {
+        return;
+    };
+    mend_records(records, zero);
+    let mut crc = Crc::new();
+    crc.update(records);
+    head[CHUNK_CHECKSUM].copy_from_slice(&crc.sum().to_le_bytes());
+}
+
+fn mend_message(body: &mut [u8], zero: u64) {
     let Some((head, data)) = body.split_at_mut_checked(MESSAGE_HEADER_BYTES) else {
         return;
     };
     let Some((data, checksum)) = data.split_last_chunk_mut::<CHECKSUM_BYTES>() else {
         return;
     };
+    let (sequence, time) = (&head[SEQUENCE], &head[LOG_TIME]);
+    let mut log_time = [0; 8];
+    log_time.copy_from_slice(time);
+    let since_start = u64::from_le_bytes(log_time).wrapping_sub(zero);
     let mut crc = Crc::new();
-    crc.update(&head[COVERED]);
+    crc.update(sequence);
+    crc.update(&since_start.to_le_bytes());
     crc.update(data);
     *checksum = crc.sum().to_le_bytes();
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use posebridge_protocol::dialect::{MESSAGES, decode};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
-use posebridge_protocol::message::Heartbeat;
+use posebridge_protocol::message::{CommandResult, Heartbeat};
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::{Address, BrickClock, Span, Stamp};
 
@@ -35,9 +35,15 @@ pub(crate) fn check(data: &[u8]) {
             match output {
                 SessionOutput::PeerSeen { peer, .. } => assert!(present.insert(peer)),
                 SessionOutput::PeerLost { peer, .. } => assert!(present.remove(&peer)),
+                SessionOutput::Commanded { by, command } => {
+                    session.answer(by, command.command, CommandResult::Unsupported);
+                }
                 SessionOutput::Send(_)
                 | SessionOutput::TimeExchanged { .. }
                 | SessionOutput::IntervalRequested { .. } => {}
+                SessionOutput::ParameterWish { .. } | SessionOutput::ParameterUnknown { .. } => {
+                    panic!("nothing was offered")
+                }
             }
         }
         assert!(session.deadline().is_some());

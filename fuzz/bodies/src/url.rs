@@ -32,6 +32,10 @@ fn check_link(url: &LinkUrl) {
                 let word = url.option_text(option);
                 assert!(words.contains(&word.as_str()), "{printed:?}");
             }
+            OptionKind::HexDigits { count } => {
+                let digits = url.option_text(option).len();
+                assert!(digits == 0 || digits == count, "{printed:?}");
+            }
         }
     }
 }

@@ -7,15 +7,18 @@
 //! Some bricks speak only when they are asked. Their codec asks: what it wants to send stands in [`BrickCodec::poll`], and
 //! [`BrickCodec::deadline`] says when it wants to be woken for the next question or for an answer that did not come.
 
+mod counters;
 pub mod ev3;
+pub mod fixes;
 pub mod line;
 mod mavlink;
 pub mod nxt;
 mod pulse;
+mod splitter;
 
 use std::fmt;
 
-use posebridge_telemetry::{Address, Defect, HostClock, SourceHealth, Stamp};
+use posebridge_telemetry::{Address, Audience, Defect, HostClock, PeerId, SourceHealth, Stamp};
 
 use crate::framing::{FrameRef, ScanCounters, ScannerConfig};
 use crate::message::Message;
@@ -50,6 +53,11 @@ pub const BRICKS: &[BrickProtocol] = &[
         summary: "lines of text from boards that print: key:value or CSV",
         open: line::open,
     },
+    BrickProtocol {
+        name: "camera-json",
+        summary: "no brick but cameras that say in lines of JSON where the robot is",
+        open: fixes::open,
+    },
 ];
 
 /// One row of [`BRICKS`].
@@ -74,6 +82,8 @@ pub struct BrickSettings {
     pub ev3: ev3::Ev3Settings,
     /// How the lines of a board that prints are laid out.
     pub line: line::LineSettings,
+    /// How cameras that speak JSON are heard.
+    pub fixes: fixes::FixSettings,
 }
 
 /// What a codec heard.
@@ -118,6 +128,17 @@ pub trait BrickCodec: fmt::Debug + Send {
     /// Takes one chunk, which arrived at `now`.
     fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>));
 
+    /// The same for a chunk of one of several peers of a link. A brick is alone on its link; who may have company keeps them apart.
+    fn push_from(
+        &mut self,
+        now: Stamp<HostClock>,
+        _peer: PeerId,
+        bytes: &[u8],
+        sink: &mut dyn FnMut(Heard<'_>),
+    ) {
+        self.push(now, bytes, sink);
+    }
+
     /// When [`BrickCodec::tick`] must be called if nothing comes before.
     fn deadline(&self) -> Option<Stamp<HostClock>>;
 
@@ -126,6 +147,11 @@ pub trait BrickCodec: fmt::Debug + Send {
 
     /// The next bytes that the codec itself wants to send, to be asked for after every other call until there are none.
     fn poll(&mut self) -> Option<Vec<u8>>;
+
+    /// The same with whom the bytes are for.
+    fn poll_to(&mut self) -> Option<(Audience, Vec<u8>)> {
+        self.poll().map(|bytes| (Audience::All, bytes))
+    }
 
     /// Appends the message to `out` and returns how many bytes it took; 0 when the protocol cannot say it, or not now.
     fn encode(

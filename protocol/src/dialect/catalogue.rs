@@ -8,6 +8,7 @@ use std::sync::LazyLock;
 use mavlink::dialects::common;
 use mavlink_core::{MavlinkVersion, Message};
 
+use super::foreign::FOREIGN;
 use super::generated::posebridge;
 
 /// Ids below this are looked up directly; nearly all telemetry has one.
@@ -16,7 +17,47 @@ const DENSE: usize = 512;
 const MAX_PAYLOAD: usize = 255;
 
 /// The catalogue of all dialects that this station speaks.
-pub(crate) static CATALOGUE: LazyLock<Catalogue> = LazyLock::new(Catalogue::build);
+pub(crate) static CATALOGUE: LazyLock<Catalogue> = LazyLock::new(|| Catalogue::build(spoken()));
+/// The same with the messages of foreign dialects.
+pub(crate) static EVERYTHING: LazyLock<Catalogue> = LazyLock::new(|| {
+    let foreign = FOREIGN.iter().map(|message| {
+        let shape = Shape {
+            crc_extra: message.crc_extra,
+            max_len_v1: message.max_len_v1,
+            max_len_v2: message.max_len_v2,
+        };
+        (message.id, shape)
+    });
+    Catalogue::build(spoken().chain(foreign))
+});
+
+/// The name of a message in its definition, also of one of a dialect that is not spoken here; `None` when nobody knows it.
+#[must_use]
+pub fn message_name(id: u32) -> Option<&'static str> {
+    let standard =
+        || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());
+    let own = || {
+        posebridge::MavMessage::default_message_from_id(id).map(|message| message.message_name())
+    };
+    let foreign = || {
+        let index = FOREIGN.binary_search_by_key(&id, |message| message.id);
+        index.ok().and_then(|index| FOREIGN.get(index))
+    };
+    standard()
+        .or_else(own)
+        .or_else(|| foreign().map(|message| message.name))
+}
+
+/// The messages that this station speaks, with their shapes.
+fn spoken() -> impl Iterator<Item = (u32, Shape)> {
+    let standard = common::MavMessage::all_ids()
+        .iter()
+        .filter_map(|&id| Some((id, measure::<common::MavMessage>(id)?)));
+    let own = posebridge::MavMessage::all_ids()
+        .iter()
+        .filter_map(|&id| Some((id, measure::<posebridge::MavMessage>(id)?)));
+    standard.chain(own)
+}
 
 /// What a frame of one message must look like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,17 +79,8 @@ pub(crate) struct Catalogue {
 }
 
 impl Catalogue {
-    fn build() -> Self {
-        let standard = common::MavMessage::all_ids();
-        let own = posebridge::MavMessage::all_ids();
-        let mut shapes: Vec<(u32, Shape)> = standard
-            .iter()
-            .filter_map(|&id| Some((id, measure::<common::MavMessage>(id)?)))
-            .chain(
-                own.iter()
-                    .filter_map(|&id| Some((id, measure::<posebridge::MavMessage>(id)?))),
-            )
-            .collect();
+    fn build(shapes: impl Iterator<Item = (u32, Shape)>) -> Self {
+        let mut shapes: Vec<(u32, Shape)> = shapes.collect();
         shapes.sort_unstable_by_key(|&(id, _)| id);
         let mut dense = Box::new([None; DENSE]);
         for &(id, shape) in shapes.iter().filter(|&&(id, _)| (id as usize) < DENSE) {
@@ -127,6 +159,33 @@ mod tests {
         assert_eq!(CATALOGUE.shape(395).map(|shape| shape.crc_extra), Some(0));
         assert_eq!(CATALOGUE.shape(396 + 40_000), None);
         assert_eq!(CATALOGUE.shape(u32::MAX), None);
+    }
+
+    #[test]
+    fn foreign_messages_shadow_none_that_is_spoken_and_stand_in_the_order_of_their_ids() {
+        assert!(FOREIGN.is_sorted_by(|one, next| one.id < next.id));
+        for message in FOREIGN {
+            assert_eq!(CATALOGUE.shape(message.id), None, "{}", message.name);
+        }
+        // RADIO of ArduPilot, as ardupilotmega.xml defines it.
+        let radio = EVERYTHING.shape(166).unwrap();
+        assert_eq!((radio.crc_extra, radio.max_len_v1), (21, 9));
+        assert_eq!(EVERYTHING.shape(0), CATALOGUE.shape(0));
+    }
+
+    #[test]
+    fn every_message_that_can_be_verified_has_a_name() {
+        assert_eq!(message_name(0), Some("HEARTBEAT"));
+        assert_eq!(message_name(166), Some("RADIO"));
+        assert_eq!(message_name(42_102), Some("PB_PLANAR_POSE"));
+        assert_eq!(message_name(9_999_999), None);
+        for id in 0..100_000 {
+            assert_eq!(
+                EVERYTHING.shape(id).is_some(),
+                message_name(id).is_some(),
+                "{id}"
+            );
+        }
     }
 
     #[test]

@@ -6,26 +6,34 @@
 use mavlink::dialects::common::{
     PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA,
 };
-use posebridge_telemetry::{Address, Span};
+use posebridge_telemetry::Address;
 
 use super::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use super::payload::{Payload, Reader, Writer, millis32, read, somebody, text_from, text_to};
 use super::{Decoded, PayloadError, ids};
 use crate::framing::WireVersion;
 use crate::message::{
-    CommandAck, CommandLong, Heartbeat, Message, SetMessageInterval, TimeSync, WireStamp,
+    CommandAck, CommandInt, CommandLong, Heartbeat, Message, SetMessageInterval, TextPart,
+    TimeSync, WireStamp,
 };
 
 /// MAVLink's own minor version, in every heartbeat.
 const MAVLINK_VERSION: u8 = 3;
 /// MAV_PARAM_TYPE_REAL32.
 const PARAM_TYPE_REAL32: u8 = 9;
+/// The values of MAV_PARAM_TYPE that fit into the slot and are whole numbers.
+mod whole {
+    pub(super) const UINT8: u8 = 1;
+    pub(super) const INT8: u8 = 2;
+    pub(super) const UINT16: u8 = 3;
+    pub(super) const INT16: u8 = 4;
+    pub(super) const UINT32: u8 = 5;
+    pub(super) const INT32: u8 = 6;
+}
 /// Length of a parameter's name.
 const PARAM_NAME: usize = 16;
 /// Length of one chunk of text.
-const STATUS_TEXT: usize = 50;
-/// The largest message id: 24 bits, all of them exact in a 32-bit float.
-const LARGEST_ID: f32 = 16_777_215.0;
+pub(super) const STATUS_TEXT: usize = 50;
 
 pub(super) fn heartbeat(payload: &[u8]) -> Message {
     let mut reader = Reader::new(payload);
@@ -82,21 +90,44 @@ pub(super) fn command_long(payload: &[u8]) -> Message {
     let params: [f32; 7] = reader.f32s();
     let command = reader.u16();
     let target = reader.address();
-    let [id, interval_micros, ..] = params;
-    let names_an_id = (0.0..=LARGEST_ID).contains(&id);
-    if command == COMMAND_SET_MESSAGE_INTERVAL && names_an_id && interval_micros.is_finite() {
-        return Message::SetMessageInterval(SetMessageInterval {
-            target,
-            message_id: id as u32,
-            interval: (interval_micros >= 0.0)
-                .then(|| Span::from_micros(interval_micros.round() as i64)),
-        });
-    }
-    Message::Command(CommandLong {
+    let command = CommandLong {
         target,
         command,
         params,
+    };
+    SetMessageInterval::of(&command).map_or(Message::Command(command), Message::SetMessageInterval)
+}
+
+pub(super) fn command_int(payload: &[u8]) -> Message {
+    let mut reader = Reader::new(payload);
+    let params: [f32; 4] = reader.f32s();
+    let (x, y, z) = (reader.i32(), reader.i32(), reader.f32());
+    let command = reader.u16();
+    let target = reader.address();
+    Message::CommandInt(CommandInt {
+        target,
+        frame: reader.u8(),
+        command,
+        params,
+        x,
+        y,
+        z,
     })
+}
+
+fn write_command_int(version: WireVersion, command: &CommandInt) -> Payload {
+    let (current, autocontinue) = (0, 0);
+    Writer::new()
+        .f32s(&command.params)
+        .i32(command.x)
+        .i32(command.y)
+        .f32(command.z)
+        .u16(command.command)
+        .address(command.target)
+        .u8(command.frame)
+        .u8(current)
+        .u8(autocontinue)
+        .finish(version)
 }
 
 fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
@@ -154,6 +185,10 @@ pub(super) fn status_text(payload: &[u8]) -> Message {
     Message::StatusText {
         severity: reader.u8(),
         text: reader.text::<STATUS_TEXT>(),
+        part: TextPart {
+            text_id: reader.u16(),
+            index: reader.u8(),
+        },
     }
 }
 
@@ -173,24 +208,37 @@ pub(super) fn param_request_read(payload: &[u8]) -> Decoded {
     }))
 }
 
-/// The slot of another type holds other bits; taking them for a float would be a wrong number, not a rounded one.
 pub(super) fn param_set(payload: &[u8]) -> Decoded {
     let mut reader = Reader::new(payload);
-    let value = reader.f32();
+    let slot = reader.f32();
     let target = reader.address();
     let name = reader.text::<PARAM_NAME>();
     let found = reader.u8();
-    if found != PARAM_TYPE_REAL32 {
-        return Err(PayloadError::ParameterType {
-            message_id: ids::PARAM_SET,
-            found,
-        });
-    }
+    let value = param_number(slot, found).ok_or(PayloadError::ParameterType {
+        message_id: ids::PARAM_SET,
+        found,
+    })?;
     Ok(Some(Message::ParamSet {
         target,
         name,
         value,
     }))
+}
+
+/// The number in the slot of a parameter, bytewise: the slot of an integer holds its bits, and taking these for a float would be a
+/// wrong number, not a rounded one. `None` for what does not fit into 32 bits.
+fn param_number(slot: f32, kind: u8) -> Option<f32> {
+    let bits = slot.to_bits();
+    Some(match kind {
+        PARAM_TYPE_REAL32 => slot,
+        whole::UINT8 => f32::from(bits as u8),
+        whole::INT8 => f32::from(bits as u8 as i8),
+        whole::UINT16 => f32::from(bits as u16),
+        whole::INT16 => f32::from(bits as u16 as i16),
+        whole::UINT32 => bits as f32,
+        whole::INT32 => bits as i32 as f32,
+        _ => return None,
+    })
 }
 
 /// A foreign autopilot has integers among its parameters; those are of no use here.
@@ -220,6 +268,7 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
         Message::TimeSync(sync) => (ids::TIMESYNC, write_time_sync(version, sync)),
         Message::SetMessageInterval(wanted) => (ids::COMMAND_LONG, write_interval(version, wanted)),
         Message::Command(command) => (ids::COMMAND_LONG, write_command(version, command)),
+        Message::CommandInt(command) => (ids::COMMAND_INT, write_command_int(version, command)),
         Message::CommandAck(ack) => (ids::COMMAND_ACK, write_ack(version, *ack)),
         Message::SystemTime {
             unix_micros,
@@ -231,8 +280,13 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
             };
             (ids::SYSTEM_TIME, Payload::of(version, &data))
         }
-        Message::StatusText { severity, text } => {
+        Message::StatusText {
+            severity,
+            text,
+            part,
+        } => {
             let writer = Writer::new().u8(*severity).text::<STATUS_TEXT>(text);
+            let writer = writer.extensions().u16(part.text_id).u8(part.index);
             (ids::STATUSTEXT, writer.finish(version))
         }
         _ => return write_parameter(version, message),

@@ -6,8 +6,8 @@ use posebridge_telemetry::Address;
 
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
-use super::{conversation, ids, own, poses, sensors};
-use crate::framing::{START_V1, START_V2, WireVersion, checksum};
+use super::{component, conversation, ids, own, poses, sensors};
+use crate::framing::{START_V1, START_V2, WireVersion, checksum, crc_extra_of};
 use crate::message::Message;
 use crate::signing::{FLAG_SIGNED, Seal};
 
@@ -93,11 +93,94 @@ impl Encoder {
         out.len() - start
     }
 
+    /// Gives a whole frame of somebody else the next number of its sender on this link. Its checksum follows; nothing else changes.
+    ///
+    /// The checksum's seed is found from the old checksum, so that messages of no dialect can be numbered as well.
+    ///
+    /// # Errors
+    /// A frame that cannot be numbered stays as it is.
+    pub fn renumber(&mut self, frame: &mut [u8]) -> Result<(), RenumberError> {
+        let layout = Layout::of(frame).ok_or(RenumberError::NoFrame)?;
+        if layout.is_signed {
+            return Err(RenumberError::Signed);
+        }
+        let Layout {
+            source,
+            sequence_at,
+            end,
+            ..
+        } = layout;
+        let body = frame.get(1..end).ok_or(RenumberError::NoFrame)?;
+        let sum = match frame.get(end..end + 2) {
+            Some(&[low, high]) => u16::from_le_bytes([low, high]),
+            _ => return Err(RenumberError::NoFrame),
+        };
+        let crc_extra = crc_extra_of(body, sum).ok_or(RenumberError::Damaged)?;
+        frame[sequence_at] = self.next_sequence(source);
+        let sum = checksum(&frame[1..end], crc_extra);
+        frame[end..end + 2].copy_from_slice(&sum.to_le_bytes());
+        Ok(())
+    }
+
+    /// Takes note that a frame of somebody else leaves under the number that it came with: his next one here is the next after that.
+    pub fn follow(&mut self, from: Address, sequence: u8) {
+        self.sequences.insert(from, sequence.wrapping_add(1));
+    }
+
     fn next_sequence(&mut self, from: Address) -> u8 {
         let next = self.sequences.entry(from).or_default();
         let sequence = *next;
         *next = next.wrapping_add(1);
         sequence
+    }
+}
+
+/// Why a frame was not numbered anew.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RenumberError {
+    /// The bytes are no whole frame.
+    #[error("the bytes are no whole frame")]
+    NoFrame,
+    /// It is signed: only who has the key may change it.
+    #[error("the frame is signed, and only its sender can sign it under another number")]
+    Signed,
+    /// No CRC_EXTRA makes its checksum right, so no right one can be given to it.
+    #[error("the frame's checksum is right for no message")]
+    Damaged,
+}
+
+/// Whether a whole frame bears a signature; false of what is no frame.
+#[must_use]
+pub fn is_signed(frame: &[u8]) -> bool {
+    Layout::of(frame).is_some_and(|layout| layout.is_signed)
+}
+
+/// Where in a frame that is to be numbered the parts stand.
+struct Layout {
+    source: Address,
+    sequence_at: usize,
+    /// Where the payload ends and the checksum begins.
+    end: usize,
+    is_signed: bool,
+}
+
+impl Layout {
+    fn of(frame: &[u8]) -> Option<Self> {
+        match *frame {
+            [START_V2, len, flags, _, _, system, component, ..] => Some(Self {
+                source: Address::new(system, component),
+                sequence_at: 4,
+                end: 10 + usize::from(len),
+                is_signed: flags & FLAG_SIGNED != 0,
+            }),
+            [START_V1, len, _, system, component, ..] => Some(Self {
+                source: Address::new(system, component),
+                sequence_at: 2,
+                end: 6 + usize::from(len),
+                is_signed: false,
+            }),
+            _ => None,
+        }
     }
 }
 
@@ -113,11 +196,18 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
         Message::RobotDescription(robot) => {
             (ids::PB_ROBOT_DESCRIPTION, own::write_robot(version, robot))
         }
+        Message::AutopilotVersion(_)
+        | Message::ProtocolVersion(_)
+        | Message::ComponentInformation(_)
+        | Message::MessageInterval(_)
+        | Message::NamedValue(_)
+        | Message::FloatArray(_) => return component::write(version, message),
         Message::Heartbeat(_)
         | Message::SystemTime { .. }
         | Message::TimeSync(_)
         | Message::SetMessageInterval(_)
         | Message::Command(_)
+        | Message::CommandInt(_)
         | Message::CommandAck(_)
         | Message::StatusText { .. }
         | Message::ParamRequestList { .. }

@@ -34,6 +34,7 @@ messages! {
     SCALED_PRESSURE = 29,
     ATTITUDE = 30,
     LOCAL_POSITION_NED = 32,
+    COMMAND_INT = 75,
     COMMAND_LONG = 76,
     COMMAND_ACK = 77,
     VISION_POSITION_ESTIMATE = 102,
@@ -41,10 +42,15 @@ messages! {
     TIMESYNC = 111,
     DISTANCE_SENSOR = 132,
     ATT_POS_MOCAP = 138,
+    AUTOPILOT_VERSION = 148,
     ESTIMATOR_STATUS = 230,
+    MESSAGE_INTERVAL = 244,
     NAMED_VALUE_FLOAT = 251,
     STATUSTEXT = 253,
+    PROTOCOL_VERSION = 300,
     ODOMETRY = 331,
+    DEBUG_FLOAT_ARRAY = 350,
+    COMPONENT_INFORMATION_BASIC = 396,
     WHEEL_DISTANCE = 9000,
     PB_WHEEL_TICKS = 42100,
     PB_INERTIAL = 42101,
@@ -53,5 +59,23 @@ messages! {
     PB_ROBOT_DESCRIPTION = 42104,
 }
 
+/// MAV_CMD_GET_MESSAGE_INTERVAL: parameter 1 is the message.
+pub const COMMAND_GET_MESSAGE_INTERVAL: u16 = 510;
+/// MAV_CMD_REQUEST_MESSAGE: parameter 1 is the message, parameter 2 tells it apart from others of its kind.
+pub const COMMAND_REQUEST_MESSAGE: u16 = 512;
 /// MAV_CMD_SET_MESSAGE_INTERVAL, the command that [`crate::message::Message::SetMessageInterval`] is.
 pub const COMMAND_SET_MESSAGE_INTERVAL: u16 = 511;
+/// MAV_CMD_PREFLIGHT_STORAGE; what this and the following mean here is said in [`super::commands`].
+pub const COMMAND_PREFLIGHT_STORAGE: u16 = 245;
+/// MAV_CMD_LOGGING_START.
+pub const COMMAND_LOGGING_START: u16 = 2_510;
+/// MAV_CMD_LOGGING_STOP.
+pub const COMMAND_LOGGING_STOP: u16 = 2_511;
+/// MAV_CMD_USER_1: set the pose.
+pub const COMMAND_SET_POSE: u16 = 31_010;
+/// MAV_CMD_USER_2: forget the pose.
+pub const COMMAND_RESET_POSE: u16 = 31_011;
+/// MAV_CMD_USER_3: freeze, learn or forget the calibration.
+pub const COMMAND_CALIBRATION: u16 = 31_012;
+/// MAV_CMD_USER_4: switch a sensor off or on.
+pub const COMMAND_SOURCE: u16 = 31_013;

@@ -8,8 +8,11 @@
 //! another resolution is converted, text is cut at a character, floats keep the width of the wire.
 
 pub(crate) mod catalogue;
+pub mod commands;
+mod component;
 mod conversation;
 mod encoder;
+mod foreign;
 #[expect(
     warnings,
     reason = "generated code, out of our hands; it is checked by golden bytes"
@@ -20,9 +23,10 @@ mod own;
 mod payload;
 mod poses;
 mod sensors;
-mod spaces;
+pub(crate) mod spaces;
 
-pub use encoder::Encoder;
+pub use catalogue::message_name;
+pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};
 
 use crate::framing::FrameRef;
@@ -54,13 +58,19 @@ pub enum PayloadError {
     },
     /// ODOMETRY in a coordinate frame that has no counterpart here.
     #[error(
-        "message {message_id}: no conversion from MAV_FRAME {frame}; send 1, 4, 20 or 21 with child 8, 12 or 13"
+        "message {message_id}: no conversion from MAV_FRAME {frame}; send 1, 4, 14 to 17, 20 or 21 with child 8, 12 or 13"
     )]
     Space {
         /// The message's id.
         message_id: u32,
         /// MAV_FRAME of the pose or of the speeds.
         frame: u8,
+    },
+    /// ODOMETRY whose sender says that it has failed.
+    #[error("message {message_id}: its quality is negative, the sender says that it has failed")]
+    Failed {
+        /// The message's id.
+        message_id: u32,
     },
     /// WHEEL_DISTANCE for fewer than two wheels.
     #[error("message {message_id}: {count} wheels, at least 2 are needed")]
@@ -96,6 +106,7 @@ impl PayloadError {
             Self::NotFinite { message_id, .. }
             | Self::Temperature { message_id, .. }
             | Self::Space { message_id, .. }
+            | Self::Failed { message_id }
             | Self::TooFewWheels { message_id, .. }
             | Self::ParameterType { message_id, .. }
             | Self::Layout { message_id, .. } => message_id,
@@ -109,7 +120,7 @@ type Decoded = Result<Option<Message>, PayloadError>;
 /// Decodes a verified frame.
 ///
 /// `None` means that the message is of no use here: an id without a row in [`MESSAGES`], a range finder that looks
-/// sideways, a named value that is no temperature, a reading that its sender marks as invalid, an integer parameter.
+/// sideways, a reading that its sender marks as invalid, an integer parameter.
 ///
 /// # Errors
 /// A [`PayloadError`] when the frame is whole but its content makes no sense.
@@ -122,10 +133,16 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::PARAM_REQUEST_LIST => conversation::param_request_list(payload),
         ids::PARAM_VALUE => Ok(conversation::param_value(payload)),
         ids::PARAM_SET => conversation::param_set(payload),
+        ids::COMMAND_INT => Ok(Some(conversation::command_int(payload))),
         ids::COMMAND_LONG => Ok(Some(conversation::command_long(payload))),
         ids::COMMAND_ACK => Ok(Some(conversation::command_ack(payload))),
         ids::TIMESYNC => conversation::time_sync(payload),
         ids::STATUSTEXT => Ok(Some(conversation::status_text(payload))),
+        ids::AUTOPILOT_VERSION => Ok(Some(component::autopilot_version(payload))),
+        ids::PROTOCOL_VERSION => Ok(Some(component::protocol_version(payload))),
+        ids::COMPONENT_INFORMATION_BASIC => Ok(Some(component::component_information(payload))),
+        ids::MESSAGE_INTERVAL => Ok(Some(component::message_interval(payload))),
+        ids::DEBUG_FLOAT_ARRAY => Ok(Some(component::float_array(payload))),
         ids::SCALED_IMU => sensors::scaled_imu(payload),
         ids::SCALED_PRESSURE => sensors::scaled_pressure(payload),
         ids::NAMED_VALUE_FLOAT => sensors::named_value(payload),
@@ -151,9 +168,12 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
 pub(crate) fn stamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
     match frame.message_id {
         // The commonest without one need not be decoded for it.
-        ids::HEARTBEAT | ids::TIMESYNC | ids::COMMAND_LONG | ids::COMMAND_ACK | ids::STATUSTEXT => {
-            None
-        }
+        ids::HEARTBEAT
+        | ids::TIMESYNC
+        | ids::COMMAND_INT
+        | ids::COMMAND_LONG
+        | ids::COMMAND_ACK
+        | ids::STATUSTEXT => None,
         _ => decode(frame).ok().flatten()?.stamp(),
     }
 }

@@ -81,6 +81,10 @@ impl<'a> Reader<'a> {
         i16::from_le_bytes(self.array())
     }
 
+    pub(super) fn i32(&mut self) -> i32 {
+        i32::from_le_bytes(self.array())
+    }
+
     pub(super) fn bytes<const N: usize>(&mut self) -> [u8; N] {
         self.array()
     }
@@ -153,6 +157,10 @@ impl Writer {
     }
 
     pub(super) fn i16(self, value: i16) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    pub(super) fn i32(self, value: i32) -> Self {
         self.raw(&value.to_le_bytes())
     }
 

@@ -2,7 +2,9 @@
 //!
 //! Positions and angles are north-east-down, or forward-right-down where a floor frame has no north; [`super::spaces`]
 //! turns them. ODOMETRY says in its own frame field which it is: MAV_FRAME_LOCAL_NED (1) is the arena, MAV_FRAME_LOCAL_FRD
-//! (20) with child MAV_FRAME_BODY_FRD (12) is a pose that drifts. Source: MAVLink common.xml.
+//! (20) with child MAV_FRAME_BODY_FRD (12) is a pose that drifts, unless the sender says that it looks from outside (estimator type
+//! vision or mocap): then forward is the arena's x. Trackers still send the frames of mocap and vision that are reserved since 2019.
+//! Source: MAVLink common.xml, MAV_FRAME and MAV_ESTIMATOR_TYPE, and their history.
 
 use mavlink::dialects::common::{
     ATT_POS_MOCAP_DATA, ATTITUDE_DATA, ESTIMATOR_STATUS_DATA, EstimatorStatusFlags,
@@ -30,12 +32,21 @@ mod frame {
     pub(super) const BODY_FRD: u8 = 12;
     /// Reserved since 2019, formerly BODY_FLU, still sent.
     pub(super) const BODY_FLU: u8 = 13;
+    /// The four that follow are reserved since 2019, formerly the spaces of trackers, still sent.
+    pub(super) const MOCAP_NED: u8 = 14;
+    pub(super) const MOCAP_ENU: u8 = 15;
+    pub(super) const VISION_NED: u8 = 16;
+    pub(super) const VISION_ENU: u8 = 17;
     pub(super) const LOCAL_FRD: u8 = 20;
     pub(super) const LOCAL_FLU: u8 = 21;
 }
 
 /// MAV_ESTIMATOR_TYPE_UNKNOWN: none of the listed ones is wheels and gyro.
 const ESTIMATOR_UNKNOWN: u8 = 0;
+/// MAV_ESTIMATOR_TYPE_VISION: without inertial sensors, it looks from outside.
+const ESTIMATOR_VISION: u8 = 2;
+/// MAV_ESTIMATOR_TYPE_MOCAP.
+const ESTIMATOR_MOCAP: u8 = 6;
 
 pub(super) fn attitude(payload: &[u8]) -> Decoded {
     let data: ATTITUDE_DATA = read(payload)?;
@@ -132,8 +143,12 @@ pub(super) fn odometry(payload: &[u8]) -> Decoded {
     reader.skip::<{ 4 * TRIANGLE }>();
     let (pose_frame, twist_frame) = (reader.u8(), reader.u8());
     let reset_counter = reader.u8();
-    let _estimator = reader.u8();
+    let estimator = reader.u8();
     let quality = reader.i8();
+    if quality < 0 {
+        let message_id = ids::ODOMETRY;
+        return Err(PayloadError::Failed { message_id });
+    }
 
     let wire = Planar {
         x: finite(ids::ODOMETRY, "x", f64::from(x))?,
@@ -141,6 +156,12 @@ pub(super) fn odometry(payload: &[u8]) -> Decoded {
         angle: finite(ids::ODOMETRY, "q", yaw(attitude).unwrap_or(f64::NAN))?,
     };
     let (pose, covariance) = odometry_pose(pose_frame, wire, planar(&pose_covariance))?;
+    let pose = match pose {
+        OdometryPose::Odom(pose) if matches!(estimator, ESTIMATOR_VISION | ESTIMATOR_MOCAP) => {
+            OdometryPose::Arena(Pose::new(pose.x, pose.y, pose.heading))
+        }
+        pose @ (OdometryPose::Arena(_) | OdometryPose::Odom(_)) => pose,
+    };
     let turn_rate = match twist_frame {
         frame::BODY_FRD | frame::BODY_NED => flip(f64::from(yaw_rate)),
         frame::BODY_FLU => f64::from(yaw_rate),
@@ -167,8 +188,10 @@ fn odometry_pose(
     let arena = |ours: Planar| OdometryPose::Arena(pose_from(ours));
     let odom = |ours: Planar| OdometryPose::Odom(pose_from(ours));
     Ok(match frame {
-        frame::LOCAL_NED => (arena(turn_ned(wire)), covariance.map(turn_ned_covariance)),
-        frame::LOCAL_ENU => (arena(wire), covariance),
+        frame::LOCAL_NED | frame::MOCAP_NED | frame::VISION_NED => {
+            (arena(turn_ned(wire)), covariance.map(turn_ned_covariance))
+        }
+        frame::LOCAL_ENU | frame::MOCAP_ENU | frame::VISION_ENU => (arena(wire), covariance),
         frame::LOCAL_FRD => (odom(turn_frd(wire)), covariance.map(turn_frd_covariance)),
         frame::LOCAL_FLU => (odom(wire), covariance),
         other => return Err(unknown_frame(other)),
@@ -356,4 +379,96 @@ fn fix_covariance(wire: &[f32; TRIANGLE]) -> Option<[f64; 4]> {
 
 fn fix_triangle(covariance: Option<[f64; 4]>) -> [f32; TRIANGLE] {
     triangle(covariance.map(|[xx, xy, yy, hh]| turn_ned_covariance([xx, xy, 0.0, yy, 0.0, hh])))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use super::*;
+    use posebridge_telemetry::{Arena, Odom};
+
+    /// Places of frame, reset counter, estimator type and quality in the payload of ODOMETRY, in wire order (common.xml).
+    const FRAME: usize = 228;
+    const ESTIMATOR: usize = 231;
+    const QUALITY: usize = 232;
+
+    /// The payload of a pose in the arena, with some of its bytes replaced.
+    fn decoded(changes: &[(usize, u8)]) -> Result<Odometry, PayloadError> {
+        let pose = Pose::<Arena>::new(Meters(1.0), Meters(2.0), Heading::from_rad(0.25));
+        let payload = write_odometry(
+            WireVersion::V2,
+            &Odometry {
+                stamp: WireStamp::Micros64(7),
+                pose: OdometryPose::Arena(pose),
+                forward_speed: MetersPerSecond(0.0),
+                turn_rate: RadiansPerSecond(0.0),
+                covariance: None,
+                reset_counter: 9,
+                quality: 80,
+            },
+        );
+        let mut bytes = [0; 255];
+        bytes[..payload.bytes().len()].copy_from_slice(payload.bytes());
+        for (place, byte) in changes {
+            bytes[*place] = *byte;
+        }
+        match odometry(&bytes)? {
+            Some(Message::Odometry(odometry)) => Ok(odometry),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// x, y and heading, rounded to six digits, in the arena.
+    fn in_arena(odometry: &Odometry) -> [f64; 3] {
+        let OdometryPose::Arena(pose) = odometry.pose else {
+            panic!("{:?}", odometry.pose);
+        };
+        [pose.x.0, pose.y.0, pose.heading.rad()].map(|value| (value * 1e6).round() / 1e6)
+    }
+
+    #[test]
+    fn frames_of_trackers_that_are_reserved_today_are_the_arena() {
+        // North 2, east 1 on the wire, clockwise from north.
+        let yaw_rad = ((FRAC_PI_2 - 0.25) * 1e6).round() / 1e6;
+        for frame in [1, 14, 16] {
+            let odometry = decoded(&[(FRAME, frame)]).unwrap();
+            assert_eq!(in_arena(&odometry), [1.0, 2.0, 0.25], "{frame}");
+            assert_eq!((odometry.reset_counter, odometry.quality), (9, 80));
+        }
+        for frame in [4, 15, 17] {
+            let odometry = decoded(&[(FRAME, frame)]).unwrap();
+            assert_eq!(in_arena(&odometry), [2.0, 1.0, yaw_rad], "{frame}");
+        }
+    }
+
+    #[test]
+    fn the_floor_of_who_looks_from_outside_is_the_arena_and_of_others_it_drifts() {
+        let yaw_rad = ((0.25 - FRAC_PI_2) * 1e6).round() / 1e6;
+        for estimator in [ESTIMATOR_VISION, ESTIMATOR_MOCAP] {
+            let odometry = decoded(&[(FRAME, 20), (ESTIMATOR, estimator)]).unwrap();
+            assert_eq!(in_arena(&odometry), [2.0, -1.0, yaw_rad], "{estimator}");
+        }
+        for estimator in [0, 3, 8] {
+            let odometry = decoded(&[(FRAME, 20), (ESTIMATOR, estimator)]).unwrap();
+            let OdometryPose::Odom(pose) = odometry.pose else {
+                panic!("{odometry:?}");
+            };
+            let expected = Pose::<Odom>::new(Meters(2.0), Meters(-1.0), pose.heading);
+            assert_eq!(pose, expected, "{estimator}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_used_says_why() {
+        for (changes, said) in [
+            ([(FRAME, 5)], "MAV_FRAME 5"),
+            ([(FRAME, 18)], "MAV_FRAME 18"),
+            ([(QUALITY, 0xFF)], "it has failed"),
+        ] {
+            let error = decoded(&changes).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
+        assert_eq!(decoded(&[(QUALITY, 0)]).unwrap().quality, 0);
+    }
 }

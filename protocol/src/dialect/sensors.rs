@@ -13,7 +13,7 @@ use super::payload::{Payload, Reader, Writer, micros64, millis32, read};
 use super::spaces::flip;
 use super::{Decoded, PayloadError, finite, ids};
 use crate::framing::WireVersion;
-use crate::message::{Message, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
+use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
 /// Unit of SCALED_IMU.xacc, a thousandth of the standard gravity (CGPM 1901).
 const MILLI_GRAVITY_M_PER_S2: f64 = 9.806_65e-3;
@@ -30,7 +30,7 @@ const QUALITY_INVALID: u8 = 1;
 /// Unit of SCALED_PRESSURE.temperature.
 const CENTIDEGREE_C: f64 = 1e-2;
 /// Bytes of NAMED_VALUE_FLOAT.name.
-const NAME: usize = 10;
+pub(super) const NAME: usize = 10;
 /// A named value whose name begins so is a temperature in degrees Celsius; the definition of the message leaves that to its sender.
 const TEMPERATURE_NAME: &[u8] = b"temp";
 /// Absolute zero (SI brochure, section 2.3.1).
@@ -202,19 +202,24 @@ pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
     }))
 }
 
-/// Named values are for people; those that are temperatures by their names are of use.
+/// Named values are for people; those that are temperatures by their names are those of a thermometer.
 pub(super) fn named_value(payload: &[u8]) -> Decoded {
     let mut reader = Reader::new(payload);
     let stamp = WireStamp::Millis32(reader.u32());
-    let value = f64::from(reader.f32());
+    let value = reader.f32();
     let name = reader.bytes::<NAME>();
+    let channel = ChannelName::from_bytes(&name);
     if !name.starts_with(TEMPERATURE_NAME) {
-        return Ok(None);
+        return Ok(Some(Message::NamedValue(NamedValue {
+            stamp,
+            name: channel,
+            value,
+        })));
     }
-    let degrees_c = finite(ids::NAMED_VALUE_FLOAT, "value", value)?;
+    let degrees_c = finite(ids::NAMED_VALUE_FLOAT, "value", f64::from(value))?;
     Ok(Some(Message::Thermometer {
         stamp,
-        channel: ChannelName::from_bytes(&name),
+        channel,
         temperature: believable(ids::NAMED_VALUE_FLOAT, degrees_c)?,
     }))
 }

@@ -29,10 +29,10 @@ pub(super) const TRIANGLE: usize = 21;
 
 /// A planar pose: two coordinates in metres and an angle in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Planar {
-    pub(super) x: f64,
-    pub(super) y: f64,
-    pub(super) angle: f64,
+pub(crate) struct Planar {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) angle: f64,
 }
 
 /// The value with its sign turned; zero stays the positive zero, whose bytes can be cut off.
@@ -41,7 +41,7 @@ pub(super) fn flip(value: f64) -> f64 {
 }
 
 /// Arena to north-east-down and back.
-pub(super) fn turn_ned(pose: Planar) -> Planar {
+pub(crate) fn turn_ned(pose: Planar) -> Planar {
     Planar {
         x: pose.y,
         y: pose.x,

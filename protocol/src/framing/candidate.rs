@@ -6,8 +6,9 @@
 
 use posebridge_telemetry::Address;
 
+use super::crc::checksum;
 use super::{FrameRef, START_V1, START_V2, WireVersion};
-use crate::dialect::catalogue::{Catalogue, Shape};
+use crate::dialect::catalogue::{Catalogue, EVERYTHING, Shape};
 
 /// Start, length, two flag bytes, sequence, system, component, three bytes of id.
 const HEADER_V2: usize = 10;
@@ -43,6 +44,62 @@ pub(super) enum Candidate {
     Known { header: Header, crc_extra: u8 },
     /// A header with an id of no dialect; the frame may not be whole yet.
     Unknown { header: Header },
+}
+
+/// What the bytes of one supposed frame are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Verified<'a> {
+    /// A frame of any known dialect whose checksum matches.
+    Frame(FrameRef<'a>),
+    /// A whole frame by its length, with an id of no known dialect.
+    Unknown(FrameRef<'a>),
+    /// No frame.
+    Not,
+}
+
+/// Verifies bytes that something else has cut out, a record of a file for instance: they must be exactly one frame. Messages of
+/// foreign dialects are known here, as to [`super::Scanner::of_every_dialect`].
+#[must_use]
+pub fn verify(raw: &[u8]) -> Verified<'_> {
+    match judge(raw, &EVERYTHING) {
+        Candidate::Known { header, crc_extra } if header.total == raw.len() => {
+            let (covered, found) = header.covered(raw);
+            if checksum(covered, crc_extra) == found {
+                Verified::Frame(header.frame(raw))
+            } else {
+                Verified::Not
+            }
+        }
+        Candidate::Unknown { header } if header.total == raw.len() => {
+            Verified::Unknown(header.frame(raw))
+        }
+        Candidate::Known { .. }
+        | Candidate::Unknown { .. }
+        | Candidate::Incomplete
+        | Candidate::Impossible { .. } => Verified::Not,
+    }
+}
+
+/// The frame that these bytes are, by its header alone; `None` if their number is not what it says. For bytes that [`verify`] has
+/// seen, which need not be summed up again.
+#[must_use]
+pub fn verified_before(raw: &[u8]) -> Option<FrameRef<'_>> {
+    match judge(raw, &EVERYTHING) {
+        Candidate::Known { header, .. } | Candidate::Unknown { header }
+            if header.total == raw.len() =>
+        {
+            Some(header.frame(raw))
+        }
+        Candidate::Known { .. }
+        | Candidate::Unknown { .. }
+        | Candidate::Incomplete
+        | Candidate::Impossible { .. } => None,
+    }
+}
+
+/// Whether a whole frame bears a signature.
+pub(super) const fn is_signed(raw: &[u8]) -> bool {
+    matches!(*raw, [START_V2, _, flags, ..] if flags & FLAG_SIGNED != 0)
 }
 
 /// Judges `bytes`, which begin with a start byte of the version.
@@ -95,7 +152,7 @@ fn judge_v2(rest: &[u8], catalogue: &Catalogue) -> Candidate {
         payload_len,
         total: HEADER_V2 + payload_len + CHECKSUM + signature,
     };
-    with_shape(header, length, catalogue, |shape| shape.max_len_v2)
+    with_shape(header, catalogue, |shape| length <= shape.max_len_v2)
 }
 
 fn judge_v1(rest: &[u8], catalogue: &Catalogue) -> Candidate {
@@ -111,23 +168,22 @@ fn judge_v1(rest: &[u8], catalogue: &Catalogue) -> Candidate {
         payload_len,
         total: HEADER_V1 + payload_len + CHECKSUM,
     };
-    with_shape(header, length, catalogue, |shape| shape.max_len_v1)
+    // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there, but pymavlink
+    // sends them when it is told to speak version 1.
+    with_shape(header, catalogue, |shape| {
+        length == shape.max_len_v1 || length == shape.max_len_v2
+    })
 }
 
 #[inline]
-fn with_shape(
-    header: Header,
-    length: u8,
-    catalogue: &Catalogue,
-    max_len: fn(&Shape) -> u8,
-) -> Candidate {
+fn with_shape(header: Header, catalogue: &Catalogue, fits: impl Fn(&Shape) -> bool) -> Candidate {
     let Some(shape) = catalogue.shape(header.message_id) else {
         return Candidate::Unknown { header };
     };
-    if length > max_len(&shape) {
+    if !fits(&shape) {
         return Candidate::Impossible {
             message_id: header.message_id,
-            length,
+            length: header.payload_len as u8,
         };
     }
     Candidate::Known {
@@ -168,5 +224,48 @@ impl Header {
             WireVersion::V1 => HEADER_V1,
             WireVersion::V2 => HEADER_V2,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A version 1 frame with a right checksum.
+    fn v1(id: u8, crc_extra: u8, payload: usize) -> Vec<u8> {
+        let mut raw = vec![START_V1, payload as u8, 0, 1, 1, id];
+        raw.resize(HEADER_V1 + payload, 7);
+        let sum = checksum(&raw[1..], crc_extra);
+        raw.extend(sum.to_le_bytes());
+        raw
+    }
+
+    fn is_frame(raw: &[u8]) -> bool {
+        matches!(verify(raw), Verified::Frame(_))
+    }
+
+    #[test]
+    fn a_version_1_frame_has_the_length_of_its_definition() {
+        // HEARTBEAT has no extension fields, COMMAND_ACK (77) has 7 bytes of them.
+        assert!(is_frame(&v1(0, 50, 9)));
+        assert!(!is_frame(&v1(0, 50, 8)) && !is_frame(&v1(0, 50, 10)));
+        assert!(is_frame(&v1(77, 143, 3)) && is_frame(&v1(77, 143, 10)));
+        assert!(!is_frame(&v1(77, 143, 5)));
+    }
+
+    #[test]
+    fn what_is_verified_is_exactly_one_frame_of_any_dialect() {
+        // RADIO of ardupilotmega.xml.
+        let radio = v1(166, 21, 9);
+        assert!(is_frame(&radio));
+        assert_eq!(verified_before(&radio).unwrap().message_id, 166);
+        assert_eq!(verify(&[&radio[..], &[0]].concat()), Verified::Not);
+        assert_eq!(verify(&radio[..radio.len() - 1]), Verified::Not);
+        assert_eq!(verify(&[]), Verified::Not);
+        let mut damaged = radio;
+        damaged[7] ^= 1;
+        assert_eq!(verify(&damaged), Verified::Not);
+        let unknown = v1(255, 0, 4);
+        assert!(matches!(verify(&unknown), Verified::Unknown(frame) if !frame.is_signed()));
     }
 }

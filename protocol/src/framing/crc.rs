@@ -77,6 +77,13 @@ pub fn checksum(bytes: &[u8], crc_extra: u8) -> u16 {
     step(widest(START, bytes), crc_extra)
 }
 
+/// The CRC_EXTRA with which `bytes` have this checksum; `None` if there is none. There is never more than one, because the last
+/// step of the sum takes every byte to another remainder.
+pub(crate) fn crc_extra_of(bytes: &[u8], sum: u16) -> Option<u8> {
+    let before = widest(START, bytes);
+    (0..=u8::MAX).find(|extra| step(before, *extra) == sum)
+}
+
 #[inline]
 fn step(crc: u16, byte: u8) -> u16 {
     (crc >> 8) ^ TABLES[0][usize::from((crc as u8) ^ byte)]

@@ -19,6 +19,8 @@ mod scanner;
 mod sequence;
 mod tentative;
 
+pub use candidate::{Verified, verified_before, verify};
+pub(crate) use crc::crc_extra_of;
 pub use crc::{Crc, checksum};
 pub use scanner::Scanner;
 pub use sequence::SequenceTracker;
@@ -122,6 +124,14 @@ pub struct FrameRef<'a> {
     pub payload: &'a [u8],
     /// The whole frame, start byte to checksum or signature.
     pub raw: &'a [u8],
+}
+
+impl FrameRef<'_> {
+    /// Whether it bears a signature, whoever made it.
+    #[must_use]
+    pub fn is_signed(&self) -> bool {
+        candidate::is_signed(self.raw)
+    }
 }
 
 /// What a scanner finds.

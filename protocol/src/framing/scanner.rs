@@ -21,7 +21,7 @@ use super::candidate::{Candidate, Header, judge};
 use super::crc::checksum;
 use super::tentative::{Claim, Claims};
 use super::{Framing, START_V1, START_V2, ScanCounters, Scanned, ScannerConfig};
-use crate::dialect::catalogue::{CATALOGUE, Catalogue};
+use crate::dialect::catalogue::{CATALOGUE, Catalogue, EVERYTHING};
 
 /// Who is told what was found.
 type Sink<'s> = dyn FnMut(Scanned<'_>) + 's;
@@ -96,6 +96,16 @@ impl Scanner {
             last_byte: Stamp::ZERO,
             is_overdue: false,
             counters: ScanCounters::default(),
+        }
+    }
+
+    /// One that verifies the messages of foreign dialects as well: for looking at recordings. A live link passes them on unverified,
+    /// because its peers may speak a newer version of theirs.
+    #[must_use]
+    pub fn of_every_dialect(config: ScannerConfig) -> Self {
+        Self {
+            catalogue: &EVERYTHING,
+            ..Self::new(config)
         }
     }
 

@@ -43,8 +43,8 @@ pub(super) enum Key {
 }
 
 /// The key of a frame's bytes.
-pub(super) fn frame_key(frame: &FrameRef<'_>) -> Key {
-    Key::Frame(hash(BASIS, frame.raw))
+pub(super) fn frame_key(frame: &[u8]) -> Key {
+    Key::Frame(hash(BASIS, frame))
 }
 
 /// The key of what a frame says, within a group of redundant links.

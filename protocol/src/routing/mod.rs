@@ -46,8 +46,6 @@ use crate::framing::FrameRef;
 pub const ROUTE_LIFETIME: Span = routes::LIFETIME;
 /// Most peers of a link that are told apart, and as many routes and senders: what a UDP port remembers.
 pub const MOST_PEERS: usize = 4_096;
-/// COMMAND_INT of common.xml.
-const COMMAND_INT: u32 = 75;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
 
@@ -132,6 +130,13 @@ impl Router {
         self.own_words.say(frame);
     }
 
+    /// The station says this frame in the name of somebody who is heard by `way`: when it comes back by another way, it is a copy.
+    ///
+    /// His own frames stay his own, even one with the same bytes, as long as they come by that way.
+    pub fn say_for(&mut self, now: Stamp<HostClock>, way: Way, frame: &[u8]) {
+        self.duplicates.note(now, way, frame_key(frame));
+    }
+
     /// Whether a link's inward filter lets a frame in: one that it does not is neither believed nor passed on.
     #[must_use]
     pub fn admits(&self, link: LinkId, frame: &FrameRef<'_>) -> bool {
@@ -205,7 +210,7 @@ impl Router {
     /// Takes note of a frame and says whether it came by another way before. By the bytes and by what they say that may be two
     /// ways; what a redundant link has brought is no news, even if a detour was quicker still.
     fn occurrence(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>) -> Occurrence {
-        let by_bytes = self.duplicates.note(now, from, frame_key(frame));
+        let by_bytes = self.duplicates.note(now, from, frame_key(frame.raw));
         let by_content = self
             .group(from.link)
             .filter(|_| is_stamped(frame.message_id))
@@ -301,7 +306,7 @@ impl Router {
 pub fn priority_of(frame: &FrameRef<'_>) -> Priority {
     let is_command = matches!(
         frame.message_id,
-        COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL
+        ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL
     );
     if is_command && target_of(frame.message_id, frame.payload) != Target::Everybody {
         Priority::Command

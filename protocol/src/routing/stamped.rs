@@ -35,6 +35,7 @@ const STAMPED: &[u32] = &[
     ids::ESTIMATOR_STATUS,
     ids::NAMED_VALUE_FLOAT,
     ids::ODOMETRY,
+    ids::DEBUG_FLOAT_ARRAY,
     ids::WHEEL_DISTANCE,
     ids::PB_WHEEL_TICKS,
     ids::PB_INERTIAL,

@@ -1,15 +1,17 @@
 //! Who is there, what time is it there, and please send me this: the conversation beside the telemetry.
 //!
 //! A session is one participant's part of it, for one link: heartbeats, peers, TIMESYNC, message intervals and the answers
-//! to commands. It is a value without IO: it gets time and messages, it gives messages and events, and says when it wants
+//! to commands, and parameters. It is a value without IO: it gets time and messages, it gives messages and events, and says when it wants
 //! to be woken. The station, the simulated brick and the simulated camera all run the same one, each in its own clock.
 //!
-//! It does not estimate clock offsets (it reports exchanges), does not parse bytes, and knows no parameter.
+//! It does not estimate clock offsets (it reports exchanges), does not parse bytes, and does not know what a parameter or a command
+//! means.
 //!
 //! # Sources
 //! MAVLink guide: "Heartbeat/Connection Protocol", "Time Synchronization Protocol v2", "Command Protocol", and the command
 //! MAV_CMD_SET_MESSAGE_INTERVAL of common.xml.
 
+mod parameters;
 mod peers;
 mod time_requests;
 
@@ -18,18 +20,13 @@ use std::collections::VecDeque;
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, ComponentId, Span, Stamp};
 
+use self::parameters::Parameters;
 use self::peers::Peers;
 use self::time_requests::TimeRequests;
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
-use crate::message::{CommandAck, CommandLong, Heartbeat, Message, SetMessageInterval, TimeSync};
-
-/// MAV_RESULT values that are sent or understood.
-mod result {
-    pub(super) const ACCEPTED: u8 = 0;
-    pub(super) const TEMPORARILY_REJECTED: u8 = 1;
-    pub(super) const UNSUPPORTED: u8 = 3;
-    pub(super) const IN_PROGRESS: u8 = 5;
-}
+use crate::message::{
+    CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync,
+};
 
 /// Shorter periods than this are taken as this, so that a zero in a configuration cannot spin.
 const SHORTEST_PERIOD: Span = Span::from_millis(1);
@@ -51,6 +48,16 @@ pub struct SessionConfig {
     pub wanted: Vec<(u32, Span)>,
     /// Messages whose interval others may set; a request for any other is answered as unsupported.
     pub offered: Vec<u32>,
+}
+
+/// Whether a [`Session`] shows that it is there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Presence {
+    /// It sends heartbeats.
+    #[default]
+    Shown,
+    /// It sends none, because what it speaks for is not there: others must see that. It answers all the same.
+    Withheld,
 }
 
 /// What a [`Session`] wants done or known.
@@ -92,6 +99,31 @@ pub enum SessionOutput<C: Clock> {
         /// The interval; `None` stops the message, zero asks for our default.
         interval: Option<Span>,
     },
+    /// Somebody commands us alone, or all of our system something that we serve. Whoever owns the session says with
+    /// [`Session::answer`] what became of it; [`CommandResult::Unsupported`] if nobody takes it.
+    Commanded {
+        /// Who commands.
+        by: Address,
+        /// The command, known to us or not; COMMAND_INT comes in this form, too.
+        command: CommandLong,
+    },
+    /// Somebody wants one of our parameters to have another value; what stands afterwards must be told with
+    /// [`Session::parameter_stands`].
+    ParameterWish {
+        /// Who asks.
+        by: Address,
+        /// Which of those that were offered.
+        index: usize,
+        /// The value, any bits.
+        value: f32,
+    },
+    /// Somebody asks us alone for a parameter that we do not have; nothing is answered.
+    ParameterUnknown {
+        /// Who asks.
+        by: Address,
+        /// The name or the index that was asked for, as it came.
+        asked: String,
+    },
 }
 
 /// One participant's part of the conversation on one link, in its own clock `C`.
@@ -100,8 +132,12 @@ pub struct Session<C: Clock> {
     config: SessionConfig,
     latest: Stamp<C>,
     next_heartbeat: Stamp<C>,
+    presence: Presence,
     time_requests: TimeRequests<C>,
     peers: Peers<C>,
+    parameters: Parameters<C>,
+    /// Commands that are passed on.
+    served: &'static [u16],
     outputs: VecDeque<SessionOutput<C>>,
 }
 
@@ -112,11 +148,30 @@ impl<C: Clock> Session<C> {
         Self {
             time_requests: TimeRequests::new(config.timesync_period, now),
             peers: Peers::new(config.peer_timeout),
+            parameters: Parameters::none(),
+            served: &[],
             latest: now,
             next_heartbeat: now,
+            presence: Presence::Shown,
             outputs: VecDeque::new(),
             config,
         }
+    }
+
+    /// Offers parameters by these names, at most sixteen bytes each, with these values. Their number and order must not change.
+    pub fn offer_parameters(&mut self, named: impl Iterator<Item = (String, f32)>) {
+        self.parameters.offer(named);
+    }
+
+    /// This value of an offered parameter stands now, whether anything changed or not. What is to be sent to all on this link, if
+    /// anybody there has ever asked.
+    pub fn parameter_stands(&mut self, index: usize, value: f32) -> Option<Message> {
+        self.parameters.stand(index, value)
+    }
+
+    /// Passes these commands on, as [`SessionOutput::Commanded`], also when they are for all components of our system.
+    pub const fn serve_commands(&mut self, served: &'static [u16]) {
+        self.served = served;
     }
 
     /// Takes a message that arrived at `now`. Our own messages, coming back from a link that echoes, are ignored.
@@ -134,8 +189,22 @@ impl<C: Clock> Session<C> {
             Message::Heartbeat(heartbeat) => self.on_heartbeat(now, from, *heartbeat),
             Message::TimeSync(sync) => self.on_time_sync(now, from, *sync),
             Message::SetMessageInterval(wanted) => self.on_interval(from, *wanted),
-            Message::Command(command) => self.on_command(from, command),
+            Message::Command(command) => self.on_command(from, *command),
+            Message::CommandInt(command) => {
+                let command = command.to_long();
+                match SetMessageInterval::of(&command) {
+                    Some(wanted) => self.on_interval(from, wanted),
+                    None => self.on_command(from, command),
+                }
+            }
             Message::CommandAck(ack) => self.on_ack(now, from, *ack),
+            Message::ParamRequestList { .. }
+            | Message::ParamRequestRead { .. }
+            | Message::ParamSet { .. } => {
+                let own = self.config.own;
+                let output = self.parameters.handle(now, (own, from), message);
+                self.outputs.extend(output);
+            }
             _ => {}
         }
     }
@@ -146,11 +215,24 @@ impl<C: Clock> Session<C> {
         self.peers.heard(now, from);
     }
 
+    /// Whether heartbeats are sent from now on; the beat stays the same.
+    pub const fn show(&mut self, presence: Presence) {
+        self.presence = presence;
+    }
+
+    /// What is said in a heartbeat; `None` while they are withheld.
+    #[must_use]
+    pub fn shown_heartbeat(&self) -> Option<Heartbeat> {
+        (self.presence == Presence::Shown).then_some(self.config.heartbeat)
+    }
+
     /// Does what is due at `now`.
     pub fn tick(&mut self, now: Stamp<C>) {
         self.follow_clock(now);
         if now >= self.next_heartbeat {
-            self.send(Message::Heartbeat(self.config.heartbeat));
+            if self.presence == Presence::Shown {
+                self.send(Message::Heartbeat(self.config.heartbeat));
+            }
             let period = self.config.heartbeat_period.max(SHORTEST_PERIOD);
             self.next_heartbeat = next_after(self.next_heartbeat, period, now);
         }
@@ -165,6 +247,8 @@ impl<C: Clock> Session<C> {
                 target: None,
             }));
         }
+        let listed = self.parameters.due(now);
+        self.outputs.extend(listed.map(SessionOutput::Send));
         for (target, index) in self.peers.due_requests(now, self.config.wanted.len()) {
             let (message_id, interval) = self.config.wanted[index];
             self.send(Message::SetMessageInterval(SetMessageInterval {
@@ -183,8 +267,11 @@ impl<C: Clock> Session<C> {
     /// When to call [`Session::tick`]. There is always a next heartbeat.
     #[must_use]
     pub fn deadline(&self) -> Option<Stamp<C>> {
-        [self.time_requests.deadline(), self.peers.deadline()]
+        let requests = [self.time_requests.deadline(), self.peers.deadline()];
+        let listing = self.parameters.deadline();
+        requests
             .into_iter()
+            .chain([listing])
             .flatten()
             .chain([self.next_heartbeat])
             .min()
@@ -195,6 +282,20 @@ impl<C: Clock> Session<C> {
         self.follow_clock(now);
         self.peers.request_again(now, peer);
         self.time_requests.hurry(now);
+    }
+
+    /// Tells who has sent a command what became of it.
+    pub fn answer(&mut self, to: Address, command: u16, result: CommandResult) {
+        self.send(Message::CommandAck(CommandAck {
+            command,
+            result: result as u8,
+            target: Some(to),
+        }));
+    }
+
+    /// Sends a message of its owner's, behind what it has to say already.
+    pub fn say(&mut self, message: Message) {
+        self.send(message);
     }
 
     fn send(&mut self, message: Message) {
@@ -239,10 +340,10 @@ impl<C: Clock> Session<C> {
             return;
         }
         if !self.config.offered.contains(&wanted.message_id) {
-            self.acknowledge(by, COMMAND_SET_MESSAGE_INTERVAL, result::UNSUPPORTED);
+            self.answer(by, COMMAND_SET_MESSAGE_INTERVAL, CommandResult::Unsupported);
             return;
         }
-        self.acknowledge(by, COMMAND_SET_MESSAGE_INTERVAL, result::ACCEPTED);
+        self.answer(by, COMMAND_SET_MESSAGE_INTERVAL, CommandResult::Accepted);
         self.outputs.push_back(SessionOutput::IntervalRequested {
             by,
             message_id: wanted.message_id,
@@ -250,30 +351,27 @@ impl<C: Clock> Session<C> {
         });
     }
 
-    fn on_command(&mut self, from: Address, command: &CommandLong) {
+    fn on_command(&mut self, by: Address, command: CommandLong) {
+        let is_for_our_system = command.target.system == self.config.own.system
+            && self.is_us_or_all(command.target)
+            && self.served.contains(&command.command);
         // Only when meant for us alone: for a command to all components, another one may have the better answer.
-        if command.target == self.config.own {
-            self.acknowledge(from, command.command, result::UNSUPPORTED);
+        if command.target == self.config.own || is_for_our_system {
+            self.outputs
+                .push_back(SessionOutput::Commanded { by, command });
         }
     }
 
     fn on_ack(&mut self, now: Stamp<C>, from: Address, ack: CommandAck) {
         let is_for_us = ack.target.is_none_or(|target| self.is_us_or_all(target));
-        let is_final = !matches!(
-            ack.result,
-            result::TEMPORARILY_REJECTED | result::IN_PROGRESS
-        );
+        let goes_on = [
+            CommandResult::TemporarilyRejected,
+            CommandResult::InProgress,
+        ];
+        let is_final = goes_on.iter().all(|result| *result as u8 != ack.result);
         if is_for_us && is_final && ack.command == COMMAND_SET_MESSAGE_INTERVAL {
             self.peers.request_answered(now, from);
         }
-    }
-
-    fn acknowledge(&mut self, to: Address, command: u16, result: u8) {
-        self.send(Message::CommandAck(CommandAck {
-            command,
-            result,
-            target: Some(to),
-        }));
     }
 
     fn is_us_or_all(&self, target: Address) -> bool {
@@ -290,6 +388,7 @@ impl<C: Clock> Session<C> {
             self.next_heartbeat = self.next_heartbeat - fall;
             self.time_requests.set_back(fall);
             self.peers.set_back(fall);
+            self.parameters.set_back(fall);
         }
         self.latest = now;
     }

@@ -7,6 +7,7 @@ import importlib.util
 import json
 import math
 import os
+import struct
 import sys
 import tempfile
 
@@ -121,6 +122,32 @@ def conversation_cases(std):
         std, "param_value", 1, 197, 14, param_id=b"GATE_SIGMA", param_value=3.0, param_type=9, param_count=40, param_index=17)
 
 
+def request_cases(std):
+    """What a ground station asks: integers bytewise in the slot of a parameter, and the commands that are served."""
+    def whole(pattern, value):
+        return struct.unpack("<f", struct.pack(pattern, value).ljust(4, b"\0"))[0]
+
+    for kind, pattern, value in [(1, "<B", 200), (2, "<b", -3), (3, "<H", 40000), (4, "<h", -300), (5, "<I", 70000), (6, "<i", -5)]:
+        yield f"param_set_of_type_{kind}", frame(
+            std, "param_set", 255, 190, 15, target_system=1, target_component=197, param_id=b"reset_after_n",
+            param_value=whole(pattern, value), param_type=kind)
+    yield "param_set_of_type_10", frame(
+        std, "param_set", 255, 190, 15, target_system=1, target_component=197, param_id=b"reset_after_n", param_value=1.0, param_type=10)
+    for command, params in [
+        ("MAV_CMD_PREFLIGHT_STORAGE", [1.0]),
+        ("MAV_CMD_LOGGING_START", []),
+        ("MAV_CMD_LOGGING_STOP", []),
+        ("MAV_CMD_USER_1", [3.0, 2.0, 90.0, 0.25, 45.0]),
+        ("MAV_CMD_USER_2", []),
+        ("MAV_CMD_USER_3", [2.0]),
+        ("MAV_CMD_USER_4", [3.0, 1.0]),
+    ]:
+        params = dict(zip((f"param{n}" for n in range(1, 8)), params + [0.0] * 7))
+        yield command.lower(), frame(
+            std, "command_long", 255, 190, 16, target_system=1, target_component=197, command=getattr(std, command), confirmation=0,
+            **params)
+
+
 def sensor_cases(std):
     distance = [0.0] * 16
     distance[0], distance[1] = 12.345678901, -0.5
@@ -196,6 +223,34 @@ def pose_cases(std):
     yield "estimator_status_dead_reckoning", frame(std, "estimator_status", 1, 197, 33, flags=1 | 8, **status)
 
 
+def component_cases(std):
+    nothing = [0] * 8
+    yield "autopilot_version", frame(
+        std, "autopilot_version", 1, 1, 43, capabilities=0x2018, flight_sw_version=0x01020380, middleware_sw_version=0,
+        os_sw_version=0, board_version=0, flight_custom_version=nothing, middleware_custom_version=nothing,
+        os_custom_version=nothing, vendor_id=0, product_id=0, uid=0)
+    yield "protocol_version", frame(
+        std, "protocol_version", 1, 197, 44, version=200, min_version=100, max_version=200,
+        spec_version_hash=nothing, library_version_hash=nothing)
+    yield "component_information_basic", frame(
+        std, "component_information_basic", 1, 197, 45, capabilities=0x2018, time_boot_ms=123456, time_manufacture_s=0,
+        vendor_name=b"an open source project", model_name=b"thirty-one bytes of a model nam", software_version=b"1.2.3-rc.1",
+        hardware_version=b"", serial_number=b"")
+    yield "message_interval", frame(std, "message_interval", 1, 197, 46, message_id=331, interval_us=200000)
+    yield "message_interval_disabled", frame(std, "message_interval", 1, 197, 47, message_id=42102, interval_us=-1)
+    data = [0.0] * 58
+    data[0], data[2], data[5] = 1.5, -0.25, 1e-9
+    yield "debug_float_array", frame(
+        std, "debug_float_array", 1, 197, 48, time_usec=5000001, name=b"tencharact", array_id=3, data=data)
+    yield "debug_float_array_empty", frame(
+        std, "debug_float_array", 1, 197, 49, time_usec=5000001, name=b"camera", array_id=65535, data=[0.0] * 58)
+    yield "command_int", frame(
+        std, "command_int", 255, 190, 50, target_system=1, target_component=197, frame=20, command=65000, current=0,
+        autocontinue=0, param1=1.0, param2=2.0, param3=3.0, param4=-4.0, x=-2147483648, y=70000, z=7.5)
+    yield "statustext_second_part", frame(
+        std, "statustext", 1, 197, 51, severity=6, text=b"of two", id=513, chunk_seq=1)
+
+
 def v1_cases(std):
     yield "v1_heartbeat", frame(std, "heartbeat", 1, 1, 0, **HEARTBEAT)
     yield "v1_attitude", frame(std, "attitude", 1, 1, 1, **ATTITUDE)
@@ -208,7 +263,7 @@ def main():
     std_v1 = load(sys.argv[2], "1.0")
     cases = {}
     for group in (own_cases(own), conversation_cases(std), sensor_cases(std), pose_cases(std), v1_cases(std_v1),
-                  thermometer_cases(std)):
+                  thermometer_cases(std), request_cases(std), component_cases(std)):
         cases.update(group)
     json.dump(cases, sys.stdout, indent=1)
     print()

@@ -1,7 +1,7 @@
 //! Bytes of LEGO's developer kit and of the firmware's interface files, written by hand from their tables.
 
 use posebridge_protocol::bricks::nxt::{
-    Answer, MotorPort, NxtFraming, NxtSensor, NxtSettings, OutputState, framed, message_write,
+    Answer, MotorPort, NxtSensor, NxtSettings, OutputState, framed, message_write,
     set_output_state, start_program, stop_program,
 };
 use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
@@ -53,15 +53,18 @@ fn inputs_reply() -> Vec<u8> {
     reply
 }
 
-/// Port 4's compass has answered 2 * 100 + 1 degrees.
-fn buffers_reply() -> Vec<u8> {
+/// Port 4's compass has answered so many times, 2 * 100 + 1 degrees.
+fn buffers_reply(answers: u8) -> Vec<u8> {
     let mut reply = vec![
         0x55, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x0B, 0x00, 0x4C, 0x00,
     ];
     let data = reply.len();
     reply.resize(data + 76, 0);
-    reply[data + 57..data + 59].copy_from_slice(&[0x64, 0x01]);
-    reply[data + 73] = 2;
+    for answer in 0..usize::from(answers) {
+        let at = data + 57 + 2 * answer;
+        reply[at..at + 2].copy_from_slice(&[0x64, 0x01]);
+    }
+    reply[data + 73] = 2 * answers;
     reply
 }
 
@@ -84,10 +87,12 @@ fn transcript() -> Vec<(Vec<&'static [u8]>, Vec<u8>)> {
         (vec![INPUTS_REQUEST], inputs_reply()),
         (vec![ask_compass, MOTORS_REQUEST], motors_reply()),
         (vec![INPUTS_REQUEST], inputs_reply()),
-        (vec![BUFFERS_REQUEST], buffers_reply()),
+        // It may be of any time.
+        (vec![BUFFERS_REQUEST], buffers_reply(1)),
         (vec![MOTORS_REQUEST], motors_reply()),
         // A tenth of a second after the last time.
         (vec![ask_compass, INPUTS_REQUEST], inputs_reply()),
+        (vec![BUFFERS_REQUEST], buffers_reply(2)),
     ]
 }
 
@@ -162,7 +167,7 @@ fn every_answer_means_this_in_chunks_of_every_size() {
             messages,
             times,
         } = play(chunk);
-        assert_eq!(asked.len(), 17, "chunk size {chunk}");
+        assert_eq!(asked.len(), 18, "chunk size {chunk}");
         assert_eq!(times.first(), Some(&(30_000_000, 0x12345 * 1_000_000)));
         assert_eq!(times.len(), 3);
         let ticks: Vec<_> = messages
@@ -209,10 +214,7 @@ fn commands_to_drive_are_these_bytes() {
         tacho_limit: 360,
         ..OutputState::run(MotorPort::C, 75)
     };
-    let bytes = framed(
-        &set_output_state(&state, Answer::Unwanted),
-        NxtFraming::Prefixed,
-    );
+    let bytes = framed(&set_output_state(&state, Answer::Unwanted));
     let expected = [
         0x0C, 0x00, 0x80, 0x04, 0x02, 0x4B, 0x07, 0x01, 0x00, 0x20, 0x68, 0x01, 0x00, 0x00,
     ];
@@ -229,10 +231,7 @@ fn commands_to_drive_are_these_bytes() {
 
 #[test]
 fn commands_to_programs_are_these_bytes() {
-    let start = framed(
-        &start_program("pose.rxe", Answer::Wanted),
-        NxtFraming::Prefixed,
-    );
+    let start = framed(&start_program("pose.rxe", Answer::Wanted));
     let mut expected = vec![0x16, 0x00, 0x00, 0x00];
     expected.extend_from_slice(b"pose.rxe");
     expected.extend_from_slice(&[0; 12]);
@@ -243,12 +242,11 @@ fn commands_to_programs_are_these_bytes() {
     assert_eq!(stop_program(Answer::Unwanted), [0x80, 0x01]);
 
     let message = message_write(3, b"hi", Answer::Unwanted).unwrap();
-    let bytes = framed(&message, NxtFraming::Prefixed);
+    let bytes = framed(&message);
     assert_eq!(
         bytes,
         [0x07, 0x00, 0x80, 0x09, 0x03, 0x03, b'h', b'i', 0x00]
     );
-    assert_eq!(framed(&message, NxtFraming::Bare), message);
     assert!(message_write(3, &[0; 58], Answer::Wanted).is_some());
     assert!(message_write(3, &[0; 59], Answer::Wanted).is_none());
 }

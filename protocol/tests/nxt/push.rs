@@ -1,6 +1,6 @@
 //! A program on the brick that sends MAVLink frames of itself, each behind its length.
 
-use posebridge_protocol::bricks::nxt::{NxtFraming, NxtSettings};
+use posebridge_protocol::bricks::nxt::NxtSettings;
 use posebridge_protocol::message::{Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{Address, EncoderTicks};
 
@@ -26,12 +26,8 @@ fn ticks() -> Message {
     })
 }
 
-fn bench(framing: NxtFraming) -> Bench {
-    let settings = NxtSettings {
-        framing,
-        ..NxtSettings::default()
-    };
-    Bench::of("nxt-push", settings, Brick::new())
+fn bench() -> Bench {
+    Bench::of("nxt-push", NxtSettings::default(), Brick::new())
 }
 
 fn pushed(bench: &Bench) -> usize {
@@ -44,7 +40,7 @@ fn pushed(bench: &Bench) -> usize {
 #[test]
 fn a_programs_frames_are_heard_in_chunks_of_every_size_among_answers() {
     for chunk in 1..=60 {
-        let mut bench = bench(NxtFraming::Prefixed);
+        let mut bench = bench();
         bench.begin();
         bench.chunk = chunk;
         for step in 1..=100 {
@@ -68,7 +64,7 @@ fn a_programs_frames_are_heard_in_chunks_of_every_size_among_answers() {
 #[test]
 fn a_damaged_frame_costs_itself_and_the_next_come() {
     for at in 0..prefixed().len() {
-        let mut bench = bench(NxtFraming::Prefixed);
+        let mut bench = bench();
         bench.begin();
         bench.run_to(SECOND);
         let mut damaged = prefixed();
@@ -82,15 +78,90 @@ fn a_damaged_frame_costs_itself_and_the_next_come() {
 }
 
 #[test]
-fn a_bare_datagram_is_a_frame() {
-    let mut bench = bench(NxtFraming::Bare);
-    bench.push(&FRAME);
-    assert_eq!(pushed(&bench), 1);
+fn a_damaged_byte_costs_a_frame_or_two_of_a_program_that_never_rests() {
+    const FRAMES: i64 = 150;
+    for at in 0..prefixed().len() {
+        for chunk in [1, 7, usize::MAX] {
+            let mut bench = bench();
+            bench.begin();
+            for step in 1..=FRAMES {
+                bench.run_to(step * 20_000);
+                let mut frame = prefixed();
+                if step == 50 {
+                    frame.remove(at);
+                }
+                for part in frame.chunks(chunk.min(frame.len())) {
+                    bench.push(part);
+                }
+            }
+            let lost = FRAMES as usize - pushed(&bench);
+            assert!(
+                (1..=2).contains(&lost),
+                "without byte {at}, chunks of {chunk}: {lost} lost"
+            );
+            // The clock is asked again: the fence is answered, and a tick.
+            let damaged_at = 50 * 20_000;
+            let is_time = |(when, item): &(i64, Noted)| {
+                *when > damaged_at + 100_000 && matches!(item, Noted::Time(..))
+            };
+            assert!(bench.heard.iter().any(is_time), "without byte {at}");
+        }
+    }
+}
+
+#[test]
+fn frames_under_the_name_of_an_asked_brick_are_told_of_and_it_is_not_called_silent() {
+    for is_answering in [true, false] {
+        let mut bench = Bench::new(NxtSettings::default(), Brick::new());
+        bench.is_cut = !is_answering;
+        bench.begin();
+        for step in 1..=500 {
+            bench.run_to(step * 20_000);
+            // One byte is lost on the way.
+            bench.push(&prefixed()[usize::from(step == 100)..]);
+        }
+        let notes = bench.notes();
+        let told = notes
+            .iter()
+            .filter(|text| text.contains("--brick nxt-push"));
+        assert_eq!(told.count(), 1, "{notes:?}");
+        assert!(
+            !notes.iter().any(|text| text.contains("not answered")),
+            "{notes:?}"
+        );
+        assert_eq!(pushed(&bench), 0);
+        // 30 ms for each question, and the one byte costs a question or two.
+        if is_answering {
+            assert!(bench.wheels().len() > 250, "{}", bench.wheels().len());
+            assert!(bench.lost() <= 1, "{}", bench.lost());
+        }
+    }
+}
+
+#[test]
+fn a_program_that_writes_something_else_costs_no_question() {
+    for period_millis in [12, 83, 250] {
+        let mut bench = Bench::new(NxtSettings::default(), Brick::new());
+        bench.begin();
+        let mut step = 0;
+        while bench.now_micros < 10 * SECOND {
+            step += 1;
+            bench.run_to(step * period_millis * 1_000);
+            bench.push(b"\x06\x00hello\x00");
+        }
+        assert_eq!(bench.lost(), 0, "each {period_millis} ms");
+        assert!(bench.wheels().len() > 280, "{}", bench.wheels().len());
+        let notes = bench.notes();
+        let told = notes
+            .iter()
+            .filter(|text| text.contains("messages of its own"));
+        assert_eq!(told.count(), 1, "{notes:?}");
+    }
 }
 
 #[test]
 fn sensors_are_the_programs_business() {
-    let mut bench = bench(NxtFraming::Prefixed);
+    let mut bench = bench();
     bench.begin();
     bench.run_to(10 * SECOND);
     let asked: Vec<u8> = bench
@@ -108,7 +179,7 @@ fn sensors_are_the_programs_business() {
 
 #[test]
 fn a_program_that_answers_no_commands_is_left_alone_and_lives_by_its_frames() {
-    let mut bench = bench(NxtFraming::Prefixed);
+    let mut bench = bench();
     bench.is_cut = true;
     bench.begin();
     let mut deadlines = 0;
@@ -130,10 +201,36 @@ fn a_program_that_answers_no_commands_is_left_alone_and_lives_by_its_frames() {
     bench.is_cut = false;
     bench.begin();
     bench.run_to(14 * SECOND);
-    assert!(
-        bench
-            .heard
-            .iter()
-            .any(|(_, item)| matches!(item, Noted::Time(..)))
-    );
+    assert!(is_clock_known(&bench));
+}
+
+fn is_clock_known(bench: &Bench) -> bool {
+    let is_time = |(_, item): &(i64, Noted)| matches!(item, Noted::Time(..));
+    bench.heard.iter().any(is_time)
+}
+
+#[test]
+fn a_program_that_comes_after_one_that_answers_no_commands_is_asked_anew() {
+    let mut bench = bench();
+    bench.is_cut = true;
+    bench.begin();
+    bench.run_to(10 * SECOND);
+    assert_eq!(bench.codec.deadline(), None);
+    bench.is_cut = false;
+    bench.push(&prefixed());
+    bench.run_to(11 * SECOND);
+    assert!(is_clock_known(&bench), "{:?}", bench.notes());
+}
+
+#[test]
+fn noise_is_not_taken_for_a_program_that_answers_no_commands() {
+    let mut bench = bench();
+    bench.begin();
+    for step in 1..=20 {
+        // Wrong from the first byte, before the fence is answered at 30 ms; then the link is quiet for longer than a drain.
+        bench.run_to(step * 120_000 - 100_000);
+        bench.push(&[0xFF, 0xFF]);
+    }
+    bench.run_to(20 * 120_000 + SECOND);
+    assert!(is_clock_known(&bench), "{:?}", bench.notes());
 }

@@ -26,6 +26,7 @@ fn states_per_second(maps: Maps, outstanding: Outstanding) -> f64 {
         ..NxtSettings::default()
     };
     let mut brick = moving_brick();
+    brick.ports[0].raw = 610;
     brick.maps = maps;
     let mut bench = Bench::new(settings, brick);
     bench.begin();

@@ -26,6 +26,7 @@ pub(crate) struct Ev3Double {
     /// Sensors that are not there make a command fail; otherwise they show no number.
     pub(crate) fails: Fails,
     pub(crate) telegrams: usize,
+    pub(crate) is_waiting: bool,
 }
 
 /// What a sensor does that is not there.
@@ -33,6 +34,8 @@ pub(crate) struct Ev3Double {
 pub(crate) enum Fails {
     WithAnError,
     WithNoNumber,
+    /// It waits for the sensor, and answers only the next command.
+    InSilence,
 }
 
 /// Counts of a robot that drives a gentle curve: 300 degrees per second left, 330 right; no step falls on a multiple of a millisecond.
@@ -56,6 +59,7 @@ impl Default for Ev3Double {
             sensors: [None, Some(gyro), None, None],
             fails: Fails::WithNoNumber,
             telegrams: 0,
+            is_waiting: false,
         }
     }
 }
@@ -83,7 +87,11 @@ impl Ev3Double {
         assert_eq!(telegram[4], 0x00, "a direct command with a reply");
         let globals = usize::from(u16::from_le_bytes([telegram[5], telegram[6]]) & 0x3FF);
         let mut memory = vec![0; globals];
+        self.is_waiting = false;
         let is_done = self.run(now, &telegram[7..], &mut memory).is_some();
+        if self.is_waiting {
+            return None;
+        }
         let mut reply = ((3 + globals) as u16).to_le_bytes().to_vec();
         reply.extend_from_slice(&telegram[2..4]);
         reply.push(if is_done { 0x02 } else { 0x04 });
@@ -104,7 +112,9 @@ impl Ev3Double {
                 }
                 0x99 => {
                     assert_eq!(take(&mut code), 0x1D, "READY_SI");
-                    let values = self.select(&mut code)?;
+                    let values = self.select(&mut code);
+                    self.is_waiting = values.is_none() && self.fails == Fails::InSilence;
+                    let values = values?;
                     for value in values.iter().take(constant(&mut code) as usize) {
                         store(memory, variable(&mut code), value.to_le_bytes());
                     }

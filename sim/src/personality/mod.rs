@@ -41,6 +41,8 @@ pub(crate) struct Brick {
     voice: Voice,
     /// What the motors run on.
     duty: Pair<f64>,
+    /// How often the program is stopped and started, and when next, by the world's time.
+    program_restarts: Option<(Span, Span)>,
 }
 
 /// One pass of a brick's firmware, and everything that it can reach then.
@@ -91,6 +93,10 @@ impl Brick {
             senses: Senses::new(scenario),
             voice,
             duty: Pair::default(),
+            program_restarts: scenario.brick.program_restart_s.map(|period_s| {
+                let period = Span::from_secs_f64(period_s);
+                (period, period)
+            }),
         }
     }
 
@@ -111,10 +117,21 @@ impl Brick {
             battery_v: body.battery_v(),
             program: &mut self.program,
         };
+        let is_restarted = program_restarts(&mut self.program_restarts, when.world);
         self.duty = match &mut self.voice {
             Voice::Mavlink(_) => self.duty,
-            Voice::Nxt(nxt) => nxt.step(&mut moment),
-            Voice::Ev3(ev3) => ev3.step(&mut moment),
+            Voice::Nxt(nxt) => {
+                if is_restarted {
+                    nxt.restart_program(&mut moment);
+                }
+                nxt.step(&mut moment)
+            }
+            Voice::Ev3(ev3) => {
+                if is_restarted {
+                    ev3.restart_program(&mut moment);
+                }
+                ev3.step(&mut moment)
+            }
         };
         self.duty
     }
@@ -213,4 +230,16 @@ impl Brick {
     pub(crate) fn is_finished(&self) -> bool {
         self.program.is_finished()
     }
+}
+
+/// Whether the program begins anew now; then also the next time is set.
+fn program_restarts(restarts: &mut Option<(Span, Span)>, world: Span) -> bool {
+    let Some((period, next)) = restarts else {
+        return false;
+    };
+    let is_due = world >= *next;
+    if is_due {
+        *next += *period;
+    }
+    is_due
 }

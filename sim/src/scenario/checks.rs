@@ -91,6 +91,13 @@ pub(super) fn optional_millis<'de, D: Deserializer<'de>>(
     within(deserializer, 0.0, 1e4).map(Some)
 }
 
+/// A time from a tenth of a second to an hour, in seconds.
+pub(super) fn optional_seconds<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<f64>, D::Error> {
+    within(deserializer, 0.1, 3_600.0).map(Some)
+}
+
 /// Anything finite.
 pub(super) fn optional_finite<'de, D: Deserializer<'de>>(
     deserializer: D,

@@ -22,9 +22,11 @@ use crate::bundled::text_of;
 
 pub use bundled::BUNDLED;
 pub use course::{Course, Direction, DriveSettings, StartPose};
-pub use observers::{AccelerometerSettings, Blackout, CameraOrder, CameraSettings, GyroSettings};
+pub use observers::{
+    AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings,
+};
 pub use personality::{BrickProgram, Personality, PortSensor};
-pub use robot::{BrickSettings, ErrorSettings, MotorSettings, RobotSettings, Wire};
+pub use robot::{BrickSettings, ErrorSettings, MissingSensor, MotorSettings, RobotSettings, Wire};
 pub use thermometer::ThermometerSettings;
 
 /// What the brick steers by.

@@ -74,6 +74,17 @@ pub enum CameraOrder {
     Free,
 }
 
+/// When a camera takes images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CameraImages {
+    /// At its rate.
+    #[default]
+    Steady,
+    /// When somebody asks for a fix (MAV_CMD_REQUEST_MESSAGE), and at intervals that are asked for.
+    OnRequest,
+}
+
 /// A time in which the camera sees nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -92,6 +103,8 @@ pub struct Blackout {
 pub struct CameraSettings {
     /// Whether there is one.
     pub is_present: bool,
+    /// When it takes images.
+    pub images: CameraImages,
     /// Images per second.
     #[serde(deserialize_with = "checks::rate_hz")]
     pub rate_hz: f64,
@@ -145,6 +158,7 @@ impl Default for CameraSettings {
     fn default() -> Self {
         Self {
             is_present: true,
+            images: CameraImages::default(),
             rate_hz: 10.0,
             position_sigma_m: 0.005,
             heading_sigma_deg: 1.0,

@@ -173,6 +173,17 @@ pub enum Wire {
     Standard,
 }
 
+/// What an EV3 does that is to set up a sensor that is not there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MissingSensor {
+    /// It answers with a value that is no number.
+    #[default]
+    Answered,
+    /// It waits for the sensor, and answers nothing until it is told something else.
+    Awaited,
+}
+
 /// The brick's clock and telemetry.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -195,6 +206,11 @@ pub struct BrickSettings {
     pub personality: Personality,
     /// What runs on it from the beginning.
     pub program: BrickProgram,
+    /// The program is stopped and started again whenever so many seconds have passed: a LEGO brick then zeroes its counters. Without it never.
+    #[serde(deserialize_with = "checks::optional_seconds")]
+    pub program_restart_s: Option<f64>,
+    /// What an EV3 does that is to set up a sensor that is not there.
+    pub missing_sensor: MissingSensor,
     /// Time that the radio of an NXT or EV3 needs to turn from receiving to sending, in milliseconds; without it that of the personality.
     #[serde(deserialize_with = "checks::optional_millis")]
     pub turn_around_ms: Option<f64>,
@@ -218,6 +234,8 @@ impl Default for BrickSettings {
             clock_tick_micros: 1_000,
             personality: Personality::default(),
             program: BrickProgram::default(),
+            program_restart_s: None,
+            missing_sensor: MissingSensor::default(),
             turn_around_ms: None,
             telegram_bytes: 128,
             sensors: PortSensor::USUAL,

@@ -5,12 +5,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
+use posebridge_link::Role;
 
 use super::outcome::OutputArgs;
 use crate::cli::{ConfigFlags, DataFlags, RunArgs, positive};
 use crate::commands::run;
 use crate::commands::{Failure, Stage};
 use crate::config::Setting;
+use crate::link_flags::{LinkFlag, LinkFlags};
 use crate::stderr::say;
 
 /// The recording's name in the folder of the results.
@@ -124,14 +126,22 @@ impl LiveArgs {
         Ok(())
     }
 
+    fn links(&self) -> Vec<LinkFlag> {
+        let named = [(&self.link, Role::Dial), (&self.listen, Role::Listen)];
+        let given = named.into_iter().filter_map(|(url, role)| {
+            let url = url.clone()?;
+            Some(LinkFlag { url, role })
+        });
+        given.collect()
+    }
+
     fn run_args(&self, folder: PathBuf, robot: LiveRobot<'_>) -> RunArgs {
         RunArgs {
             config: ConfigFlags {
                 config: self.config.clone(),
                 settings: robot.settings.to_vec(),
             },
-            links: self.link.iter().cloned().collect(),
-            listen: self.listen.iter().cloned().collect(),
+            links: LinkFlags(self.links()),
             robot: robot.file.map(Path::to_owned),
             out: Some(folder),
             duration: self.duration,

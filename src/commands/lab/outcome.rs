@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use posebridge_analysis::report::page::{Page, Part};
+use posebridge_analysis::report::page::{Page, Part, Picture};
 
 use crate::commands::{Failure, Stage};
 use crate::stderr::say;
@@ -26,7 +26,7 @@ pub struct Outcome {
     /// The command's words joined, such as `lab-wall`; names the files.
     pub name: &'static str,
     /// The page; its pictures are written beside it as well, as `<name>-<n>.svg`, counted from 1, or `<name>.svg` if there is
-    /// one.
+    /// one; those with a name of their own as `<name>-<their name>.svg`.
     pub page: Page,
     /// Tables for the terminal, with a line feed at the end.
     pub text: String,
@@ -61,6 +61,10 @@ impl OutputArgs {
             };
             write(&folder.join(format!("{}{number}.svg", outcome.name)), svg)?;
         }
+        for picture in outcome.page.parts.iter().flat_map(pictures_of) {
+            let name = format!("{}-{}.svg", outcome.name, picture.name);
+            write(&folder.join(name), &picture.svg)?;
+        }
         let page = folder.join(format!("{}.html", outcome.name));
         write(&page, &outcome.page.html())?;
         let text = if self.json {
@@ -72,6 +76,14 @@ impl OutputArgs {
         say(&format!("page: {}", page.display()));
         Ok(())
     }
+}
+
+/// Those that are elements of the page.
+fn pictures_of(part: &Part) -> &[Picture] {
+    let Part::Pictures(pictures) = part else {
+        return &[];
+    };
+    pictures
 }
 
 const fn picture(part: &Part) -> Option<&String> {

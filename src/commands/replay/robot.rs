@@ -2,16 +2,16 @@
 
 use anyhow::{Context, Result};
 
-use crate::cli::ReplayArgs;
+use crate::cli::SessionFlags;
 use crate::config::{RobotProfile, Setting};
 
-/// The profile's keys, then those of `--set`; `robot_path` is where the robot's table is in what they are laid over.
+/// The profile's keys, then those of `--set`, then those of `--param`; `robot_path` is where the robot's table is in what they are laid over.
 ///
 /// # Errors
 /// The profile cannot be read or describes no robot.
-pub(super) fn settings(args: &ReplayArgs, robot_path: &[&str]) -> Result<Vec<Setting>> {
+pub(super) fn settings(flags: &SessionFlags, robot_path: &[&str]) -> Result<Vec<Setting>> {
     let mut settings = Vec::new();
-    if let Some(path) = &args.robot {
+    if let Some(path) = &flags.robot {
         // Its own reading names what makes no sense better than a laid over table could.
         RobotProfile::read(path)?;
         let name = path.display();
@@ -21,7 +21,8 @@ pub(super) fn settings(args: &ReplayArgs, robot_path: &[&str]) -> Result<Vec<Set
         settings.extend(of_table(&page, "robot", robot_path));
         settings.extend(of_table(&page, "filter", &["filter"]));
     }
-    settings.extend_from_slice(&args.data.settings);
+    settings.extend_from_slice(&flags.data.settings);
+    settings.extend_from_slice(&flags.params);
     Ok(settings)
 }
 

@@ -32,9 +32,6 @@ pub struct Ev3Section {
     pub rate_hz: f64,
     /// So many questions may wait for their answers at once, 1 to 4.
     pub outstanding: u8,
-    /// The serial number that opens a brick by WiFi (TCP), twelve hexadecimal digits; Bluetooth asks for none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub unlock: Option<String>,
     /// The mailbox of a program on the brick that gets the estimate; empty sends none.
     pub mailbox: String,
 }
@@ -65,7 +62,6 @@ impl Default for Ev3Section {
             distance_kind: Ev3Distance::default(),
             rate_hz: 50.0,
             outstanding: 1,
-            unlock: None,
             mailbox: "estimate".to_owned(),
         }
     }
@@ -94,7 +90,6 @@ impl Ev3Section {
             "`outstanding` is {}, must be 1 to 4",
             self.outstanding
         );
-        self.check_unlock()?;
         let gyro = sensor(self.gyro_port).context("`gyro_port`")?;
         let distance = sensor(self.distance_port).context("`distance_port`")?;
         if let (Some(gyro), Some(distance)) = (gyro, distance) {
@@ -123,19 +118,8 @@ impl Ev3Section {
             }),
             rate_hz: self.rate_hz,
             outstanding: self.outstanding,
-            unlock: self.unlock.clone(),
             mailbox: (!self.mailbox.is_empty()).then(|| self.mailbox.clone()),
         })
-    }
-
-    fn check_unlock(&self) -> Result<()> {
-        if let Some(serial) = &self.unlock {
-            ensure!(
-                serial.len() == 12 && serial.chars().all(|c| c.is_ascii_hexdigit()),
-                "`unlock` is `{serial}`, must be the brick's serial number: twelve hexadecimal digits"
-            );
-        }
-        Ok(())
     }
 
     const fn gyro(&self, port: SensorPort) -> GyroSettings {
@@ -193,7 +177,7 @@ mod tests {
     fn what_is_said_is_told() {
         let told = settings(
             "left_motor = \"A\"\nright_motor = \"D\"\nmotors_backward = true\ngyro_port = 0\ndistance_port = 4\n\
-             distance_kind = \"infrared\"\nunlock = \"00165350a1b2\"\nmailbox = \"\"",
+             distance_kind = \"infrared\"\nmailbox = \"\"",
         )
         .unwrap();
         assert_eq!(
@@ -218,7 +202,6 @@ mod tests {
             ("distance_port = 2", "both 2"),
             ("rate_hz = 0.0", "`rate_hz`"),
             ("outstanding = 0", "`outstanding`"),
-            ("unlock = \"me\"", "`unlock`"),
         ] {
             let error = settings(text).unwrap_err();
             assert!(error.contains(said), "{text}: {error}");

@@ -3,17 +3,20 @@
 //! The link says which protocol it is, the robot's file what is plugged in where.
 
 mod ev3;
+mod fixes;
 mod line;
 mod nxt;
 
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_pipeline::BrickLink;
+use posebridge_protocol::bricks::fixes::FixSettings;
 use posebridge_protocol::bricks::{BRICKS, BrickSettings, brick_protocol};
 
 use super::robot::RobotFile;
-use super::station::LinkSection;
+use super::station::{LinkSection, framing_of};
 
 pub use ev3::{Ev3Distance, Ev3Section};
+pub use fixes::FixSection;
 pub use line::LineSection;
 pub use nxt::{NxtSection, NxtSensorKind, NxtSensorSection, Place};
 
@@ -24,7 +27,11 @@ const MAVLINK: &str = "mavlink";
 ///
 /// # Errors
 /// There is no such protocol, or the link has keys that only MAVLink has.
-pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile) -> Result<Option<BrickLink>> {
+pub(super) fn brick_link(
+    link: &LinkSection,
+    robot: &RobotFile,
+    cameras: &FixSection,
+) -> Result<Option<BrickLink>> {
     let Some(name) = &link.brick else {
         return Ok(None);
     };
@@ -37,6 +44,7 @@ pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile) -> Result<Option
     }
     for (key, is_set) in [
         ("signing", link.signing.is_some()),
+        ("ground_station", link.ground_station),
         ("accept_mavlink1", link.accept_mavlink1),
         ("send_mavlink1", link.send_mavlink1),
         ("group", link.group.is_some()),
@@ -46,10 +54,14 @@ pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile) -> Result<Option
             "`{key}` belongs to MAVLink, and `brick = \"{name}\"` speaks none; take one of them away"
         );
     }
-    Ok(Some(BrickLink {
-        protocol,
-        settings: settings(robot)?,
-    }))
+    let settings = BrickSettings {
+        fixes: FixSettings {
+            framing: framing_of(&link.url),
+            ..cameras.settings().context("`[camera.json]`")?
+        },
+        ..settings(robot)?
+    };
+    Ok(Some(BrickLink { protocol, settings }))
 }
 
 /// Every codec's part of the robot's file; what is not said there is as usual.

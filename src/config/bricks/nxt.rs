@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result, ensure};
 use posebridge_protocol::bricks::nxt::{
-    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtFraming, NxtSensor,
-    NxtSettings, Outstanding, WheelMotor,
+    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings,
+    Outstanding, WheelMotor,
 };
 use posebridge_telemetry::Span;
 use schemars::JsonSchema;
@@ -29,10 +29,11 @@ pub struct NxtSection {
     pub compass_zero_deg: f64,
     /// The mailbox that takes the estimate, 0 to 9.
     pub mailbox: u8,
+    /// Shortest time between two estimates to the brick; without it 200 for `nxt-push`, whose radio each of them turns around, and 0 for `nxt`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estimate_interval_ms: Option<u32>,
     /// How many questions may wait at the same time: 1, or 2 if a trial at connect shows that the brick answers both.
     pub outstanding: u8,
-    /// Telegrams without their length in front, one in each chunk: nxt-python's socket.
-    pub bare: bool,
     /// Longest wait for an answer.
     pub answer_timeout_ms: u32,
 }
@@ -96,8 +97,8 @@ impl Default for NxtSection {
             gyro_clockwise: false,
             compass_zero_deg: 0.0,
             mailbox: 0,
+            estimate_interval_ms: None,
             outstanding: 1,
-            bare: false,
             answer_timeout_ms: 500,
         }
     }
@@ -121,15 +122,13 @@ impl NxtSection {
             },
             compass_zero_deg: self.compass_zero_deg,
             mailbox: self.mailbox,
+            estimate_interval: self
+                .estimate_interval_ms
+                .map(|millis| Span::from_millis(i64::from(millis))),
             outstanding: match self.outstanding {
                 1 => Outstanding::One,
                 2 => Outstanding::Two,
                 other => anyhow::bail!("`outstanding` is {other}, must be 1 or 2"),
-            },
-            framing: if self.bare {
-                NxtFraming::Bare
-            } else {
-                NxtFraming::Prefixed
             },
             answer_timeout: Span::from_millis(i64::from(self.answer_timeout_ms)),
         };

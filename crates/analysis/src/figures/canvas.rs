@@ -40,7 +40,12 @@ pub(super) fn sheet(title: &str, figures: &str, height_px: f64) -> Svg {
 }
 
 /// Closes the sheet, with a note if values were left out.
-pub(super) fn close(mut svg: Svg, height_px: f64, dropped: usize) -> String {
+pub(super) fn close(svg: Svg, height_px: f64, dropped: usize) -> String {
+    close_at(svg, (WIDTH_PX, height_px), dropped)
+}
+
+/// The same for a sheet of another width.
+pub(super) fn close_at(mut svg: Svg, (width_px, height_px): (f64, f64), dropped: usize) -> String {
     if dropped > 0 {
         let style = TextStyle {
             size_px: 12.0,
@@ -49,16 +54,21 @@ pub(super) fn close(mut svg: Svg, height_px: f64, dropped: usize) -> String {
             weight: 400,
         };
         let note = format!("left out: {dropped} values that are not finite or out of reach");
-        svg.text((WIDTH_PX - 20.0, height_px - 8.0), &style, &note);
+        svg.text((width_px - 20.0, height_px - 8.0), &style, &note);
     }
     svg.finish()
 }
 
 fn shortened(title: &str) -> String {
-    if title.chars().count() <= TITLE_CHARACTERS {
-        return title.to_owned();
+    cut(title, TITLE_CHARACTERS)
+}
+
+/// A text of at most so many characters; what is longer ends in an ellipsis.
+pub(super) fn cut(text: &str, most: usize) -> String {
+    if text.chars().count() <= most {
+        return text.to_owned();
     }
-    let start: String = title.chars().take(TITLE_CHARACTERS - 1).collect();
+    let start: String = text.chars().take(most.saturating_sub(1)).collect();
     start + "…"
 }
 

@@ -26,6 +26,8 @@ pub(super) struct Drawable {
     pub(super) ellipses: Vec<Vec<Point2<Arena>>>,
     pub(super) used_fixes: Vec<Point2<Arena>>,
     pub(super) refused_fixes: Vec<Point2<Arena>>,
+    /// Those of the refused ones that came too late.
+    pub(super) late_fixes: Vec<Point2<Arena>>,
     pub(super) dropped: usize,
 }
 
@@ -38,10 +40,14 @@ impl Drawable {
         drawable.estimate = drawable.estimate_lines(layers.estimates);
         drawable.smoothed = drawable.track(layers.smoothed);
         drawable.ellipses = drawable.ellipses_of(layers.estimates);
-        let (used, refused): (Vec<FixMark>, Vec<FixMark>) =
+        let (used, unused): (Vec<FixMark>, Vec<FixMark>) =
             layers.fixes.iter().partition(|fix| was_used(fix.verdict));
+        let (late, refused): (Vec<FixMark>, Vec<FixMark>) = unused
+            .iter()
+            .partition(|fix| fix.verdict == Verdict::TooOld);
         drawable.used_fixes = drawable.points(used.iter().map(|fix| fix.position));
         drawable.refused_fixes = drawable.points(refused.iter().map(|fix| fix.position));
+        drawable.late_fixes = drawable.points(late.iter().map(|fix| fix.position));
         drawable
     }
 

@@ -5,6 +5,11 @@ use super::svg::{Anchor, Px, Stroke, Svg, TextStyle};
 
 const ROW_PX: f64 = 22.0;
 const SAMPLE_PX: f64 = 30.0;
+/// Between a sample and its text, and between two entries of a row.
+const TEXT_GAP_PX: f64 = 7.0;
+const ENTRY_GAP_PX: f64 = 18.0;
+/// Width of a character of 13 pixels, on average over Latin text in the figures' fonts.
+const CHARACTER_PX: f64 = 6.6;
 
 /// How a layer is marked.
 #[derive(Clone, Copy, Debug)]
@@ -13,6 +18,7 @@ pub(super) enum Mark {
     Area(&'static Stroke, &'static str),
     Disc(&'static str),
     Cross(&'static Stroke),
+    Ring(&'static Stroke),
     Start,
 }
 
@@ -63,8 +69,48 @@ fn draw_sample(svg: &mut Svg, (left, y): Px, mark: Mark) {
         }
         Mark::Disc(fill) => svg.disc(middle, 3.0, fill, None),
         Mark::Cross(stroke) => svg.cross(middle, 4.0, stroke),
+        Mark::Ring(stroke) => svg.disc(middle, 3.5, "none", Some(stroke)),
         Mark::Start => draw_start(svg, middle),
     }
+}
+
+/// Draws the entries from left to right, and in a new row where the next one has no room; returns the height of all rows.
+pub(super) fn draw_rows(svg: &mut Svg, top_left: Px, width_px: f64, entries: &[Entry]) -> f64 {
+    let style = TextStyle {
+        size_px: 13.0,
+        color: INK,
+        anchor: Anchor::Start,
+        weight: 400,
+    };
+    for (entry, (right, down)) in entries.iter().zip(places(width_px, entries)) {
+        let (left, y) = (top_left.0 + right, top_left.1 + down);
+        draw_sample(svg, (left, y), entry.mark);
+        let text = (left + SAMPLE_PX + TEXT_GAP_PX, y + 4.5);
+        svg.text(text, &style, &entry.label);
+    }
+    rows_height_px(width_px, entries)
+}
+
+/// The height that [`draw_rows`] takes.
+pub(super) fn rows_height_px(width_px: f64, entries: &[Entry]) -> f64 {
+    let last = places(width_px, entries).last().copied();
+    last.map_or(0.0, |(_, down)| down + ROW_PX / 2.0)
+}
+
+/// Where the entries stand, from the top left corner to the middle of their left edge.
+fn places(width_px: f64, entries: &[Entry]) -> Vec<Px> {
+    let (mut right, mut down) = (0.0, ROW_PX / 2.0);
+    let place = |entry: &Entry| {
+        let text_px = entry.label.chars().count() as f64 * CHARACTER_PX;
+        let entry_px = SAMPLE_PX + TEXT_GAP_PX + text_px;
+        if right > 0.0 && right + entry_px > width_px {
+            (right, down) = (0.0, down + ROW_PX);
+        }
+        let place = (right, down);
+        right += entry_px + ENTRY_GAP_PX;
+        place
+    };
+    entries.iter().map(place).collect()
 }
 
 /// The mark of the start, in the legend as on the panel.

@@ -8,13 +8,15 @@
 pub mod accuracy;
 mod canvas;
 mod detail;
-pub mod ellipse;
 pub mod error;
+mod inline;
 mod layers;
 mod legend;
 mod palette;
 mod panel;
 pub mod plot;
+pub mod session;
+mod strip;
 mod svg;
 mod thin;
 pub mod track;
@@ -24,8 +26,9 @@ use posebridge_telemetry::{Arena, BrickClock, Estimate, Point2, Stamp, Verdict};
 use crate::track::Track;
 
 pub use accuracy::{AccuracyChart, AccuracyMark, AccuracyPanel, accuracy_chart};
-pub use ellipse::Ellipse;
+pub use inline::inline;
 pub use plot::{Axes, Curve, Plot, Shape, plot};
+pub use posebridge_telemetry::Ellipse;
 
 /// Coordinates beyond this are left out, in metres: no arena is wider, and a diverged filter must not hide the rest.
 pub const FARTHEST_DRAWN_M: f64 = 1e6;

@@ -28,6 +28,11 @@ pub(super) const SMOOTHED: Stroke = Stroke::dashed(ORANGE, 1.8, "3 2.5");
 pub(super) const ELLIPSE: Stroke = Stroke::solid(SKY_BLUE, 0.9);
 pub(super) const CLAIM: Stroke = Stroke::solid(SKY_BLUE, 1.1);
 pub(super) const REFUSED: Stroke = Stroke::solid(REDDISH_PURPLE, 1.6);
+pub(super) const LATE: Stroke = Stroke::solid(ORANGE, 1.4);
+/// Where something lies in 95 of 100 cases.
+pub(super) const DUE: Stroke = Stroke::dashed(FAINT_INK, 1.1, "5 3");
+/// A mean over a window.
+pub(super) const MEAN: Stroke = Stroke::solid(VERMILLION, 1.8);
 
 /// How much of the fill of an ellipse or a band covers what is under it.
 pub(super) const FILL_OPACITY: f64 = 0.25;

@@ -8,7 +8,7 @@ use super::palette::{
 };
 use super::panel::{Panel, Range, round_ticks};
 use super::svg::{Px, Rect, Stroke, Svg};
-use super::thin::thin_path;
+use super::thin::{thin_by_deviation, thin_path, thin_series};
 use super::{FARTHEST_DRAWN_M, canvas, legend};
 
 /// Room above the first panel, for the title.
@@ -88,6 +88,63 @@ pub enum Shape {
     Band(Vec<(f64, f64, f64)>),
     /// A line across the panel at this height.
     Level(f64),
+    /// A diagonal cross at each point.
+    Crosses(Vec<(f64, f64)>),
+    /// A ring at each point.
+    Rings(Vec<(f64, f64)>),
+    /// Closed shapes, lightly filled.
+    Outlines(Vec<Vec<(f64, f64)>>),
+    /// Very many small dots.
+    Specks(Vec<(f64, f64)>),
+}
+
+/// How lines are made shorter where more cannot be seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Thinning {
+    /// By dropping what lies next to the last point.
+    Near,
+    /// By dropping what lies on the line between its neighbours: for paths on a map.
+    Deviation,
+    /// By keeping the extremes of each column of pixels, and of those what does not lie on the line: for values over time.
+    Series,
+}
+
+impl Thinning {
+    fn of(self, points: &[Px]) -> Vec<Px> {
+        match self {
+            Self::Near => thin_path(points),
+            Self::Deviation => thin_by_deviation(points, DEVIATION_PX),
+            Self::Series => thin_by_deviation(&thin_series(points), DEVIATION_PX),
+        }
+    }
+
+    /// An edge of an area; with [`Self::Near`] it stays as it is.
+    fn of_edge(self, points: Vec<Px>) -> Vec<Px> {
+        match self {
+            Self::Near => points,
+            Self::Deviation | Self::Series => self.of(&points),
+        }
+    }
+}
+
+/// A line that is off by less than this looks the same on any screen.
+const DEVIATION_PX: f64 = 0.12;
+
+/// With what a curve is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Ink {
+    /// Of lines, rings and crosses.
+    pub(super) stroke: &'static Stroke,
+    /// Of discs and fills.
+    pub(super) color: &'static str,
+}
+
+/// The ink of the curve with this place in a list.
+pub(super) const fn ink_of(index: usize) -> Ink {
+    Ink {
+        stroke: &STROKES[index % STROKES.len()],
+        color: COLORS[index % COLORS.len()],
+    }
 }
 
 /// Draws it; returns a whole SVG document.
@@ -113,7 +170,12 @@ pub fn plot(plot: &Plot) -> String {
 
 /// Draws one panel with its legend; returns how many values were left out.
 fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
-    let panel = panel_of(area, axes);
+    let scales = if axes.is_map {
+        Scales::Equal
+    } else {
+        Scales::Filling
+    };
+    let panel = panel_of(area, axes.curves.iter().map(|curve| &curve.shape), scales);
     panel.draw_grid(
         svg,
         &round_ticks(panel.x, X_TICKS),
@@ -122,7 +184,7 @@ fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
     let mut dropped = 0;
     svg.clipped(&area, "curves", |svg| {
         for (index, curve) in axes.curves.iter().enumerate() {
-            dropped += draw_curve(svg, &panel, index % STROKES.len(), &curve.shape);
+            dropped += draw_shape(svg, &panel, (ink_of(index), Thinning::Near), &curve.shape);
         }
     });
     panel.draw_border(svg);
@@ -131,14 +193,29 @@ fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
         .curves
         .iter()
         .enumerate()
-        .map(|(index, curve)| Entry::new(mark(index % STROKES.len(), &curve.shape), &curve.name))
+        .map(|(index, curve)| Entry::new(mark(ink_of(index), &curve.shape), &curve.name))
         .collect();
     legend::draw(svg, (area.right() + 22.0, area.top), &entries);
     dropped
 }
 
-fn panel_of(area: Rect, axes: &Axes) -> Panel {
-    let corners: Vec<(f64, f64)> = axes.curves.iter().flat_map(corners).collect();
+/// How long a unit is along the two axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Scales {
+    /// The same, as on a map.
+    Equal,
+    /// Each fills its side of the panel.
+    #[default]
+    Filling,
+}
+
+/// The panel that holds all shapes.
+pub(super) fn panel_of<'s>(
+    area: Rect,
+    shapes: impl Iterator<Item = &'s Shape>,
+    scales: Scales,
+) -> Panel {
+    let corners: Vec<(f64, f64)> = shapes.flat_map(corners).collect();
     let unit = Range {
         low: 0.0,
         high: 1.0,
@@ -146,7 +223,7 @@ fn panel_of(area: Rect, axes: &Axes) -> Panel {
     let drawn = |value: &f64| value.is_finite() && value.abs() <= FARTHEST_DRAWN_M;
     let x = Range::of(corners.iter().map(|(x, _)| *x).filter(drawn)).unwrap_or(unit);
     let y = Range::of(corners.iter().map(|(_, y)| *y).filter(drawn)).unwrap_or(unit);
-    if axes.is_map {
+    if scales == Scales::Equal {
         return Panel::equal_scale(area, x, y);
     }
     Panel {
@@ -157,7 +234,7 @@ fn panel_of(area: Rect, axes: &Axes) -> Panel {
 }
 
 /// The range with a margin; one without extent is opened by its own size, or by one.
-fn opened(range: Range, margin: f64) -> Range {
+pub(super) fn opened(range: Range, margin: f64) -> Range {
     let middle = f64::midpoint(range.low, range.high);
     if range.extent() > 0.0 {
         return Range::around(middle, range.extent() * (1.0 + 2.0 * margin));
@@ -165,10 +242,14 @@ fn opened(range: Range, margin: f64) -> Range {
     Range::around(middle, if middle == 0.0 { 1.0 } else { middle.abs() })
 }
 
-/// Every point that the panel has to hold. A level has no place along x and takes none.
-fn corners(curve: &Curve) -> Vec<(f64, f64)> {
-    match &curve.shape {
-        Shape::Line(points) | Shape::Dots(points) => points.clone(),
+/// Every point that the panel has to hold. A level has no place along x and takes none; crosses mark what may lie anywhere.
+fn corners(shape: &Shape) -> Vec<(f64, f64)> {
+    match shape {
+        Shape::Line(points)
+        | Shape::Dots(points)
+        | Shape::Rings(points)
+        | Shape::Specks(points) => points.clone(),
+        Shape::Crosses(_) | Shape::Outlines(_) => Vec::new(),
         Shape::Band(places) => places
             .iter()
             .flat_map(|(x, low, high)| [(*x, *low), (*x, *high)])
@@ -177,49 +258,94 @@ fn corners(curve: &Curve) -> Vec<(f64, f64)> {
     }
 }
 
-fn draw_curve(svg: &mut Svg, panel: &Panel, color: usize, shape: &Shape) -> usize {
-    let stroke = &STROKES[color];
-    let can_draw = |(x, y): &(f64, f64)| x.abs() <= FARTHEST_DRAWN_M && y.abs() <= FARTHEST_DRAWN_M;
+fn can_draw((x, y): &(f64, f64)) -> bool {
+    x.abs() <= FARTHEST_DRAWN_M && y.abs() <= FARTHEST_DRAWN_M
+}
+
+/// Draws one shape; returns how many values were left out.
+pub(super) fn draw_shape(
+    svg: &mut Svg,
+    panel: &Panel,
+    (ink, thinning): (Ink, Thinning),
+    shape: &Shape,
+) -> usize {
     let place = |points: &[(f64, f64)]| -> Vec<Px> {
         points.iter().map(|(x, y)| panel.place(*x, *y)).collect()
     };
+    let left_out = |points: &[(f64, f64)]| points.iter().filter(|point| !can_draw(point)).count();
     match shape {
         Shape::Line(points) => {
             for part in points.split(|point| !can_draw(point)) {
-                svg.polyline(&thin_path(&place(part)), stroke);
+                svg.polyline(&thinning.of(&place(part)), ink.stroke);
             }
-            points.iter().filter(|point| !can_draw(point)).count()
+            left_out(points)
         }
-        Shape::Dots(points) => {
+        Shape::Dots(points) | Shape::Crosses(points) | Shape::Rings(points) => {
             for point in points.iter().filter(|point| can_draw(point)) {
-                svg.disc(panel.place(point.0, point.1), 2.6, COLORS[color], None);
+                draw_mark(svg, panel.place(point.0, point.1), ink, shape);
             }
-            points.iter().filter(|point| !can_draw(point)).count()
+            left_out(points)
         }
-        Shape::Band(places) => {
-            let is_drawn =
-                |(x, low, high): &(f64, f64, f64)| can_draw(&(*x, *low)) && can_draw(&(*x, *high));
-            for part in places.split(|place| !is_drawn(place)) {
-                let lower = part.iter().map(|(x, low, _)| panel.place(*x, *low));
-                let upper = part.iter().rev().map(|(x, _, high)| panel.place(*x, *high));
-                let outline: Vec<Px> = lower.chain(upper).collect();
-                svg.polygon(&outline, COLORS[color], FILL_OPACITY, None);
-            }
-            places.iter().filter(|place| !is_drawn(place)).count()
+        Shape::Specks(points) => {
+            let drawn: Vec<(f64, f64)> = points.iter().copied().filter(can_draw).collect();
+            svg.specks(&place(&drawn), ink.color);
+            points.len() - drawn.len()
         }
+        Shape::Band(places) => draw_band(svg, panel, (ink, thinning), places),
         Shape::Level(y) => {
             let ends = [(panel.x.low, *y), (panel.x.high, *y)];
-            svg.polyline(&place(&ends), stroke);
+            svg.polyline(&place(&ends), ink.stroke);
             usize::from(!can_draw(&(0.0, *y)))
+        }
+        Shape::Outlines(outlines) => {
+            let is_drawn = |outline: &&Vec<(f64, f64)>| outline.iter().all(can_draw);
+            for outline in outlines.iter().filter(is_drawn) {
+                svg.polygon(&place(outline), ink.color, FILL_OPACITY, Some(ink.stroke));
+            }
+            outlines.iter().filter(|outline| !is_drawn(outline)).count()
         }
     }
 }
 
-const fn mark(color: usize, shape: &Shape) -> Mark {
+fn draw_mark(svg: &mut Svg, at: Px, ink: Ink, shape: &Shape) {
     match shape {
-        Shape::Line(_) | Shape::Level(_) => Mark::Line(&STROKES[color]),
-        Shape::Dots(_) => Mark::Disc(COLORS[color]),
-        Shape::Band(_) => Mark::Area(&STROKES[color], COLORS[color]),
+        Shape::Crosses(_) => svg.cross(at, 3.5, ink.stroke),
+        Shape::Rings(_) => svg.disc(at, 3.5, "none", Some(ink.stroke)),
+        Shape::Line(_)
+        | Shape::Dots(_)
+        | Shape::Band(_)
+        | Shape::Level(_)
+        | Shape::Specks(_)
+        | Shape::Outlines(_) => svg.disc(at, 2.6, ink.color, None),
+    }
+}
+
+fn draw_band(
+    svg: &mut Svg,
+    panel: &Panel,
+    (ink, thinning): (Ink, Thinning),
+    places: &[(f64, f64, f64)],
+) -> usize {
+    let is_drawn =
+        |(x, low, high): &(f64, f64, f64)| can_draw(&(*x, *low)) && can_draw(&(*x, *high));
+    for part in places.split(|place| !is_drawn(place)) {
+        let lower = part.iter().map(|(x, low, _)| panel.place(*x, *low));
+        let upper = part.iter().map(|(x, _, high)| panel.place(*x, *high));
+        let mut outline = thinning.of_edge(lower.collect());
+        outline.extend(thinning.of_edge(upper.collect()).into_iter().rev());
+        svg.polygon(&outline, ink.color, FILL_OPACITY, None);
+    }
+    places.iter().filter(|place| !is_drawn(place)).count()
+}
+
+/// How a shape is marked in a legend.
+pub(super) const fn mark(ink: Ink, shape: &Shape) -> Mark {
+    match shape {
+        Shape::Line(_) | Shape::Level(_) => Mark::Line(ink.stroke),
+        Shape::Dots(_) | Shape::Specks(_) => Mark::Disc(ink.color),
+        Shape::Crosses(_) => Mark::Cross(ink.stroke),
+        Shape::Rings(_) => Mark::Ring(ink.stroke),
+        Shape::Band(_) | Shape::Outlines(_) => Mark::Area(ink.stroke, ink.color),
     }
 }
 

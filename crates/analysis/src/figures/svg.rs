@@ -5,12 +5,20 @@
 //!
 //! Source: W3C, Scalable Vector Graphics 1.1 (second edition).
 
+use std::collections::BTreeSet;
 use std::fmt;
+use std::fmt::Write as _;
 
 use crate::markup::Escaped;
 
 /// A point of the picture, in pixels from the top left.
 pub(super) type Px = (f64, f64);
+
+/// Size of the cell that a small dot fills, in pixels.
+const SPECK_PX: f64 = 1.6;
+/// Where there are fewer of them than this, they are drawn larger.
+const FEW_SPECKS: usize = 400;
+const FEW_SPECK_PX: f64 = 2.6;
 
 /// A rectangle of the picture, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -163,6 +171,34 @@ impl Svg {
         }
     }
 
+    /// Many small dots: a dot fills a cell of [`SPECK_PX`], and cells above each other become one stroke, so that a hundred thousand
+    /// dots take no more room than the panel has cells.
+    pub(super) fn specks(&mut self, points: &[Px], color: &str) {
+        let cell = |px: f64| (px / SPECK_PX).floor() as i32;
+        let cells: BTreeSet<(i32, i32)> = points
+            .iter()
+            .filter(|point| is_finite(point))
+            .map(|(x, y)| (cell(*x), cell(*y)))
+            .collect();
+        if cells.is_empty() {
+            return;
+        }
+        let middle = |cell: i32| (f64::from(cell) + 0.5) * SPECK_PX;
+        let cells: Vec<(i32, i32)> = cells.into_iter().collect();
+        let mut path = String::new();
+        for run in cells.chunk_by(|a, b| a.0 == b.0 && a.1 + 1 == b.1) {
+            if let (Some((x, top)), Some((_, bottom))) = (run.first(), run.last()) {
+                let (x, top, bottom) = (middle(*x), middle(*top), middle(*bottom));
+                // Writing to a String cannot fail.
+                let _ = write!(path, "M{x:.1} {top:.1}V{bottom:.1}");
+            }
+        }
+        self.put(format_args!(
+            "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width}\" stroke-linecap=\"round\"/>\n",
+            width = if cells.len() < FEW_SPECKS { FEW_SPECK_PX } else { SPECK_PX },
+        ));
+    }
+
     /// A diagonal cross.
     pub(super) fn cross(&mut self, center: Px, reach_px: f64, stroke: &Stroke) {
         let (x, y) = center;
@@ -262,5 +298,22 @@ mod tests {
             !text.contains("polyline") && !text.contains("circle"),
             "{text}"
         );
+    }
+
+    #[test]
+    fn small_dots_in_one_cell_are_one_and_columns_of_them_a_stroke() {
+        let draw = |points: &[Px]| {
+            let mut svg = Svg::new(10.0, 10.0, "t");
+            svg.specks(points, "#000000");
+            svg.finish()
+        };
+        let one = draw(&[(2.0, 2.0), (2.1, 2.2), (f64::NAN, 1.0)]);
+        assert!(one.contains("d=\"M2.4 2.4V2.4\""), "{one}");
+        let column = draw(&[(2.0, 0.1), (2.0, 2.0), (2.0, 3.3), (2.0, 8.5)]);
+        assert!(
+            column.contains("d=\"M2.4 0.8V4.0M2.4 8.8V8.8\""),
+            "{column}"
+        );
+        assert!(!draw(&[]).contains("<path"));
     }
 }

@@ -7,8 +7,8 @@ use posebridge_telemetry::{Arena, Point2};
 use super::layers::{Drawable, Lines};
 use super::legend::{Entry, Mark, draw_start};
 use super::palette::{
-    BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, ODOMETRY,
-    ORANGE, REFUSED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION,
+    BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, LATE,
+    ODOMETRY, ORANGE, REFUSED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION,
 };
 use super::panel::{Panel, round_ticks};
 use super::svg::{Anchor, Px, Rect, Stroke, Svg, TextStyle};
@@ -136,6 +136,9 @@ fn draw_fixes(svg: &mut Svg, panel: &Panel, drawable: &Drawable) {
     for at in placed(panel, &drawable.refused_fixes) {
         svg.cross(at, 4.0, &REFUSED);
     }
+    for at in placed(panel, &drawable.late_fixes) {
+        svg.disc(at, 3.5, "none", Some(&LATE));
+    }
 }
 
 /// The start, and a disc where each line ends, so that the end error can be seen.
@@ -166,6 +169,7 @@ fn placed(panel: &Panel, points: &[Point2<Arena>]) -> Vec<Px> {
 fn entries(drawable: &Drawable) -> Vec<Entry> {
     let used = drawable.used_fixes.len();
     let refused = drawable.refused_fixes.len();
+    let late = drawable.late_fixes.len();
     let rows = [
         (drawable.start().is_some(), Entry::new(Mark::Start, "start")),
         (
@@ -199,6 +203,10 @@ fn entries(drawable: &Drawable) -> Vec<Entry> {
         (
             refused > 0,
             Entry::new(Mark::Cross(&REFUSED), format!("fix, refused ({refused})")),
+        ),
+        (
+            late > 0,
+            Entry::new(Mark::Ring(&LATE), format!("fix, too late ({late})")),
         ),
     ];
     rows.into_iter()

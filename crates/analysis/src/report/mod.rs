@@ -13,7 +13,7 @@ mod table;
 
 pub use accuracy::{ScoreRow, bound_line, score_table};
 pub use cells::NO_VALUE;
-pub use replay::{EstimatorRow, estimator_table, source_table};
+pub use replay::{EstimatorRow, estimator_table, runs_table, source_table};
 pub use run::{RunRow, run_table};
 pub use smooth::{SmoothRow, smooth_table};
 pub use table::Table;

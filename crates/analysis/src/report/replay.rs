@@ -7,7 +7,7 @@ use crate::metrics::{ErrorSummary, SourceTally};
 /// One estimator of a comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct EstimatorRow<'a> {
-    /// The estimator, as the configuration names it.
+    /// The estimator, as the configuration names it, or the run.
     pub name: &'a str,
     /// Its accuracy over one run, or the mean over several.
     pub errors: &'a ErrorSummary,
@@ -17,8 +17,17 @@ pub struct EstimatorRow<'a> {
 
 /// Accuracy in millimetres and degrees, and the verdict on each estimator's own claims.
 pub fn estimator_table(rows: &[EstimatorRow<'_>]) -> String {
+    accuracy_table("estimator", rows)
+}
+
+/// The same of one estimator, a row for each run.
+pub fn runs_table(rows: &[EstimatorRow<'_>]) -> String {
+    accuracy_table("run", rows)
+}
+
+fn accuracy_table(what: &str, rows: &[EstimatorRow<'_>]) -> String {
     let mut table = Table::new([
-        "estimator",
+        what,
         "samples",
         "rms mm",
         "max mm",

@@ -420,11 +420,12 @@ fn percent(share: f64) -> String {
 /// A part for a terminal; pictures have none.
 fn as_text(part: &Part) -> String {
     match part {
-        Part::Heading(text) => format!("\n{text}\n"),
+        Part::Heading(text) | Part::Subheading(text) => format!("\n{text}\n"),
         Part::Text(text) | Part::Lines(text) => format!("{text}\n"),
+        Part::Verdict { word, text, .. } => format!("{word}: {text}\n"),
         Part::List(points) => format!("- {}\n", points.join("\n- ")),
-        Part::Table { header, rows } => aligned(header, rows),
-        Part::Figure { .. } => String::new(),
+        Part::Table { header, rows } | Part::Listing { header, rows } => aligned(header, rows),
+        Part::Figure { .. } | Part::Pictures(_) => String::new(),
     }
 }
 

@@ -20,8 +20,8 @@ pub mod wheel_kf;
 use std::sync::Arc;
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, DriveGeometry, Estimate, FusionRecord, Observation, Pose,
-    ScalarEstimate, SensorNoise, Stamp, Verdict, World,
+    Arena, BrickClock, Calibration, DriveGeometry, Estimate, FusionRecord, Learning, Observation,
+    Pose, ScalarEstimate, SensorNoise, Stamp, Verdict, World,
 };
 
 use self::ekf5::{Fixes, SpeedOrder};
@@ -38,6 +38,15 @@ pub trait Filter: Send {
     /// nothing is then changed.
     #[must_use]
     fn set_pose(&mut self, start: &StartPose) -> Verdict;
+
+    /// Changes what the filter goes by, after everything that was observed up to [`Filter::latest`].
+    ///
+    /// [`Verdict::Accepted`], or [`Verdict::Unused`] from a filter that cannot do this while it runs: nothing is then changed.
+    #[must_use]
+    fn adjust(&mut self, adjustment: &Adjustment) -> Verdict {
+        let _ = adjustment;
+        Verdict::Unused
+    }
 
     /// The brick's clock starts anew: what was observed is forgotten, the pose is kept with more doubt.
     fn restart_clock(&mut self);
@@ -70,6 +79,20 @@ pub struct StartPose {
     pub position_sigma_m: f64,
     /// One standard deviation of the heading, in radians.
     pub heading_sigma_rad: f64,
+}
+
+/// What a person changes about a filter that runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Adjustment {
+    /// Go by these tunables from now on. What comes late after this is used with them, too, and so is what it makes the filter go
+    /// through again.
+    Params(Params),
+    /// Know no longer where the robot is; counted as a reset. The next fixes decide.
+    ForgetPose,
+    /// Take the robot's constants as they stand, or learn them further.
+    Learning(Learning),
+    /// Forget what was learned about the robot, its gyro's bias included: begin again from the configured calibration.
+    ForgetCalibration,
 }
 
 /// What a filter is built from.

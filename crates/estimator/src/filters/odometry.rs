@@ -12,7 +12,7 @@ use posebridge_telemetry::{
 };
 
 use super::intake::{self, RESTART_HEADING_RAD, RESTART_POSITION_M};
-use super::{Filter, FilterConfig, StartPose};
+use super::{Adjustment, Filter, FilterConfig, StartPose};
 use crate::models::differential_drive::{body_step, step_noise};
 use crate::models::se2::{StepRule, displace};
 use crate::motion::{Added, MotionReading, MotionTrack};
@@ -214,6 +214,27 @@ impl Filter for OdometryFilter {
         self.reset_counter = self.reset_counter.wrapping_add(1);
         self.last_jump = Some(intake::jump_between(last.pose, start.pose));
         Verdict::ResetTo
+    }
+
+    fn adjust(&mut self, adjustment: &Adjustment) -> Verdict {
+        match adjustment {
+            Adjustment::Params(params) => {
+                self.config.params = *params;
+                self.track
+                    .set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
+            }
+            Adjustment::ForgetPose => {
+                let _ = self.set_pose(&StartPose {
+                    pose: Pose::default(),
+                    position_sigma_m: 0.0,
+                    heading_sigma_rad: 0.0,
+                });
+                self.is_placed = false;
+            }
+            // It learns nothing.
+            Adjustment::Learning(_) | Adjustment::ForgetCalibration => return Verdict::Unused,
+        }
+        Verdict::Accepted
     }
 
     fn restart_clock(&mut self) {

@@ -69,6 +69,11 @@ impl MotionTrack {
         }
     }
 
+    /// From now on a larger jump than this, in radians per second, re-bases the counters.
+    pub const fn set_max_wheel_rad_per_s(&mut self, max_wheel_rad_per_s: f64) {
+        self.max_wheel_rad_per_s = max_wheel_rad_per_s;
+    }
+
     /// Adds a reading.
     pub fn add(&mut self, stamp: Stamp<BrickClock>, reading: &MotionReading) -> Added {
         let source = reading.source();

@@ -5,6 +5,7 @@
 
 mod bluetooth;
 mod device_link;
+mod ev3;
 mod file;
 mod pty;
 mod serial;
@@ -35,6 +36,7 @@ pub const TRANSPORTS: &[&dyn Transport] = &[
     PTY,
     &tcp::Tcp,
     &udp::Udp,
+    &ev3::Ev3,
     &file::File,
 ];
 

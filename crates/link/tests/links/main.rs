@@ -9,6 +9,7 @@
 mod adapters;
 mod bluetooth;
 mod conformance;
+mod ev3;
 mod file;
 mod network;
 mod serial;

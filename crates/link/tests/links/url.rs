@@ -75,11 +75,11 @@ fn options_have_the_default_of_the_table_until_they_are_given() {
 fn a_wrong_link_says_what_is_wrong_and_what_is_right() {
     check_error(
         "/dev/ttyUSB0",
-        "`/dev/ttyUSB0` has no scheme: put one of serial, bluetooth, pty, tcp, udp, file in front, such as serial:///dev/ttyUSB0?baud=115200",
+        "`/dev/ttyUSB0` has no scheme: put one of serial, bluetooth, pty, tcp, udp, ev3, file in front, such as serial:///dev/ttyUSB0?baud=115200",
     );
     check_error(
         "usb:brick",
-        "unknown link scheme `usb`: use one of serial, bluetooth, pty, tcp, udp, file",
+        "unknown link scheme `usb`: use one of serial, bluetooth, pty, tcp, udp, ev3, file",
     );
     check_error(
         "serial:",

@@ -6,7 +6,7 @@ use posebridge_protocol::bricks::Heard;
 use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::{Occurrence, Way};
 use posebridge_telemetry::{
-    Address, Audience, Defect, Event, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp,
+    Address, Defect, Event, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp,
 };
 
 use super::Pipeline;
@@ -125,7 +125,7 @@ impl Pipeline {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        while let Some(bytes) = link.codec.as_mut().and_then(|codec| codec.poll()) {
+        while let Some((to, bytes)) = link.codec.as_mut().and_then(|codec| codec.poll_to()) {
             if link.state == LinkState::Down {
                 continue;
             }
@@ -133,7 +133,7 @@ impl Pipeline {
             link.health.frames_out += 1;
             self.outputs.push_back(Output::Transmit {
                 link: id,
-                to: Audience::All,
+                to,
                 // Nothing takes its place: the brick would wait for ever.
                 priority: Priority::Command,
                 bytes,

@@ -11,6 +11,7 @@ use super::Pipeline;
 use super::intake::{Arrival, Arrived};
 use crate::clock::align::Alignment;
 use crate::clock::unwrap::Unwrapped;
+use crate::link_state::{Link, Speaker};
 
 /// A time request and its answer.
 #[derive(Clone, Copy, Debug)]
@@ -37,6 +38,12 @@ impl Pipeline {
         if let Some(link) = self.links.get_mut(&arrival.way.link) {
             if is_heard {
                 link.session.handle(self.now, arrived.source, message);
+                if let Some(voice) = &mut link.voice
+                    && voice.takes(self.now, message)
+                    && let Some(session) = voice.session()
+                {
+                    session.handle(self.now, arrived.source, message);
+                }
             } else {
                 link.session.heard(self.now, arrived.source);
             }
@@ -47,13 +54,13 @@ impl Pipeline {
     /// Does what the session of a link wants done after it took what came so, or time.
     pub(super) fn drain_session(&mut self, arrival: Arrival) {
         let id = arrival.way.link;
-        while let Some(output) = self.links.get_mut(&id).and_then(|link| link.session.poll()) {
+        while let Some((speaker, output)) =
+            self.links.get_mut(&id).and_then(Link::poll_conversation)
+        {
             match output {
                 // Nobody hears it; the session says it again when the link is back.
                 SessionOutput::Send(_) if self.is_down(id) => {}
-                SessionOutput::Send(message) => {
-                    self.transmit(id, &message, priority_of(&message));
-                }
+                SessionOutput::Send(message) => self.say_on(id, speaker, &message),
                 SessionOutput::PeerSeen { peer, .. } => {
                     self.tell(Event::RobotSeen {
                         robot: RobotId {
@@ -85,6 +92,9 @@ impl Pipeline {
                     };
                     self.handle_exchange(peer, exchange);
                 }
+                SessionOutput::Commanded { by, command } => {
+                    self.commanded((id, speaker), by, &command);
+                }
                 SessionOutput::IntervalRequested {
                     message_id,
                     interval,
@@ -94,7 +104,21 @@ impl Pipeline {
                         link.publisher.set_interval(message_id, interval);
                     }
                 }
+                SessionOutput::ParameterWish { index, value, .. } => {
+                    self.handle_wish(id, index, value);
+                }
+                SessionOutput::ParameterUnknown { asked, .. } => {
+                    self.handle_unknown_parameter(id, &asked);
+                }
             }
+        }
+    }
+
+    fn say_on(&mut self, id: LinkId, speaker: Speaker, message: &Message) {
+        let priority = priority_of(message);
+        match speaker {
+            Speaker::Station => self.transmit(id, message, priority),
+            Speaker::Robot => self.transmit_conversation_of_robot(id, message, priority),
         }
     }
 
@@ -195,7 +219,12 @@ impl Pipeline {
 const fn is_request(message: &Message) -> bool {
     matches!(
         message,
-        Message::SetMessageInterval(_) | Message::Command(_)
+        Message::SetMessageInterval(_)
+            | Message::Command(_)
+            | Message::CommandInt(_)
+            | Message::ParamRequestList { .. }
+            | Message::ParamRequestRead { .. }
+            | Message::ParamSet { .. }
     )
 }
 

@@ -1,13 +1,20 @@
 //! Estimates and messages on their way out.
 
 use posebridge_protocol::message::Message;
+use posebridge_protocol::routing::Way;
 use posebridge_telemetry::{
-    Audience, Estimate, Event, HostClock, LinkId, LinkState, Output, Priority, Stamp,
+    Audience, Estimate, Event, FusionRecord, HostClock, LinkId, LinkState, Output, Priority, Stamp,
 };
 
 use super::Pipeline;
-use crate::config::{OutputInstant, OutputStream};
+use crate::config::{OutputInstant, OutputStream, Voices};
+use crate::link_state::Speaker;
 use crate::publish::{self, Circumstances, Prediction};
+use crate::publisher::{priority, priority_of_record};
+use crate::robot_voice::RobotVoice;
+
+/// Message ids have 24 bits.
+const LARGEST_ID: u32 = 0x00FF_FFFF;
 
 impl Pipeline {
     /// One estimate per input that brought news, for the latest instant that was observed: to the robot at once.
@@ -15,11 +22,10 @@ impl Pipeline {
         if !std::mem::take(&mut self.is_news) {
             return;
         }
-        let Some(estimate) = self
-            .filter
-            .latest()
-            .and_then(|latest| self.filter.estimate_at(latest))
-        else {
+        let latest = self.filter.latest();
+        let estimate = latest.and_then(|latest| self.filter.estimate_at(latest));
+        self.ask_for_fix(now, estimate.as_ref());
+        let Some(estimate) = estimate else {
             return;
         };
         let robot = self.robot.unwrap_or_default();
@@ -46,19 +52,40 @@ impl Pipeline {
             _ => return,
         };
         for stream in due {
-            if let Some(message) = self.message_for(&stream, estimate, now) {
-                self.transmit(id, &message, publish::priority(stream.kind));
+            if let Some(message) = self.message_for(id, &stream, estimate) {
+                self.transmit_output(id, stream.kind, &message, priority(stream.kind));
             }
         }
     }
 
-    fn message_for(
+    /// What became of an observation, to whoever wants to know.
+    pub(super) fn publish_record(&mut self, record: &FusionRecord) {
+        let host = self.host_instant(record.stamp);
+        if record.degrees_of_freedom > 0 {
+            self.last_records.insert(record.sensor, record.clone());
+        }
+        let now = self.now;
+        let mut wanted = Vec::new();
+        for (id, link) in &mut self.links {
+            let said = link.publisher.of_record(record, host, now).into_iter();
+            wanted.extend(said.map(|(kind, message)| (*id, kind, message)));
+        }
+        for (id, kind, message) in wanted {
+            let priority = priority_of_record(kind, record.sensor);
+            self.transmit_output(id, kind, &message, priority);
+        }
+    }
+
+    /// What one of a link's outputs says of an estimate.
+    pub(super) fn message_for(
         &self,
+        id: LinkId,
         stream: &OutputStream,
         observed: &Estimate,
-        now: Stamp<HostClock>,
     ) -> Option<Message> {
-        let arrival = now + publish::travel_time(self.brick_clock.round_trip());
+        let voice = self.links.get(&id).and_then(|link| link.voice.as_ref());
+        let voices = voice.map_or(Voices::Own, |_| Voices::OwnAndRobot);
+        let arrival = self.now + publish::travel_time(self.brick_clock.round_trip());
         let ahead = match stream.instant {
             OutputInstant::Observed => None,
             OutputInstant::Arrival => self.brick_clock.remote_at(arrival).map(|(brick, _)| brick),
@@ -71,23 +98,40 @@ impl Pipeline {
                 prediction: Prediction::Ahead,
                 host: arrival,
                 fix_ratio: self.fix_ratio,
+                voices,
             };
             return publish::message(stream.kind, &predicted, &circumstances);
         }
-        let host = self.brick_clock.host_at(observed.stamp);
-        let host = host.map_or(now, |(host, _)| host);
         let circumstances = Circumstances {
             prediction: Prediction::None,
-            host,
+            host: self.host_instant(observed.stamp),
             fix_ratio: self.fix_ratio,
+            voices,
         };
         publish::message(stream.kind, observed, &circumstances)
     }
 
     /// Sends a message of our own to all peers of a link.
     pub(super) fn transmit(&mut self, id: LinkId, message: &Message, priority: Priority) {
-        let own = self.config.own;
+        self.transmit_as(id, Speaker::Station, message, priority);
+    }
+
+    /// The same, as the station or as the robot.
+    pub(super) fn transmit_as(
+        &mut self,
+        id: LinkId,
+        speaker: Speaker,
+        message: &Message,
+        priority: Priority,
+    ) {
         let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        let own = match speaker {
+            Speaker::Station => Some(self.config.own),
+            Speaker::Robot => link.voice.as_ref().and_then(RobotVoice::address),
+        };
+        let Some(own) = own else {
             return;
         };
         if link.state == LinkState::Down {
@@ -96,7 +140,8 @@ impl Pipeline {
         }
         // Before it takes a sequence number: what is held back must not look like a loss.
         let stream = match priority {
-            Priority::Estimate { stream } => Some(stream),
+            // Behind the message's id may stand the sensor's.
+            Priority::Estimate { stream } => Some(stream & LARGEST_ID),
             Priority::Command | Priority::Conversation | Priority::Forwarded => None,
         };
         if stream.is_some_and(|id| !link.limiter.admits(self.now, own, id, 0)) {
@@ -113,8 +158,13 @@ impl Pipeline {
         if stream.is_some() || priority == Priority::Command {
             link.limiter.charge(self.now, bytes.len());
         }
-        if link.codec.is_none() {
-            self.router.say(&bytes);
+        match speaker {
+            Speaker::Robot => {
+                let way = self.robot_heard.map_or_else(Way::default, |(way, _)| way);
+                self.router.say_for(self.now, way, &bytes);
+            }
+            Speaker::Station if link.codec.is_none() => self.router.say(&bytes),
+            Speaker::Station => {}
         }
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;

@@ -3,14 +3,16 @@
 //! Decisions about destinations are the router's ([`posebridge_protocol::routing`]); here they meet the links: whether a link
 //! is up, has a second peer, speaks the frame's version, and has room. The bytes are passed on as they came.
 
+use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::routing::{Check, Occurrence, Router, Way, priority_of};
 use posebridge_telemetry::{
-    Address, Audience, HostClock, LinkId, LinkState, Output, Priority, Stamp,
+    Address, Audience, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp,
 };
 
 use super::Pipeline;
 use crate::link_state::Link;
+use crate::robot_voice::RobotVoice;
 
 /// Looks at the frames of one input as they are found, and keeps those that go on.
 pub(super) struct Passage<'a> {
@@ -18,12 +20,14 @@ pub(super) struct Passage<'a> {
     now: Stamp<HostClock>,
     from: Way,
     sharing: Sharing,
+    /// The robot's voice on the link, which may have to answer a command in its place.
+    voice: Option<&'a RobotVoice>,
     seen: Seen,
 }
 
 /// Whether somebody else is at the other end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Sharing {
+pub(super) enum Sharing {
     /// Only the peer itself.
     Alone,
     /// Others, too.
@@ -44,34 +48,46 @@ pub(super) struct Seen {
 
 /// A frame that goes on.
 #[derive(Debug)]
-struct Passed {
-    message_id: u32,
-    source: Address,
+pub(super) struct Passed {
+    pub(super) message_id: u32,
+    pub(super) source: Address,
+    pub(super) sequence: u8,
+    pub(super) is_signed: bool,
     version: WireVersion,
-    priority: Priority,
+    pub(super) priority: Priority,
+    /// By which way it came.
+    pub(super) from: Way,
     to: Vec<(LinkId, Audience)>,
-    bytes: Vec<u8>,
+    pub(super) bytes: Vec<u8>,
+}
+
+impl Sharing {
+    /// Whether a peer has a link for itself.
+    pub(super) fn of(link: &Link, peer: PeerId, now: Stamp<HostClock>) -> Self {
+        let told = link.health.port.peers;
+        if link.peers.has_other_than(peer, now, told) {
+            Self::Shared
+        } else {
+            Self::Alone
+        }
+    }
 }
 
 impl<'a> Passage<'a> {
-    /// A passage of what comes by one way at `now`; `link` is the one that it comes by.
+    /// A passage of what comes by one way at `now`; `voice` is the robot's on the link that it comes by.
     pub(super) fn new(
         router: &'a mut Router,
         now: Stamp<HostClock>,
         from: Way,
-        link: &Link,
+        sharing: Sharing,
+        voice: Option<&'a RobotVoice>,
     ) -> Self {
-        let told = link.health.port.peers;
-        let has_company = link.peers.has_other_than(from.peer, now, told);
         Self {
             router,
             now,
             from,
-            sharing: if has_company {
-                Sharing::Shared
-            } else {
-                Sharing::Alone
-            },
+            sharing,
+            voice,
             seen: Seen::default(),
         }
     }
@@ -96,10 +112,16 @@ impl<'a> Passage<'a> {
         if self.sharing == Sharing::Alone {
             routed.to.retain(|(link, _)| *link != self.from.link);
         }
+        if self.is_answered_here(frame) {
+            routed.to.clear();
+        }
         if !routed.to.is_empty() {
             self.seen.passed.push(Passed {
                 message_id: frame.message_id,
                 source: frame.source,
+                sequence: frame.sequence,
+                is_signed: is_signed(frame.raw),
+                from: self.from,
                 version: frame.version,
                 priority: priority_of(frame),
                 to: routed.to,
@@ -107,6 +129,16 @@ impl<'a> Passage<'a> {
             });
         }
         Some(routed.occurrence)
+    }
+
+    /// Whether a frame commands the robot what the station does in its name.
+    fn is_answered_here(&self, frame: &FrameRef<'_>) -> bool {
+        let is_command = matches!(frame.message_id, ids::COMMAND_LONG | ids::COMMAND_INT);
+        let Some(voice) = self.voice.filter(|_| is_command) else {
+            return false;
+        };
+        let message = dialect::decode(frame).ok().flatten();
+        message.is_some_and(|message| voice.takes(self.now, &message))
     }
 }
 
@@ -148,6 +180,12 @@ impl Pipeline {
             link.health.thinned += 1;
             return;
         }
+        if self.pass_on_counted(id, frame) {
+            return;
+        }
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
         for (_, to) in to {
             link.health.bytes_out += length as u64;
             link.health.frames_out += 1;

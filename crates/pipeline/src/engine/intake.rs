@@ -11,9 +11,9 @@ use posebridge_telemetry::{
     Address, Defect, Event, HostClock, LinkId, Output, PeerId, Refusal, Stamp,
 };
 
-use super::Pipeline;
 use super::bricks::Noted;
-use super::forward::Passage;
+use super::forward::{Passage, Sharing};
+use super::{Pipeline, SEVERITY_WARNING};
 use crate::peers::Believed;
 
 /// How something came.
@@ -39,7 +39,12 @@ struct Intake<'a> {
     refused_frames: u64,
     arrived: Vec<Arrived>,
     events: Vec<Event>,
+    /// What is wrong with payloads, in words: who sent it, which message.
+    complaints: Vec<(Address, u32, String)>,
 }
+
+/// So many senders and messages are told of.
+const MOST_COMPLAINTS: usize = 64;
 
 impl Pipeline {
     /// Bytes of one peer of a link that came at `at`; `None` gives up what waits of it.
@@ -59,7 +64,7 @@ impl Pipeline {
         if let Some(codec) = &mut link.codec {
             if let Some(bytes) = bytes {
                 let mut noted = Noted::default();
-                codec.push(now, bytes, &mut |heard| noted.take(heard));
+                codec.push_from(now, peer, bytes, &mut |heard| noted.take(heard));
                 self.hear_brick(
                     Arrival {
                         way: Way { link: id, peer },
@@ -71,12 +76,15 @@ impl Pipeline {
             return;
         }
         let way = Way { link: id, peer };
+        let sharing = Sharing::of(link, peer, now);
+        let voice = link.voice.as_ref();
         let mut intake = Intake {
             link: id,
-            passage: Passage::new(&mut self.router, now, way, link),
+            passage: Passage::new(&mut self.router, now, way, sharing, voice),
             refused_frames: 0,
             arrived: Vec::new(),
             events: Vec::new(),
+            complaints: Vec::new(),
         };
         let mut sink =
             |scanned: Scanned<'_>, verdict: Result<_, Refusal>| intake.take(scanned, verdict);
@@ -85,11 +93,26 @@ impl Pipeline {
             None => link.peers.give_up(now, peer, &mut sink),
         }
         link.health.refused_frames += intake.refused_frames;
-        let (arrived, events) = (intake.arrived, intake.events);
+        let (arrived, events, complaints) = (intake.arrived, intake.events, intake.complaints);
         self.passages.push((id, intake.passage.finish()));
         self.outputs.extend(events.into_iter().map(Output::Event));
+        for complaint in complaints {
+            self.complain(id, complaint);
+        }
         for message in arrived {
             self.handle_message(Arrival { way, at }, &message);
+        }
+    }
+
+    /// Tells once why the payloads of a sender's message make no sense; each of them is counted as a defect.
+    fn complain(&mut self, link: LinkId, (source, message_id, text): (Address, u32, String)) {
+        let told = &mut self.told_payloads;
+        if told.len() < MOST_COMPLAINTS && told.insert((link, source, message_id)) {
+            self.tell(Event::Text {
+                source,
+                severity: SEVERITY_WARNING,
+                text,
+            });
         }
     }
 }
@@ -134,9 +157,12 @@ impl Intake<'_> {
                 message,
             }),
             Ok(None) => {}
-            Err(error) => self.tell(Defect::Payload {
-                message_id: error.message_id(),
-            }),
+            Err(error) => {
+                let message_id = error.message_id();
+                self.tell(Defect::Payload { message_id });
+                let complaint = (frame.source, message_id, error.to_string());
+                self.complaints.push(complaint);
+            }
         }
     }
 

@@ -1,7 +1,7 @@
 //! Messages to observations: what came on a link, as far as the filter.
 
 use posebridge_estimator::gate::chi_square_quantile;
-use posebridge_estimator::{StartPose, filter_named};
+use posebridge_estimator::{Adjustment, StartPose, filter_named};
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::Occurrence;
 use posebridge_telemetry::{
@@ -12,9 +12,8 @@ use posebridge_telemetry::{
 use super::Pipeline;
 use super::intake::{Arrival, Arrived};
 use crate::clock::unwrap::Unwrapped;
-use crate::config::{DescriptionPolicy, OutputKind};
+use crate::config::DescriptionPolicy;
 use crate::interpret::{Reading, StampedBy};
-use crate::publish;
 
 /// An integral of the gyro over a longer gap than this says nothing about the rate.
 const LONGEST_GYRO_GAP: Span = Span::from_millis(1_000);
@@ -35,15 +34,21 @@ impl Pipeline {
             self.note_copy(arrival, robot_at(id, source), message);
             return;
         }
-        if let (Message::StatusText { severity, text }, Occurrence::First) = (message, occurrence) {
+        if let (Message::StatusText { severity, text, .. }, Occurrence::First) =
+            (message, occurrence)
+        {
             self.tell(Event::Text {
                 source,
                 severity: *severity,
                 text: text.clone(),
             });
         }
+        self.note_camera(id, source, message);
         if let Message::RobotDescription(description) = message {
             self.handle_description(id, source, description);
+        }
+        if self.robot == Some(robot_at(id, source)) {
+            self.robot_heard = Some((arrival.way, self.now));
         }
         self.handle_temperature(arrival, id, arrived);
         for reading in self.interpreter.readings(message).into_iter().flatten() {
@@ -114,6 +119,7 @@ impl Pipeline {
             if let Some(clock) = self.observers.remove(&(link, address)) {
                 self.brick_clock = clock.renamed();
             }
+            self.show_robot();
         }
         (self.robot == Some(candidate)).then_some(candidate)
     }
@@ -225,18 +231,15 @@ impl Pipeline {
         source: Address,
         reading: &Reading,
     ) {
-        let clock = self.observers.entry((link, source)).or_default();
-        let unwrapped = clock.arrived(arrival.way, reading.stamp, arrival.at);
-        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) = unwrapped else {
-            self.tell_unaligned(link, source);
-            return;
+        let on_host = match reading.stamp {
+            WireStamp::Asked { sent, answered } => {
+                let half = Span::from_nanos((answered - sent).as_nanos() / 2);
+                Some((sent + half, half))
+            }
+            WireStamp::Micros32(_) | WireStamp::Millis32(_) | WireStamp::Micros64(_) => {
+                self.observer_instant(arrival, (link, source), reading.stamp)
+            }
         };
-        let on_host = clock.host_at(stamp);
-        // It is told below, because such a clock has no conversion.
-        clock.take_contradiction();
-        if matches!(unwrapped, Unwrapped::Restarted(_)) {
-            self.ask_time_again(link, source);
-        }
         let on_brick = on_host.and_then(|(host, camera_off)| {
             let (brick, brick_off) = self.brick_clock.remote_at(host)?;
             Some((brick, sigma_of(camera_off + brick_off)))
@@ -244,7 +247,7 @@ impl Pipeline {
         match (on_brick, self.robot) {
             (Some((stamp, stamp_sigma)), Some(robot)) => {
                 let observation = Observation {
-                    sensor: reading.sensor,
+                    sensor: self.camera_sensor(link, source),
                     stamp,
                     stamp_sigma,
                     observed: reading.observed,
@@ -253,6 +256,28 @@ impl Pipeline {
             }
             _ => self.tell_unaligned(link, source),
         }
+    }
+
+    /// The host instant of a stamp by an observer's own clock, and how far it may be off; `None` while that clock is not aligned.
+    fn observer_instant(
+        &mut self,
+        arrival: Arrival,
+        (link, source): (LinkId, Address),
+        stamp: WireStamp,
+    ) -> Option<(Stamp<HostClock>, Span)> {
+        let clock = self.observers.entry((link, source)).or_default();
+        let unwrapped = clock.arrived(arrival.way, stamp, arrival.at);
+        let (Unwrapped::Continued(stamp) | Unwrapped::Restarted(stamp)) = unwrapped else {
+            return None;
+        };
+        let on_host = clock.host_at(stamp);
+        // The caller tells it, because such a clock has no conversion.
+        clock.take_contradiction();
+        if matches!(unwrapped, Unwrapped::Restarted(_)) {
+            self.ask_time_again(link, source);
+            self.camera_restarted(link, source);
+        }
+        on_host
     }
 
     pub(super) fn tell_unaligned(&mut self, link: LinkId, source: Address) {
@@ -273,25 +298,30 @@ impl Pipeline {
             arrival,
             observation,
         });
-        let record = self.filter.observe(&observation);
+        let left_out = self.left_out(&observation);
+        self.is_news |= left_out.is_none();
+        let record = left_out.unwrap_or_else(|| self.filter.observe(&observation));
         if matches!(observation.observed, Observed::Fix(_)) && record.degrees_of_freedom > 0 {
-            let probability = self.config.filter_config.params.gate_probability;
-            self.fix_ratio =
-                record.nis / chi_square_quantile(record.degrees_of_freedom, probability);
+            self.fix_ratio = record.nis / self.gate(record.degrees_of_freedom);
         }
-        let mut health = Vec::new();
-        for (id, link) in &mut self.links {
-            health.extend(
-                link.publisher
-                    .fusion_health(&record)
-                    .map(|message| (*id, message)),
-            );
+        if let Observed::WallRange(range) = observation.observed {
+            self.publish_range(range, observation.stamp);
         }
-        for (id, message) in health {
-            self.transmit(id, &message, publish::priority(OutputKind::FusionHealth));
-        }
+        self.publish_record(&record);
         self.tell(Event::Fused { robot, record });
-        self.is_news = true;
+    }
+
+    /// What the normalised innovation of a fix must stay below.
+    fn gate(&mut self, degrees_of_freedom: u8) -> f64 {
+        let probability = self.config.filter_config.params.gate_probability;
+        if let Some((known, of, quantile)) = self.fix_gate
+            && (known, of) == (degrees_of_freedom, probability)
+        {
+            return quantile;
+        }
+        let quantile = chi_square_quantile(degrees_of_freedom, probability);
+        self.fix_gate = Some((degrees_of_freedom, probability, quantile));
+        quantile
     }
 
     /// The brick was switched off and on: it has forgotten what was asked of it.
@@ -343,6 +373,10 @@ impl Pipeline {
         }
         if let Some(entry) = filter_named(&self.config.filter) {
             self.filter = (entry.build)(&filter_config);
+            // What is frozen stays so; a filter that does not learn has nothing to say to this.
+            let _ = self
+                .filter
+                .adjust(&Adjustment::Learning(self.standing.learning));
         }
     }
 }

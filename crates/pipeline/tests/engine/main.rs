@@ -215,9 +215,12 @@ fn a_pose_that_is_commanded_is_believed_and_one_that_cannot_be_is_refused_in_wor
         .collect();
     assert_eq!(
         texts,
-        [(
-            STATION,
-            "the pose was not set: a number is not finite or a sigma is negative"
-        )]
+        [
+            (STATION, "pose set to x 1.500 m, y 2.000 m, 5.7 deg"),
+            (
+                STATION,
+                "the pose was not set: a number is not finite or a sigma is negative"
+            )
+        ]
     );
 }

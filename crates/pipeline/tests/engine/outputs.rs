@@ -141,7 +141,7 @@ fn planar_poses(world: &World) -> Vec<(PlanarPose, u32)> {
                         }),
                 );
             }
-            Output::Event(_) => {}
+            Output::Event(_) | Output::Request(_) => {}
         }
     }
     poses

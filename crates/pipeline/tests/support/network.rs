@@ -75,7 +75,7 @@ pub(crate) fn passed_on(
             priority,
             bytes,
         } if bytes == frame => Some((*link, *to, *priority)),
-        Output::Transmit { .. } | Output::Event(_) => None,
+        Output::Transmit { .. } | Output::Event(_) | Output::Request(_) => None,
     });
     passed.collect()
 }

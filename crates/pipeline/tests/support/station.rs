@@ -2,8 +2,8 @@
 
 use posebridge_estimator::{FilterConfig, Params, StartPose};
 use posebridge_pipeline::{
-    AcceptedVersions, DescriptionPolicy, LinkConfig, OutputInstant, OutputKind, OutputStream,
-    Pipeline, PipelineConfig,
+    AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OutputInstant, OutputKind,
+    OutputStream, Pipeline, PipelineConfig,
 };
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_telemetry::{
@@ -43,6 +43,7 @@ pub(crate) fn config() -> PipelineConfig {
         description: DescriptionPolicy::Ignore,
         robot_system: None,
         tag_in_body: Point2::ORIGIN,
+        fix_requests: FixRequestConfig::default(),
         timesync_period: Span::from_millis(500),
         wanted: vec![
             (42_100, Span::from_millis(50)),
@@ -76,6 +77,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
         version: AcceptedVersions::V2,
         speaks: WireVersion::V2,
         outputs,
+        voices: posebridge_pipeline::Voices::Own,
         signing: None,
         rules: posebridge_protocol::routing::LinkRules::default(),
     }
@@ -147,7 +149,7 @@ impl Station {
     pub(crate) fn events(&self) -> impl Iterator<Item = &Event> {
         self.outputs.iter().filter_map(|(_, output)| match output {
             Output::Event(event) => Some(event),
-            Output::Transmit { .. } => None,
+            Output::Transmit { .. } | Output::Request(_) => None,
         })
     }
 
@@ -157,7 +159,7 @@ impl Station {
             .iter()
             .filter_map(|(now, output)| match output {
                 Output::Transmit { bytes, .. } => Some((*now, bytes.as_slice())),
-                Output::Event(_) => None,
+                Output::Event(_) | Output::Request(_) => None,
             })
     }
 }

@@ -93,7 +93,7 @@ impl World {
             .iter()
             .filter_map(|(_, output)| match output {
                 Output::Transmit { bytes, .. } => Some(bytes.clone()),
-                Output::Event(_) => None,
+                Output::Event(_) | Output::Request(_) => None,
             })
             .collect();
         self.seen_outputs = self.station.outputs.len();

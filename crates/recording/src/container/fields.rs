@@ -1,9 +1,9 @@
-//! The fields of the two records that tell what a recording is: metadata and channel.
+//! The fields of the records that tell what a recording is and where its messages are: metadata, channel, chunk, message.
 //!
 //! The `mcap` crate's own parser makes room for whatever length a string claims before it looks how many bytes there are:
 //! a damaged file of some hundred bytes made it ask for four gigabytes. Here nothing is copied before it is there.
 //!
-//! Source: MCAP specification, "Metadata (op=0x0C)", "Channel (op=0x04)", "Serialization": a string is its length (u32)
+//! Source: MCAP specification, "Metadata (op=0x0C)", "Channel (op=0x04)", "Message (op=0x05)", "Chunk (op=0x06)", "Serialization": a string is its length (u32)
 //! and UTF-8; a map is its length in bytes (u32) and pairs, with no key twice; little-endian.
 
 use std::collections::BTreeMap;
@@ -46,6 +46,62 @@ pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     Some(channel)
 }
 
+/// What stands in front of a chunk's records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Chunk<'a> {
+    /// CRC-32 of the uncompressed records; 0 when it was not computed.
+    pub(super) crc: u32,
+    /// How the records are compressed; empty when they are not.
+    pub(super) compression: &'a str,
+    /// So many bytes of the record stand before its records.
+    pub(super) head_bytes: usize,
+    /// The records, as far as they are there.
+    pub(super) records: &'a [u8],
+}
+
+/// Takes a chunk record apart; `None` if it is damaged. A chunk that was cut off has fewer records than it says.
+pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
+    let mut fields = Fields { rest: body };
+    let _first_time = fields.u64()?;
+    let _last_time = fields.u64()?;
+    let _uncompressed_bytes = fields.u64()?;
+    let crc = fields.u32()?;
+    let compression = fields.text()?;
+    let bytes = usize::try_from(fields.u64()?).ok()?;
+    Some(Chunk {
+        crc,
+        compression,
+        head_bytes: body.len() - fields.rest.len(),
+        records: fields.rest.get(..bytes).unwrap_or(fields.rest),
+    })
+}
+
+/// A message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Message<'a> {
+    pub(super) channel_id: u16,
+    pub(super) sequence: u32,
+    pub(super) log_time: u64,
+    pub(super) data: &'a [u8],
+}
+
+/// Channel (2), sequence (4), log time (8) and publish time (8) stand before a message's data.
+pub(super) const MESSAGE_HEADER_BYTES: usize = 22;
+
+/// Takes a message record apart; `None` if it is shorter than its header.
+pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
+    let mut fields = Fields { rest: body };
+    let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
+    let log_time = fields.u64()?;
+    let _publish_time = fields.u64()?;
+    Some(Message {
+        channel_id,
+        sequence,
+        log_time,
+        data: fields.rest,
+    })
+}
+
 /// What is left of a record.
 struct Fields<'a> {
     rest: &'a [u8],
@@ -56,6 +112,18 @@ impl<'a> Fields<'a> {
         let (number, rest) = self.rest.split_first_chunk()?;
         self.rest = rest;
         Some(u16::from_le_bytes(*number))
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        let (number, rest) = self.rest.split_first_chunk()?;
+        self.rest = rest;
+        Some(u32::from_le_bytes(*number))
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        let (number, rest) = self.rest.split_first_chunk()?;
+        self.rest = rest;
+        Some(u64::from_le_bytes(*number))
     }
 
     /// As many bytes as the number in front of them says.
@@ -118,6 +186,17 @@ mod tests {
             record[at..at + 4].fill(0xFF);
             assert_eq!(metadata(&record), None, "{at}");
         }
+    }
+
+    #[test]
+    fn a_chunk_that_is_cut_gives_what_is_there() {
+        let mut body = [0; 24].to_vec();
+        body.extend(b"\x04\x03\x02\x01\0\0\0\0\x05\0\0\0\0\0\0\0abcde");
+        let whole = chunk(&body).unwrap();
+        assert_eq!((whole.crc, whole.compression), (0x0102_0304, ""));
+        assert_eq!(whole.records, b"abcde");
+        assert_eq!(chunk(&body[..body.len() - 2]).unwrap().records, b"abc");
+        assert_eq!(chunk(&body[..39]), None);
     }
 
     #[test]

@@ -1,31 +1,46 @@
 //! Our own recordings: the sequence of everything that was given to the pipeline, with the instants at which it was.
 //!
-//! The file is MCAP without chunks, so that every message written before the last flush can be read after a crash; a
-//! torn tail is an [`Ending`] and not an error. Each message carries a checksum of its own, because MCAP has none
-//! outside chunks. The bytes are described in docs/recording-format.md. This module interprets nothing: replaying is
-//! the pipeline's work.
+//! The file is MCAP in small chunks without compression. Whoever writes it ends a chunk with every flush, so that what was
+//! flushed can be read after a crash by any reader; a torn tail is an [`Ending`] and not an error. Each input carries a
+//! checksum of its own beside that of its chunk, so that damage costs one input and not a chunk of them. The bytes are
+//! described in docs/recording-format.md. This module interprets nothing: replaying is the pipeline's work.
+//!
+//! Beside the inputs stands what came out of them ([`crate::foxglove`]), for viewers and notebooks. It is never read back,
+//! with one exception: the truth of a simulated run ([`truth()`]).
 
 mod encoding;
 mod fields;
+mod header;
 mod reader;
 mod records;
+mod truth;
+mod walk;
 mod writer;
 
 pub use encoding::DecodeError;
 pub use reader::{Ending, ReadError, Reader};
+pub use truth::{TruthSample, truth};
 pub use writer::{WriteError, Writer};
 
+use posebridge_telemetry::{HostClock, Stamp};
+
 /// Version of the recording's layout that this program writes, and the newest that it reads.
-pub const FORMAT: u32 = 2;
+pub const FORMAT: u32 = 3;
+
+/// The newest layout without chunks, whose messages have the time of the host clock and not UTC.
+const UNCHUNKED: u32 = 2;
 
 /// Topic of the one channel that holds the pipeline's inputs.
 pub const INPUT_TOPIC: &str = "posebridge/input";
 
+/// Topic of the truth of a simulated run.
+pub const TRUTH_TOPIC: &str = "posebridge/truth";
+
+/// Id of the channel on [`INPUT_TOPIC`]: the first that is written. Known so that inputs can be read where its record is damaged.
+const INPUT_CHANNEL: u16 = 1;
+
 /// Name of the schema and of the message encoding on [`INPUT_TOPIC`].
 pub const INPUT_ENCODING: &str = "posebridge.input.v1";
-
-/// Name of the metadata record that holds the [`Header`].
-const HEADER_RECORD: &str = "posebridge.recording";
 
 /// What a recording says about itself before its first input.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -40,4 +55,38 @@ pub struct Header {
     pub config_toml: String,
     /// The URLs of the links, in the order of their `LinkId`.
     pub links: Vec<String>,
+}
+
+/// Where in its session a recording begins.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Beginning {
+    /// Number of this part of the recording, from 1.
+    pub part: u32,
+    /// How many inputs the pipeline had been given before the first one here. Only from 0 a replay is that of the session: a later
+    /// part lacks what was learned before.
+    pub inputs_before: u64,
+    /// Name of the file that holds what came before, without its folder; `None` if nothing holds it.
+    pub continues: Option<String>,
+}
+
+impl Default for Beginning {
+    /// With the session.
+    fn default() -> Self {
+        Self {
+            part: 1,
+            inputs_before: 0,
+            continues: None,
+        }
+    }
+}
+
+/// Inputs that were given to the pipeline but are not in the recording: the disk was too slow for them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// How many.
+    pub inputs: u64,
+    /// When the last input before them was given.
+    pub from: Stamp<HostClock>,
+    /// When the next input behind them was given, or again `from` at the end of the recording.
+    pub to: Stamp<HostClock>,
 }

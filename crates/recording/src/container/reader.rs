@@ -4,12 +4,11 @@ use mcap::records::op;
 use posebridge_telemetry::{HostClock, Input, Stamp};
 
 use super::encoding::{self, DecodeError, Place};
-use super::fields::{self, Metadata};
+use super::fields::{self, MESSAGE_HEADER_BYTES};
+use super::header;
 use super::records::{End, RawRecord, Records};
-use super::{FORMAT, HEADER_RECORD, Header, INPUT_ENCODING, INPUT_TOPIC};
-
-/// Channel (2), sequence (4), log time (8) and publish time (8) stand before a message's data.
-const MESSAGE_HEADER_BYTES: usize = 22;
+use super::walk::{Stop, Walk};
+use super::{Beginning, FORMAT, Header, INPUT_CHANNEL, INPUT_ENCODING, INPUT_TOPIC, UNCHUNKED};
 
 /// How a recording ends.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,13 +47,31 @@ pub enum ReadError {
         /// The format that it claims.
         found: u32,
     },
-    /// Another program packed the messages into chunks.
+    /// Another program packed the messages anew.
     #[error(
-        "byte {offset}: the messages are packed in chunks: write the file again without chunks and compression"
+        "byte {offset}: the messages are compressed ({compression}): write the file again without compression"
     )]
-    Chunked {
+    Compressed {
         /// Where the chunk begins.
         offset: u64,
+        /// How it is compressed.
+        compression: String,
+    },
+    /// A chunk is damaged; what is whole in it and behind it follows.
+    #[error("byte {offset}: a chunk of the recording is damaged: {what}")]
+    Chunk {
+        /// Where the damage, or the chunk, begins.
+        offset: u64,
+        /// What is wrong there.
+        what: String,
+    },
+    /// A sample of the truth is destroyed.
+    #[error("byte {offset}: a recorded sample of the truth is damaged: {what}")]
+    Truth {
+        /// Where its record begins.
+        offset: u64,
+        /// What is wrong with it.
+        what: String,
     },
     /// The framing is destroyed; nothing behind it can be found.
     #[error("byte {offset}: {what}; the recording cannot be read any further")]
@@ -87,11 +104,12 @@ pub enum ReadError {
 
 /// Reads the inputs of one session, in the order in which they were given: an iterator over `(instant, input)`.
 ///
-/// A torn tail ends the iteration; a damaged message is an error of its own and the next one follows.
+/// A torn tail ends the iteration; a damaged chunk or message is an error of its own and the next message follows.
 #[derive(Clone, Debug)]
 pub struct Reader<'a> {
     header: Header,
-    records: Records<'a>,
+    beginning: Beginning,
+    walk: Walk<'a>,
     channel_id: Option<u16>,
     next_sequence: u32,
     pending: Option<(Stamp<HostClock>, Input)>,
@@ -105,12 +123,12 @@ impl<'a> Reader<'a> {
     /// When the bytes are not a recording of ours, or are cut off or damaged before the end of the header.
     pub fn open(bytes: &'a [u8]) -> Result<Self, ReadError> {
         let mut records = Records::new(bytes).ok_or(ReadError::NotMcap)?;
-        let header = loop {
+        let (header, beginning) = loop {
             let record = records.next().map_err(no_header)?;
             match record.opcode {
                 op::METADATA => {
-                    if let Some(header) = parse_header(&record)? {
-                        break header;
+                    if let Some(found) = header::parse(&record)? {
+                        break found;
                     }
                 }
                 op::MESSAGE | op::CHUNK | op::DATA_END => {
@@ -123,12 +141,14 @@ impl<'a> Reader<'a> {
             }
         };
         Ok(Self {
-            header,
-            records,
-            channel_id: None,
-            next_sequence: 0,
+            // The number of an input is that of a session, cut to 32 bits.
+            next_sequence: beginning.inputs_before as u32,
+            beginning,
+            walk: Walk::from(records),
+            channel_id: (header.format > UNCHUNKED).then_some(INPUT_CHANNEL),
             pending: None,
             is_over: false,
+            header,
         })
     }
 
@@ -137,9 +157,19 @@ impl<'a> Reader<'a> {
         &self.header
     }
 
+    /// Where in its session it begins. A replay is that of the session only if no input was given before.
+    pub fn beginning(&self) -> &Beginning {
+        &self.beginning
+    }
+
+    /// How many bytes of the file lie behind the iteration, for progress bars.
+    pub fn offset(&self) -> u64 {
+        self.walk.offset() as u64
+    }
+
     /// How the file ends; it can be asked at any time and does not move the iteration.
     pub fn ending(&self) -> Ending {
-        match self.records.clone().end() {
+        match self.walk.end() {
             End::Complete => Ending::Complete,
             End::Torn { offset, what } | End::Damaged { offset, what } => Ending::Torn {
                 offset: offset as u64,
@@ -148,50 +178,61 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// The records behind the header.
+    pub(super) fn into_walk(self) -> Walk<'a> {
+        self.walk
+    }
+
     /// Takes one message record apart; `None` when it belongs to another channel.
     fn message(
         &mut self,
         record: &RawRecord<'a>,
     ) -> Option<Result<(Stamp<HostClock>, Input), ReadError>> {
         let offset = record.offset as u64;
-        let Some((head, data)) = record.body.split_first_chunk::<MESSAGE_HEADER_BYTES>() else {
+        let Some(message) = fields::message(record.body) else {
             let (wanted, left) = (MESSAGE_HEADER_BYTES, record.body.len());
             let why = DecodeError::TooShort { wanted, left };
             return Some(Err(ReadError::Message { offset, why }));
         };
-        let [c0, c1, s0, s1, s2, s3, rest @ ..] = *head;
-        if Some(u16::from_le_bytes([c0, c1])) != self.channel_id {
+        if Some(message.channel_id) != self.channel_id {
             return None;
         }
-        let [t0, t1, t2, t3, t4, t5, t6, t7, ..] = rest;
-        let place = Place {
-            sequence: u32::from_le_bytes([s0, s1, s2, s3]),
-            log_time: u64::from_le_bytes([t0, t1, t2, t3, t4, t5, t6, t7]),
-        };
-        let expected = self.next_sequence;
-        let decoded = encoding::decode(data, place);
+        let (expected, found) = (self.next_sequence, message.sequence);
+        let decoded = self.decode(&message);
         // A damaged number cannot be trusted to go on from: count on as if it had been right.
-        let believed = if decoded.is_ok() {
-            place.sequence
-        } else {
-            expected
-        };
+        let believed = if decoded.is_ok() { found } else { expected };
         self.next_sequence = believed.wrapping_add(1);
-        let input = match decoded {
-            Ok(input) => input,
+        let given = match decoded {
+            Ok(given) => given,
             Err(why) => return Some(Err(ReadError::Message { offset, why })),
         };
-        // What decodes has a time within the range of a stamp.
-        let now = Stamp::from_nanos(place.log_time as i64);
-        if place.sequence == expected {
-            return Some(Ok((now, input)));
+        if found == expected {
+            return Some(Ok(given));
         }
-        self.pending = Some((now, input));
+        self.pending = Some(given);
         Some(Err(ReadError::Gap {
             offset,
             expected,
-            found: place.sequence,
+            found,
         }))
+    }
+
+    /// The input of a message, and when it was given.
+    fn decode(
+        &self,
+        message: &fields::Message<'_>,
+    ) -> Result<(Stamp<HostClock>, Input), DecodeError> {
+        let since_start = message
+            .log_time
+            .checked_sub(header::zero_nanos(&self.header));
+        let log_time = since_start.ok_or(DecodeError::Time(message.log_time))?;
+        let place = Place {
+            sequence: message.sequence,
+            log_time,
+        };
+        let input = encoding::decode(message.data, place)?;
+        // What decodes has a time within the range of a stamp.
+        Ok((Stamp::from_nanos(log_time as i64), input))
     }
 
     fn note_channel(&mut self, record: &RawRecord<'_>) {
@@ -200,6 +241,26 @@ impl<'a> Reader<'a> {
             && channel.message_encoding == INPUT_ENCODING
         {
             self.channel_id = Some(channel.id);
+        }
+    }
+
+    /// What follows from where the walk stopped.
+    fn stopped(&mut self, stop: Stop) -> Option<ReadError> {
+        match stop {
+            Stop::Defect(defect) => {
+                self.is_over = matches!(defect, ReadError::Compressed { .. });
+                Some(defect)
+            }
+            Stop::End(end) => {
+                self.is_over = true;
+                let End::Damaged { offset, what } = end else {
+                    return None;
+                };
+                Some(ReadError::Damaged {
+                    offset: offset as u64,
+                    what: what.to_owned(),
+                })
+            }
         }
     }
 }
@@ -212,18 +273,9 @@ impl Iterator for Reader<'_> {
             return Some(Ok(item));
         }
         while !self.is_over {
-            let record = match self.records.next() {
+            let record = match self.walk.next() {
                 Ok(record) => record,
-                Err(end) => {
-                    self.is_over = true;
-                    return match end {
-                        End::Complete | End::Torn { .. } => None,
-                        End::Damaged { offset, what } => Some(Err(ReadError::Damaged {
-                            offset: offset as u64,
-                            what: what.to_owned(),
-                        })),
-                    };
-                }
+                Err(stop) => return self.stopped(stop).map(Err),
             };
             match record.opcode {
                 op::MESSAGE if self.channel_id.is_none() => {
@@ -240,11 +292,6 @@ impl Iterator for Reader<'_> {
                     }
                 }
                 op::CHANNEL => self.note_channel(&record),
-                op::CHUNK => {
-                    self.is_over = true;
-                    let offset = record.offset as u64;
-                    return Some(Err(ReadError::Chunked { offset }));
-                }
                 _ => {}
             }
         }
@@ -263,42 +310,4 @@ fn no_header(end: End) -> ReadError {
             what: what.to_owned(),
         },
     }
-}
-
-/// The header, if this metadata record holds it.
-fn parse_header(record: &RawRecord<'_>) -> Result<Option<Header>, ReadError> {
-    let broken = |what: &str| ReadError::NoHeader {
-        offset: record.offset as u64,
-        what: what.to_owned(),
-    };
-    let Some(found) = fields::metadata(record.body) else {
-        return Err(broken("a damaged metadata record"));
-    };
-    if found.name != HEADER_RECORD {
-        return Ok(None);
-    }
-    let text = |key: &str| text_of(&found, key).ok_or_else(|| broken("a header without its keys"));
-    let format = text("format")?
-        .parse()
-        .ok()
-        .ok_or_else(|| broken("a header whose format is not a number"))?;
-    if format > FORMAT {
-        return Err(ReadError::Format { found: format });
-    }
-    Ok(Some(Header {
-        format,
-        program_version: text("program_version")?,
-        utc_start_micros: text("utc_start_micros")?
-            .parse()
-            .ok()
-            .ok_or_else(|| broken("a header whose start time is not a number"))?,
-        config_toml: text("config_toml")?,
-        links: serde_json::from_str(&text("links")?)
-            .ok()
-            .ok_or_else(|| broken("a header whose links are not a list"))?,
-    }))
-}
-
-fn text_of(record: &Metadata<'_>, key: &str) -> Option<String> {
-    record.entries.get(key).map(|value| (*value).to_owned())
 }

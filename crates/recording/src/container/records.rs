@@ -1,4 +1,4 @@
-//! Walks the records of an MCAP file by their framing alone, and says where and how the file ends.
+//! Walks the records of an MCAP file, or of one of its chunks, by their framing alone, and says where and how they end.
 //!
 //! The `mcap` crate's own readers stop with an error that names no place; a recording that was cut off needs the
 //! offset, and must give everything before it. What is inside a record is not looked at here.
@@ -24,12 +24,14 @@ pub(super) struct RawRecord<'a> {
     pub(super) opcode: u8,
     /// Its content.
     pub(super) body: &'a [u8],
+    /// Whether all of its content is there; only of a chunk is given what is left.
+    pub(super) is_whole: bool,
 }
 
 /// Where the walk ended, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum End {
-    /// The footer is followed by the end magic and nothing else.
+    /// The footer is followed by the end magic and nothing else; of a chunk, its last record ends where it ends.
     Complete,
     /// The file stops before its end was written.
     Torn {
@@ -47,12 +49,28 @@ pub(super) enum End {
     },
 }
 
-/// A walk over the records of a file.
+/// A walk over the records of a file or of a chunk.
 #[derive(Clone, Debug)]
 pub(super) struct Records<'a> {
     bytes: &'a [u8],
+    /// Where `bytes` begin in the file.
+    base: usize,
+    /// In `bytes`.
     offset: usize,
-    after_footer: bool,
+    place: Place,
+}
+
+/// What a walk goes through.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    /// The file, before its footer.
+    File,
+    /// The file, behind its footer.
+    BehindFooter,
+    /// The file, behind a chunk that was cut off and begins at this offset.
+    BehindTornChunk(usize),
+    /// A chunk.
+    Chunk,
 }
 
 impl<'a> Records<'a> {
@@ -60,17 +78,35 @@ impl<'a> Records<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Option<Self> {
         bytes.starts_with(MAGIC).then_some(Self {
             bytes,
+            base: 0,
             offset: MAGIC.len(),
-            after_footer: false,
+            place: Place::File,
         })
+    }
+
+    /// A walk over the `length` bytes of records that begin `start` bytes behind the head of a chunk.
+    pub(super) fn inside(chunk: &RawRecord<'a>, start: usize, length: usize) -> Self {
+        let inner = chunk.body.get(start..).unwrap_or_default();
+        Self {
+            bytes: inner.get(..length).unwrap_or(inner),
+            base: chunk.offset + RECORD_HEADER_BYTES + start,
+            offset: 0,
+            place: Place::Chunk,
+        }
     }
 
     /// The next record, or the end; after an end the same end again.
     pub(super) fn next(&mut self) -> Result<RawRecord<'a>, End> {
-        let offset = self.offset;
-        let rest = self.bytes.get(offset..).unwrap_or_default();
-        if self.after_footer {
-            return Err(end_behind_footer(offset, rest));
+        let offset = self.base + self.offset;
+        let rest = self.bytes.get(self.offset..).unwrap_or_default();
+        match self.place {
+            Place::BehindFooter => return Err(end_behind_footer(offset, rest)),
+            Place::BehindTornChunk(offset) => {
+                let what = "the rest of a chunk";
+                return Err(End::Torn { offset, what });
+            }
+            Place::Chunk if rest.is_empty() => return Err(End::Complete),
+            Place::File | Place::Chunk => {}
         }
         if rest.iter().all(|byte| *byte == 0) {
             // Nothing, or the zeros that a file system leaves behind when the power fails.
@@ -91,17 +127,29 @@ impl<'a> Records<'a> {
             let what = "a record that claims more than 64 MiB";
             return Err(End::Damaged { offset, what });
         }
-        let Some(body) = content.get(..length as usize) else {
+        let is_whole = content.len() >= length as usize;
+        if !is_whole && (opcode != op::CHUNK || self.place == Place::Chunk) {
             let what = "the rest of a record";
             return Err(End::Torn { offset, what });
-        };
-        self.offset = offset + RECORD_HEADER_BYTES + body.len();
-        self.after_footer = opcode == op::FOOTER;
+        }
+        let body = content.get(..length as usize).unwrap_or(content);
+        self.offset += RECORD_HEADER_BYTES + body.len();
+        if !is_whole {
+            self.place = Place::BehindTornChunk(offset);
+        } else if opcode == op::FOOTER && self.place == Place::File {
+            self.place = Place::BehindFooter;
+        }
         Ok(RawRecord {
             offset,
             opcode,
             body,
+            is_whole,
         })
+    }
+
+    /// How far the walk has come, as an offset from the start of the file.
+    pub(super) const fn offset(&self) -> usize {
+        self.base + self.offset
     }
 
     /// Where the walk will end when it goes on from here.

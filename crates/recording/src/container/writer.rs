@@ -1,21 +1,31 @@
 //! Writes a recording as it happens, so that what was flushed stays readable whatever follows.
 
 use std::collections::BTreeMap;
-use std::io::{BufWriter, IntoInnerError, Seek, Write};
+use std::io::{BufWriter, IntoInnerError, Write};
 
-use mcap::records::{MessageHeader, Metadata};
-use posebridge_telemetry::{HostClock, Input, Stamp};
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
 
 use super::encoding::{self, Place};
-use super::{HEADER_RECORD, Header, INPUT_ENCODING, INPUT_TOPIC};
+use super::{Beginning, Gap, Header, INPUT_ENCODING, INPUT_TOPIC, TruthSample, header};
+use crate::foxglove::{self, Message, Outputs};
 
 /// The largest chunk of bytes that one input may hold. A read from a link returns at most some kilobytes.
 pub(super) const MAX_INPUT_BYTES: usize = 16 << 20;
 
+/// A chunk is written at the latest when it is so large, bytes: more than a second of a busy session.
+const CHUNK_BYTES: u64 = 512 << 10;
+
+/// Estimates beside the inputs lie so far apart unless the caller says otherwise: a person follows ten a second, and an hour of them
+/// takes some hundred megabytes.
+const OUTPUT_SPACING: Span = Span::from_millis(100);
+
 /// What the schema record says to people who open the file with another program.
-const SCHEMA_TEXT: &str = "posebridge.input.v1, little-endian: u8 version = 1; \
-    u8 tag (0 bytes, 1 link state, 2 observation, 3 set pose, 4 tick); the tag's fields; \
-    u32 CRC-32 over sequence (u32), log time (u64) and all bytes before. See docs/recording-format.md of posebridge.";
+const SCHEMA_TEXT: &str = "posebridge.input.v1, little-endian: u8 version; \
+    u8 tag (0 bytes, 1 link state, 2 observation, 3 set pose, 4 tick, 5 bytes of a peer, 6 counts of a port); the tag's fields; \
+    u32 CRC-32 over sequence (u32), time since the start of the session in nanoseconds (u64) and all bytes before. \
+    See docs/recording-format.md of posebridge.";
 
 /// Why something could not be recorded.
 #[derive(Debug, thiserror::Error)]
@@ -33,52 +43,94 @@ pub enum WriteError {
     /// A chunk that no link can have returned.
     #[error("a chunk of {0} bytes is more than the 16 MiB that one input may hold")]
     TooLarge(usize),
+    /// A start of the session of which the nanoseconds do not fit.
+    #[error("a session that starts {0} µs after 1970, beyond the year 2262, cannot be recorded")]
+    StartTime(u64),
 }
 
-/// Writes the inputs of one session to `W`.
+/// Writes the inputs of one session to `W`, and what came out of them beside.
 ///
-/// Bytes are buffered here; [`Writer::flush`] hands them to `W` and flushes `W`. Dropping the writer ends the file as
-/// [`Writer::finish`] does, but hides errors.
-pub struct Writer<W: Write + Seek> {
-    mcap: mcap::Writer<BufWriter<W>>,
-    channel_id: u16,
+/// Bytes are buffered here; [`Writer::flush`] ends the chunk, hands everything to `W` and flushes `W`. Dropping the writer
+/// ends the file as [`Writer::finish`] does, but hides errors.
+pub struct Writer<W: Write> {
+    mcap: mcap::Writer<NoSeek<BufWriter<W>>>,
+    /// UTC of the host clock's zero, ns.
+    zero_nanos: u64,
+    input_channel: u16,
     sequence: u32,
+    /// The channels beside the inputs by topic; each is made for its first message.
+    beside: BTreeMap<&'static str, Beside>,
+    outputs: Outputs,
     scratch: Vec<u8>,
 }
 
-impl<W: Write + Seek> Writer<W> {
-    /// Starts a recording and flushes its header, so that even a session of no inputs leaves a readable file.
+/// A channel beside the inputs.
+#[derive(Clone, Copy)]
+struct Beside {
+    id: u16,
+    sequence: u32,
+}
+
+impl<W: Write> Writer<W> {
+    /// Starts the recording of a session and flushes its header, so that even a session of no inputs leaves a readable file.
     ///
     /// # Errors
     /// When `w` cannot be written.
     pub fn create(w: W, header: &Header) -> Result<Self, WriteError> {
+        Self::create_part(w, header, &Beginning::default())
+    }
+
+    /// Starts a recording that begins in the midst of its session, or is one of its parts; flushes its header.
+    ///
+    /// # Errors
+    /// When `w` cannot be written.
+    pub fn create_part(w: W, header: &Header, begins: &Beginning) -> Result<Self, WriteError> {
+        if header.utc_start_micros > header::LATEST_START_MICROS {
+            return Err(WriteError::StartTime(header.utc_start_micros));
+        }
         let mut mcap = mcap::WriteOptions::new()
-            .use_chunks(false)
+            .chunk_size(Some(CHUNK_BYTES))
+            .compression(None)
+            // A chunk is written in one go: a killed program leaves no half of one that was not flushed.
+            .disable_seeking(true)
             .profile("")
             .library(format!("posebridge {}", header.program_version))
-            .create(BufWriter::new(w))?;
-        mcap.write_metadata(&header_record(header))?;
+            .create(NoSeek::new(BufWriter::new(w)))?;
+        mcap.write_metadata(&header::record(header, begins))?;
         let schema_id = mcap.add_schema(INPUT_ENCODING, INPUT_ENCODING, SCHEMA_TEXT.as_bytes())?;
-        let channel_id =
+        let input_channel =
             mcap.add_channel(schema_id, INPUT_TOPIC, INPUT_ENCODING, &BTreeMap::new())?;
         mcap.flush()?;
+        let zero_nanos = header::zero_nanos(header);
         Ok(Self {
             mcap,
-            channel_id,
-            sequence: 0,
+            zero_nanos,
+            input_channel,
+            // The number of an input is that of a session, cut to 32 bits.
+            sequence: begins.inputs_before as u32,
+            beside: BTreeMap::new(),
+            outputs: Outputs::new(zero_nanos, OUTPUT_SPACING),
             scratch: Vec::new(),
         })
     }
 
-    /// Records that `input` was given to the pipeline at `now`.
+    /// Sets how far apart estimates, and fusions of one sensor and kind, lie at least beside the inputs; zero keeps all of them.
+    pub fn space_outputs(&mut self, spacing: Span) {
+        self.outputs.set_spacing(spacing);
+    }
+
+    /// Goes on with what the writer of the part before knew: the alignment of the brick's clock, and where the robot has been.
+    pub fn take_over(&mut self, before: &mut Self) {
+        std::mem::swap(&mut self.outputs, &mut before.outputs);
+    }
+
+    /// Records that `input` was given to the pipeline at `now`; a command is shown beside the inputs as well.
     ///
     /// # Errors
     /// When the file cannot be written, `now` is negative, or a chunk of bytes is longer than 16 MiB. After the first
     /// kind nothing more can be recorded; after the other two only this input is missing.
     pub fn record(&mut self, now: Stamp<HostClock>, input: &Input) -> Result<(), WriteError> {
-        let Ok(log_time) = u64::try_from(now.as_nanos()) else {
-            return Err(WriteError::NegativeTime(now));
-        };
+        let log_time = since_start(now)?;
         if let Input::Bytes { bytes, .. } = input
             && bytes.len() > MAX_INPUT_BYTES
         {
@@ -91,17 +143,87 @@ impl<W: Write + Seek> Writer<W> {
         self.scratch.clear();
         encoding::encode(input, place, &mut self.scratch);
         let header = MessageHeader {
-            channel_id: self.channel_id,
+            channel_id: self.input_channel,
             sequence: self.sequence,
-            log_time,
-            publish_time: log_time,
+            log_time: self.zero_nanos + log_time,
+            publish_time: self.zero_nanos + log_time,
         };
         self.mcap.write_to_known_channel(&header, &self.scratch)?;
         self.sequence = self.sequence.wrapping_add(1);
+        if let Input::Command(command) = input {
+            let message = foxglove::command(command);
+            self.put(now, message)?;
+        }
         Ok(())
     }
 
-    /// Hands everything recorded so far to `W` and flushes it: this much survives a crash of the program.
+    /// Records what came out of the pipeline at `now`, for viewers; no replay reads it.
+    ///
+    /// # Errors
+    /// When the file cannot be written, or `now` is negative.
+    pub fn record_event(&mut self, now: Stamp<HostClock>, event: &Event) -> Result<(), WriteError> {
+        let messages = self.outputs.take(now, event);
+        self.put(now, messages)
+    }
+
+    /// Records what the filter has learned about the robot, as of `now`, for viewers.
+    ///
+    /// # Errors
+    /// When the file cannot be written, or `now` is negative.
+    pub fn record_calibration(
+        &mut self,
+        now: Stamp<HostClock>,
+        calibration: &Calibration,
+    ) -> Result<(), WriteError> {
+        self.put(now, foxglove::calibration(calibration))
+    }
+
+    /// Records a line for people, with its MAVLink severity: 0 emergency to 7 debug.
+    ///
+    /// # Errors
+    /// When the file cannot be written, or `now` is negative.
+    pub fn record_line(
+        &mut self,
+        now: Stamp<HostClock>,
+        severity: u8,
+        text: &str,
+    ) -> Result<(), WriteError> {
+        let line = self.outputs.line(now, severity, ("station", text));
+        self.put(now, [line])
+    }
+
+    /// Says that inputs are missing here. The next one has the number that it would have had.
+    ///
+    /// # Errors
+    /// When the file cannot be written, or the gap ends before the start of the session.
+    pub fn record_gap(&mut self, gap: &Gap) -> Result<(), WriteError> {
+        self.put(gap.to, foxglove::gap(gap))?;
+        // Numbers are cut to 32 bits.
+        self.sequence = self.sequence.wrapping_add(gap.inputs as u32);
+        let text = format!(
+            "{} inputs are missing: the disk was too slow; a replay is not that of the session any more",
+            gap.inputs
+        );
+        self.record_line(gap.to, 3, &text)
+    }
+
+    /// Records where the robot really was, as a simulation knows it; called once, when the run is over at `now`.
+    ///
+    /// # Errors
+    /// When the file cannot be written, or `now` is negative.
+    pub fn record_truth(
+        &mut self,
+        now: Stamp<HostClock>,
+        samples: &[TruthSample],
+    ) -> Result<(), WriteError> {
+        for sample in samples {
+            let (at, messages) = self.outputs.truth(now, sample);
+            self.put(at, messages)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the chunk, hands everything recorded so far to `W` and flushes it: this much survives a crash of the program.
     ///
     /// # Errors
     /// When `W` cannot be written.
@@ -115,28 +237,52 @@ impl<W: Write + Seek> Writer<W> {
     /// When `W` cannot be written.
     pub fn finish(mut self) -> Result<W, WriteError> {
         self.mcap.finish()?;
-        Ok(self
+        let buffered = self.mcap.into_inner().into_inner();
+        Ok(buffered.into_inner().map_err(IntoInnerError::into_error)?)
+    }
+
+    /// Writes messages beside the inputs.
+    fn put(
+        &mut self,
+        at: Stamp<HostClock>,
+        messages: impl IntoIterator<Item = Message>,
+    ) -> Result<(), WriteError> {
+        let time = self.zero_nanos + since_start(at)?;
+        for message in messages {
+            let topic = message.channel.topic;
+            let beside = match self.beside.get(topic) {
+                Some(beside) => *beside,
+                None => self.open_channel(&message)?,
+            };
+            let header = MessageHeader {
+                channel_id: beside.id,
+                sequence: beside.sequence,
+                log_time: time,
+                publish_time: time,
+            };
+            self.mcap.write_to_known_channel(&header, &message.data)?;
+            let sequence = beside.sequence.wrapping_add(1);
+            self.beside.insert(topic, Beside { sequence, ..beside });
+        }
+        Ok(())
+    }
+
+    fn open_channel(&mut self, message: &Message) -> Result<Beside, WriteError> {
+        let channel = message.channel;
+        let (encoding, schema_encoding, schema) = channel.encoding.parts();
+        let schema_id = self
             .mcap
-            .into_inner()
-            .into_inner()
-            .map_err(IntoInnerError::into_error)?)
+            .add_schema(channel.schema, schema_encoding, &schema)?;
+        let id = self
+            .mcap
+            .add_channel(schema_id, channel.topic, encoding, &BTreeMap::new())?;
+        Ok(Beside { id, sequence: 0 })
     }
 }
 
-fn header_record(header: &Header) -> Metadata {
-    let links = serde_json::Value::from(header.links.clone()).to_string();
-    let entries = [
-        ("config_toml", header.config_toml.clone()),
-        ("format", header.format.to_string()),
-        ("links", links),
-        ("program_version", header.program_version.clone()),
-        ("utc_start_micros", header.utc_start_micros.to_string()),
-    ];
-    Metadata {
-        name: HEADER_RECORD.to_owned(),
-        metadata: entries
-            .into_iter()
-            .map(|(key, value)| (key.to_owned(), value))
-            .collect(),
-    }
+/// Nanoseconds since the start of the session.
+fn since_start(at: Stamp<HostClock>) -> Result<u64, WriteError> {
+    u64::try_from(at.as_nanos())
+        .ok()
+        .ok_or(WriteError::NegativeTime(at))
 }

@@ -68,19 +68,6 @@ impl Inbox {
         self.buffer.len()
     }
 
-    /// Whether these bytes stand somewhere in what waits.
-    pub(super) fn contains(&self, wanted: &[u8]) -> bool {
-        let mut windows = self.buffer.windows(wanted.len());
-        windows.any(|window| window == wanted)
-    }
-
-    /// Drops all but the last bytes, and says how many.
-    pub(super) fn keep_last(&mut self, bytes: usize) -> usize {
-        let dropped = self.buffer.len().saturating_sub(bytes);
-        self.buffer.drain(..dropped);
-        dropped
-    }
-
     /// The next find; `None` until more bytes come. `values_of` tells how many bytes of values a question asked for.
     pub(super) fn next(&mut self, values_of: &dyn Fn(u16) -> Option<usize>) -> Option<Found> {
         let mut skipped = 0;

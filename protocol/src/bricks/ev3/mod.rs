@@ -5,7 +5,6 @@
 //! passes. The same telegrams go by Bluetooth (RFCOMM), USB and, after an opening exchange, by WiFi (TCP).
 
 mod bytecode;
-mod counters;
 mod cycle;
 mod inbox;
 mod mailbox;
@@ -14,25 +13,23 @@ mod sensors;
 mod settings;
 mod stamps;
 mod turn;
-mod wifi;
 
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{Address, Defect, HostClock, SourceHealth, Span, Stamp};
 
 use self::bytecode::DirectCommand;
-use self::counters::{Counted, Counters};
 use self::cycle::Included;
 use self::inbox::{Answer, Found, Inbox};
 use self::requests::{Asked, Promptness, Question, Requests};
-use self::sensors::Sensors;
+use self::sensors::{Failed, Sensors, Wheels};
 pub use self::settings::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings,
     MotorDirection, MotorPort, SensorPort,
 };
 use self::stamps::{Passed, Stamped, Stamps};
 use self::turn::Turn;
-pub use self::wifi::{ANNOUNCEMENT_PORT, Announcement, parse_announcement};
+use super::counters::{Counted, Counters, Counts, Limits};
 use super::pulse::Pulse;
 use super::{BrickCodec, BrickSettings, Heard, ONLY_BRICK};
 use crate::framing::ScanCounters;
@@ -49,12 +46,18 @@ const PATIENCE_MS: i64 = 500;
 const MOST_DOUBLINGS: u32 = 3;
 /// How long setting up a sensor may take: changing the mode of an EV3 sensor resets it, about a second.
 const SET_UP_PATIENCE: Span = Span::from_millis(3_000);
+/// Wheels whose counts have not changed for so long stand, and are likely to for as long as a set-up takes.
+const STANDS_AFTER: Span = Span::from_millis(1_000);
 /// A telegram that stops for so long will not go on.
 const QUIET: Span = Span::from_millis(100);
 /// A brick that refuses even its counters is asked again after so long.
 const REFUSED_PAUSE: Span = Span::from_millis(1_000);
-/// A brick by WiFi that does not accept its serial number is told it again after so long.
-const OPENING_PATIENCE: Span = Span::from_millis(2_000);
+/// No motor of the set is faster, counts of 1 degree per second: 260 rpm of the EV3's medium motor at 9 V without load (Philohome,
+/// Pybricks' identified model).
+const LIMITS: Limits = Limits {
+    fastest_per_s: 1_600.0,
+    margin: 3.0,
+};
 /// MAV_SEVERITY_ERROR, _WARNING, _INFO.
 const ERROR: u8 = 3;
 const WARNING: u8 = 4;
@@ -64,22 +67,12 @@ const ANSWER_ID: u32 = 0x02;
 
 type Sink<'a> = dyn FnMut(Heard<'_>) + 'a;
 
-/// Where a link stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Phase {
-    /// Not up yet.
-    Idle,
-    /// A brick by WiFi was told its serial number; it is told again then.
-    Opening { again: Stamp<HostClock> },
-    /// It is asked.
-    Open,
-}
-
 /// The state of one link to an EV3.
 #[derive(Debug)]
 struct Ev3 {
     settings: Ev3Settings,
-    phase: Phase,
+    /// The link has come up; before that nothing is asked.
+    is_up: bool,
     inbox: Inbox,
     last_byte: Stamp<HostClock>,
     /// Something that came is no telegram: the answer that it was will not come.
@@ -88,6 +81,8 @@ struct Ev3 {
     sensors: Sensors,
     stamps: Stamps,
     counters: Counters,
+    /// The counts as they were read last, and since when they are these.
+    stand_since: Option<([i32; 2], Stamp<HostClock>)>,
     turn: Turn,
     pulse: Pulse,
     /// Questions in a row that were not answered.
@@ -108,13 +103,14 @@ pub(super) fn open(settings: &BrickSettings) -> Box<dyn BrickCodec> {
     Box::new(Ev3 {
         sensors: Sensors::new(&settings, Stamp::ZERO),
         settings,
-        phase: Phase::Idle,
+        is_up: false,
         inbox: Inbox::default(),
         last_byte: Stamp::ZERO,
         is_damaged: false,
         requests: Requests::default(),
         stamps: Stamps::default(),
-        counters: Counters::default(),
+        counters: Counters::new(LIMITS),
+        stand_since: None,
         turn: Turn::default(),
         pulse: Pulse::default(),
         misses: 0,
@@ -138,59 +134,35 @@ impl BrickCodec for Ev3 {
         self.is_damaged = false;
         self.is_refusal_told = false;
         self.misses = 0;
+        self.stand_since = None;
         self.next_cycle = now;
-        self.phase = self.opening(now);
+        self.is_up = true;
         self.ask(now);
     }
 
     fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         self.last_byte = now;
         self.inbox.push(bytes);
-        if matches!(self.phase, Phase::Opening { .. }) {
-            self.await_opening();
-        }
-        if self.phase == Phase::Open {
-            self.read(now, sink);
-        } else {
-            self.counts.garbage_bytes += self.inbox.keep_last(wifi::ACCEPTED.len()) as u64;
-        }
+        self.read(now, sink);
         self.ask(now);
     }
 
     fn deadline(&self) -> Option<Stamp<HostClock>> {
         let quiet = self.awaits_quiet().then(|| self.last_byte + QUIET);
-        match self.phase {
-            Phase::Idle => None,
-            Phase::Opening { again } => Some(again),
-            Phase::Open => {
-                let all = [quiet, self.requests.deadline(), self.wake];
-                all.into_iter().flatten().min()
-            }
-        }
+        let all = [quiet, self.requests.deadline(), self.wake];
+        all.into_iter().flatten().min()
     }
 
     fn tick(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
-        if let Phase::Opening { again } = self.phase
-            && again <= now
-        {
-            tell(
-                sink,
-                ERROR,
-                "the EV3 does not accept its serial number by WiFi; it stands on the brick under Brick Info",
-            );
-            self.phase = self.opening(now);
+        if self.awaits_quiet() && self.last_byte + QUIET <= now {
+            self.give_up_damaged(now, sink);
         }
-        if self.phase == Phase::Open {
-            if self.awaits_quiet() && self.last_byte + QUIET <= now {
-                self.give_up_damaged(now, sink);
-            }
-            while let Some(question) = self.requests.expired(now) {
-                self.miss(sink);
-                if let Question::SetUp(index) = question
-                    && let Some(text) = self.sensors.is_absent(index, now)
-                {
-                    tell(sink, WARNING, &text);
-                }
+        while let Some(question) = self.requests.expired(now) {
+            self.miss(sink);
+            if let Question::SetUp(index) = question
+                && let Some(text) = self.sensors.is_absent(index, now, Failed::InSilence)
+            {
+                tell(sink, WARNING, &text);
             }
         }
         self.ask(now);
@@ -207,8 +179,8 @@ impl BrickCodec for Ev3 {
         message: &Message,
         out: &mut Vec<u8>,
     ) -> usize {
-        let (Message::PlanarPose(pose), Some(name), Phase::Open) =
-            (message, &self.settings.mailbox, self.phase)
+        let (Message::PlanarPose(pose), Some(name), true) =
+            (message, &self.settings.mailbox, self.is_up)
         else {
             return 0;
         };
@@ -240,26 +212,15 @@ impl BrickCodec for Ev3 {
 
 /// Asking.
 impl Ev3 {
-    /// Tells a brick by WiFi its serial number; by Bluetooth there is nothing to open.
-    fn opening(&mut self, now: Stamp<HostClock>) -> Phase {
-        let Some(serial_number) = &self.settings.unlock else {
-            return Phase::Open;
-        };
-        self.out.push_back(wifi::opening(serial_number));
-        Phase::Opening {
-            again: now + OPENING_PATIENCE,
-        }
-    }
-
     /// Asks as much as may be asked, and sets when more may be.
     fn ask(&mut self, now: Stamp<HostClock>) {
         self.wake = None;
-        if self.phase != Phase::Open {
+        if !self.is_up {
             return;
         }
         let most = usize::from(self.settings.outstanding.clamp(1, MOST_OUTSTANDING));
         while self.requests.waiting() < most {
-            if let Some(index) = self.sensors.awaited(now) {
+            if let Some(index) = self.sensors.awaited(now, self.wheels(now)) {
                 // Alone: the brick stands still while a sensor changes over.
                 if self.requests.waiting() == 0 {
                     self.ask_set_up(now, index);
@@ -274,6 +235,13 @@ impl Ev3 {
         }
         let again = self.sensors.deadline().filter(|again| *again > now);
         self.wake = [self.wake, again].into_iter().flatten().min();
+    }
+
+    fn wheels(&self, now: Stamp<HostClock>) -> Wheels {
+        match self.stand_since {
+            Some((_, since)) if now - since >= STANDS_AFTER => Wheels::Standing,
+            _ => Wheels::Turning,
+        }
     }
 
     fn ask_set_up(&mut self, now: Stamp<HostClock>, index: usize) {
@@ -315,14 +283,6 @@ impl Ev3 {
 
 /// Hearing.
 impl Ev3 {
-    fn await_opening(&mut self) {
-        // Nothing was asked yet: what stands behind it is the end of the line.
-        if self.inbox.contains(wifi::ACCEPTED) {
-            self.inbox.clear();
-            self.phase = Phase::Open;
-        }
-    }
-
     fn awaits_quiet(&self) -> bool {
         self.inbox.waiting_bytes() > 0 || self.is_damaged
     }
@@ -381,12 +341,12 @@ impl Ev3 {
                 let shown = values.first_chunk().map(|first| f32::from_le_bytes(*first));
                 if shown.is_some_and(f32::is_finite) {
                     self.sensors.is_ready(index);
-                } else if let Some(text) = self.sensors.is_absent(index, now) {
+                } else if let Some(text) = self.sensors.is_absent(index, now, Failed::AtOnce) {
                     tell(sink, WARNING, &text);
                 }
             }
             (Question::SetUp(index), Answer::Refused) => {
-                if let Some(text) = self.sensors.is_absent(index, now) {
+                if let Some(text) = self.sensors.is_absent(index, now, Failed::AtOnce) {
                     tell(sink, WARNING, &text);
                 }
             }
@@ -441,21 +401,42 @@ impl Ev3 {
                 peer_nanos: i64::from(values.micros) * 1_000,
             });
         }
+        let since = match passed {
+            Passed::RunsOn(since) => since,
+            Passed::Stepped(since) => {
+                tell(
+                    sink,
+                    INFO,
+                    "the clock of the EV3 was set, or the brick was switched off and on; what was read in between counts by the station's time",
+                );
+                since
+            }
+        };
+        if self
+            .stand_since
+            .is_none_or(|(counts, _)| counts != values.counts)
+        {
+            self.stand_since = Some((values.counts, now));
+        }
         let stamp = WireStamp::Micros32(values.micros);
-        self.hear_counts((stamp, passed), values.counts, sink);
-        self.hear_sensors(now, (stamp, passed, included), &values, sink);
+        if self.hear_counts(now, (stamp, since), values.counts, sink) {
+            self.hear_sensors(now, (stamp, since, included), &values, sink);
+        }
     }
 
+    /// False if a program may have begun, so that the sensors may show something else than they were set up for.
     fn hear_counts(
         &mut self,
-        (stamp, passed): (WireStamp, Passed),
-        counts: [i32; 2],
+        now: Stamp<HostClock>,
+        (stamp, since): (WireStamp, Span),
+        wheels: [i32; 2],
         sink: &mut Sink<'_>,
-    ) {
-        let counted = match passed {
-            Passed::RunsOn(since) => self.counters.take(since, counts),
-            Passed::Stepped => self.counters.restart(counts),
+    ) -> bool {
+        let counts = Counts {
+            wheels,
+            third: None,
         };
+        let counted = self.counters.take(since, counts);
         let total = match counted {
             Counted::Total(total) => total,
             Counted::Rebased(total) => {
@@ -464,29 +445,28 @@ impl Ev3 {
                     INFO,
                     "the counters of the EV3 began anew, as when a program starts; that is taken for no motion",
                 );
+                // A program's start puts every sensor into its first mode; the gyro then shows an angle.
+                self.sensors.are_in_doubt(now);
                 total
             }
-            Counted::Refused => {
+            Counted::Doubted => {
                 sink(Heard::Defect(Defect::Payload {
                     message_id: ANSWER_ID,
                 }));
-                return;
+                return false;
             }
         };
         say(sink, cycle::wheel_ticks(&self.settings, stamp, total));
+        matches!(counted, Counted::Total(_))
     }
 
     fn hear_sensors(
         &mut self,
         now: Stamp<HostClock>,
-        (stamp, passed, included): (WireStamp, Passed, Included),
+        (stamp, since, included): (WireStamp, Span, Included),
         values: &cycle::Values,
         sink: &mut Sink<'_>,
     ) {
-        let since = match passed {
-            Passed::RunsOn(since) => since,
-            Passed::Stepped => Span::ZERO,
-        };
         for (index, (role, values)) in included.0.iter().zip(values.sensors).enumerate() {
             let Some(role) = role else { continue };
             let shown = values.get(..usize::from(role.values())).unwrap_or(&values);

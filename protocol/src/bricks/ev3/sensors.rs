@@ -2,6 +2,9 @@
 //!
 //! Setting a mode makes the brick wait until the sensor has changed over, so it is done once and on its own: then an error says which port
 //! it means. A sensor that is not there is asked for again now and then; the wheels do not wait for it.
+//!
+//! A firmware may also wait for a sensor that never comes, and answer nothing. Such a set-up costs the wheels' readings for as long as an answer is
+//! waited for: it is tried again less and less often, and only while the wheels stand.
 
 use posebridge_telemetry::{HostClock, Meters, Span, Stamp};
 
@@ -11,6 +14,8 @@ use super::settings::{DistanceKind, Ev3Settings, GyroReading, GyroSettings, Sens
 
 /// A sensor that is not there is asked for again after so long.
 const AGAIN_AFTER: Span = Span::from_millis(10_000);
+/// That time is doubled by each set-up in a row that was not answered, so often at most: five minutes.
+const MOST_DOUBLINGS: u32 = 5;
 /// A sensor that shows nothing for so long is held to be gone.
 const GONE_AFTER: Span = Span::from_millis(2_000);
 /// No distance: what the ultrasonic sensors show for it, and from where on.
@@ -35,6 +40,24 @@ struct Sensor {
     state: State,
     /// Its absence was told.
     is_told: bool,
+    /// Set-ups in a row that were not answered.
+    unanswered: u32,
+}
+
+/// Whether the wheels stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Wheels {
+    Standing,
+    Turning,
+}
+
+/// How a set-up failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Failed {
+    /// The brick said at once that nothing is there.
+    AtOnce,
+    /// The brick said nothing.
+    InSilence,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,14 +86,17 @@ impl Sensors {
             port,
             state: State::Awaited { from: now },
             is_told: false,
+            unanswered: 0,
         });
         Self(sensors.collect())
     }
 
     /// The next sensor to be set up.
-    pub(super) fn awaited(&self, now: Stamp<HostClock>) -> Option<usize> {
-        let is_due =
-            |sensor: &Sensor| matches!(sensor.state, State::Awaited { from } if from <= now);
+    pub(super) fn awaited(&self, now: Stamp<HostClock>, wheels: Wheels) -> Option<usize> {
+        let is_due = |sensor: &Sensor| {
+            matches!(sensor.state, State::Awaited { from } if from <= now)
+                && (sensor.unanswered == 0 || wheels == Wheels::Standing)
+        };
         self.0.iter().position(is_due)
     }
 
@@ -112,13 +138,24 @@ impl Sensors {
         if let Some(sensor) = self.0.get_mut(index) {
             sensor.state = State::Ready { silent_since: None };
             sensor.is_told = false;
+            sensor.unanswered = 0;
         }
     }
 
     /// A sensor could not be set up, or is gone: what people should know, once.
-    pub(super) fn is_absent(&mut self, index: usize, now: Stamp<HostClock>) -> Option<String> {
+    pub(super) fn is_absent(
+        &mut self,
+        index: usize,
+        now: Stamp<HostClock>,
+        failed: Failed,
+    ) -> Option<String> {
         let sensor = self.0.get_mut(index)?;
-        let from = now + AGAIN_AFTER;
+        sensor.unanswered = match failed {
+            Failed::AtOnce => 0,
+            Failed::InSilence => sensor.unanswered.saturating_add(1),
+        };
+        let doublings = sensor.unanswered.saturating_sub(1).min(MOST_DOUBLINGS);
+        let from = now + Span::from_nanos(AGAIN_AFTER.as_nanos() << doublings);
         sensor.state = State::Awaited { from };
         let is_news = !std::mem::replace(&mut sensor.is_told, true);
         is_news.then(|| {
@@ -156,7 +193,7 @@ impl Sensors {
         if now - since < GONE_AFTER {
             return None;
         }
-        self.is_absent(index, now)
+        self.is_absent(index, now, Failed::AtOnce)
     }
 }
 

@@ -17,8 +17,6 @@ pub struct Ev3Settings {
     pub rate_hz: f64,
     /// So many questions may wait for their answers at once, 1 to 4. More than one hides the turn-around of the link.
     pub outstanding: u8,
-    /// The serial number that opens a brick by WiFi (TCP), twelve hexadecimal digits; `None` for Bluetooth, which asks for none.
-    pub unlock: Option<String>,
     /// The mailbox of a program on the brick that gets the estimate; `None` sends none.
     pub mailbox: Option<String>,
 }
@@ -33,7 +31,6 @@ impl Default for Ev3Settings {
             distance: None,
             rate_hz: 50.0,
             outstanding: 1,
-            unlock: None,
             mailbox: Some("estimate".to_owned()),
         }
     }

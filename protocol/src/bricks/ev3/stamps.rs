@@ -34,8 +34,8 @@ pub(super) struct Stamped {
 pub(super) enum Passed {
     /// The clock ran on, for about so long since the last one; zero for the first of all.
     RunsOn(Span),
-    /// The clock was set, or the brick was switched off and on.
-    Stepped,
+    /// The clock was set, or the brick was switched off and on; the host's time since the last stamp that was believed.
+    Stepped(Span),
 }
 
 /// The stamps of one brick.
@@ -51,7 +51,9 @@ impl Stamps {
         let passed = match (self.last, self.suspect) {
             (None, _) => Passed::RunsOn(Span::ZERO),
             (Some(last), _) if stamp.follows(&last) => Passed::RunsOn(stamp.since(&last)),
-            (Some(_), Some(suspect)) if stamp.follows(&suspect) => Passed::Stepped,
+            (Some(last), Some(suspect)) if stamp.follows(&suspect) => {
+                Passed::Stepped(stamp.answered - last.answered)
+            }
             _ => {
                 self.suspect = Some(stamp);
                 return None;
@@ -131,7 +133,8 @@ mod tests {
         let mut stamps = Stamps::default();
         stamps.take(nth(0, 5_000_000));
         assert_eq!(stamps.take(nth(1, 900_000_000)), None);
-        assert_eq!(stamps.take(nth(2, 900_000_000)), Some(Passed::Stepped));
+        let stepped = stamps.take(nth(2, 900_000_000));
+        assert_eq!(stepped, Some(Passed::Stepped(Span::from_millis(60))));
     }
 
     #[test]

@@ -7,7 +7,6 @@ mod clock;
 mod estimate;
 mod row;
 mod settings;
-mod splitter;
 
 use std::collections::BTreeSet;
 
@@ -21,8 +20,8 @@ use self::row::{Flaw, Proof, Row, Time};
 pub use self::settings::{
     Checksum, Column, LayoutError, LineLayout, LineSettings, QUANTITIES, Quantity, Sense, Separator,
 };
-use self::splitter::{Cut, LONGEST, Splitter};
 use super::pulse::Pulse;
+use super::splitter::{Cut, Splitter, printable};
 use super::{BrickCodec, BrickSettings, Heard, ONLY_BRICK};
 use crate::framing::ScanCounters;
 use crate::message::{Inertial, Message, WheelTicks, WireStamp};
@@ -31,8 +30,8 @@ use crate::message::{Inertial, Message, WheelTicks, WireStamp};
 const QUIET: Span = Span::from_millis(500);
 /// So many names that mean nothing here are told.
 const MOST_UNKNOWN: usize = 8;
-/// So much of a line is quoted.
-const QUOTED: usize = 80;
+/// Longest line, bytes without its end: three times NMEA's 82, and more than Fast Robots' 151 byte strings.
+const LONGEST: usize = 256;
 /// The channel of the only thermometer.
 const THERMOMETER: &[u8] = b"temperature";
 /// MAV_SEVERITY_WARNING, _INFO.
@@ -51,7 +50,7 @@ type Sink<'a> = dyn FnMut(Heard<'_>) + 'a;
 #[derive(Debug)]
 struct Line {
     settings: LineSettings,
-    splitter: Splitter,
+    splitter: Splitter<LONGEST>,
     last_byte: Stamp<HostClock>,
     /// The next line may be the end of one whose beginning is missing.
     is_cut: bool,
@@ -221,9 +220,17 @@ impl Line {
     fn say_row(&mut self, stamp: WireStamp, row: &Row, sink: &mut Sink<'_>) {
         if let (Some(left), Some(right)) = (row.left, row.right) {
             let (total, is_rebased) = self.wheels.take([left, right]);
-            if is_rebased {
-                let text = "the board's counts fell to zero; that is taken for no motion";
-                tell(sink, INFO, text.to_owned());
+            // At each doubling: a loose wire resets a board many times a second.
+            let falls = self.wheels.falls;
+            if is_rebased && falls.is_power_of_two() {
+                let times = if falls == 1 {
+                    String::new()
+                } else {
+                    format!(", {falls} times so far")
+                };
+                let text =
+                    format!("the board's counts fell to zero{times}; that is taken for no motion");
+                tell(sink, INFO, text);
             }
             let [left, right] = total.map(EncoderTicks);
             say(sink, Message::WheelTicks(WheelTicks { stamp, left, right }));
@@ -307,6 +314,8 @@ struct Wheels {
     last: Option<[i64; 2]>,
     change: [i64; 2],
     base: [i64; 2],
+    /// How often the counts were set to zero.
+    falls: u64,
 }
 
 impl Wheels {
@@ -320,24 +329,22 @@ impl Wheels {
         let [last_left, last_right] = last;
         let [left, right] = counts;
         if is_rebased {
-            self.base = [self.base[0] + last_left, self.base[1] + last_right];
+            self.falls += 1;
+            self.base = [
+                self.base[0].wrapping_add(last_left),
+                self.base[1].wrapping_add(last_right),
+            ];
             self.change = [0, 0];
         } else {
             self.change = [left - last_left, right - last_right];
         }
-        let total = [self.base[0] + left, self.base[1] + right];
+        // Totals wrap, as those of every brick.
+        let total = [
+            self.base[0].wrapping_add(left),
+            self.base[1].wrapping_add(right),
+        ];
         (total, is_rebased)
     }
-}
-
-/// What of a line can be shown on a terminal.
-fn printable(line: &[u8]) -> String {
-    let shown = line.iter().take(QUOTED);
-    let shown = shown.map(|byte| match byte {
-        0x20..=0x7E => char::from(*byte),
-        _ => '.',
-    });
-    shown.collect()
 }
 
 fn say(sink: &mut Sink<'_>, message: Message) {

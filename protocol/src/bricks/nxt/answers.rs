@@ -6,8 +6,8 @@ use posebridge_telemetry::{
 
 use super::codec::Nxt;
 use super::conversation::Asked;
-use super::counters::Counted;
 use super::digital::{Device, Measured};
+use super::gyro::{Taught, Turning};
 use super::io_maps::{Cutout, Input, Module, TICK, Window};
 use super::notes::{INFO, NOTICE, Topic, WARNING};
 use super::plan::{Failure, Port};
@@ -17,6 +17,7 @@ use super::status::Status;
 use super::telegram::{Reply, bytes_at};
 use super::tick::Ran;
 use crate::bricks::Heard;
+use crate::bricks::counters::Counted;
 use crate::message::{Inertial, Message, PlanarImu, WheelTicks, WireStamp};
 
 /// Answers between two instants of the station's clock, where the brick does not tell its own.
@@ -180,7 +181,7 @@ impl Nxt {
                 sink,
             );
             self.notes.clear(Topic::Clock);
-            self.counters.brick_restarted();
+            self.totals.brick_restarted();
             self.plan.set_up_again();
             self.mailbox.begin();
         }
@@ -197,8 +198,8 @@ impl Nxt {
             return;
         };
         let between = (both.sent, both.answered);
-        let totals = match self.counters.take(both.counts, middle_of(between)) {
-            Counted::Moved(totals) => totals,
+        let totals = match self.totals.take(&both) {
+            Counted::Total(totals) => totals,
             Counted::Rebased(totals) => {
                 // A program began or ended: the ports are as it left them, and the brick may even be another.
                 let text = "the NXT's counters began anew: a program was started or stopped";
@@ -208,13 +209,13 @@ impl Nxt {
                 self.plan.want_tick();
                 totals
             }
-            Counted::Impossible => {
+            Counted::Doubted => {
                 let message_id = Module::Output.id();
                 sink(Heard::Defect(Defect::Payload { message_id }));
                 return;
             }
         };
-        let [left_total, right_total] = totals;
+        let [left_total, right_total] = totals.map(EncoderTicks);
         self.tell(
             Message::WheelTicks(WheelTicks {
                 stamp: stamp_of(between),
@@ -248,26 +249,53 @@ impl Nxt {
             Port::Ready if input.is_valid => {}
             Port::Unused | Port::Wanted | Port::Told | Port::Settling | Port::Ready => return,
         }
+        self.hear_gyro(port, input.raw, between, sink);
+    }
+
+    fn hear_gyro(&mut self, port: u8, raw: u16, between: Between, sink: Sink<'_>) {
         let wheels = self.motors.wheels(between.1);
         let Some((_, gyro)) = self.gyro.as_mut().filter(|(at, _)| *at == port) else {
             return;
         };
-        let before = gyro.rest();
-        let turn_rate = gyro.take(input.raw, wheels);
-        if let (None, Some(rest)) = (before, gyro.rest()) {
-            let text = format!("the gyro at port {} reads {rest:.1} at rest", port + 1);
-            self.note((Topic::Gyro, INFO), text, sink);
+        let (turning, taught) = gyro.take(between.1, raw, wheels);
+        let number = port + 1;
+        match taught {
+            Taught::Nothing => {}
+            Taught::First(rest) => {
+                let text = format!("the gyro at port {number} reads {rest:.1} at rest");
+                self.note((Topic::Gyro, INFO), text, sink);
+            }
+            Taught::Other(rest) => {
+                let text = format!(
+                    "the gyro at port {number} reads {rest:.1} at rest, as three calm seconds say; what was learnt before was a turn, or it has drifted"
+                );
+                self.note((Topic::Gyro, NOTICE), text, sink);
+            }
         }
-        if turn_rate.is_some() {
-            self.tell(
-                Message::Inertial(Inertial {
-                    stamp: stamp_of(between),
-                    turn_rate,
-                    turn: None,
-                    wheel_accelerations: None,
-                }),
-                sink,
-            );
+        match turning {
+            Turning::Unknown => {}
+            Turning::Overdue => {
+                let text = format!(
+                    "the gyro at port {number} is not used yet: let the robot stand for two seconds, or set gyro_rest"
+                );
+                self.note((Topic::Gyro, WARNING), text, sink);
+            }
+            Turning::Empty => {
+                let text = format!("sensor port {number} reads as empty: is the gyro plugged in?");
+                self.note((Topic::Port(port), WARNING), text, sink);
+            }
+            Turning::Rate(turn_rate) => {
+                self.notes.clear(Topic::Port(port));
+                self.tell(
+                    Message::Inertial(Inertial {
+                        stamp: stamp_of(between),
+                        turn_rate: Some(turn_rate),
+                        turn: None,
+                        wheel_accelerations: None,
+                    }),
+                    sink,
+                );
+            }
         }
     }
 

@@ -6,10 +6,10 @@ use posebridge_telemetry::{Address, Defect, HostClock, SourceHealth, Span, Stamp
 
 use super::answers::Accelerations;
 use super::conversation::{Conversation, Matched};
-use super::counters::Counters;
+use super::counters::Totals;
 use super::cutter::{Cutter, Piece, Speech};
 use super::digital::Device;
-use super::estimate::Mailbox;
+use super::estimate::{Mailbox, PUSHED_INTERVAL};
 use super::gyro::Gyro;
 use super::motion::Motors;
 use super::notes::{INFO, NOTICE, Notes, Topic, WARNING};
@@ -51,7 +51,7 @@ pub(super) struct Nxt {
     /// Answers since the clock of the host stood in for the brick's.
     pub(super) since_own_tick: u8,
     pub(super) motors: Motors,
-    pub(super) counters: Counters,
+    pub(super) totals: Totals,
     /// The gyro and its port.
     pub(super) gyro: Option<(u8, Gyro)>,
     pub(super) devices: [Option<Device>; 4],
@@ -87,13 +87,17 @@ impl Nxt {
             Some(_) => (Speech::TelegramsAndFrames, Source::Pushed),
             None => (Speech::Telegrams, Source::Asked),
         };
+        let interval = settings.estimate_interval.unwrap_or(match source {
+            Source::Asked => Span::ZERO,
+            Source::Pushed => PUSHED_INTERVAL,
+        });
         let gyro = (0..4).zip(settings.sensors).find_map(|(port, sensor)| {
             let gyro = Gyro::new(settings.gyro_rest, settings.gyro_sign);
             (sensor == NxtSensor::HtGyro).then_some((port, gyro))
         });
         Self {
             brick: ONLY_BRICK,
-            cutter: Cutter::new(settings.framing, speech),
+            cutter: Cutter::new(speech),
             talk: Conversation::new(settings.answer_timeout),
             plan: Plan::new(settings, source),
             outbox: VecDeque::new(),
@@ -105,11 +109,11 @@ impl Nxt {
             clock: TickClock::default(),
             since_own_tick: 0,
             motors: Motors::default(),
-            counters: Counters::default(),
+            totals: Totals::default(),
             gyro,
             devices: settings.sensors.map(Device::new),
             accelerations: Accelerations::default(),
-            mailbox: Mailbox::new(settings.mailbox),
+            mailbox: Mailbox::new(settings.mailbox, interval),
             notes: Notes::default(),
             frames,
             broken: ScanCounters::default(),
@@ -134,6 +138,9 @@ impl Nxt {
         }
         while let Some(question) = self.talk.expire(now) {
             self.broken.stalls += 1;
+            if question == Question::Fence {
+                self.fence_unanswered(sink);
+            }
             self.lose(&question, sink);
         }
         if self.presence.expire(now) {
@@ -153,6 +160,7 @@ impl Nxt {
                     self.lose(&question, sink);
                 }
             }
+            Piece::Foreign(telegram) => self.hear_foreign(now, &telegram, sink),
             Piece::Telegram(telegram) if telegram.first() == Some(&START_V2) => {
                 self.hear_frame(now, &telegram, sink);
             }
@@ -163,6 +171,24 @@ impl Nxt {
                 }
             }
         }
+    }
+
+    /// A program on the brick says something that is not for this station.
+    fn hear_foreign(
+        &mut self,
+        now: Stamp<HostClock>,
+        telegram: &[u8],
+        sink: &mut dyn FnMut(Heard<'_>),
+    ) {
+        self.broken.unknown_ids += 1;
+        // Whether or not it answers, it is there, and why it may not answer is told.
+        self.presence.speaks(now);
+        let text = if telegram.first() == Some(&START_V2) {
+            "a program on the NXT sends MAVLink frames, which are not read as it is asked: try --brick nxt-push"
+        } else {
+            "a program on the NXT sends messages of its own, which are skipped; if they are to be MAVLink frames, try --brick nxt-push"
+        };
+        self.note((Topic::Foreign, NOTICE), text, sink);
     }
 
     fn hear_frame(&mut self, now: Stamp<HostClock>, frame: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
@@ -203,6 +229,9 @@ impl Nxt {
         let sign = self.presence.answered(now);
         if sign.is_return {
             self.note((Topic::Presence, NOTICE), "the NXT answers again", sink);
+            // It may be another program, or the brick without one: what the old one left unanswered says nothing about it.
+            self.lost_fences = 0;
+            self.plan.try_tick_again(now);
         }
         if sign.is_beat {
             sink(Heard::Message {
@@ -223,13 +252,17 @@ impl Nxt {
         }
     }
 
+    /// A fence stayed without an answer for the whole time-out. One that noise broke off says nothing about who is there.
+    fn fence_unanswered(&mut self, sink: &mut dyn FnMut(Heard<'_>)) {
+        self.lost_fences = self.lost_fences.saturating_add(1);
+        if self.is_refused_by_program() {
+            let text = "the program on the NXT answers no commands: its clock is known by its frames alone";
+            self.note((Topic::Clock, NOTICE), text, sink);
+        }
+    }
+
     fn lose(&mut self, question: &Question, sink: &mut dyn FnMut(Heard<'_>)) {
         if *question == Question::Fence {
-            self.lost_fences = self.lost_fences.saturating_add(1);
-            if self.is_refused_by_program() {
-                let text = "the program on the NXT answers no commands: its clock is known by its frames alone";
-                self.note((Topic::Clock, NOTICE), text, sink);
-            }
             return;
         }
         sink(Heard::Defect(Defect::Lost {
@@ -338,21 +371,17 @@ impl Nxt {
     }
 
     fn send(&mut self, telegram: &[u8]) {
-        self.outbox
-            .push_back(framed(telegram, self.settings.framing));
+        self.outbox.push_back(framed(telegram));
     }
 }
 
 impl BrickCodec for Nxt {
     fn begin(&mut self, now: Stamp<HostClock>) {
         self.is_begun = true;
-        self.cutter = Cutter::new(
-            self.settings.framing,
-            match self.frames {
-                Some(_) => Speech::TelegramsAndFrames,
-                None => Speech::Telegrams,
-            },
-        );
+        self.cutter = Cutter::new(match self.frames {
+            Some(_) => Speech::TelegramsAndFrames,
+            None => Speech::Telegrams,
+        });
         self.talk.restart();
         self.held = None;
         self.lost_fences = 0;
@@ -420,7 +449,7 @@ impl BrickCodec for Nxt {
         let Some(telegram) = self.mailbox.post(now, pose, brick_millis) else {
             return 0;
         };
-        let bytes = framed(&telegram, self.settings.framing);
+        let bytes = framed(&telegram);
         out.extend_from_slice(&bytes);
         bytes.len()
     }

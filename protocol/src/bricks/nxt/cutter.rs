@@ -1,33 +1,42 @@
 //! Telegrams out of a stream that has neither a start byte nor a checksum.
 //!
 //! A telegram is believed if its length, type, opcode and status agree with each other. Otherwise the stream is out of step, and
-//! nothing in it says where the next telegram begins; only silence does. So everything is thrown away until the link has been quiet, and
-//! whoever asked must ask again.
+//! nothing in it says where the next telegram begins, but for two things: silence, and a MAVLink frame behind its length whose checksum is
+//! right. So everything is thrown away until one of them comes, and whoever asked must ask again.
 //!
 //! # Model
 //! ```text
 //! reading   a telegram is whole and nothing follows  hand it out
 //!           a whole one follows it in the same chunk hand it out
-//!           length, type, opcode or status is wrong  out of step, with the telegram just before it; draining
+//!           length, opcode or status is wrong        out of step, with the telegram just before it; draining
 //!           a telegram stops in its middle for QUIET out of step, with the telegram just before it; reading
-//! draining  quiet for QUIET                          reading
+//! draining  a frame with the right checksum, if heard hand it out; reading
+//!           quiet for QUIET, after LONG for SHORT    reading
 //! ```
 //! Behind an answer there is silence until the next question. Bytes right behind it that are no telegram mean that a byte too many
-//! stood in it.
+//! stood in it. A program on the brick that sends of itself may leave no silence at all: its frames must do, or, if it sends something else, the
+//! pauses between its messages.
+//!
+//! A whole telegram of another type is a program's own. It is foreign, and it is no reason to distrust what stands around it.
 
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
 use super::io_maps;
-use super::settings::NxtFraming;
 use super::telegram::{
     DIRECT_NO_REPLY, LONGEST, PREFIX_BYTES, REPLY, Reply, bytes_at, opcode, reply_bytes,
 };
-use crate::framing::START_V2;
+use crate::dialect::catalogue::CATALOGUE;
+use crate::framing::{START_V2, checksum};
 
 /// So long the link must be silent to be at the start of a telegram: three turn-arounds of the radio chip, at about 30 ms.
 const QUIET: Span = Span::from_millis(100);
-/// Bytes around the payload of a MAVLink 2 frame, and of its signature.
-const FRAME_BYTES: usize = 12;
+/// Nothing is asked while everything is thrown away. Whatever still comes after this time comes by itself, ...
+const LONG: Span = Span::from_millis(1_000);
+/// ... and then this silence must do: longer than any inside a telegram, and what programs leave between two of up to 50 per second.
+const SHORT: Span = Span::from_millis(15);
+/// Bytes in front of the payload of a MAVLink 2 frame, of its checksum and of its signature.
+const HEADER_BYTES: usize = 10;
+const CHECKSUM_BYTES: usize = 2;
 const SIGNATURE_BYTES: usize = 13;
 /// Mailboxes of a brick, with those that its own program writes.
 const MAILBOXES: u8 = 20;
@@ -46,19 +55,20 @@ pub(super) enum Speech {
 pub(super) enum Piece {
     /// A whole telegram, without its length.
     Telegram(Vec<u8>),
-    /// So many bytes are no telegram; they and what follows until the link is quiet are thrown away.
+    /// The same of a type that nobody here reads: a program on the brick speaks to somebody else.
+    Foreign(Vec<u8>),
+    /// So many bytes are no telegram, and thrown away.
     OutOfStep { bytes: usize },
 }
 
 /// The state of one link.
 #[derive(Debug)]
 pub(super) struct Cutter {
-    framing: NxtFraming,
     speech: Speech,
-    /// A telegram that is not whole yet, with its length in front.
+    /// A telegram that is not whole yet, with its length in front; while draining, what may be the begin of a frame.
     begun: Vec<u8>,
     last_byte: Option<Stamp<HostClock>>,
-    is_draining: bool,
+    draining_since: Option<Stamp<HostClock>>,
 }
 
 /// What the first bytes of the stream are.
@@ -69,33 +79,37 @@ enum Judgement {
 }
 
 impl Cutter {
-    pub(super) fn new(framing: NxtFraming, speech: Speech) -> Self {
+    pub(super) fn new(speech: Speech) -> Self {
         Self {
-            framing,
             speech,
             begun: Vec::with_capacity(2 * LONGEST),
             last_byte: None,
-            is_draining: false,
+            draining_since: None,
         }
     }
 
     /// True while everything is thrown away: no question can be answered.
     pub(super) const fn is_draining(&self) -> bool {
-        self.is_draining
+        self.draining_since.is_some()
     }
 
     /// When silence means something; then [`Cutter::expire`].
     pub(super) fn deadline(&self) -> Option<Stamp<HostClock>> {
-        let waits = self.is_draining || !self.begun.is_empty();
-        self.last_byte.filter(|_| waits).map(|last| last + QUIET)
+        let last = self.last_byte?;
+        let quiet = match self.draining_since {
+            None if self.begun.is_empty() => return None,
+            Some(since) if last - since >= LONG => SHORT,
+            None | Some(_) => QUIET,
+        };
+        Some(last + quiet)
     }
 
-    /// Silence may have ended a drain, which gives nothing, or torn a telegram, whose bytes are given.
+    /// Silence may have ended a drain or torn a telegram: the bytes that are given up by it, if there are any.
     pub(super) fn expire(&mut self, now: Stamp<HostClock>) -> Option<Piece> {
         if self.deadline().is_none_or(|due| due > now) {
             return None;
         }
-        self.is_draining = false;
+        self.draining_since = None;
         let bytes = self.begun.len();
         self.begun.clear();
         (bytes > 0).then_some(Piece::OutOfStep { bytes })
@@ -107,65 +121,135 @@ impl Cutter {
             return;
         }
         self.last_byte = Some(now);
-        if self.framing == NxtFraming::Bare {
-            found.push(self.datagram(bytes));
-            return;
-        }
-        if self.is_draining {
-            found.push(Piece::OutOfStep { bytes: bytes.len() });
-            return;
-        }
         self.begun.extend_from_slice(bytes);
+        while self.is_draining() || !self.read(found) {
+            self.draining_since = self.draining_since.or(Some(now));
+            if !self.hunt(found) {
+                return;
+            }
+            self.draining_since = None;
+        }
+    }
+
+    /// Hands out all telegrams that can be believed; false if the stream is out of step.
+    fn read(&mut self, found: &mut Vec<Piece>) -> bool {
         // Where the last whole telegram begins that nothing has confirmed yet, and where the bytes behind it do.
         let (mut held, mut rest_at) = (0, 0);
-        loop {
+        let is_in_step = loop {
             let rest = self.begun.get(rest_at..).unwrap_or_default();
-            match judge(rest, self.speech) {
-                Judgement::NotWhole => break,
+            match judge(rest) {
+                Judgement::NotWhole => break true,
+                Judgement::Wrong => break false,
                 Judgement::Whole(length) => {
-                    found.extend(telegram(&self.begun, held, rest_at));
+                    found.extend(self.telegram(held, rest_at));
                     held = rest_at;
                     rest_at += length;
                 }
-                Judgement::Wrong => {
-                    self.is_draining = true;
-                    let bytes = self.begun.len() - held;
-                    self.begun.clear();
-                    found.push(Piece::OutOfStep { bytes });
-                    return;
-                }
             }
-        }
-        if rest_at == self.begun.len() {
-            found.extend(telegram(&self.begun, held, rest_at));
+        };
+        if is_in_step && rest_at == self.begun.len() {
+            found.extend(self.telegram(held, rest_at));
             held = rest_at;
         }
         self.begun.drain(..held);
+        is_in_step
     }
 
-    /// A chunk that is one telegram or none.
-    fn datagram(&self, bytes: &[u8]) -> Piece {
-        let mut whole = (bytes.len().min(usize::from(u16::MAX)) as u16)
-            .to_le_bytes()
-            .to_vec();
-        whole.extend_from_slice(bytes);
-        match judge(&whole, self.speech) {
-            Judgement::Whole(length) if length == whole.len() => Piece::Telegram(bytes.to_vec()),
-            Judgement::Whole(_) | Judgement::NotWhole | Judgement::Wrong => {
-                Piece::OutOfStep { bytes: bytes.len() }
-            }
+    /// Throws away what cannot be the begin of a frame; true if a proven one was found.
+    fn hunt(&mut self, found: &mut Vec<Piece>) -> bool {
+        let hunted = match self.speech {
+            Speech::Telegrams => Hunted::nothing_in(&self.begun),
+            Speech::TelegramsAndFrames => hunted(&self.begun),
+        };
+        if hunted.at > 0 {
+            found.push(Piece::OutOfStep { bytes: hunted.at });
+            self.begun.drain(..hunted.at);
+        }
+        let Some(length) = hunted.length else {
+            return false;
+        };
+        found.extend(self.telegram(0, length));
+        self.begun.drain(..length);
+        true
+    }
+
+    /// The telegram between two places in the stream, if there is one.
+    fn telegram(&self, begin: usize, end: usize) -> Option<Piece> {
+        let telegram = self.begun.get(begin..end)?.get(PREFIX_BYTES..)?.to_vec();
+        let is_ours = match telegram.first()? {
+            &REPLY | &DIRECT_NO_REPLY => true,
+            &START_V2 => self.speech == Speech::TelegramsAndFrames,
+            _ => false,
+        };
+        Some(if is_ours {
+            Piece::Telegram(telegram)
+        } else {
+            Piece::Foreign(telegram)
+        })
+    }
+}
+
+/// Where a stream that is out of step may be in step again.
+struct Hunted {
+    at: usize,
+    /// Length of a proven frame there, with its length in front; `None` if the rest may become one.
+    length: Option<usize>,
+}
+
+impl Hunted {
+    const fn nothing_in(stream: &[u8]) -> Self {
+        Self {
+            at: stream.len(),
+            length: None,
         }
     }
 }
 
-/// The telegram between two places in the stream, if there is one.
-fn telegram(stream: &[u8], begin: usize, end: usize) -> Option<Piece> {
-    let telegram = stream.get(begin..end)?.get(PREFIX_BYTES..)?;
-    Some(Piece::Telegram(telegram.to_vec()))
+/// The first proven frame, or else the first place where one may begin that is not whole yet.
+fn hunted(stream: &[u8]) -> Hunted {
+    let mut begun = None;
+    for at in 0..stream.len() {
+        let rest = stream.get(at..).unwrap_or_default();
+        if rest.get(PREFIX_BYTES).is_some_and(|kind| *kind != START_V2) {
+            continue;
+        }
+        match judge(rest) {
+            Judgement::Wrong => {}
+            Judgement::NotWhole => begun = begun.or(Some(at)),
+            Judgement::Whole(length) => {
+                if rest
+                    .get(PREFIX_BYTES..length)
+                    .is_some_and(has_right_checksum)
+                {
+                    let length = Some(length);
+                    return Hunted { at, length };
+                }
+            }
+        }
+    }
+    Hunted {
+        at: begun.unwrap_or(stream.len()),
+        ..Hunted::nothing_in(stream)
+    }
+}
+
+/// Whether this is a MAVLink 2 frame of a message that is known, and undamaged.
+fn has_right_checksum(frame: &[u8]) -> bool {
+    let Some([START_V2, payload, _, _, _, _, _, id @ ..]) = bytes_at::<HEADER_BYTES>(frame, 0)
+    else {
+        return false;
+    };
+    let end = HEADER_BYTES + usize::from(payload);
+    let (Some(covered), Some(sum)) = (frame.get(1..end), bytes_at(frame, end)) else {
+        return false;
+    };
+    let [low, middle, high] = id;
+    let shape = CATALOGUE.shape(u32::from_le_bytes([low, middle, high, 0]));
+    shape.is_some_and(|shape| checksum(covered, shape.crc_extra) == u16::from_le_bytes(sum))
 }
 
 /// Judges as early as the bytes allow: what is wrong with its first byte is not waited for.
-fn judge(bytes: &[u8], speech: Speech) -> Judgement {
+fn judge(bytes: &[u8]) -> Judgement {
     let Some((prefix, begun)) = bytes.split_first_chunk::<PREFIX_BYTES>() else {
         return Judgement::NotWhole;
     };
@@ -174,12 +258,12 @@ fn judge(bytes: &[u8], speech: Speech) -> Judgement {
         return Judgement::Wrong;
     }
     let begun = begun.get(..length).unwrap_or(begun);
-    let is_possible = match (begun.first().copied(), speech) {
-        (None, _) => true,
-        (Some(REPLY), _) => could_be_reply(begun, length),
-        (Some(DIRECT_NO_REPLY), _) => could_be_message(begun, length),
-        (Some(START_V2), Speech::TelegramsAndFrames) => could_be_frame(begun, length),
-        (Some(_), _) => false,
+    let is_possible = match begun.first() {
+        Some(&REPLY) => could_be_reply(begun, length),
+        Some(&DIRECT_NO_REPLY) => could_be_message(begun, length),
+        Some(&START_V2) => could_be_frame(begun, length),
+        // A program may send whatever it likes.
+        None | Some(_) => true,
     };
     match (is_possible, begun.len() == length) {
         (false, _) => Judgement::Wrong,
@@ -224,8 +308,8 @@ fn could_be_message(begun: &[u8], length: usize) -> bool {
 
 fn could_be_frame(begun: &[u8], length: usize) -> bool {
     begun.get(1).is_none_or(|payload| {
-        let bare = usize::from(*payload) + FRAME_BYTES;
-        length == bare || length == bare + SIGNATURE_BYTES
+        let unsigned = HEADER_BYTES + usize::from(*payload) + CHECKSUM_BYTES;
+        length == unsigned || length == unsigned + SIGNATURE_BYTES
     })
 }
 
@@ -238,7 +322,7 @@ mod tests {
     const DONE: [u8; 5] = [0x03, 0x00, 0x02, 0x05, 0x00];
 
     fn cut(chunks: &[&[u8]]) -> (Vec<Piece>, Cutter) {
-        let mut cutter = Cutter::new(NxtFraming::Prefixed, Speech::Telegrams);
+        let mut cutter = Cutter::new(Speech::Telegrams);
         let mut found = Vec::new();
         for chunk in chunks {
             cutter.push(Stamp::ZERO, chunk, &mut found);
@@ -276,9 +360,10 @@ mod tests {
     }
 
     #[test]
-    fn the_wrong_first_byte_is_enough_and_silence_ends_the_drain() {
-        let (found, mut cutter) = cut(&[&[0x07], &[0x00], &[0x03], &VERSION]);
-        let expected = [3, 9].map(|bytes| Piece::OutOfStep { bytes });
+    fn the_first_wrong_byte_is_enough_and_silence_ends_the_drain() {
+        // An answer to a command that is never asked.
+        let (found, mut cutter) = cut(&[&[0x07], &[0x00], &[0x02], &[0x55], &VERSION]);
+        let expected = [4, 9].map(|bytes| Piece::OutOfStep { bytes });
         assert_eq!(found, expected);
         assert_eq!(cutter.deadline(), Some(Stamp::from_millis(100)));
         assert_eq!(cutter.expire(Stamp::from_millis(99)), None);
@@ -318,18 +403,39 @@ mod tests {
         }
     }
 
+    /// What a user's program writes with `BluetoothWrite`, behind its length.
+    const HELLO: [u8; 8] = *b"\x06\x00hello\x00";
+
     #[test]
-    fn a_bare_telegram_is_its_chunk() {
-        let mut cutter = Cutter::new(NxtFraming::Bare, Speech::Telegrams);
-        let mut found = Vec::new();
-        cutter.push(Stamp::ZERO, &VERSION[2..], &mut found);
-        cutter.push(Stamp::ZERO, &VERSION[2..8], &mut found);
-        let expected = [
-            Piece::Telegram(VERSION[2..].to_vec()),
-            Piece::OutOfStep { bytes: 6 },
-        ];
-        assert_eq!(found, expected);
-        assert!(!cutter.is_draining());
+    fn a_programs_own_message_is_foreign_and_what_stands_around_it_is_believed() {
+        let hello = || Piece::Foreign(HELLO[2..].to_vec());
+        let version = || Piece::Telegram(VERSION[2..].to_vec());
+        let (found, cutter) = cut(&[&HELLO, &VERSION, &HELLO]);
+        assert_eq!(found, [hello(), version(), hello()]);
         assert_eq!(cutter.deadline(), None);
+        let together = [&VERSION[..], &HELLO, &VERSION].concat();
+        for size in 1..=together.len() {
+            let chunks: Vec<&[u8]> = together.chunks(size).collect();
+            let (found, _) = cut(&chunks);
+            assert_eq!(found, [version(), hello(), version()], "chunks of {size}");
+        }
+    }
+
+    #[test]
+    fn a_drain_ends_between_two_messages_of_a_program_that_never_rests() {
+        let mut cutter = Cutter::new(Speech::Telegrams);
+        let mut found = Vec::new();
+        cutter.push(Stamp::ZERO, &[0xFF, 0xFF], &mut found);
+        for step in 1..30 {
+            let now = Stamp::from_millis(80 * step);
+            assert_eq!(cutter.expire(now), None);
+            cutter.push(now, &HELLO, &mut found);
+        }
+        let heard = found
+            .iter()
+            .filter(|piece| **piece == Piece::Foreign(HELLO[2..].to_vec()));
+        // Those of the first second are thrown away, and the one that ends it.
+        assert_eq!(heard.count(), 29 - 13);
+        assert!(!cutter.is_draining());
     }
 }

@@ -8,7 +8,9 @@
 //! ultrasonic      02       42      centimetres, 255 none; 41 02 measures for ever  100 ms
 //! temperature     98       00      two bytes, big-endian, 1/16 degree above bit 4  1 s; 01 60 sets 12 bits
 //! ```
-//! A buffer in which nothing has come since the last reading is no answer; the bus needs its time, or nobody is there.
+//! A buffer is an answer when nothing is to come on the bus and its write index has moved since it was looked at last; else the bus needs its
+//! time, or nobody is there. The first look after a set-up only says where the index stands. An index that stands still is an answer only of a
+//! firmware that was seen to write each answer to the ring's start: with an index before it that no answers of this length lead from.
 //!
 //! # Sources
 //! HiTechnic's register tables of NAC1040 and NMC1034; LEGO MINDSTORMS NXT Hardware Developer Kit, ultrasonic sensor; Texas
@@ -30,6 +32,8 @@ const THERMOMETER: u8 = 0x98;
 const ACCELERATION_UNIT_M_PER_S2: f64 = 9.806_65 / 200.0;
 /// What the ultrasonic sensor says when it hears no echo.
 const NO_ECHO: u8 = 255;
+/// Bytes of a port's ring.
+const RING_BYTES: u8 = 16;
 /// Rounds in which an answer may still come before the sensor is asked again.
 const MOST_ROUNDS: u8 = 3;
 /// Questions in a row without an answer after which people are told.
@@ -99,6 +103,8 @@ pub(super) struct Device {
     rounds: u8,
     unanswered: u8,
     last_end: Option<u8>,
+    /// The firmware was seen to write answers to the start of the ring.
+    begins_anew: bool,
 }
 
 impl Device {
@@ -116,6 +122,7 @@ impl Device {
             rounds: 0,
             unanswered: 0,
             last_end: None,
+            begins_anew: false,
         })
     }
 
@@ -159,15 +166,33 @@ impl Device {
 
     /// The receive buffer as it stands now.
     pub(super) fn look(&mut self, buffer: Buffer) -> Option<Measured> {
-        let before = self.last_end.replace(buffer.end);
-        let is_fresh =
-            before.is_some_and(|end| end != buffer.end) || buffer.end == self.manner.answer_bytes;
-        if !is_fresh {
+        if buffer.to_come > 0 {
+            self.wait_on();
+            return None;
+        }
+        let Some(before) = self.last_end.replace(buffer.end) else {
+            // What stands there may be of any time: ask again.
+            self.asked = None;
+            return None;
+        };
+        self.begins_anew |= self.is_at_start(buffer.end) && !self.leads(before, buffer.end);
+        let stands_at_start = self.begins_anew && self.is_at_start(buffer.end);
+        if before == buffer.end && !stands_at_start {
             self.wait_on();
             return None;
         }
         self.answered();
         self.measured(buffer.last())
+    }
+
+    const fn is_at_start(&self, end: u8) -> bool {
+        end == self.manner.answer_bytes
+    }
+
+    /// Whether a few answers, one behind the other in the ring, lead from one index to another, or none did.
+    fn leads(&self, before: u8, end: u8) -> bool {
+        let step = self.manner.answer_bytes;
+        (0..=MOST_ROUNDS).any(|answers| (before % RING_BYTES + answers * step) % RING_BYTES == end)
     }
 
     /// What was fetched from the buffer: `said` bytes of `data`.
@@ -177,8 +202,16 @@ impl Device {
             return None;
         }
         self.answered();
-        let end = said % 16;
-        self.measured(Buffer { ring: data, end }.last())
+        let end = said % RING_BYTES;
+        let to_come = 0;
+        self.measured(
+            Buffer {
+                ring: data,
+                end,
+                to_come,
+            }
+            .last(),
+        )
     }
 
     /// The answer is not there yet.
@@ -238,11 +271,17 @@ mod tests {
     fn answered(sensor: NxtSensor, answer: &[u8]) -> Option<Measured> {
         let mut device = Device::new(sensor).unwrap();
         let mut ring = [0xAA; 16];
+        assert_eq!(device.look(standing(ring, 0)), None);
         ring[..answer.len()].copy_from_slice(answer);
-        device.look(Buffer {
+        device.look(standing(ring, answer.len() as u8))
+    }
+
+    const fn standing(ring: [u8; 16], end: u8) -> Buffer {
+        Buffer {
             ring,
-            end: answer.len() as u8,
-        })
+            end,
+            to_come: 0,
+        }
     }
 
     fn accelerometer(forward: ForwardAxis) -> NxtSensor {
@@ -296,8 +335,8 @@ mod tests {
         let mut device = Device::new(NxtSensor::HtCompass).unwrap();
         let mut ring = [0; 16];
         (ring[15], ring[0]) = (0x10, 0x01);
-        assert_eq!(device.look(Buffer { ring, end: 15 }), None);
-        let found = device.look(Buffer { ring, end: 1 });
+        assert_eq!(device.look(standing(ring, 15)), None);
+        let found = device.look(standing(ring, 1));
         assert_eq!(found, Some(Measured::CompassDegrees(33.0)));
     }
 
@@ -319,10 +358,8 @@ mod tests {
     #[test]
     fn a_sensor_that_is_not_there_is_asked_again_and_then_told_of() {
         let mut device = Device::new(NxtSensor::HtCompass).unwrap();
-        let empty = Buffer {
-            ring: [0; 16],
-            end: 0,
-        };
+        let empty = standing([0; 16], 0);
+        device.look(empty);
         for second in 0..10 {
             assert!(!device.is_silent());
             assert!(
@@ -336,5 +373,47 @@ mod tests {
             assert_eq!(device.asked(), None);
         }
         assert!(device.is_silent());
+    }
+
+    #[test]
+    fn a_sensor_that_died_says_nothing_more_wherever_the_ring_stands() {
+        for end in 0..16 {
+            let mut device = Device::new(accelerometer(ForwardAxis::X)).unwrap();
+            device.begin(Stamp::ZERO);
+            device.look(standing([7; 16], end));
+            for _ in 0..50 {
+                assert_eq!(device.look(standing([7; 16], end)), None, "at {end}");
+            }
+            // Nor when the port is set up again.
+            device.begin(Stamp::from_millis(9_000));
+            assert_eq!(device.look(standing([7; 16], end)), None, "at {end}");
+            assert_eq!(device.look(standing([7; 16], end)), None, "at {end}");
+        }
+    }
+
+    #[test]
+    fn an_answer_that_is_still_on_the_bus_is_waited_for() {
+        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
+        device.look(standing([9; 16], 0));
+        let half = Buffer {
+            ring: [9; 16],
+            end: 1,
+            to_come: 1,
+        };
+        assert_eq!(device.look(half), None);
+        let found = device.look(standing([9; 16], 2));
+        assert_eq!(found, Some(Measured::CompassDegrees(27.0)));
+    }
+
+    #[test]
+    fn a_firmware_that_writes_to_the_rings_start_is_seen_to_do_so_and_then_believed() {
+        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
+        let ring = [9; 16];
+        device.look(standing(ring, 9));
+        // Two, four or six bytes lead from 9 to 11, 13 or 15, never to 2.
+        let found = Some(Measured::CompassDegrees(27.0));
+        for _ in 0..5 {
+            assert_eq!(device.look(standing(ring, 2)), found);
+        }
     }
 }

@@ -16,6 +16,8 @@ use super::status::Status;
 use super::telegram::{Answer, message_write};
 use crate::message::PlanarPose;
 
+/// Between two estimates to a program that pushes: each turns the radio around, which cannot send and receive at once, and holds up the frames.
+pub(super) const PUSHED_INTERVAL: Span = Span::from_millis(200);
 /// A program may be started at any time.
 const PROBE_PERIOD: Span = Span::from_millis(5_000);
 const POSITION_VALID: u8 = 1 << 0;
@@ -36,6 +38,9 @@ enum Reader {
 #[derive(Debug)]
 pub(super) struct Mailbox {
     number: u8,
+    /// Estimates leave no more often than this.
+    interval: Span,
+    last: Option<Stamp<HostClock>>,
     reader: Reader,
     next_probe: Option<Stamp<HostClock>>,
     /// The message of the probe, while it waits for its turn.
@@ -44,9 +49,11 @@ pub(super) struct Mailbox {
 }
 
 impl Mailbox {
-    pub(super) const fn new(number: u8) -> Self {
+    pub(super) const fn new(number: u8, interval: Span) -> Self {
         Self {
             number,
+            interval,
+            last: None,
             reader: Reader::Unknown,
             next_probe: None,
             probe: None,
@@ -58,7 +65,7 @@ impl Mailbox {
     pub(super) fn begin(&mut self) {
         *self = Self {
             sequence: self.sequence,
-            ..Self::new(self.number)
+            ..Self::new(self.number, self.interval)
         };
     }
 
@@ -73,6 +80,10 @@ impl Mailbox {
         if !is_probe && self.reader != Reader::Program {
             return None;
         }
+        if self.last.is_some_and(|last| now - last < self.interval) {
+            return None;
+        }
+        self.last = Some(now);
         let message = estimate_bytes(pose, brick_millis, self.sequence);
         self.sequence = self.sequence.wrapping_add(1);
         if is_probe {
@@ -182,7 +193,7 @@ mod tests {
 
     #[test]
     fn the_first_and_one_every_five_seconds_ask_and_the_rest_does_not() {
-        let mut mailbox = Mailbox::new(4);
+        let mut mailbox = Mailbox::new(4, Span::ZERO);
         let start = Stamp::from_millis(100);
         assert_eq!(mailbox.post(start, &pose(), 0), None);
         let probe = mailbox.take_probe(start).unwrap();
@@ -200,7 +211,7 @@ mod tests {
 
     #[test]
     fn without_a_program_nothing_is_sent_until_the_next_probe() {
-        let mut mailbox = Mailbox::new(0);
+        let mut mailbox = Mailbox::new(0, Span::ZERO);
         mailbox.post(Stamp::ZERO, &pose(), 0);
         mailbox.take_probe(Stamp::ZERO);
         mailbox.answered(Status::NO_PROGRAM);
@@ -214,5 +225,18 @@ mod tests {
                 .post(Stamp::from_millis(5_050), &pose(), 0)
                 .is_some()
         );
+    }
+
+    #[test]
+    fn estimates_keep_their_distance() {
+        let mut mailbox = Mailbox::new(0, PUSHED_INTERVAL);
+        mailbox.post(Stamp::ZERO, &pose(), 0);
+        mailbox.take_probe(Stamp::ZERO);
+        mailbox.answered(Status::OK);
+        let left = (1..=100).filter(|step| {
+            let now = Stamp::from_millis(40 * step);
+            mailbox.post(now, &pose(), 0).is_some()
+        });
+        assert_eq!(left.count(), 20);
     }
 }

@@ -2,17 +2,25 @@
 //!
 //! # Model
 //! ```text
-//! rate = sign (raw - rest) deg/s
+//! rate = sign (raw - rest) deg/s,  for |raw - rest| <= RANGE and a raw below the converter's stop; anything else is an empty port
 //! rest = mean of the readings while both wheels stand; the first ENOUGH of them, close together, make it, later ones follow slowly:
 //!        rest += (raw - rest) / n,  n = count of readings, at most MEMORY
+//! rest = mean of a calm, if it is another:  readings over CALM while both wheels stand, all within CALM_SPREAD of each other
 //! ```
 //! Nothing is told until the rest is known. What is left of it is the filter's gyro bias.
 //!
+//! # What standing wheels do not say
+//! Wheels also stand while the robot is carried or turned in the hand. The first ENOUGH readings may be of such a turn, because they are few: whoever
+//! waits for more waits for ever with a robot that drives off. So the calm comes behind them. No hand turns for so long at a rate that is steady
+//! within four degrees per second, so what is that steady is rest, however far it is from what was believed. The limit: on a turntable, or in
+//! a car in a long bend, a calm is a turn, and is taken for rest until the next calm on firm ground. Whoever drives there configures the rest.
+//!
 //! # Sources
-//! HiTechnic NGY1044: one degree per second and count, +-360 degrees per second, rest around 600, 580 to 625 reported, different
-//! for each sensor and drifting with temperature; people average about 500 readings at rest.
+//! HiTechnic NGY1044, data sheet: one degree per second and count, +-360 degrees per second, rest around 600, 580 to 625 reported, different
+//! for each sensor and drifting with temperature; people average about 500 readings at rest. An open input of the converter, which has ten
+//! bits, reads 1023 (LEGO MINDSTORMS NXT Hardware Developer Kit: pulled up to 5 V by 10 kOhm).
 
-use posebridge_telemetry::RadiansPerSecond;
+use posebridge_telemetry::{HostClock, RadiansPerSecond, Span, Stamp};
 
 use super::settings::GyroSign;
 
@@ -25,10 +33,21 @@ const MEMORY: u32 = 500;
 const REST_SPREAD: f64 = 8.0;
 /// A reading further from the rest than this is a robot that is turned by hand.
 const REST_WANDER: f64 = 4.0;
-/// Where a rest can be, generously; an empty port reads 1023.
+/// How long a calm lasts, and how many readings make one at least.
+const CALM: Span = Span::from_millis(3_000);
+const CALM_COUNT: u32 = 30;
+/// Readings of a calm lie within so many counts of each other: fifty readings with a noise of 0.6 to 1 count mostly do.
+const CALM_SPREAD: f64 = 4.0;
+/// A calm within so many counts of the rest says nothing new.
+const CALM_NEWS: f64 = 1.0;
+/// Where a rest can be, generously.
 const REST_RANGE: std::ops::RangeInclusive<f64> = 500.0..=700.0;
-/// The converter has ten bits.
-const LARGEST_RAW: u16 = 1023;
+/// Furthest reading from the rest: 360 degrees per second, and a margin for what the rest is off by.
+const RANGE: f64 = 380.0;
+/// The converter's stop: nothing pulls the input down.
+const OPEN: u16 = 1023;
+/// So long after its first reading a gyro whose rest is not known is worth a word.
+const OVERDUE: Span = Span::from_millis(5_000);
 
 /// Whether the wheels stand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,66 +56,149 @@ pub(super) enum Wheels {
     Turning,
 }
 
+/// What a reading says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Turning {
+    /// The turn rate, counter-clockwise positive, bias included.
+    Rate(RadiansPerSecond),
+    /// It says nothing yet: the rest is not known.
+    Unknown,
+    /// It says nothing, and for five seconds already.
+    Overdue,
+    /// No gyro reads this: nothing is plugged in.
+    Empty,
+}
+
+/// What a reading taught about the rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Taught {
+    /// Nothing that people need to know.
+    Nothing,
+    /// The rest is known from now on, in counts.
+    First(f64),
+    /// It was wrong and is this.
+    Other(f64),
+}
+
 /// The state of one gyro.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gyro {
     sign: f64,
     configured_rest: Option<f64>,
     learnt: Learnt,
+    calm: Calm,
+    since: Option<Stamp<HostClock>>,
 }
 
-/// What readings at rest say.
+/// A mean, and how far apart its readings are.
 #[derive(Clone, Copy, Debug, Default)]
-struct Learnt {
+struct Mean {
     count: u32,
-    mean: f64,
+    value: f64,
     smallest: f64,
     largest: f64,
 }
 
 impl Gyro {
-    pub(super) const fn new(rest: Option<f64>, sign: GyroSign) -> Self {
+    pub(super) fn new(rest: Option<f64>, sign: GyroSign) -> Self {
         Self {
             sign: match sign {
                 GyroSign::CounterClockwise => 1.0,
                 GyroSign::Clockwise => -1.0,
             },
             configured_rest: rest,
-            learnt: Learnt {
-                count: 0,
-                mean: 0.0,
-                smallest: 0.0,
-                largest: 0.0,
-            },
+            learnt: Learnt::default(),
+            calm: Calm::default(),
+            since: None,
         }
     }
 
     /// What it reads at rest, in counts, if that is known.
     pub(super) fn rest(&self) -> Option<f64> {
-        self.configured_rest
-            .or((self.learnt.count >= ENOUGH).then_some(self.learnt.mean))
+        self.configured_rest.or(self.learnt.rest())
     }
 
-    /// The turn rate that a reading means, counter-clockwise positive, bias included.
-    pub(super) fn take(&mut self, raw: u16, wheels: Wheels) -> Option<RadiansPerSecond> {
-        if raw > LARGEST_RAW {
-            return None;
+    /// What a reading of the instant `at` means, and what it taught.
+    pub(super) fn take(
+        &mut self,
+        at: Stamp<HostClock>,
+        raw: u16,
+        wheels: Wheels,
+    ) -> (Turning, Taught) {
+        if raw >= OPEN {
+            self.calm = Calm::default();
+            return (Turning::Empty, Taught::Nothing);
         }
         let raw = f64::from(raw);
-        if self.configured_rest.is_none() {
-            self.learnt.take(raw, wheels);
+        let taught = self.learn(at, raw, wheels);
+        let Some(rest) = self.rest() else {
+            let since = *self.since.get_or_insert(at);
+            let is_overdue = at - since >= OVERDUE;
+            let turning = if is_overdue {
+                Turning::Overdue
+            } else {
+                Turning::Unknown
+            };
+            return (turning, taught);
+        };
+        if (raw - rest).abs() > RANGE {
+            return (Turning::Empty, taught);
         }
-        let rest = self.rest()?;
-        Some(RadiansPerSecond(self.sign * (raw - rest).to_radians()))
+        let rate = RadiansPerSecond(self.sign * (raw - rest).to_radians());
+        (Turning::Rate(rate), taught)
+    }
+
+    fn learn(&mut self, at: Stamp<HostClock>, raw: f64, wheels: Wheels) -> Taught {
+        if self.configured_rest.is_some() {
+            return Taught::Nothing;
+        }
+        let before = self.rest();
+        self.learnt.take(raw, wheels);
+        let calm = self.calm.take(at, raw, wheels);
+        match (before, self.rest()) {
+            (None, Some(rest)) => Taught::First(rest),
+            (Some(_), Some(rest)) => match calm {
+                Some(calm) if (calm.value - rest).abs() > CALM_NEWS => {
+                    self.learnt = Learnt(calm);
+                    Taught::Other(calm.value)
+                }
+                _ => Taught::Nothing,
+            },
+            (_, None) => Taught::Nothing,
+        }
     }
 }
 
+impl Mean {
+    fn take(&mut self, raw: f64) {
+        if self.count == 0 {
+            (self.smallest, self.largest) = (raw, raw);
+        }
+        self.smallest = self.smallest.min(raw);
+        self.largest = self.largest.max(raw);
+        self.count += 1;
+        self.value += (raw - self.value) / f64::from(self.count);
+    }
+
+    fn spread(&self) -> f64 {
+        self.largest - self.smallest
+    }
+}
+
+/// What readings at rest say.
+#[derive(Clone, Copy, Debug, Default)]
+struct Learnt(Mean);
+
 impl Learnt {
+    fn rest(&self) -> Option<f64> {
+        (self.0.count >= ENOUGH).then_some(self.0.value)
+    }
+
     fn take(&mut self, raw: f64, wheels: Wheels) {
-        if self.count >= ENOUGH {
-            if wheels == Wheels::Standing && (raw - self.mean).abs() <= REST_WANDER {
-                self.count = (self.count + 1).min(MEMORY);
-                self.mean += (raw - self.mean) / f64::from(self.count);
+        if let Some(rest) = self.rest() {
+            if wheels == Wheels::Standing && (raw - rest).abs() <= REST_WANDER {
+                self.0.count = self.0.count.min(MEMORY - 1);
+                self.0.take(raw);
             }
             return;
         }
@@ -105,26 +207,41 @@ impl Learnt {
             return;
         }
         if !REST_RANGE.contains(&raw) {
-            self.count = 0;
+            self.0 = Mean::default();
             return;
         }
-        let is_first = self.count == 0;
-        self.smallest = if is_first {
-            raw
-        } else {
-            self.smallest.min(raw)
-        };
-        self.largest = if is_first { raw } else { self.largest.max(raw) };
-        if self.largest - self.smallest > REST_SPREAD {
-            self.count = 0;
-            return;
+        self.0.take(raw);
+        if self.0.spread() > REST_SPREAD {
+            self.0 = Mean::default();
         }
-        self.count += 1;
-        self.mean = if is_first {
-            raw
-        } else {
-            self.mean + (raw - self.mean) / f64::from(self.count)
-        };
+    }
+}
+
+/// Readings that hardly differ while both wheels stand.
+#[derive(Clone, Copy, Debug, Default)]
+struct Calm {
+    since: Option<Stamp<HostClock>>,
+    mean: Mean,
+}
+
+impl Calm {
+    /// The mean of a calm that is long enough with this reading; the next begins anew.
+    fn take(&mut self, at: Stamp<HostClock>, raw: f64, wheels: Wheels) -> Option<Mean> {
+        if wheels == Wheels::Turning || !REST_RANGE.contains(&raw) {
+            *self = Self::default();
+            return None;
+        }
+        self.mean.take(raw);
+        if self.mean.spread() > CALM_SPREAD {
+            // This reading may be the first of a calm.
+            *self = Self::default();
+            self.mean.take(raw);
+        }
+        let since = *self.since.get_or_insert(at);
+        if at - since < CALM || self.mean.count < CALM_COUNT {
+            return None;
+        }
+        Some(std::mem::take(self).mean)
     }
 }
 
@@ -132,64 +249,160 @@ impl Learnt {
 mod tests {
     use super::*;
 
-    fn at_rest(gyro: &mut Gyro, readings: impl IntoIterator<Item = u16>) {
-        for raw in readings {
-            gyro.take(raw, Wheels::Standing);
+    /// A gyro that is read every 60 ms.
+    struct Bench {
+        gyro: Gyro,
+        at: Stamp<HostClock>,
+        taught: Vec<Taught>,
+    }
+
+    impl Bench {
+        fn new(rest: Option<f64>, sign: GyroSign) -> Self {
+            Self {
+                gyro: Gyro::new(rest, sign),
+                at: Stamp::ZERO,
+                taught: Vec::new(),
+            }
+        }
+
+        fn take(&mut self, raw: u16, wheels: Wheels) -> Turning {
+            self.at = self.at + Span::from_millis(60);
+            let (turning, taught) = self.gyro.take(self.at, raw, wheels);
+            if taught != Taught::Nothing {
+                self.taught.push(taught);
+            }
+            turning
+        }
+
+        fn at_rest(&mut self, readings: impl IntoIterator<Item = u16>) {
+            for raw in readings {
+                self.take(raw, Wheels::Standing);
+            }
+        }
+
+        fn rest(&self) -> Option<f64> {
+            self.gyro.rest()
+        }
+    }
+
+    fn deg_per_s(turning: Turning) -> f64 {
+        match turning {
+            Turning::Rate(rate) => rate.0.to_degrees(),
+            Turning::Unknown | Turning::Overdue | Turning::Empty => f64::NAN,
         }
     }
 
     #[test]
     fn a_configured_rest_is_used_at_once_and_kept() {
-        let mut gyro = Gyro::new(Some(600.5), GyroSign::CounterClockwise);
-        let rate = gyro.take(690, Wheels::Turning).unwrap();
-        assert!((rate.0.to_degrees() - 89.5).abs() < 1e-9);
-        at_rest(&mut gyro, [598; 100]);
-        assert_eq!(gyro.rest(), Some(600.5));
+        let mut bench = Bench::new(Some(600.5), GyroSign::CounterClockwise);
+        let turning = bench.take(690, Wheels::Turning);
+        assert!((deg_per_s(turning) - 89.5).abs() < 1e-9);
+        bench.at_rest([598; 100]);
+        assert_eq!(bench.rest(), Some(600.5));
+        assert_eq!(bench.taught, []);
     }
 
     #[test]
     fn the_rest_is_learnt_standing_and_nothing_is_told_before() {
-        let mut gyro = Gyro::new(None, GyroSign::Clockwise);
-        assert_eq!(gyro.take(600, Wheels::Turning), None);
-        at_rest(&mut gyro, [597, 598, 597, 598, 597]);
+        let mut bench = Bench::new(None, GyroSign::Clockwise);
+        assert_eq!(bench.take(600, Wheels::Turning), Turning::Unknown);
+        bench.at_rest([597, 598, 597, 598, 597]);
         // What it reads while it drives is no rest, and what was learnt before is kept.
-        assert_eq!(gyro.take(640, Wheels::Turning), None);
-        at_rest(&mut gyro, [598, 597, 598, 597]);
-        assert_eq!(gyro.rest(), None);
-        at_rest(&mut gyro, [597]);
-        assert!((gyro.rest().unwrap() - 597.4).abs() < 1e-9);
-        let rate = gyro.take(607, Wheels::Turning).unwrap();
-        assert!((rate.0.to_degrees() + 9.6).abs() < 1e-9);
+        assert_eq!(bench.take(640, Wheels::Turning), Turning::Unknown);
+        bench.at_rest([598, 597, 598, 597]);
+        assert_eq!(bench.rest(), None);
+        bench.at_rest([597]);
+        assert!((bench.rest().unwrap() - 597.4).abs() < 1e-9);
+        assert!(matches!(bench.taught[..], [Taught::First(_)]));
+        let turning = bench.take(607, Wheels::Turning);
+        assert!((deg_per_s(turning) + 9.6).abs() < 1e-9);
     }
 
     #[test]
     fn a_turn_while_it_learns_begins_anew_and_a_turn_by_hand_teaches_nothing() {
-        let mut gyro = Gyro::new(None, GyroSign::CounterClockwise);
-        at_rest(&mut gyro, [600; 9]);
-        at_rest(&mut gyro, [620, 600]);
-        assert_eq!(gyro.rest(), None);
-        at_rest(&mut gyro, [600; 10]);
-        assert!(gyro.rest().is_some());
-        at_rest(&mut gyro, [640; 200]);
-        assert_eq!(gyro.rest(), Some(600.0));
+        let mut bench = Bench::new(None, GyroSign::CounterClockwise);
+        bench.at_rest([600; 9]);
+        bench.at_rest([620, 600]);
+        assert_eq!(bench.rest(), None);
+        bench.at_rest([600; 10]);
+        assert!(bench.rest().is_some());
+        // Ten seconds of a turn that is as steady as a hand is.
+        bench.at_rest((0..170).map(|step| 640 + step % 7));
+        assert_eq!(bench.rest(), Some(600.0));
+    }
+
+    #[test]
+    fn a_rest_that_was_learnt_in_the_hand_is_mended_when_the_robot_stands() {
+        let mut bench = Bench::new(None, GyroSign::CounterClockwise);
+        // Nearly three seconds at ten degrees per second; it stands before a calm is over.
+        bench.at_rest([610; 50]);
+        assert_eq!(bench.rest(), Some(610.0));
+        bench.at_rest([600; 50]);
+        assert_eq!(bench.rest(), Some(610.0));
+        bench.at_rest([601]);
+        let rest = bench.rest().unwrap();
+        assert!((rest - 600.0).abs() < 0.1, "{rest}");
+        assert_eq!(bench.taught[1..], [Taught::Other(rest)]);
+        let turning = bench.take(590, Wheels::Turning);
+        assert!((deg_per_s(turning) + 10.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn a_calm_needs_wheels_that_stand_all_the_while_and_time() {
+        let mut bench = Bench::new(None, GyroSign::CounterClockwise);
+        bench.at_rest([600; 10]);
+        for _ in 0..10 {
+            bench.at_rest([610; 45]);
+            bench.take(610, Wheels::Turning);
+        }
+        assert_eq!(bench.rest(), Some(600.0));
+        // A stall: two readings in five seconds are no calm.
+        bench.at_rest([610]);
+        bench.at = bench.at + Span::from_millis(5_000);
+        bench.at_rest([610]);
+        assert_eq!(bench.rest(), Some(600.0));
     }
 
     #[test]
     fn the_rest_follows_slowly_while_the_robot_stands() {
-        let mut gyro = Gyro::new(None, GyroSign::CounterClockwise);
-        at_rest(&mut gyro, [600; 25]);
-        at_rest(&mut gyro, [602; 25]);
-        let soon = gyro.rest().unwrap();
+        let mut bench = Bench::new(None, GyroSign::CounterClockwise);
+        bench.at_rest([600; 25]);
+        bench.at_rest([602; 25]);
+        let soon = bench.rest().unwrap();
         assert!((soon - 601.0).abs() < 1e-9, "{soon}");
-        at_rest(&mut gyro, [602; 2_000]);
-        assert!((gyro.rest().unwrap() - 602.0).abs() < 0.05);
+        bench.at_rest([602; 2_000]);
+        assert!((bench.rest().unwrap() - 602.0).abs() < 0.05);
     }
 
     #[test]
     fn an_empty_port_is_no_gyro() {
-        let mut gyro = Gyro::new(None, GyroSign::CounterClockwise);
-        at_rest(&mut gyro, [1023; 100]);
-        assert_eq!(gyro.rest(), None);
-        assert_eq!(gyro.take(5_000, Wheels::Standing), None);
+        for rest in [None, Some(600.0), Some(690.0)] {
+            let mut bench = Bench::new(rest, GyroSign::CounterClockwise);
+            for raw in [1023, 1024, 5_000] {
+                assert_eq!(bench.take(raw, Wheels::Standing), Turning::Empty);
+            }
+            assert_eq!(bench.rest(), rest);
+        }
+        // Plugged out in the middle, and a contact that gives anything.
+        let mut bench = Bench::new(None, GyroSign::CounterClockwise);
+        bench.at_rest([600; 20]);
+        for raw in [1023, 1000, 200, 0] {
+            assert_eq!(bench.take(raw, Wheels::Turning), Turning::Empty, "{raw}");
+        }
+        for raw in [240, 960] {
+            let fastest = deg_per_s(bench.take(raw, Wheels::Turning)).abs();
+            assert!((fastest - 360.0).abs() < 1e-9);
+        }
+        assert_eq!(bench.rest(), Some(600.0));
+    }
+
+    #[test]
+    fn a_robot_that_never_stands_is_told_of_after_five_seconds() {
+        let mut bench = Bench::new(None, GyroSign::CounterClockwise);
+        let told: Vec<Turning> = (0..100).map(|_| bench.take(640, Wheels::Turning)).collect();
+        let overdue = told.iter().position(|turning| *turning == Turning::Overdue);
+        assert_eq!(overdue, Some(84));
+        bench.at_rest([600; 10]);
+        assert_eq!(deg_per_s(bench.take(600, Wheels::Standing)), 0.0);
     }
 }

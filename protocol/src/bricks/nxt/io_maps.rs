@@ -6,7 +6,7 @@
 //! Command             00010001  tick u32 @20, ms since power-up
 //! Output              00020001  3 motors of 32 bytes: count i32 @0, degrees
 //! Input               00030001  4 ports of 20 bytes: raw u16 @2, type @8, invalid @16
-//! Low speed           000B0001  4 ports of 19 bytes: ring of 16, write index @16
+//! Low speed           000B0001  4 ports of 19 bytes: ring of 16, write index @16, bytes still to come @18
 //! ```
 //! # Sources
 //! The firmware's interface files c_output.iom, c_input.iom, c_lowspeed.iom, c_cmd.iom; its loader limits a read over Bluetooth to
@@ -112,7 +112,7 @@ pub(super) const fn buffer(port: u8) -> Window {
     Window {
         module: Module::LowSpeed,
         offset: BUFFER_BYTES * port as u16,
-        length: PORT_USED_BYTES + port as u16,
+        length: BUFFER_BYTES + port as u16,
     }
 }
 
@@ -140,6 +140,8 @@ pub(super) struct Buffer {
     pub(super) ring: [u8; 16],
     /// Where the next byte will stand.
     pub(super) end: u8,
+    /// Bytes of an answer that are still on the bus; none are for a sensor that failed, either.
+    pub(super) to_come: u8,
 }
 
 /// The id and the length that an answer to READ IO MAP repeats, and the data.
@@ -190,10 +192,11 @@ impl<'a> Cutout<'a> {
     /// A digital port's receive buffer, if the window holds it.
     pub(super) fn buffer(&self, port: u8) -> Option<Buffer> {
         let base = BUFFER_BYTES * u16::from(port);
-        let [end] = self.at(base + 16)?;
+        let [end, _, to_come] = self.at(base + 16)?;
         Some(Buffer {
             ring: self.at(base)?,
             end,
+            to_come,
         })
     }
 }

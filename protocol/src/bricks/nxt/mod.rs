@@ -34,8 +34,8 @@ mod tick;
 
 pub(super) use codec::{open, open_push};
 pub use settings::{
-    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtFraming, NxtSensor,
-    NxtSettings, NxtSettingsError, Outstanding, WheelMotor,
+    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings,
+    NxtSettingsError, Outstanding, WheelMotor,
 };
 pub use status::Status;
 pub use telegram::{

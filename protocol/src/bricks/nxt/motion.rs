@@ -2,9 +2,9 @@
 
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
-use super::counters::Counts;
 use super::gyro::Wheels;
 use super::settings::MotorPort;
+use crate::bricks::counters::Counts;
 
 /// So long the counts must not have changed for wheels to stand; a wheel that turns slower than this allows is slower than 4 degrees
 /// per second.

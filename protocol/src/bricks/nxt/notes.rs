@@ -21,6 +21,8 @@ pub(super) enum Topic {
     Outstanding,
     Program,
     Late,
+    /// What a program on the brick says by itself.
+    Foreign,
     Gyro,
     /// A sensor port, 0 to 3.
     Port(u8),

@@ -168,6 +168,15 @@ impl Plan {
         });
     }
 
+    /// The brick was away, and what could not tell its clock before may be able to now.
+    pub(super) fn try_tick_again(&mut self, now: Stamp<HostClock>) {
+        if !self.has_tick {
+            self.has_tick = true;
+            self.tick_strikes = 0;
+            self.next_tick = now;
+        }
+    }
+
     /// The clock must be looked at soon.
     pub(super) fn want_tick(&mut self) {
         self.ticks_wanted = self.ticks_wanted.max(1);
@@ -340,6 +349,11 @@ impl Plan {
         }
         if is_tick {
             return self.tick_failed();
+        }
+        if why == Failure::Refused && matches!(question, Question::Analog(_) | Question::Digital(_))
+        {
+            // One sensor is not there. The rest of the round has nothing to do with it.
+            return None;
         }
         (question.is_for_data() && self.data_failed()).then_some(Change::Reach)
     }

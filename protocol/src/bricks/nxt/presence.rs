@@ -53,6 +53,13 @@ impl Presence {
         Sign { is_return, is_beat }
     }
 
+    /// It said something that is no answer.
+    pub(super) const fn speaks(&mut self, now: Stamp<HostClock>) {
+        if !self.is_lost {
+            self.last_answer = Some(now);
+        }
+    }
+
     /// When it will count as lost.
     pub(super) fn deadline(&self) -> Option<Stamp<HostClock>> {
         let last = self.last_answer.filter(|_| !self.is_lost)?;

@@ -1,4 +1,4 @@
-//! What a person must say about an NXT: which motor is which wheel, which sensor is at which port, how the link frames its telegrams.
+//! What a person must say about an NXT: which motor is which wheel, which sensor is at which port.
 
 use posebridge_telemetry::Span;
 use thiserror::Error;
@@ -126,16 +126,6 @@ pub enum Outstanding {
     Two,
 }
 
-/// How telegrams stand on the link.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum NxtFraming {
-    /// Each behind its length in two bytes: Bluetooth, and what stands in for it.
-    #[default]
-    Prefixed,
-    /// Bare, one in each chunk or datagram: USB, and nxt-python's socket.
-    Bare,
-}
-
 /// One NXT, as its codec must know it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NxtSettings {
@@ -153,10 +143,10 @@ pub struct NxtSettings {
     pub compass_zero_deg: f64,
     /// The mailbox that takes the estimate, 0 to 9.
     pub mailbox: u8,
+    /// Shortest time between two estimates; `None` is 200 ms to a program that pushes, and none where the brick is asked.
+    pub estimate_interval: Option<Span>,
     /// How many questions may wait at the same time.
     pub outstanding: Outstanding,
-    /// How telegrams stand on the link.
-    pub framing: NxtFraming,
     /// Longest wait for an answer.
     pub answer_timeout: Span,
 }
@@ -176,8 +166,8 @@ impl Default for NxtSettings {
             gyro_sign: GyroSign::default(),
             compass_zero_deg: 0.0,
             mailbox: 0,
+            estimate_interval: None,
             outstanding: Outstanding::default(),
-            framing: NxtFraming::default(),
             answer_timeout: ANSWER_TIMEOUT,
         }
     }

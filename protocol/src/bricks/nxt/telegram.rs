@@ -8,7 +8,7 @@
 //! # Sources
 //! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendices 1 and 2; where the firmware's source differs from them, the firmware.
 
-use super::settings::{MotorPort, NxtFraming};
+use super::settings::MotorPort;
 use super::status::Status;
 
 /// Type of a direct command that wants a reply.
@@ -206,17 +206,12 @@ pub(super) fn read_io_map(module: u32, offset: u16, length: u16) -> Vec<u8> {
     telegram
 }
 
-/// A telegram as it stands on the link.
+/// A telegram as it stands on the link: behind its length.
 #[must_use]
-pub fn framed(telegram: &[u8], framing: NxtFraming) -> Vec<u8> {
-    match framing {
-        NxtFraming::Bare => telegram.to_vec(),
-        NxtFraming::Prefixed => {
-            let mut bytes = (telegram.len() as u16).to_le_bytes().to_vec();
-            bytes.extend_from_slice(telegram);
-            bytes
-        }
-    }
+pub fn framed(telegram: &[u8]) -> Vec<u8> {
+    let mut bytes = (telegram.len() as u16).to_le_bytes().to_vec();
+    bytes.extend_from_slice(telegram);
+    bytes
 }
 
 /// A reply, cut into its parts.

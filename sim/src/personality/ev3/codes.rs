@@ -160,6 +160,7 @@ impl Ev3 {
                 let (kind, mode) = (machine.byte()?, machine.byte()?);
                 let count = machine.byte()?;
                 let reading = self.read(moment, (port, kind, mode));
+                let reading = self.sensors.await_reading(reading);
                 if reading == Reading::NotYet {
                     return Ok(Flow::Wait);
                 }

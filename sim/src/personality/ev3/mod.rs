@@ -94,7 +94,7 @@ impl Ev3 {
         Self {
             wire: Wire::new(scenario.brick.turn_around()),
             motors: Motors::new(&scenario.robot),
-            sensors: Sensors::default(),
+            sensors: Sensors::new(scenario.brick.missing_sensor),
             command: None,
             is_running: program == BrickProgram::Path,
             scenario_program: program,
@@ -109,9 +109,10 @@ impl Ev3 {
 
     /// One pass; returns the duty of both motors.
     pub(super) fn step(&mut self, moment: &mut Moment<'_>) -> Pair<f64> {
-        if self.command.is_none()
-            && let Some(frame) = self.wire.next_frame()
-        {
+        // A command that waits for a sensor that is not there would wait for ever: the next one takes its place.
+        let is_free = self.command.is_none() || self.sensors.is_waited_for_in_vain();
+        if is_free && let Some(frame) = self.wire.next_frame() {
+            self.sensors.give_up_waiting();
             self.begin(&frame);
         }
         if let Some(command) = self.command.take() {
@@ -137,13 +138,25 @@ impl Ev3 {
     /// Switched off and on: as from the beginning, but for its name.
     pub(super) fn restart(&mut self, moment: &mut Moment<'_>) {
         self.reopen();
+        self.forget(moment);
+        self.is_running = self.scenario_program == BrickProgram::Path;
+    }
+
+    /// Somebody stops the program and starts it again: motors, counters and sensors begin anew.
+    pub(super) fn restart_program(&mut self, moment: &mut Moment<'_>) {
+        if self.is_running {
+            self.forget(moment);
+            moment.program.begin(moment.now, moment.counts());
+        }
+    }
+
+    fn forget(&mut self, moment: &Moment<'_>) {
         self.motors.step(moment.world, moment.counts());
         self.motors.stop(0xF);
         self.motors.clear_counts(0xF);
         self.motors.reset_tachos(0xF);
-        self.sensors = Sensors::default();
+        self.sensors.reset();
         self.mail = None;
-        self.is_running = self.scenario_program == BrickProgram::Path;
     }
 
     /// The next frame on its way to the station.

@@ -12,6 +12,7 @@ use posebridge_telemetry::Span;
 
 use super::super::senses::Senses;
 use super::motors::Motors;
+use crate::scenario::MissingSensor;
 
 /// Types of devices.
 pub(super) const LARGE_MOTOR: u8 = 7;
@@ -33,6 +34,8 @@ const MOTOR_FULL: f64 = 100.0;
 /// The modes of the sensors.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sensors {
+    missing: MissingSensor,
+    is_waited_for_in_vain: bool,
     modes: [u8; SENSOR_PORTS],
     /// Since when each port is in its mode.
     settled: [Span; SENSOR_PORTS],
@@ -59,6 +62,37 @@ pub(super) enum Reading {
 }
 
 impl Sensors {
+    pub(super) fn new(missing: MissingSensor) -> Self {
+        Self {
+            missing,
+            ..Self::default()
+        }
+    }
+
+    /// As after a start of a program.
+    pub(super) fn reset(&mut self) {
+        *self = Self::new(self.missing);
+    }
+
+    /// Whether a command waits for a sensor that is not there.
+    pub(super) const fn is_waited_for_in_vain(&self) -> bool {
+        self.is_waited_for_in_vain
+    }
+
+    /// That command is given up.
+    pub(super) const fn give_up_waiting(&mut self) {
+        self.is_waited_for_in_vain = false;
+    }
+
+    /// What a command that waits for a reading gets: where nothing is, that depends on the firmware.
+    pub(super) fn await_reading(&mut self, reading: Reading) -> Reading {
+        if reading == Reading::Nothing && self.missing == MissingSensor::Awaited {
+            self.is_waited_for_in_vain = true;
+            return Reading::NotYet;
+        }
+        reading
+    }
+
     /// Type and mode of a port.
     pub(super) fn kind_and_mode(&self, port: usize) -> (u8, u8) {
         let kind = kind(port);

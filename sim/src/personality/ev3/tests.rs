@@ -1,6 +1,6 @@
 //! Published and hand-written telegrams against the whole brick, in virtual time.
 
-use crate::scenario::{BrickProgram, Personality, Scenario};
+use crate::scenario::{BrickProgram, MissingSensor, Personality, Scenario};
 use crate::simulation::Simulation;
 
 /// A brick at the other end of a link without delay.
@@ -247,4 +247,30 @@ fn names_volume_and_battery() {
     );
     let battery = host.value(5, &[0x81, 1, 0x60, 0x81, 0x12, 0x64]);
     assert!((real(&battery[..4]) - 8.0).abs() < 0.01 && battery[4] == 100);
+}
+
+#[test]
+fn a_set_up_of_a_sensor_that_is_not_there_may_wait_for_the_next_command() {
+    // READY_SI of port 1 as a gyro.
+    let set_up = [0x99, 0x1D, 0, 0, 0x81, 0x20, 1, 1, 0x60];
+    let mut answering = Host::programless();
+    assert!(real(&answering.value(4, &set_up)).is_nan());
+    let mut waiting = Host::of(|scenario| scenario.brick.missing_sensor = MissingSensor::Awaited);
+    let telegram = [&[14, 0, 7, 0, 0, 4, 0][..], &set_up].concat();
+    waiting.simulation.receive(&telegram);
+    assert_eq!(waiting.listen(5_000), []);
+    // The clock is told as ever.
+    assert_eq!(waiting.value(4, &[0x8F, 0x60]).len(), 4);
+}
+
+#[test]
+fn a_program_that_begins_anew_zeroes_the_counters() {
+    let mut host = Host::of(|scenario| {
+        scenario.brick.program = BrickProgram::Path;
+        scenario.brick.program_restart_s = Some(5.0);
+    });
+    host.listen(4_900);
+    let before = host.count(1);
+    let after = host.count(1);
+    assert!(before > 500 && after < 200, "{before} {after}");
 }

@@ -251,7 +251,7 @@ mod tests {
             [0, 0, 50, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 0, 0]
         );
         assert_eq!(bus.read(1).unwrap(), [0, 0, 50, 0, 0, 0]);
-        assert_eq!(bus.read(1).unwrap(), []);
+        assert_eq!(bus.read(1).unwrap(), [0_u8; 0]);
     }
 
     #[test]

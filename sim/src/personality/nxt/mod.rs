@@ -65,6 +65,8 @@ pub(super) struct Nxt {
     awake_since: Span,
     is_asleep: bool,
     scenario_program: BrickProgram,
+    /// Somebody has spoken to it, or it is one that speaks first: its program may drive.
+    is_addressed: bool,
     outgoing: VecDeque<Vec<u8>>,
     estimates: Vec<(Stamp<BrickClock>, Pose<Arena>)>,
 }
@@ -91,6 +93,7 @@ impl Nxt {
             awake_since: Span::ZERO,
             is_asleep: false,
             scenario_program: brick.program,
+            is_addressed: brick.personality == Personality::NxtPush,
             outgoing: VecDeque::new(),
             estimates: Vec::new(),
         };
@@ -166,6 +169,7 @@ impl Nxt {
         let Some(request) = Request::of(telegram) else {
             return;
         };
+        self.is_addressed = true;
         let answer = match request.family {
             Family::Direct => self.direct(request, moment),
             Family::System => self.system(request, moment),
@@ -177,7 +181,8 @@ impl Nxt {
 
     /// Lets the program run, which looks into its mailbox first.
     fn run(&mut self, moment: &mut Moment<'_>) {
-        if self.program.is_none() {
+        // A program that is looked at from outside waits for whoever looks, who must see the robot rest.
+        if self.program.is_none() || !self.is_addressed {
             moment.program.watch(moment.now, moment.counts());
             return;
         }
@@ -216,6 +221,13 @@ impl Nxt {
         moment.program.begin(moment.now, moment.counts());
         if let Some(talk) = &mut self.talk {
             talk.restart(moment.now, moment.counts());
+        }
+    }
+
+    /// Somebody stops the program and starts it again.
+    pub(super) fn restart_program(&mut self, moment: &mut Moment<'_>) {
+        if let Some(name) = self.program.clone() {
+            self.start(&name, moment);
         }
     }
 

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use posebridge_telemetry::{BrickClock, Fix, Heading, Observed, SensorId, Span, Stamp, Verdict};
 
+use super::revise::Revision;
 use super::state::PoseState;
 use crate::filters::StartPose;
 use crate::observations::accelerometer::Accelerations;
@@ -17,18 +18,20 @@ pub(super) enum Action {
     /// Something absolute was seen: a fix, a landmark, a range, a heading.
     Sight(Observed, Span),
     SetPose(StartPose),
+    /// A person changed what is known, but not where the robot is.
+    Revise(Revision),
 }
 
 impl Action {
-    /// Order among the actions of one instant, so that the order of arrival does not matter. A pose that is set comes last: a
-    /// person who moves the robot knows what the sensors have said.
+    /// Order among the actions of one instant, so that the order of arrival does not matter. What a person says comes last, in the
+    /// order in which it was said: who moves the robot knows what the sensors have said.
     pub(super) const fn rank(&self) -> u8 {
         match self {
             Self::TurnRate(_) => 0,
             Self::Accelerations(_) => 1,
             Self::Motion => 2,
             Self::Sight(..) => 3,
-            Self::SetPose(_) => 4,
+            Self::SetPose(_) | Self::Revise(_) => 4,
         }
     }
 

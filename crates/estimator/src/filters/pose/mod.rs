@@ -10,7 +10,9 @@ pub mod fuse;
 mod history;
 mod iterate;
 pub mod motion;
+pub mod observer_spaces;
 mod placing;
+mod revise;
 pub mod scales;
 mod sight;
 pub mod smooth;
@@ -26,10 +28,12 @@ use posebridge_telemetry::{
 
 use self::fuse::{Context, Gates};
 use self::history::{Action, Entry, Told};
+use self::revise::Revision;
 use self::state::{CORE, Located, PoseState, WITH_CAMERA, WITH_RANGES};
-use super::{Filter, FilterConfig, StartPose, intake};
+use super::{Adjustment, Filter, FilterConfig, StartPose, intake};
 use crate::motion::{Added, GyroTrack, MotionReading, MotionTrack, count_before};
 use crate::observations::accelerometer::Accelerations;
+use crate::params::Params;
 
 /// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
 const LONGEST_HOLE: Span = Span::from_millis(10_000);
@@ -134,6 +138,7 @@ impl<const N: usize> PoseFilter<N> {
                 state = PoseState {
                     refused: state.refused,
                     scales: state.scales,
+                    spaces: state.spaces,
                     ..before
                 };
             }
@@ -184,7 +189,10 @@ impl<const N: usize> PoseFilter<N> {
             return;
         };
         match action {
-            Action::Sight(..) | Action::Accelerations(_) | Action::SetPose(_) => {
+            Action::Sight(..)
+            | Action::Accelerations(_)
+            | Action::SetPose(_)
+            | Action::Revise(_) => {
                 self.take_once(observation, action, record);
             }
             Action::TurnRate(rate) => {
@@ -233,6 +241,39 @@ impl<const N: usize> PoseFilter<N> {
         self.insert(self.entry(observation, action), changed_after, record);
     }
 
+    /// What a person says holds after all that was observed; before the first observation there is nothing to be after.
+    fn take_word(&mut self, action: Action) {
+        let Some(stamp) = self.latest() else {
+            match action {
+                Action::SetPose(start) => self.base.jump_to(&start),
+                Action::Revise(revision) => self.base.revise(revision, &self.config),
+                Action::TurnRate(_)
+                | Action::Accelerations(_)
+                | Action::Motion
+                | Action::Sight(..) => {}
+            }
+            return;
+        };
+        let told = Told {
+            stamp,
+            sensor: SensorId(0),
+            action,
+        };
+        let entry = Entry {
+            told,
+            after: self.base,
+        };
+        self.insert(entry, None, &mut scratch_record(&told));
+    }
+
+    /// All tunables are read where they are used, but for two that something was made of.
+    fn set_params(&mut self, params: &Params) {
+        self.config.params = *params;
+        self.gates = fuse::gates_of(&self.config);
+        self.track
+            .set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
+    }
+
     fn entry(&self, observation: &Observation, action: Action) -> Entry<N> {
         Entry {
             told: Told {
@@ -261,22 +302,22 @@ impl<const N: usize> Filter for PoseFilter<N> {
         if !intake::is_usable(start) {
             return Verdict::Malformed;
         }
-        match self.latest() {
-            None => self.base.jump_to(start),
-            Some(stamp) => {
-                let told = Told {
-                    stamp,
-                    sensor: SensorId(0),
-                    action: Action::SetPose(*start),
-                };
-                let entry = Entry {
-                    told,
-                    after: self.base,
-                };
-                self.insert(entry, None, &mut scratch_record(&told));
+        self.take_word(Action::SetPose(*start));
+        Verdict::ResetTo
+    }
+
+    fn adjust(&mut self, adjustment: &Adjustment) -> Verdict {
+        match adjustment {
+            Adjustment::Params(params) => self.set_params(params),
+            Adjustment::ForgetPose => self.take_word(Action::Revise(Revision::Pose)),
+            Adjustment::Learning(learning) => {
+                self.take_word(Action::Revise(Revision::Learning(*learning)));
+            }
+            Adjustment::ForgetCalibration => {
+                self.take_word(Action::Revise(Revision::Calibration));
             }
         }
-        Verdict::ResetTo
+        Verdict::Accepted
     }
 
     fn restart_clock(&mut self) {
@@ -357,7 +398,7 @@ fn act<const N: usize>(
             state.stamp = state.stamp.or(Some(stamp));
             state.age(stamp, context.config);
         }
-        Action::Motion | Action::Sight(..) | Action::SetPose(_) => {
+        Action::Motion | Action::Sight(..) | Action::SetPose(_) | Action::Revise(_) => {
             state.advance(stamp, context.track, context.config);
         }
     }
@@ -367,6 +408,7 @@ fn act<const N: usize>(
         Action::Motion => fuse::motion(state, stamp, context, record),
         Action::Sight(seen, sigma) => sight::sight(state, &seen, sigma, context, record),
         Action::SetPose(start) => state.jump_to(&start),
+        Action::Revise(revision) => state.revise(revision, context.config),
     }
 }
 

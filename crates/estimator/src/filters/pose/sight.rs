@@ -88,8 +88,12 @@ impl Judge<'_> {
         let circumstances = self.circumstances(state, stamp_sigma);
         let scales = [0, 1].map(|group| state.scales.factor(self.source(group)));
         let noise = fix::noise_of(seen, &self.context.config.noise, scales, &circumstances);
+        let has_jumped = state.spaces.has_jumped(self.sensor, seen.reset_counter);
         if state.located == Located::No {
             return locate(state, seen, &noise, &circumstances);
+        }
+        if has_jumped {
+            return move_to(state, seen, &noise, &circumstances);
         }
         let verdict = match seen.heading {
             Some(heading) => {

@@ -110,7 +110,10 @@ fn heard(
                 .map_or(Added::TooOld, |reading| {
                     track.add(observation.stamp, &reading)
                 }),
-            Action::Accelerations(_) | Action::Sight(..) | Action::SetPose(_) => Added::After(None),
+            Action::Accelerations(_)
+            | Action::Sight(..)
+            | Action::SetPose(_)
+            | Action::Revise(_) => Added::After(None),
         };
         if matches!(added, Added::After(_) | Added::Rebased(_)) {
             told.push(Told {
@@ -163,6 +166,7 @@ fn forwards(
                 state = PoseState {
                     refused: state.refused,
                     scales: state.scales,
+                    spaces: state.spaces,
                     ..before
                 };
                 continue;

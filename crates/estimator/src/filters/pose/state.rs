@@ -20,6 +20,7 @@ use posebridge_telemetry::{
     quantities::wrap_rad,
 };
 
+use super::observer_spaces::ObserverSpaces;
 use super::scales::Scales;
 use crate::filters::intake::{RESTART_HEADING_RAD, RESTART_POSITION_M, jump_between};
 use crate::filters::{FilterConfig, StartPose};
@@ -172,6 +173,11 @@ pub struct PoseState<const N: usize> {
     pub refused: Refused,
     /// What the innovations of each source say about its noise.
     pub scales: Scales,
+    /// How often each observer's own space has jumped.
+    pub spaces: ObserverSpaces,
+    /// While the constants are frozen: the variances that they had, each in its row. Meanwhile those of the covariance are zero, as
+    /// of constants that were given for certain.
+    pub frozen: Option<SVector<f64, N>>,
     /// Counts jumps that are not motion.
     pub reset_counter: u8,
     /// The last of them.
@@ -205,6 +211,8 @@ impl<const N: usize> PoseState<N> {
             last_acceleration: None,
             refused: Refused::default(),
             scales: Scales::default(),
+            spaces: ObserverSpaces::default(),
+            frozen: None,
             reset_counter: 0,
             last_jump: None,
         };
@@ -238,13 +246,16 @@ impl<const N: usize> PoseState<N> {
             last_acceleration: other.last_acceleration,
             refused: other.refused,
             scales: other.scales,
+            spaces: other.spaces,
+            // They have rows of their own; whoever resizes begins with constants that are learned.
+            frozen: None,
             reset_counter: other.reset_counter,
             last_jump: other.last_jump,
         }
     }
 
     /// Sets a row, independent of all others; rows that this state does not have are left out.
-    fn set_row(&mut self, row: usize, known: Known) {
+    pub(super) fn set_row(&mut self, row: usize, known: Known) {
         if row < N {
             self.forget_rows(&[row]);
             self.mean[row] = known.value;
@@ -390,6 +401,12 @@ impl<const N: usize> PoseState<N> {
         published
     }
 
+    /// How well a row is known; while the constants are frozen, how well they were when they froze.
+    fn variance(&self, row: usize) -> f64 {
+        let kept = self.frozen.map_or(0.0, |variances| variances[row]);
+        self.covariance[(row, row)].max(kept)
+    }
+
     /// What has been learned, on top of the prior that it began from.
     #[must_use]
     pub fn calibration(&self, prior: &Calibration) -> Calibration {
@@ -397,7 +414,7 @@ impl<const N: usize> PoseState<N> {
             if row < N {
                 Known {
                     value: self.mean[row],
-                    sigma: self.covariance[(row, row)].max(0.0).sqrt(),
+                    sigma: self.variance(row).max(0.0).sqrt(),
                 }
             } else {
                 prior
@@ -419,7 +436,7 @@ impl<const N: usize> PoseState<N> {
 }
 
 /// The gyro's bias at power-up: what the calibration says, or any within the gyro's own spread.
-fn gyro_bias_prior(config: &FilterConfig) -> Known {
+pub(super) fn gyro_bias_prior(config: &FilterConfig) -> Known {
     let known = config.calibration.gyro_bias_rad_per_s;
     if known.sigma > 0.0 {
         known
@@ -432,7 +449,7 @@ fn gyro_bias_prior(config: &FilterConfig) -> Known {
 }
 
 /// The constants of a calibration with their rows.
-fn constants_of(calibration: &Calibration) -> impl Iterator<Item = (usize, Known)> {
+pub(super) fn constants_of(calibration: &Calibration) -> impl Iterator<Item = (usize, Known)> {
     let of_beacons = (0..MOST_BEACONS).flat_map(|slot| {
         [
             (BEACONS + 2 * slot, calibration.beacon_offset_m),

@@ -1,12 +1,13 @@
 //! The fields of the layout, taken one by one from what is left of a message.
 
 use posebridge_telemetry::{
-    BeaconId, Celsius, Command, Fix, Heading, Input, LandmarkId, LinkId, LinkState, Meters,
-    MetersPerSecond, MetersPerSecondSquared, Observation, Observed, PeerId, Point2, PortCounts,
-    Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    BeaconId, Celsius, Command, Fix, Heading, Input, LandmarkId, Learning, LinkId, LinkState,
+    Meters, MetersPerSecond, MetersPerSecondSquared, Observation, Observed, ParameterName,
+    ParameterStorage, PeerId, Point2, PortCounts, Pose, PositionCovariance, Radians,
+    RadiansPerSecond, SensorId, Span, Stamp, Switch,
 };
 
-use super::{DecodeError, fix_flag, kind, tag};
+use super::{DecodeError, command, fix_flag, kind, tag};
 
 /// What is left of a message while it is taken apart.
 pub(super) struct Cursor<'a> {
@@ -129,6 +130,11 @@ impl<'a> Cursor<'a> {
                 position_sigma_m: self.f64()?,
                 heading_sigma_rad: self.f64()?,
             }),
+            tag::COMMAND => Input::Command(self.command()?),
+            tag::REPORT => Input::Report {
+                severity: self.u8()?,
+                text: self.rest_as_text("a report")?.to_owned(),
+            },
             tag::TICK => Input::Tick,
             value => {
                 return Err(DecodeError::Unknown {
@@ -137,6 +143,55 @@ impl<'a> Cursor<'a> {
                 });
             }
         })
+    }
+
+    fn command(&mut self) -> Result<Command, DecodeError> {
+        Ok(match self.u8()? {
+            command::RESET_POSE => Command::ResetPose,
+            command::SET_PARAMETER => Command::SetParameter {
+                value: self.f64()?,
+                name: self.rest_as_name()?,
+            },
+            command::SAVE_PARAMETERS => Command::Parameters(ParameterStorage::Save),
+            command::RELOAD_PARAMETERS => Command::Parameters(ParameterStorage::Reload),
+            command::DEFAULT_PARAMETERS => Command::Parameters(ParameterStorage::Default),
+            command::FREEZE => Command::Learning(Learning::Frozen),
+            command::LEARN => Command::Learning(Learning::Free),
+            command::RESET_CALIBRATION => Command::ResetCalibration,
+            command::SOURCE_OFF => Command::SwitchSource {
+                sensor: SensorId(self.u8()?),
+                to: Switch::Off,
+            },
+            command::SOURCE_ON => Command::SwitchSource {
+                sensor: SensorId(self.u8()?),
+                to: Switch::On,
+            },
+            command::START_RECORDING => Command::StartRecording,
+            command::STOP_RECORDING => Command::StopRecording,
+            value => {
+                return Err(DecodeError::Unknown {
+                    field: "command",
+                    value,
+                });
+            }
+        })
+    }
+
+    fn rest_as_text(&mut self, what: &'static str) -> Result<&'a str, DecodeError> {
+        let rest = std::mem::take(&mut self.bytes);
+        std::str::from_utf8(rest).map_err(|_invalid| DecodeError::Text(what))
+    }
+
+    fn rest_as_name(&mut self) -> Result<ParameterName, DecodeError> {
+        let what = "a parameter's name";
+        let text = self.rest_as_text(what)?;
+        let name = ParameterName::from_bytes(text.as_bytes());
+        // What a name would change was not written by us.
+        if name.as_str() == text {
+            Ok(name)
+        } else {
+            Err(DecodeError::Text(what))
+        }
     }
 
     fn observation(&mut self) -> Result<Observation, DecodeError> {

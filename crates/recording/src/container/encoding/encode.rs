@@ -1,10 +1,11 @@
 //! From an input to its bytes.
 
 use posebridge_telemetry::{
-    Command, Fix, Input, LinkState, Observation, Observed, PeerId, PortCounts, Pose,
+    Command, Fix, Input, Learning, LinkState, Observation, Observed, ParameterStorage, PeerId,
+    PortCounts, Pose, Switch,
 };
 
-use super::{Place, VERSION, fix_flag, kind, tag};
+use super::{Place, VERSION, command, fix_flag, kind, tag};
 
 /// Appends the bytes of `input` to `bytes`, which must be empty.
 pub(in crate::container) fn encode(input: &Input, place: Place, bytes: &mut Vec<u8>) {
@@ -44,19 +45,52 @@ pub(in crate::container) fn encode(input: &Input, place: Place, bytes: &mut Vec<
             bytes.push(tag::OBSERVATION);
             put_observation(observation, bytes);
         }
-        Input::Command(Command::SetPose {
-            pose,
-            position_sigma_m,
-            heading_sigma_rad,
-        }) => {
-            bytes.push(tag::SET_POSE);
-            put_pose(*pose, bytes);
-            put_all(&[*position_sigma_m, *heading_sigma_rad], bytes);
+        Input::Command(command) => put_command(command, bytes),
+        Input::Report { severity, text } => {
+            bytes.push(tag::REPORT);
+            bytes.push(*severity);
+            bytes.extend_from_slice(text.as_bytes());
         }
         Input::Tick => bytes.push(tag::TICK),
     }
     let checksum = place.checksum(bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
+}
+
+fn put_command(command: &Command, bytes: &mut Vec<u8>) {
+    let mut put = |kind: u8| bytes.extend_from_slice(&[tag::COMMAND, kind]);
+    match command {
+        Command::SetPose {
+            pose,
+            position_sigma_m,
+            heading_sigma_rad,
+        } => {
+            bytes.push(tag::SET_POSE);
+            put_pose(*pose, bytes);
+            put_all(&[*position_sigma_m, *heading_sigma_rad], bytes);
+        }
+        Command::SetParameter { name, value } => {
+            put(command::SET_PARAMETER);
+            put_all(&[*value], bytes);
+            bytes.extend_from_slice(name.as_str().as_bytes());
+        }
+        Command::SwitchSource { sensor, to } => {
+            put(match to {
+                Switch::Off => command::SOURCE_OFF,
+                Switch::On => command::SOURCE_ON,
+            });
+            bytes.push(sensor.0);
+        }
+        Command::ResetPose => put(command::RESET_POSE),
+        Command::Parameters(ParameterStorage::Save) => put(command::SAVE_PARAMETERS),
+        Command::Parameters(ParameterStorage::Reload) => put(command::RELOAD_PARAMETERS),
+        Command::Parameters(ParameterStorage::Default) => put(command::DEFAULT_PARAMETERS),
+        Command::Learning(Learning::Frozen) => put(command::FREEZE),
+        Command::Learning(Learning::Free) => put(command::LEARN),
+        Command::ResetCalibration => put(command::RESET_CALIBRATION),
+        Command::StartRecording => put(command::START_RECORDING),
+        Command::StopRecording => put(command::STOP_RECORDING),
+    }
 }
 
 fn put_all(values: &[f64], bytes: &mut Vec<u8>) {

@@ -15,7 +15,7 @@ pub(super) use decode::decode;
 pub(super) use encode::encode;
 
 /// First byte of every message; a change of layout changes it.
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 /// The oldest layout that is still read: it has the same tags, but for those that came later.
 const OLDEST: u8 = 1;
 /// Bytes of the checksum at the end.
@@ -31,6 +31,25 @@ mod tag {
     /// Bytes of a peer that is not the first of its link.
     pub(super) const PEER_BYTES: u8 = 5;
     pub(super) const PORT: u8 = 6;
+    /// A command other than the oldest one, which has a tag of its own.
+    pub(super) const COMMAND: u8 = 7;
+    pub(super) const REPORT: u8 = 8;
+}
+
+/// Which command follows.
+mod command {
+    pub(super) const RESET_POSE: u8 = 0;
+    pub(super) const SET_PARAMETER: u8 = 1;
+    pub(super) const SAVE_PARAMETERS: u8 = 2;
+    pub(super) const RELOAD_PARAMETERS: u8 = 3;
+    pub(super) const DEFAULT_PARAMETERS: u8 = 4;
+    pub(super) const FREEZE: u8 = 5;
+    pub(super) const LEARN: u8 = 6;
+    pub(super) const RESET_CALIBRATION: u8 = 7;
+    pub(super) const SOURCE_OFF: u8 = 8;
+    pub(super) const SOURCE_ON: u8 = 9;
+    pub(super) const START_RECORDING: u8 = 10;
+    pub(super) const STOP_RECORDING: u8 = 11;
 }
 
 /// Which kind of observation follows.
@@ -89,6 +108,9 @@ pub enum DecodeError {
         /// Its value.
         value: u8,
     },
+    /// A text that is not UTF-8, or a name that is none.
+    #[error("{0} is not the text of a layout of this program")]
+    Text(&'static str),
     /// A heading outside (-pi, pi].
     #[error("heading {0} rad is outside (-pi, pi]")]
     Heading(f64),

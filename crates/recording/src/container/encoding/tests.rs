@@ -1,8 +1,8 @@
 //! The bytes of the format page, written by hand, and what is refused.
 
 use posebridge_telemetry::{
-    Input, LinkId, LinkState, Observation, Observed, PeerId, PortCounts, RadiansPerSecond,
-    SensorId, Span, Stamp,
+    Command, Input, Learning, LinkId, LinkState, Observation, Observed, ParameterName,
+    ParameterStorage, PeerId, PortCounts, RadiansPerSecond, SensorId, Span, Stamp, Switch,
 };
 
 use super::*;
@@ -63,7 +63,7 @@ fn check(body: &[u8], input: &Input) {
 #[test]
 fn the_bytes_are_those_of_the_format_page() {
     check(
-        &[2, 0, 0x02, 0x01, 0xFE, 0x09],
+        &[3, 0, 0x02, 0x01, 0xFE, 0x09],
         &Input::Bytes {
             link: LinkId(0x0102),
             peer: PeerId(0),
@@ -71,14 +71,14 @@ fn the_bytes_are_those_of_the_format_page() {
         },
     );
     check(
-        &[2, 5, 0x02, 0x01, 9, 0, 0, 1, 0xFE],
+        &[3, 5, 0x02, 0x01, 9, 0, 0, 1, 0xFE],
         &Input::Bytes {
             link: LinkId(0x0102),
             peer: PeerId(0x0100_0009),
             bytes: vec![0xFE],
         },
     );
-    let mut counts = vec![2, 6, 7, 0];
+    let mut counts = vec![3, 6, 7, 0];
     counts.extend_from_slice(&[1, 0, 0, 0, 0, 0, 0, 0]);
     counts.extend_from_slice(&[2, 0, 0, 0, 0, 0, 0, 0]);
     counts.extend_from_slice(&[3, 0, 0, 0, 4, 0, 0, 0, 5, 0, 0, 0]);
@@ -98,18 +98,52 @@ fn the_bytes_are_those_of_the_format_page() {
         },
     );
     check(
-        &[2, 1, 3, 0, 1],
+        &[3, 1, 3, 0, 1],
         &Input::Link {
             link: LinkId(3),
             state: LinkState::Up,
         },
     );
-    check(&[2, 4], &Input::Tick);
+    check(&[3, 4], &Input::Tick);
+}
+
+#[test]
+fn commands_and_reports_stand_where_the_format_page_says() {
+    let command = |body: &[u8], command| check(body, &Input::Command(command));
+    command(&[3, 7, 0], Command::ResetPose);
+    command(
+        &[
+            3, 7, 1, 0, 0, 0, 0, 0, 0, 0xE0, 0xBF, b's', b'l', b'i', b'p',
+        ],
+        Command::SetParameter {
+            name: ParameterName::from_bytes(b"slip"),
+            value: -0.5,
+        },
+    );
+    command(&[3, 7, 2], Command::Parameters(ParameterStorage::Save));
+    command(&[3, 7, 3], Command::Parameters(ParameterStorage::Reload));
+    command(&[3, 7, 4], Command::Parameters(ParameterStorage::Default));
+    command(&[3, 7, 5], Command::Learning(Learning::Frozen));
+    command(&[3, 7, 6], Command::Learning(Learning::Free));
+    command(&[3, 7, 7], Command::ResetCalibration);
+    for (kind, to) in [(8, Switch::Off), (9, Switch::On)] {
+        let sensor = SensorId::CAMERA;
+        command(&[3, 7, kind, 3], Command::SwitchSource { sensor, to });
+    }
+    command(&[3, 7, 10], Command::StartRecording);
+    command(&[3, 7, 11], Command::StopRecording);
+    check(
+        &[3, 8, 4, b'f', 0xC3, 0xBC],
+        &Input::Report {
+            severity: 4,
+            text: "f\u{fc}".to_owned(),
+        },
+    );
 }
 
 #[test]
 fn a_turn_rate_stands_where_the_format_page_says() {
-    let mut body = vec![2, 2, 1];
+    let mut body = vec![3, 2, 1];
     body.extend_from_slice(&[0x00, 0xCA, 0x9A, 0x3B, 0, 0, 0, 0]); // 1e9 ns
     body.extend_from_slice(&[0xFF; 8]); // -1 ns
     body.push(3);
@@ -134,11 +168,26 @@ fn what_the_layout_does_not_have_is_named() {
     check(&[1, 4, 0, 0], DecodeError::TooLong(2));
     check(&[1, 0, 5], DecodeError::TooShort { wanted: 2, left: 1 });
     check(
-        &[2, 7],
+        &[3, 9],
         DecodeError::Unknown {
             field: "input tag",
-            value: 7,
+            value: 9,
         },
+    );
+    check(
+        &[3, 7, 12],
+        DecodeError::Unknown {
+            field: "command",
+            value: 12,
+        },
+    );
+    check(&[3, 7, 5, 0], DecodeError::TooLong(1));
+    check(&[3, 8, 6, 0xFF], DecodeError::Text("a report"));
+    let name = |name: &[u8]| [&[3, 7, 1][..], &[0; 8], name].concat();
+    check(&name(b"a b"), DecodeError::Text("a parameter's name"));
+    check(
+        &name(b"seventeen_letters"),
+        DecodeError::Text("a parameter's name"),
     );
     check(
         &[1, 1, 0, 0, 2],
@@ -152,8 +201,9 @@ fn what_the_layout_does_not_have_is_named() {
 }
 
 #[test]
-fn the_layout_before_this_one_is_still_read() {
+fn the_layouts_before_this_one_are_still_read() {
     assert_eq!(decode(&sealed(&[1, 4], PLACE), PLACE), Ok(Input::Tick));
+    assert_eq!(decode(&sealed(&[2, 4], PLACE), PLACE), Ok(Input::Tick));
 }
 
 #[test]

@@ -1,0 +1,248 @@
+//! Which outputs leave on one link, and how often.
+//!
+//! Estimates leave as they come, ranges as they are observed, records of fusion as they are made, one stream per sensor. Each kind has
+//! an interval on each link: configured, or asked for by a peer.
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::Message;
+use posebridge_telemetry::{FusionRecord, HostClock, Priority, SensorId, Span, Stamp, Verdict};
+
+use crate::config::{OutputInstant, OutputKind, OutputStream};
+use crate::records;
+
+/// The messages whose interval a peer may set with SET_MESSAGE_INTERVAL, for its own link.
+pub(crate) const SETTABLE: [(u32, OutputKind); 9] = [
+    (ids::PB_PLANAR_POSE, OutputKind::PlanarPose),
+    (ids::ODOMETRY, OutputKind::Odometry),
+    (ids::LOCAL_POSITION_NED, OutputKind::LocalPosition),
+    (ids::ATTITUDE, OutputKind::Attitude),
+    (ids::ESTIMATOR_STATUS, OutputKind::EstimatorStatus),
+    (ids::PB_FUSION_HEALTH, OutputKind::FusionHealth),
+    (ids::DISTANCE_SENSOR, OutputKind::DistanceSensor),
+    (ids::NAMED_VALUE_FLOAT, OutputKind::NamedValue),
+    (ids::DEBUG_FLOAT_ARRAY, OutputKind::FloatArray),
+];
+
+/// The output that a message is; `None` if it is none.
+pub(crate) fn kind_of(message_id: u32) -> Option<OutputKind> {
+    let row = SETTABLE.iter().find(|(id, _)| *id == message_id);
+    row.map(|(_, kind)| *kind)
+}
+
+/// The message that an output is.
+pub(crate) fn id_of(kind: OutputKind) -> u32 {
+    let row = SETTABLE.iter().find(|(_, known)| *known == kind);
+    row.map_or(0, |(id, _)| *id)
+}
+
+/// What one of the outputs is worth on a slow link.
+pub(crate) fn priority(kind: OutputKind) -> Priority {
+    Priority::Estimate {
+        stream: id_of(kind),
+    }
+}
+
+/// The same of a record's message: those of different sensors do not replace each other. Message ids have 24 bits.
+pub(crate) fn priority_of_record(kind: OutputKind, sensor: SensorId) -> Priority {
+    Priority::Estimate {
+        stream: id_of(kind) | u32::from(sensor.0) << 24,
+    }
+}
+
+/// When a stream was sent last.
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    last: Stamp<HostClock>,
+    /// Time between the last two.
+    gap: Option<Span>,
+}
+
+/// Keeps the intervals of one link's outputs.
+#[derive(Clone, Debug)]
+pub(crate) struct Publisher {
+    /// What is sent unless a peer asks for something else.
+    configured: Vec<OutputStream>,
+    streams: Vec<OutputStream>,
+    /// By kind, and by sensor where there is one.
+    sent: BTreeMap<(OutputKind, Option<SensorId>), Sent>,
+    /// Used and refused observations per sensor, for PB_FUSION_HEALTH.
+    counts: BTreeMap<SensorId, records::Counts>,
+}
+
+impl Publisher {
+    pub(crate) fn new(streams: &[OutputStream]) -> Self {
+        Self {
+            configured: streams.to_vec(),
+            streams: streams.to_vec(),
+            sent: BTreeMap::new(),
+            counts: BTreeMap::new(),
+        }
+    }
+
+    /// Follows a peer's request: another interval, none at all, or (zero) what is configured.
+    pub(crate) fn set_interval(&mut self, message_id: u32, interval: Option<Span>) {
+        let Some(kind) = kind_of(message_id) else {
+            return;
+        };
+        let configured = self.configured.iter().find(|stream| stream.kind == kind);
+        let configured = configured.copied();
+        self.streams.retain(|stream| stream.kind != kind);
+        self.sent.retain(|(sent, _), _| *sent != kind);
+        let asked = |interval| OutputStream {
+            kind,
+            interval,
+            instant: configured.map_or(OutputInstant::Observed, |stream| stream.instant),
+        };
+        self.streams.extend(match interval {
+            None => None,
+            Some(Span::ZERO) => configured,
+            Some(interval) => Some(asked(interval)),
+        });
+    }
+
+    /// The interval of an output as MESSAGE_INTERVAL tells it, in microseconds: -1 if it is not sent. Of one that is sent as it comes
+    /// the time between the last two; 1 before there were two.
+    pub(crate) fn interval_micros(&self, kind: OutputKind) -> i32 {
+        let Some(stream) = self.streams.iter().find(|stream| stream.kind == kind) else {
+            return -1;
+        };
+        let mut sent = self.sent.iter().filter(|((sent, _), _)| *sent == kind);
+        let seen = sent.find_map(|(_, sent)| sent.gap).unwrap_or(Span::ZERO);
+        let span = match stream.interval {
+            Span::ZERO => seen,
+            interval => interval,
+        };
+        i32::try_from(span.as_nanos() / 1_000)
+            .unwrap_or(i32::MAX)
+            .max(1)
+    }
+
+    /// Which messages of estimates are due; they count as sent.
+    pub(crate) fn due(&mut self, now: Stamp<HostClock>) -> Vec<OutputStream> {
+        let streams = self.streams.clone().into_iter();
+        let of_estimates = streams.filter(|stream| stream.kind.is_of_estimates());
+        of_estimates
+            .filter(|stream| self.is_due(stream, None, now))
+            .collect()
+    }
+
+    /// Whether the range of a sensor is due; then it counts as sent.
+    pub(crate) fn range_due(&mut self, now: Stamp<HostClock>) -> bool {
+        let mut streams = self.streams.iter();
+        let stream = streams.find(|stream| stream.kind == OutputKind::DistanceSensor);
+        let stream = stream.copied();
+        stream.is_some_and(|stream| self.is_due(&stream, None, now))
+    }
+
+    /// The messages of an observation that was held against a prediction, as far as this link wants them; `host` is when it was made.
+    pub(crate) fn of_record(
+        &mut self,
+        record: &FusionRecord,
+        host: Stamp<HostClock>,
+        now: Stamp<HostClock>,
+    ) -> Vec<(OutputKind, Message)> {
+        let counts = self.counts.entry(record.sensor).or_default();
+        counts.add(record.verdict);
+        let counts = *counts;
+        if record.degrees_of_freedom == 0 {
+            return Vec::new();
+        }
+        let streams = self.streams.clone().into_iter();
+        streams
+            .filter_map(|stream| {
+                let message = records::message(stream.kind, record, host, counts)?;
+                let is_due = self.is_due(&stream, Some(record.sensor), now);
+                is_due.then_some((stream.kind, message))
+            })
+            .collect()
+    }
+
+    /// How the observations of a sensor fared so far.
+    pub(crate) fn counts_of(&self, sensor: SensorId) -> records::Counts {
+        self.counts.get(&sensor).copied().unwrap_or_default()
+    }
+
+    fn is_due(
+        &mut self,
+        stream: &OutputStream,
+        sensor: Option<SensorId>,
+        now: Stamp<HostClock>,
+    ) -> bool {
+        let key = (stream.kind, sensor);
+        let gap = self.sent.get(&key).map(|sent| now - sent.last);
+        if gap.is_some_and(|gap| gap < stream.interval) {
+            return false;
+        }
+        self.sent.insert(key, Sent { last: now, gap });
+        true
+    }
+}
+
+impl OutputKind {
+    /// Whether it tells of the estimate, and not of an observation.
+    const fn is_of_estimates(self) -> bool {
+        match self {
+            Self::PlanarPose
+            | Self::Odometry
+            | Self::LocalPosition
+            | Self::Attitude
+            | Self::EstimatorStatus => true,
+            Self::FusionHealth | Self::DistanceSensor | Self::NamedValue | Self::FloatArray => {
+                false
+            }
+        }
+    }
+}
+
+impl records::Counts {
+    /// One more observation, with what became of it.
+    const fn add(&mut self, verdict: Verdict) {
+        match verdict {
+            Verdict::Accepted | Verdict::ResetTo | Verdict::Rebased => {
+                self.accepted = self.accepted.wrapping_add(1);
+            }
+            Verdict::Gated | Verdict::TooOld | Verdict::Malformed => {
+                self.refused = self.refused.wrapping_add(1);
+            }
+            Verdict::Unused => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::OUTPUTS;
+
+    #[test]
+    fn every_output_has_one_message_whose_interval_may_be_set() {
+        for (name, kind) in OUTPUTS {
+            assert_eq!(kind_of(id_of(*kind)), Some(*kind), "{name}");
+        }
+        assert_eq!(OUTPUTS.len(), SETTABLE.len());
+    }
+
+    #[test]
+    fn an_interval_is_told_as_it_is_kept() {
+        let at = |millis| Stamp::<HostClock>::from_millis(millis);
+        let stream = OutputStream {
+            kind: OutputKind::Odometry,
+            interval: Span::ZERO,
+            instant: OutputInstant::Observed,
+        };
+        let mut publisher = Publisher::new(&[stream]);
+        assert_eq!(publisher.interval_micros(OutputKind::Attitude), -1);
+        assert_eq!(publisher.interval_micros(OutputKind::Odometry), 1);
+        assert_eq!(publisher.due(at(0)), [stream]);
+        assert_eq!(publisher.due(at(40)), [stream]);
+        assert_eq!(publisher.interval_micros(OutputKind::Odometry), 40_000);
+        publisher.set_interval(ids::ODOMETRY, Some(Span::from_millis(250)));
+        assert_eq!(publisher.interval_micros(OutputKind::Odometry), 250_000);
+        assert_eq!(publisher.due(at(41)).len(), 1);
+        assert_eq!(publisher.due(at(290)).len(), 0);
+        publisher.set_interval(ids::ODOMETRY, None);
+        assert_eq!(publisher.interval_micros(OutputKind::Odometry), -1);
+    }
+}

@@ -1,0 +1,502 @@
+//! Our own records as JSON: what no message of Foxglove's holds. Their schemas follow from the structs.
+//!
+//! A number that is not finite is left out: JSON has none, and viewers take `null` for a type of its own.
+
+use posebridge_telemetry::{
+    Calibration, Command, Estimate, FusionRecord, Known, LinkHealth, LinkId, SourceHealth, Span,
+};
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use crate::container::{Gap, TruthSample};
+
+/// The filter's belief after an observation.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct EstimateRecord {
+    /// The instant for which it holds, ns of the brick's clock.
+    pub(super) brick_nanos: i64,
+    /// East, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) x_m: Option<f64>,
+    /// North, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) y_m: Option<f64>,
+    /// Counter-clockwise from east, in (-pi, pi], rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) heading_rad: Option<f64>,
+    /// Forward speed, m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) forward_m_per_s: Option<f64>,
+    /// Turn rate, rad/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) turn_rad_per_s: Option<f64>,
+    /// One standard deviation of x, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) x_sigma_m: Option<f64>,
+    /// One standard deviation of y, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) y_sigma_m: Option<f64>,
+    /// One standard deviation of the heading, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) heading_sigma_rad: Option<f64>,
+    /// Whether the position was ever observed or given.
+    pub(super) is_position_valid: bool,
+    /// Whether the heading was ever observed or given.
+    pub(super) is_heading_valid: bool,
+    /// Whether nothing absolute was used for long.
+    pub(super) is_dead_reckoning: bool,
+    /// Time since the last fix that was used, s; left out before the first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) fix_age_s: Option<f64>,
+    /// Counts jumps that are no motion.
+    pub(super) reset_counter: u8,
+}
+
+/// What became of one observation.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct FusedRecord {
+    /// Number of the sensor.
+    pub(super) sensor: u8,
+    /// Kind of the observation.
+    pub(super) kind: &'static str,
+    /// The instant that it spoke of, ns of the brick's clock.
+    pub(super) brick_nanos: i64,
+    /// How far behind the filter's time it was, s.
+    pub(super) lag_s: f64,
+    /// Whether it was used, and why not.
+    pub(super) verdict: &'static str,
+    /// Observed minus predicted, SI units, as many components as were used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Vec<f64>")]
+    pub(super) innovation: Option<Vec<f64>>,
+    /// Covariance S of the innovation, row by row.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Vec<f64>")]
+    pub(super) innovation_covariance: Option<Vec<f64>>,
+    /// Normalised innovation squared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) nis: Option<f64>,
+    /// Components used.
+    pub(super) degrees_of_freedom: u8,
+    /// Log-likelihood of the innovation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) log_likelihood: Option<f64>,
+}
+
+/// What one sender has sent on a link.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct SourceRecord {
+    /// MAVLink system id.
+    pub(super) system: u8,
+    /// MAVLink component id.
+    pub(super) component: u8,
+    /// Frames received whole.
+    pub(super) frames: u64,
+    /// Frames missing in its sequence numbers.
+    pub(super) lost: u64,
+}
+
+/// The health of a link, in counts since the session began.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct HealthRecord {
+    /// Number of the link.
+    pub(super) link: u16,
+    /// Bytes received.
+    pub(super) bytes_in: u64,
+    /// Bytes handed to the link.
+    pub(super) bytes_out: u64,
+    /// Frames received whole.
+    pub(super) frames_in: u64,
+    /// Frames sent.
+    pub(super) frames_out: u64,
+    /// Candidates with a wrong checksum.
+    pub(super) checksum_errors: u64,
+    /// Bytes outside every frame.
+    pub(super) garbage_bytes: u64,
+    /// Frames with an unknown message id.
+    pub(super) unknown_ids: u64,
+    /// Candidates whose bytes stopped coming.
+    pub(super) stalls: u64,
+    /// Frames missing in the sequence numbers.
+    pub(super) frames_lost: u64,
+    /// Times the link came up again.
+    pub(super) reconnects: u64,
+    /// Messages dropped because the link was slow or down.
+    pub(super) drops_out: u64,
+    /// Frames refused for their signature.
+    pub(super) refused_frames: u64,
+    /// Frames that came a second time.
+    pub(super) duplicates: u64,
+    /// Frames under our own address that we have not sent.
+    pub(super) namesakes: u64,
+    /// Frames of others passed on to it.
+    pub(super) forwarded: u64,
+    /// Frames kept out by its filter.
+    pub(super) filtered: u64,
+    /// Frames held back by its limits.
+    pub(super) thinned: u64,
+    /// Round-trip time of the last answered time request, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) round_trip_s: Option<f64>,
+    /// Half the width of the clock bounds, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) clock_uncertainty_s: Option<f64>,
+    /// What each sender sent.
+    pub(super) sources: Vec<SourceRecord>,
+}
+
+/// Two clocks were aligned anew.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct ClockRecord {
+    /// Whose clock: brick or camera.
+    pub(super) clock: &'static str,
+    /// MAVLink system id of its owner.
+    pub(super) system: u8,
+    /// MAVLink component id of its owner.
+    pub(super) component: u8,
+    /// When, ns of the host's clock.
+    pub(super) host_nanos: i64,
+    /// The same instant, ns of the other clock.
+    pub(super) other_nanos: i64,
+    /// The other clock minus the host's, s.
+    pub(super) offset_s: f64,
+    /// Rate of the other clock against the host's, minus one, in parts per million; left out where it is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) skew_ppm: Option<f64>,
+    /// Half the distance between the bounds, s.
+    pub(super) uncertainty_s: f64,
+    /// Round-trip time of the exchange that led to it, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) round_trip_s: Option<f64>,
+}
+
+/// What the filter has learned about the robot; a sigma of 0: taken as given.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct CalibrationRecord {
+    /// Relative error of the mean wheel radius.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) radius_scale: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) radius_scale_sigma: Option<f64>,
+    /// Relative difference of the wheels' radii, right minus left.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) radius_difference: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) radius_difference_sigma: Option<f64>,
+    /// Relative error of the track width.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) track_scale: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) track_scale_sigma: Option<f64>,
+    /// Gyro bias, rad/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) gyro_bias_rad_per_s: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) gyro_bias_rad_per_s_sigma: Option<f64>,
+    /// How much earlier than its stamp a fix was true, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) fix_delay_s: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) fix_delay_s_sigma: Option<f64>,
+    /// Where the tag is, forward of where the fix says, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) tag_forward_m: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) tag_forward_m_sigma: Option<f64>,
+    /// Where the tag is, to the left of where the fix says, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) tag_left_m: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) tag_left_m_sigma: Option<f64>,
+    /// Offset of a beacon's ranges, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) beacon_offset_m: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) beacon_offset_m_sigma: Option<f64>,
+    /// Relative error of a beacon's ranges.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) beacon_scale: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) beacon_scale_sigma: Option<f64>,
+    /// Offset of the ranges to landmarks, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) landmark_offset_m: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) landmark_offset_m_sigma: Option<f64>,
+    /// Relative error of the ranges to landmarks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) landmark_scale: Option<f64>,
+    /// One standard deviation of it, in its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) landmark_scale_sigma: Option<f64>,
+}
+
+/// A thermometer was read.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct TemperatureRecord {
+    /// MAVLink system id of the brick.
+    pub(super) system: u8,
+    /// MAVLink component id of the brick.
+    pub(super) component: u8,
+    /// Which of its thermometers.
+    pub(super) channel: String,
+    /// When it was read, ns of that brick's clock.
+    pub(super) brick_nanos: i64,
+    /// What it shows, °C.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) shown_c: Option<f64>,
+    /// What became of it.
+    pub(super) verdict: &'static str,
+    /// What it will show once it has settled, °C.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) settled_c: Option<f64>,
+    /// One standard deviation of that, K.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) settled_sigma_c: Option<f64>,
+}
+
+/// A request of a person or a program.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct CommandRecord {
+    /// Which.
+    pub(super) command: &'static str,
+    /// The whole of it, for people.
+    pub(super) text: String,
+}
+
+/// Inputs that are missing in this recording because the disk was too slow: its replay is not that of the session.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct GapRecord {
+    /// How many.
+    pub(super) inputs: u64,
+    /// When the last input before them was given, ns of the host's clock.
+    pub(super) from_host_nanos: i64,
+    /// When the next input behind them was given, ns of the host's clock.
+    pub(super) to_host_nanos: i64,
+}
+
+/// Where the robot really was, as its simulation says.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct TruthRecord {
+    /// When, ns of the brick's clock.
+    pub(super) brick_nanos: i64,
+    /// East, m.
+    pub(super) x_m: f64,
+    /// North, m.
+    pub(super) y_m: f64,
+    /// Counter-clockwise from east, in (-pi, pi], rad.
+    pub(super) heading_rad: f64,
+    /// East by the brick's own dead reckoning, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) odometry_x_m: Option<f64>,
+    /// North by the brick's own dead reckoning, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) odometry_y_m: Option<f64>,
+    /// Heading by the brick's own dead reckoning, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub(super) odometry_heading_rad: Option<f64>,
+}
+
+impl From<&Estimate> for EstimateRecord {
+    fn from(estimate: &Estimate) -> Self {
+        Self {
+            brick_nanos: estimate.stamp.as_nanos(),
+            x_m: finite(estimate.pose.x.0),
+            y_m: finite(estimate.pose.y.0),
+            heading_rad: finite(estimate.pose.heading.rad()),
+            forward_m_per_s: finite(estimate.forward_speed.0),
+            turn_rad_per_s: finite(estimate.turn_rate.0),
+            x_sigma_m: finite(estimate.x_sigma_m()),
+            y_sigma_m: finite(estimate.y_sigma_m()),
+            heading_sigma_rad: finite(estimate.heading_sigma_rad()),
+            is_position_valid: estimate.validity.position,
+            is_heading_valid: estimate.validity.heading,
+            is_dead_reckoning: estimate.is_dead_reckoning,
+            fix_age_s: estimate.fix_age.map(Span::as_secs_f64),
+            reset_counter: estimate.reset_counter,
+        }
+    }
+}
+
+impl From<&FusionRecord> for FusedRecord {
+    fn from(record: &FusionRecord) -> Self {
+        let used = usize::from(record.degrees_of_freedom).min(record.innovation.len());
+        let rows = record.innovation_covariance.iter().take(used);
+        Self {
+            sensor: record.sensor.0,
+            kind: record.kind,
+            brick_nanos: record.stamp.as_nanos(),
+            lag_s: record.lag.as_secs_f64(),
+            verdict: record.verdict.reason(),
+            innovation: all_finite(record.innovation.iter().take(used)),
+            innovation_covariance: all_finite(rows.flat_map(|row| row.iter().take(used))),
+            nis: finite(record.nis),
+            degrees_of_freedom: record.degrees_of_freedom,
+            log_likelihood: finite(record.log_likelihood),
+        }
+    }
+}
+
+impl HealthRecord {
+    /// The record of a link.
+    pub(super) fn of(link: LinkId, health: &LinkHealth, sources: &[SourceHealth]) -> Self {
+        let source = |one: &SourceHealth| SourceRecord {
+            system: one.source.system.0,
+            component: one.source.component.0,
+            frames: one.frames,
+            lost: one.lost,
+        };
+        Self {
+            link: link.0,
+            bytes_in: health.bytes_in,
+            bytes_out: health.bytes_out,
+            frames_in: health.frames_in,
+            frames_out: health.frames_out,
+            checksum_errors: health.checksum_errors,
+            garbage_bytes: health.garbage_bytes,
+            unknown_ids: health.unknown_ids,
+            stalls: health.stalls,
+            frames_lost: health.frames_lost,
+            reconnects: health.reconnects,
+            drops_out: health.drops_out,
+            refused_frames: health.refused_frames,
+            duplicates: health.duplicates,
+            namesakes: health.namesakes,
+            forwarded: health.forwarded,
+            filtered: health.filtered,
+            thinned: health.thinned,
+            round_trip_s: health.round_trip.map(Span::as_secs_f64),
+            clock_uncertainty_s: health.clock_uncertainty.map(Span::as_secs_f64),
+            sources: sources.iter().map(source).collect(),
+        }
+    }
+}
+
+impl From<&Calibration> for CalibrationRecord {
+    fn from(calibration: &Calibration) -> Self {
+        let value = |known: Known| finite(known.value);
+        let sigma = |known: Known| finite(known.sigma);
+        Self {
+            radius_scale: value(calibration.radius_scale),
+            radius_scale_sigma: sigma(calibration.radius_scale),
+            radius_difference: value(calibration.radius_difference),
+            radius_difference_sigma: sigma(calibration.radius_difference),
+            track_scale: value(calibration.track_scale),
+            track_scale_sigma: sigma(calibration.track_scale),
+            gyro_bias_rad_per_s: value(calibration.gyro_bias_rad_per_s),
+            gyro_bias_rad_per_s_sigma: sigma(calibration.gyro_bias_rad_per_s),
+            fix_delay_s: value(calibration.fix_delay_s),
+            fix_delay_s_sigma: sigma(calibration.fix_delay_s),
+            tag_forward_m: value(calibration.tag_forward_m),
+            tag_forward_m_sigma: sigma(calibration.tag_forward_m),
+            tag_left_m: value(calibration.tag_left_m),
+            tag_left_m_sigma: sigma(calibration.tag_left_m),
+            beacon_offset_m: value(calibration.beacon_offset_m),
+            beacon_offset_m_sigma: sigma(calibration.beacon_offset_m),
+            beacon_scale: value(calibration.beacon_scale),
+            beacon_scale_sigma: sigma(calibration.beacon_scale),
+            landmark_offset_m: value(calibration.landmark_offset_m),
+            landmark_offset_m_sigma: sigma(calibration.landmark_offset_m),
+            landmark_scale: value(calibration.landmark_scale),
+            landmark_scale_sigma: sigma(calibration.landmark_scale),
+        }
+    }
+}
+
+impl From<&Command> for CommandRecord {
+    fn from(command: &Command) -> Self {
+        let text = format!("{command:?}");
+        Self {
+            command: command.name(),
+            text,
+        }
+    }
+}
+
+impl From<&Gap> for GapRecord {
+    fn from(gap: &Gap) -> Self {
+        Self {
+            inputs: gap.inputs,
+            from_host_nanos: gap.from.as_nanos(),
+            to_host_nanos: gap.to.as_nanos(),
+        }
+    }
+}
+
+impl From<&TruthSample> for TruthRecord {
+    fn from(sample: &TruthSample) -> Self {
+        let odometry = sample.odometry;
+        Self {
+            brick_nanos: sample.stamp.as_nanos(),
+            x_m: sample.pose.x.0,
+            y_m: sample.pose.y.0,
+            heading_rad: sample.pose.heading.rad(),
+            odometry_x_m: odometry.map(|pose| pose.x.0),
+            odometry_y_m: odometry.map(|pose| pose.y.0),
+            odometry_heading_rad: odometry.map(|pose| pose.heading.rad()),
+        }
+    }
+}
+
+/// The number, unless it is none.
+pub(super) fn finite(number: f64) -> Option<f64> {
+    number.is_finite().then_some(number)
+}
+
+/// The numbers, unless one of them is none.
+fn all_finite<'a>(numbers: impl Iterator<Item = &'a f64>) -> Option<Vec<f64>> {
+    numbers.map(|number| finite(*number)).collect()
+}

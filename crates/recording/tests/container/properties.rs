@@ -1,0 +1,142 @@
+//! Any inputs and any damage.
+
+use posebridge_recording::container::Reader;
+use posebridge_telemetry::{
+    Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, Observed, ParameterName,
+    Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+};
+use proptest::prelude::*;
+
+use crate::{Recorded, good, sample, write};
+
+fn any_f64() -> impl Strategy<Value = f64> {
+    any::<u64>().prop_map(f64::from_bits)
+}
+
+fn any_heading() -> impl Strategy<Value = Heading> {
+    any_f64().prop_map(Heading::from_rad)
+}
+
+fn any_observed() -> impl Strategy<Value = Observed> {
+    let pair = || (any_f64(), any_f64());
+    prop_oneof![
+        pair().prop_map(|(l, r)| Observed::WheelAngles {
+            left: Radians(l),
+            right: Radians(r)
+        }),
+        (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| Observed::OdometerPose(
+            Pose::new(Meters(x), Meters(y), heading)
+        )),
+        any_f64().prop_map(|rate| Observed::TurnRate(RadiansPerSecond(rate))),
+        any_heading().prop_map(Observed::CompassHeading),
+        (any::<u32>(), pair()).prop_map(|(id, (range, bearing))| Observed::Landmark {
+            id: LandmarkId(id),
+            range: Meters(range),
+            bearing: Radians(bearing)
+        }),
+        (
+            pair(),
+            proptest::option::of(any_heading()),
+            proptest::option::of([any_f64(), any_f64(), any_f64(), any_f64()]),
+            any::<u8>()
+        )
+            .prop_map(
+                |((x, y), heading, covariance, reset_counter)| Observed::Fix(Fix {
+                    position: Point2::new(Meters(x), Meters(y)),
+                    heading,
+                    covariance: covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| {
+                        PositionCovariance {
+                            xx_m2,
+                            xy_m2,
+                            yy_m2,
+                            heading_rad2,
+                        }
+                    }),
+                    tag_in_body: Point2::new(Meters(y), Meters(x)),
+                    reset_counter,
+                })
+            ),
+    ]
+}
+
+fn any_input() -> impl Strategy<Value = Input> {
+    prop_oneof![
+        (any::<u16>(), proptest::collection::vec(any::<u8>(), 0..300)).prop_map(|(link, bytes)| {
+            Input::Bytes {
+                peer: posebridge_telemetry::PeerId(0),
+                link: LinkId(link),
+                bytes,
+            }
+        }),
+        Just(Input::Tick),
+        (any::<u8>(), any::<i64>(), any::<i64>(), any_observed()).prop_map(
+            |(sensor, stamp, sigma, observed)| {
+                Input::Observation(Observation {
+                    sensor: SensorId(sensor),
+                    stamp: Stamp::from_nanos(stamp),
+                    stamp_sigma: Span::from_nanos(sigma),
+                    observed,
+                })
+            }
+        ),
+        (any_f64(), prop::collection::vec(any::<u8>(), 0..20)).prop_map(|(value, name)| {
+            let name = ParameterName::from_bytes(&name);
+            Input::Command(Command::SetParameter { name, value })
+        }),
+        (any::<u8>(), ".{0,40}").prop_map(|(severity, text)| Input::Report { severity, text }),
+        (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| {
+            Input::Command(Command::SetPose {
+                pose: Pose::new(Meters(x), Meters(y), heading),
+                position_sigma_m: y,
+                heading_sigma_rad: x,
+            })
+        }),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn any_inputs_come_back_bit_for_bit(
+        items in proptest::collection::vec((0_i64..i64::MAX, any_input()), 0..20)
+    ) {
+        let items: Vec<Recorded> = items
+            .into_iter()
+            .map(|(nanos, input)| (Stamp::from_nanos(nanos), input))
+            .collect();
+        let bytes = write(&items);
+        let found = good(&bytes);
+        prop_assert_eq!(found.len(), items.len());
+        // Compared through a second file, because NaN does not equal itself.
+        prop_assert_eq!(write(&found), bytes);
+    }
+
+    #[test]
+    fn random_bytes_never_panic(tail in proptest::collection::vec(any::<u8>(), 0..400)) {
+        let mut after_magic = mcap::MAGIC.to_vec();
+        after_magic.extend_from_slice(&tail);
+        let mut after_header = write(&[]);
+        after_header.truncate(after_header.len() / 2);
+        after_header.extend_from_slice(&tail);
+        for bytes in [&tail, &after_magic, &after_header] {
+            if let Ok(reader) = Reader::open(bytes) {
+                let read = reader.take(1000).count();
+                prop_assert!(read < 1000);
+            }
+        }
+    }
+
+    #[test]
+    fn random_damage_never_panics(
+        hits in proptest::collection::vec((any::<proptest::sample::Index>(), any::<u8>()), 1..8)
+    ) {
+        let mut bytes = write(&sample());
+        for (index, value) in hits {
+            let at = index.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Ok(reader) = Reader::open(&bytes) {
+            let read = reader.take(1000).count();
+            prop_assert!(read < 1000);
+        }
+    }
+}

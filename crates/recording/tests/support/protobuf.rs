@@ -1,0 +1,141 @@
+//! Reads any protocol buffer by its descriptor; what the descriptor does not know is an error.
+//!
+//! Source: the protocol buffers' "Encoding" page: a key is `number << 3 | wire type`; 0 varint, 1 eight bytes, 2 counted bytes,
+//! 5 four bytes.
+
+use prost_types::field_descriptor_proto::Type;
+use prost_types::{DescriptorProto, FileDescriptorSet};
+
+/// The leaves of a message by their path, in the order in which they stand there.
+pub(crate) struct Fields(Vec<(String, Leaf)>);
+
+enum Leaf {
+    Number(f64),
+    Text(String),
+}
+
+impl Fields {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub(crate) fn numbers(&self, path: &str) -> Vec<f64> {
+        let of_path = self.0.iter().filter(|(found, _)| found == path);
+        of_path
+            .map(|(_, leaf)| match leaf {
+                Leaf::Number(number) => *number,
+                Leaf::Text(text) => panic!("{path} is the text {text}"),
+            })
+            .collect()
+    }
+
+    pub(crate) fn number(&self, path: &str) -> f64 {
+        let numbers = self.numbers(path);
+        assert_eq!(numbers.len(), 1, "{path}: {numbers:?}");
+        numbers[0]
+    }
+
+    pub(crate) fn text(&self, path: &str) -> String {
+        let leaf = self.0.iter().find(|(found, _)| found == path);
+        match leaf {
+            Some((_, Leaf::Text(text))) => text.clone(),
+            _ => panic!("{path} is no text"),
+        }
+    }
+}
+
+/// Reads the message `name` (with its package) by a serialised `FileDescriptorSet`.
+pub(crate) fn read(descriptors: &[u8], name: &str, data: &[u8]) -> Fields {
+    let set: FileDescriptorSet = prost::Message::decode(descriptors).unwrap();
+    let mut fields = Fields(Vec::new());
+    let mut reader = Reader {
+        set: &set,
+        fields: &mut fields,
+    };
+    reader.message(&format!(".{name}"), "", data);
+    fields
+}
+
+struct Reader<'a> {
+    set: &'a FileDescriptorSet,
+    fields: &'a mut Fields,
+}
+
+impl Reader<'_> {
+    fn descriptor(&self, name: &str) -> &DescriptorProto {
+        let found = self.set.file.iter().find_map(|file| {
+            let package = format!(".{}.", file.package());
+            let short = name.strip_prefix(&package)?;
+            file.message_type.iter().find(|one| one.name() == short)
+        });
+        found.unwrap_or_else(|| panic!("{name} is not described"))
+    }
+
+    fn message(&mut self, name: &str, path: &str, mut data: &[u8]) {
+        while !data.is_empty() {
+            let key = varint(&mut data);
+            let (number, wire) = ((key >> 3) as i32, key & 7);
+            let described = self.descriptor(name).field.iter();
+            let field = described.clone().find(|field| field.number() == number);
+            let field = field
+                .unwrap_or_else(|| panic!("{name} has no field {number}"))
+                .clone();
+            let path = match path {
+                "" => field.name().to_owned(),
+                _ => format!("{path}.{}", field.name()),
+            };
+            match (field.r#type(), wire) {
+                (Type::Message, 2) => {
+                    let body = counted(&mut data);
+                    self.message(field.type_name(), &path, body);
+                }
+                (Type::String, 2) => {
+                    let text = std::str::from_utf8(counted(&mut data)).unwrap().to_owned();
+                    self.fields.0.push((path, Leaf::Text(text)));
+                }
+                (Type::Double, 2) => {
+                    let mut packed = counted(&mut data);
+                    while !packed.is_empty() {
+                        let number = double(&mut packed);
+                        self.fields.0.push((path.clone(), Leaf::Number(number)));
+                    }
+                }
+                (Type::Double, 1) => {
+                    let number = double(&mut data);
+                    self.fields.0.push((path, Leaf::Number(number)));
+                }
+                (Type::Int64 | Type::Int32 | Type::Enum | Type::Bool, 0) => {
+                    let number = varint(&mut data) as i64 as f64;
+                    self.fields.0.push((path, Leaf::Number(number)));
+                }
+                (kind, wire) => panic!("{name}.{path} is {kind:?} and was written as {wire}"),
+            }
+        }
+    }
+}
+
+fn varint(data: &mut &[u8]) -> u64 {
+    let mut number = 0;
+    for shift in (0..64).step_by(7) {
+        let (byte, rest) = data.split_first().unwrap();
+        *data = rest;
+        number |= u64::from(byte & 0x7F) << shift;
+        if byte & 0x80 == 0 {
+            return number;
+        }
+    }
+    panic!("a number of more than ten bytes")
+}
+
+fn counted<'a>(data: &mut &'a [u8]) -> &'a [u8] {
+    let length = varint(data) as usize;
+    let (bytes, rest) = data.split_at(length);
+    *data = rest;
+    bytes
+}
+
+fn double(data: &mut &[u8]) -> f64 {
+    let (bytes, rest) = data.split_first_chunk().unwrap();
+    *data = rest;
+    f64::from_le_bytes(*bytes)
+}

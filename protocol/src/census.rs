@@ -1,0 +1,477 @@
+//! What a recording or a link carries, counted: by sender, by message, in time.
+//!
+//! Gets frames that somebody has verified, with the instants at which they were received if those are known. Gives what
+//! `posebridge inspect` tells. It decodes nothing but stamps.
+//!
+//! # Model
+//! ```text
+//! rate    = (frames - 1) / (last - first)         the frames of a burst have no rate
+//! silence = time from one frame to the next       >= GAP: told of
+//! drift   = (change of stamp) / (change of arrival) - 1,  between the first and the last stamp that were looked at
+//! ```
+//! # Assumptions
+//! The link holds back the first and the last stamped message about alike: over ten seconds 10 ms of difference are 1000 ppm.
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{Address, HostClock, LinkId, Span, Stamp};
+
+use crate::dialect;
+use crate::framing::{FrameRef, SequenceTracker, WireVersion};
+
+/// A silence of everybody that is told of: four heartbeats come in it, mostly from several senders.
+pub const GAP: Span = Span::from_millis(1_000);
+/// So many gaps are kept; the others are counted.
+const GAPS_KEPT: usize = 100;
+/// So many senders are followed; the frames of others are counted as those of a crowd. A flood of made-up addresses must not fill
+/// the memory, and no fleet on one link is larger.
+const MOST_SOURCES: usize = 4_096;
+/// Every so many frames of a sender one is asked for its stamp: to decode all of them would take longer than everything else.
+const STAMP_EVERY: u64 = 16;
+/// A stamp that falls by more is that of a clock that began anew, and not of a message that was overtaken.
+const RESTART_BACK_S: f64 = 1.0;
+/// Below it a drift says more about the link than about the clock, s.
+const SHORTEST_DRIFT_S: f64 = 10.0;
+
+/// Frames of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tally {
+    /// How many.
+    pub frames: u64,
+    /// Their bytes, start byte to checksum or signature.
+    pub bytes: u64,
+    /// When the first came.
+    pub first: Option<Stamp<HostClock>>,
+    /// When the last came.
+    pub last: Option<Stamp<HostClock>>,
+    /// The longest time between two of them.
+    pub longest_silence: Span,
+}
+
+impl Tally {
+    fn take(&mut self, bytes: usize, at: Option<Stamp<HostClock>>) {
+        self.frames += 1;
+        self.bytes += bytes as u64;
+        if let Some(at) = at {
+            if let Some(last) = self.last {
+                self.longest_silence = self.longest_silence.max(at - last);
+            }
+            self.first = self.first.or(Some(at));
+            self.last = Some(at);
+        }
+    }
+
+    /// The same over what two senders have sent; the silence is the longer of the two.
+    #[must_use]
+    pub fn plus(self, other: &Self) -> Self {
+        Self {
+            frames: self.frames + other.frames,
+            bytes: self.bytes + other.bytes,
+            first: earliest(self.first, other.first),
+            last: self.last.max(other.last),
+            longest_silence: self.longest_silence.max(other.longest_silence),
+        }
+    }
+
+    /// Frames per second; `None` of fewer than two, or without times.
+    #[must_use]
+    pub fn rate_hz(&self) -> Option<f64> {
+        let elapsed_s = (self.last? - self.first?).as_secs_f64();
+        (self.frames > 1 && elapsed_s > 0.0).then(|| (self.frames - 1) as f64 / elapsed_s)
+    }
+}
+
+fn earliest(
+    one: Option<Stamp<HostClock>>,
+    other: Option<Stamp<HostClock>>,
+) -> Option<Stamp<HostClock>> {
+    [one, other].into_iter().flatten().min()
+}
+
+/// What the stamps of one sender tell of its clock, by the message that was met first among those that have one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StampedClock {
+    /// The message.
+    pub message_id: u32,
+    /// How often the clock began anew.
+    pub restarts: u64,
+    /// Stamp and arrival, s, since the clock last began.
+    first: (f64, f64),
+    last: (f64, f64),
+}
+
+impl StampedClock {
+    fn take(&mut self, stamp_s: f64, at_s: f64) {
+        if self.last.0 - stamp_s > RESTART_BACK_S {
+            self.restarts += 1;
+            self.first = (stamp_s, at_s);
+        }
+        self.last = (stamp_s, at_s);
+    }
+
+    /// Rate of the sender's clock against that of the arrivals, less one, in parts per million; `None` over too short a time.
+    #[must_use]
+    pub fn drift_ppm(&self) -> Option<f64> {
+        let elapsed_s = self.last.1 - self.first.1;
+        (elapsed_s >= SHORTEST_DRIFT_S)
+            .then(|| 1e6 * ((self.last.0 - self.first.0) / elapsed_s - 1.0))
+    }
+
+    /// The sender's clock at the last stamp less that of the arrivals, s.
+    #[must_use]
+    pub fn offset_s(&self) -> f64 {
+        self.last.0 - self.last.1
+    }
+}
+
+/// One sender on one link.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// The link.
+    pub link: LinkId,
+    /// Who.
+    pub address: Address,
+    /// Everything that it has sent.
+    pub all: Tally,
+    /// By message id.
+    pub messages: BTreeMap<u32, Tally>,
+    /// Frames missing by its sequence numbers, were they of one link.
+    lost: u64,
+    /// The same with the numbers of each link of a log followed for themselves; `None` where a log tells none.
+    lost_by_link: Option<u64>,
+    /// The same with every step of the numbers taken for a loss, as simple counters do; absurd for a sender that does not count by one.
+    pub sequence_steps: u64,
+    /// Its clock, if it sends stamps and the times of arrival are known.
+    pub clock: Option<StampedClock>,
+    last_sequence: u8,
+}
+
+/// How many links a log can tell apart: two bits. A sender counts for each link for itself.
+pub const LINKS_OF_A_LOG: usize = 4;
+
+/// A time in which nobody said anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// When the last frame before it came.
+    pub from: Stamp<HostClock>,
+    /// How long it lasted.
+    pub length: Span,
+}
+
+/// Counts frames.
+#[derive(Clone, Debug, Default)]
+pub struct Census {
+    sources: Vec<Source>,
+    sequences: BTreeMap<LinkId, SequenceTracker>,
+    sequences_by_link: [SequenceTracker; LINKS_OF_A_LOG],
+    all: Tally,
+    versions: [u64; 2],
+    signed: u64,
+    crowd: u64,
+    gaps: Vec<Gap>,
+    gap_count: u64,
+    backwards: u64,
+    latest: usize,
+}
+
+impl Census {
+    /// A census of nothing.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Counts a frame of a log that may tell its links apart by a number, but may also mean nothing by it. The losses are then those
+    /// of the reading that has fewer: numbers that mean nothing tear a sequence apart, and links that are not told apart tangle several.
+    pub fn take_logged(&mut self, number: usize, frame: &FrameRef<'_>, at: Stamp<HostClock>) {
+        self.take(LinkId(0), frame, Some(at));
+        let Some(sequences) = self.sequences_by_link.get_mut(number) else {
+            return;
+        };
+        let missing = sequences.missing_before(frame.source, frame.sequence);
+        let is_it = |source: &&mut Source| source.address == frame.source;
+        if let Some(source) = self.sources.get_mut(self.latest).filter(is_it) {
+            *source.lost_by_link.get_or_insert(0) += u64::from(missing);
+        }
+    }
+
+    /// Counts a frame; `at` is when it was received or sent.
+    pub fn take(&mut self, link: LinkId, frame: &FrameRef<'_>, at: Option<Stamp<HostClock>>) {
+        self.note_time(at);
+        let bytes = frame.raw.len();
+        self.all.take(bytes, at);
+        match frame.version {
+            WireVersion::V1 => self.versions[0] += 1,
+            WireVersion::V2 => self.versions[1] += 1,
+        }
+        self.signed += u64::from(frame.is_signed());
+        let Some(index) = self.source_index(link, frame) else {
+            self.crowd += 1;
+            return;
+        };
+        let sequences = self.sequences.entry(link).or_default();
+        let missing = sequences.missing_before(frame.source, frame.sequence);
+        if let Some(source) = self.sources.get_mut(index) {
+            source.lost += u64::from(missing);
+            source.take(frame, at);
+        }
+    }
+
+    /// Every sender, in the order in which they were first heard.
+    #[must_use]
+    pub fn sources(&self) -> &[Source] {
+        &self.sources
+    }
+
+    /// By message id, over all senders.
+    #[must_use]
+    pub fn messages(&self) -> BTreeMap<u32, Tally> {
+        let mut messages: BTreeMap<u32, Tally> = BTreeMap::new();
+        for (id, tally) in self.sources.iter().flat_map(|source| &source.messages) {
+            let sum = messages.entry(*id).or_default();
+            *sum = sum.plus(tally);
+        }
+        messages
+    }
+
+    /// Everything.
+    #[must_use]
+    pub const fn all(&self) -> &Tally {
+        &self.all
+    }
+
+    /// How many frames are of this layout.
+    #[must_use]
+    pub const fn of_version(&self, version: WireVersion) -> u64 {
+        let [v1, v2] = self.versions;
+        match version {
+            WireVersion::V1 => v1,
+            WireVersion::V2 => v2,
+        }
+    }
+
+    /// Frames with a signature, whoever made it.
+    #[must_use]
+    pub const fn signed(&self) -> u64 {
+        self.signed
+    }
+
+    /// Frames of senders beyond those that are followed.
+    #[must_use]
+    pub const fn crowd(&self) -> u64 {
+        self.crowd
+    }
+
+    /// The first silences of [`GAP`] or more, and how many there were.
+    #[must_use]
+    pub fn gaps(&self) -> (&[Gap], u64) {
+        (&self.gaps, self.gap_count)
+    }
+
+    /// How often the time of a frame lay before that of the frame before it.
+    #[must_use]
+    pub const fn backwards(&self) -> u64 {
+        self.backwards
+    }
+
+    fn note_time(&mut self, at: Option<Stamp<HostClock>>) {
+        let (Some(at), Some(last)) = (at, self.all.last) else {
+            return;
+        };
+        self.backwards += u64::from(at < last);
+        let length = at - last;
+        if length >= GAP {
+            self.gap_count += 1;
+            if self.gaps.len() < GAPS_KEPT {
+                self.gaps.push(Gap { from: last, length });
+            }
+        }
+    }
+
+    /// Where a sender stands among the sources; `None` when there are too many.
+    fn source_index(&mut self, link: LinkId, frame: &FrameRef<'_>) -> Option<usize> {
+        let is_it = |source: &Source| source.address == frame.source && source.link == link;
+        // Most frames follow one of the same sender.
+        if self.sources.get(self.latest).is_some_and(is_it) {
+            return Some(self.latest);
+        }
+        if let Some(index) = self.sources.iter().position(is_it) {
+            self.latest = index;
+            return Some(index);
+        }
+        if self.sources.len() == MOST_SOURCES {
+            return None;
+        }
+        self.latest = self.sources.len();
+        self.sources.push(Source {
+            link,
+            address: frame.source,
+            all: Tally::default(),
+            messages: BTreeMap::new(),
+            lost: 0,
+            lost_by_link: None,
+            sequence_steps: 0,
+            clock: None,
+            last_sequence: frame.sequence.wrapping_sub(1),
+        });
+        Some(self.latest)
+    }
+}
+
+impl Source {
+    /// Frames missing by its sequence numbers; up to half the circle is a loss, more is an old frame.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        self.lost.min(self.lost_by_link.unwrap_or(u64::MAX))
+    }
+
+    fn take(&mut self, frame: &FrameRef<'_>, at: Option<Stamp<HostClock>>) {
+        let step = frame
+            .sequence
+            .wrapping_sub(self.last_sequence)
+            .wrapping_sub(1);
+        self.sequence_steps += u64::from(step);
+        self.last_sequence = frame.sequence;
+        if let Some(at) = at
+            && self.all.frames.is_multiple_of(STAMP_EVERY)
+        {
+            self.note_stamp(frame, at);
+        }
+        let bytes = frame.raw.len();
+        self.all.take(bytes, at);
+        self.messages
+            .entry(frame.message_id)
+            .or_default()
+            .take(bytes, at);
+    }
+
+    fn note_stamp(&mut self, frame: &FrameRef<'_>, at: Stamp<HostClock>) {
+        let is_other = |clock: StampedClock| clock.message_id != frame.message_id;
+        if self.clock.is_some_and(is_other) {
+            return;
+        }
+        let Some(stamp) = dialect::stamp_of(frame) else {
+            return;
+        };
+        let (stamp_s, at_s) = (stamp.as_micros() as f64 * 1e-6, at.as_secs_f64());
+        match &mut self.clock {
+            Some(clock) => clock.take(stamp_s, at_s),
+            None => {
+                self.clock = Some(StampedClock {
+                    message_id: frame.message_id,
+                    restarts: 0,
+                    first: (stamp_s, at_s),
+                    last: (stamp_s, at_s),
+                });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dialect::Encoder;
+    use crate::framing::{Verified, verify};
+    use crate::message::{Message, WireStamp};
+    use posebridge_telemetry::Meters;
+
+    /// A message with a stamp.
+    fn stamped(millis: u32) -> Message {
+        Message::WheelDistance {
+            stamp: WireStamp::Micros64(u64::from(millis) * 1_000),
+            left: Meters(0.5),
+            right: Meters(0.25),
+        }
+    }
+
+    fn census(frames: &[(u8, u8, u32, i64)]) -> Census {
+        let mut census = Census::new();
+        for &(system, sequence, stamp_ms, at_ms) in frames {
+            let mut bytes = Vec::new();
+            let mut encoder = Encoder::new(WireVersion::V2);
+            for _ in 0..=sequence {
+                bytes.clear();
+                encoder.encode(Address::new(system, 1), &stamped(stamp_ms), &mut bytes);
+            }
+            let Verified::Frame(frame) = verify(&bytes) else {
+                panic!("it was just encoded");
+            };
+            census.take(LinkId(0), &frame, Some(Stamp::from_millis(at_ms)));
+        }
+        census
+    }
+
+    #[test]
+    fn senders_lose_frames_each_for_itself_and_rates_are_between_first_and_last() {
+        let census = census(&[
+            (1, 0, 0, 0),
+            (2, 9, 0, 100),
+            (1, 1, 0, 500),
+            (2, 12, 0, 1_600),
+            (1, 4, 0, 2_000),
+        ]);
+        let [one, two] = census.sources() else {
+            panic!("two senders");
+        };
+        assert_eq!((one.lost(), one.sequence_steps, two.lost()), (2, 2, 2));
+        assert_eq!(one.all.rate_hz(), Some(1.0));
+        assert_eq!(census.messages()[&9000].frames, 5);
+        assert_eq!(census.messages()[&9000].rate_hz(), Some(2.0));
+        assert_eq!(two.all.longest_silence, Span::from_millis(1_500));
+        let (gaps, count) = census.gaps();
+        assert_eq!((gaps.len(), count), (1, 1));
+        assert_eq!(gaps[0].from, Stamp::from_millis(500));
+    }
+
+    #[test]
+    fn a_clock_that_runs_fast_or_begins_anew_is_told() {
+        let mut frames = Vec::new();
+        for step in 0..=200_u32 {
+            // 1001 ms of the sender's clock per second.
+            frames.push((1, 0, step * 1_001, i64::from(step) * 1_000));
+        }
+        let fast = census(&frames).sources()[0].clock.unwrap();
+        assert!((fast.drift_ppm().unwrap() - 1_000.0).abs() < 1.0);
+        assert_eq!((fast.restarts, fast.message_id), (0, 9000));
+        frames.push((1, 0, 5, 201_000));
+        frames.extend((0..16).map(|step| (1, 0, 5 + step, 201_000 + i64::from(step))));
+        let restarted = census(&frames).sources()[0].clock.unwrap();
+        assert_eq!((restarted.restarts, restarted.drift_ppm()), (1, None));
+    }
+
+    #[test]
+    fn a_sender_that_counts_for_each_link_of_a_log_has_lost_nothing() {
+        let mut census = Census::new();
+        let mut links = [
+            (0, Encoder::new(WireVersion::V2)),
+            (1, Encoder::new(WireVersion::V2)),
+        ];
+        // The second link is ahead by far.
+        for _ in 0..60 {
+            links[1]
+                .1
+                .encode(Address::new(1, 197), &stamped(0), &mut Vec::new());
+        }
+        for step in 0..60_u32 {
+            let (number, encoder) = &mut links[usize::from(step % 3 == 0)];
+            let mut bytes = Vec::new();
+            encoder.encode(Address::new(1, 197), &stamped(step), &mut bytes);
+            let Verified::Frame(frame) = verify(&bytes) else {
+                panic!("it was just encoded");
+            };
+            census.take_logged(*number, &frame, Stamp::from_millis(i64::from(step)));
+        }
+        let [station] = census.sources() else {
+            panic!("one sender");
+        };
+        assert_eq!(station.lost(), 0);
+        assert!(station.lost > 0 && station.sequence_steps > 100);
+    }
+
+    #[test]
+    fn a_time_that_falls_is_counted() {
+        let census = census(&[(1, 0, 0, 900), (1, 1, 0, 100), (1, 2, 0, 200)]);
+        assert_eq!(census.backwards(), 1);
+    }
+}

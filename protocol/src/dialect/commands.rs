@@ -1,0 +1,172 @@
+//! Commands over a link as requests to the engine: which MAV_CMD says what, and what their parameters mean.
+//!
+//! # Model
+//! ```text
+//!   245  MAV_CMD_PREFLIGHT_STORAGE  1: 0 reload the saved tunables, 1 save, 2 or 4 defaults, 3 forget the calibration
+//!  2510  MAV_CMD_LOGGING_START      begin a new recording (nothing is streamed back)
+//!  2511  MAV_CMD_LOGGING_STOP       end the recording
+//! 31010  MAV_CMD_USER_1             set the pose: 1, 2: north and east, m; 3: yaw clockwise from north, degrees; 4, 5: their sigmas, m
+//!                                   and degrees
+//! 31011  MAV_CMD_USER_2             forget the pose
+//! 31012  MAV_CMD_USER_3             1: 0 freeze what is learned, 1 learn on, 2 forget what was learned
+//! 31013  MAV_CMD_USER_4             1: number of a sensor; 2: 0 off, 1 on
+//! ```
+//! The numbers of sensors are those of [`SensorId`]. common.xml has no command for the last four that needs no latitude and longitude;
+//! MAV_CMD_USER_1 to 5 are there for such.
+//!
+//! # Source
+//! common.xml, MAV_CMD and PREFLIGHT_STORAGE_PARAMETER_ACTION; docs/parameters.md.
+
+use posebridge_telemetry::{
+    Command, Heading, Learning, Meters, ParameterStorage, Pose, SensorId, Switch,
+};
+
+use super::ids;
+use super::spaces::{Planar, turn_ned};
+use crate::message::CommandLong;
+
+/// The commands that [`understood`] knows, by rising number.
+pub const UNDERSTOOD: [u16; 7] = [
+    ids::COMMAND_PREFLIGHT_STORAGE,
+    ids::COMMAND_LOGGING_START,
+    ids::COMMAND_LOGGING_STOP,
+    ids::COMMAND_SET_POSE,
+    ids::COMMAND_RESET_POSE,
+    ids::COMMAND_CALIBRATION,
+    ids::COMMAND_SOURCE,
+];
+
+/// Why a command says nothing that could be done.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CommandError {
+    /// Not one of [`UNDERSTOOD`].
+    #[error("command {command} is unknown here")]
+    Unknown {
+        /// MAV_CMD.
+        command: u16,
+    },
+    /// A parameter of it makes no sense. Short, because it has to fit into a STATUSTEXT.
+    #[error("{command} param{index} {value:?}, not {wanted}")]
+    Parameter {
+        /// MAV_CMD.
+        command: u16,
+        /// Which of the seven, from 1.
+        index: u8,
+        /// Its value.
+        value: f32,
+        /// What it can be.
+        wanted: &'static str,
+    },
+}
+
+/// What a command asks for.
+///
+/// # Errors
+/// It is none of [`UNDERSTOOD`], or a parameter of it makes no sense.
+pub fn understood(command: &CommandLong) -> Result<Command, CommandError> {
+    match command.command {
+        ids::COMMAND_PREFLIGHT_STORAGE => storage(command),
+        ids::COMMAND_LOGGING_START => {
+            // The only format that MAVLink names is another one; whoever asks for the first gets ours.
+            choice(command, 1, "0").and_then(|format| match format {
+                0 => Ok(Command::StartRecording),
+                _ => Err(nonsense(command, 1, "0")),
+            })
+        }
+        ids::COMMAND_LOGGING_STOP => Ok(Command::StopRecording),
+        ids::COMMAND_SET_POSE => set_pose(command),
+        ids::COMMAND_RESET_POSE => Ok(Command::ResetPose),
+        ids::COMMAND_CALIBRATION => match choice(command, 1, "0, 1 or 2")? {
+            0 => Ok(Command::Learning(Learning::Frozen)),
+            1 => Ok(Command::Learning(Learning::Free)),
+            2 => Ok(Command::ResetCalibration),
+            _ => Err(nonsense(command, 1, "0, 1 or 2")),
+        },
+        ids::COMMAND_SOURCE => {
+            let sensor = SensorId(choice(command, 1, "0 to 255")?);
+            match choice(command, 2, "0 or 1")? {
+                0 => Ok(Command::SwitchSource {
+                    sensor,
+                    to: Switch::Off,
+                }),
+                1 => Ok(Command::SwitchSource {
+                    sensor,
+                    to: Switch::On,
+                }),
+                _ => Err(nonsense(command, 2, "0 or 1")),
+            }
+        }
+        command => Err(CommandError::Unknown { command }),
+    }
+}
+
+fn storage(command: &CommandLong) -> Result<Command, CommandError> {
+    // Parameter 3 would start or stop a log: done in silence it would be a lie to say that it was accepted.
+    if parameter(command, 3) != 0.0 {
+        return Err(nonsense(command, 3, "0, or command 2510"));
+    }
+    match choice(command, 1, "0 to 4")? {
+        0 => Ok(Command::Parameters(ParameterStorage::Reload)),
+        1 => Ok(Command::Parameters(ParameterStorage::Save)),
+        2 | 4 => Ok(Command::Parameters(ParameterStorage::Default)),
+        3 => Ok(Command::ResetCalibration),
+        _ => Err(nonsense(command, 1, "0 to 4")),
+    }
+}
+
+fn set_pose(command: &CommandLong) -> Result<Command, CommandError> {
+    let [north_m, east_m, yaw_deg] = [1, 2, 3].map(|index| parameter(command, index));
+    for (index, value) in [(1, north_m), (2, east_m), (3, yaw_deg)] {
+        if !value.is_finite() {
+            return Err(nonsense(command, index, "a number"));
+        }
+    }
+    let [position_sigma_m, yaw_sigma_deg] = [4, 5].map(|index| parameter(command, index));
+    for (index, value) in [(4, position_sigma_m), (5, yaw_sigma_deg)] {
+        // Fields that are left out are zero: nobody is that sure.
+        if !(value.is_finite() && value > 0.0) {
+            return Err(nonsense(command, index, "a sigma above 0"));
+        }
+    }
+    let arena = turn_ned(Planar {
+        x: f64::from(north_m),
+        y: f64::from(east_m),
+        angle: f64::from(yaw_deg).to_radians(),
+    });
+    Ok(Command::SetPose {
+        pose: Pose::new(
+            Meters(arena.x),
+            Meters(arena.y),
+            Heading::from_rad(arena.angle),
+        ),
+        position_sigma_m: f64::from(position_sigma_m),
+        heading_sigma_rad: f64::from(yaw_sigma_deg).to_radians(),
+    })
+}
+
+/// A parameter that is one of few whole numbers.
+fn choice(command: &CommandLong, index: u8, wanted: &'static str) -> Result<u8, CommandError> {
+    let value = parameter(command, index);
+    let whole = (0.0..=255.0).contains(&value) && value.fract() == 0.0;
+    if whole {
+        Ok(value as u8)
+    } else {
+        Err(nonsense(command, index, wanted))
+    }
+}
+
+/// One of the seven, from 1.
+fn parameter(command: &CommandLong, index: u8) -> f32 {
+    let place = usize::from(index).wrapping_sub(1);
+    command.params.get(place).copied().unwrap_or_default()
+}
+
+fn nonsense(command: &CommandLong, index: u8, wanted: &'static str) -> CommandError {
+    CommandError::Parameter {
+        command: command.command,
+        index,
+        value: parameter(command, index),
+        wanted,
+    }
+}

@@ -1,0 +1,127 @@
+//! Foreign files as recordings of ours, so that everything that works on recordings works on them.
+//!
+//! A telemetry log and a descriptor's run become the inputs that a station would have been given, with a configuration in the header.
+//! docs/import.md says what is kept and what is lost.
+
+mod descriptor;
+mod parts;
+mod tlog;
+
+use std::io::{Cursor, Seek, Write};
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use posebridge_recording::container::{FORMAT, Header, Writer};
+use posebridge_telemetry::{HostClock, Input, Stamp};
+
+use crate::cli::DataFlags;
+use crate::config::{self, Config, RobotProfile, Setting};
+use crate::input_file::{InputFile, Kind};
+
+/// A recording lies in memory while it is worked on; more than that is not read.
+const MOST_BYTES: u64 = 4 << 30;
+
+/// With which station a file without a configuration is read.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Station<'a> {
+    /// A station's configuration; without it the default one.
+    pub config: Option<&'a Path>,
+    /// Another robot.
+    pub robot: Option<&'a Path>,
+    /// Single keys; they go over both.
+    pub settings: &'a [Setting],
+}
+
+impl Station<'_> {
+    fn config(&self) -> Result<Config> {
+        let mut config = config::load(self.config, self.settings)?.config;
+        if let Some(path) = self.robot {
+            config = config.with_robot(RobotProfile::read(path)?);
+            config = config::lay_over(&config, self.settings)?;
+        }
+        Ok(config)
+    }
+}
+
+/// What an import has made.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Account {
+    /// Inputs written.
+    pub inputs: u64,
+    /// What was left out or changed, in words for people.
+    pub notes: Vec<String>,
+}
+
+/// Takes the inputs of a file as they are found.
+type Sink<'s> = dyn FnMut(Stamp<HostClock>, Input) -> Result<()> + 's;
+
+/// Writes a telemetry log or a descriptor's run as a recording of ours.
+///
+/// # Errors
+/// The file cannot be read or makes no sense, or `out` cannot be written.
+pub fn import<W: Write + Seek>(
+    path: &Path,
+    data: &DataFlags,
+    station: Station<'_>,
+    out: W,
+) -> Result<(W, Account)> {
+    match InputFile::open(path)?.kind {
+        Kind::Tlog => {
+            let source = tlog::Source::open(path, station.config()?)?;
+            let header = header_of(&source.config, source.epoch_micros)?;
+            write(out, &header, |sink| source.inputs(sink))
+        }
+        Kind::Descriptor => {
+            let source = descriptor::Source::open(path, data)?;
+            let header = header_of(&source.config, 0)?;
+            write(out, &header, |sink| source.inputs(sink))
+        }
+        Kind::Own => bail!("`{}` is a recording of posebridge already", path.display()),
+        Kind::Bytes => bail!(
+            "`{}`: bytes without times cannot be replayed; a telemetry log (*.tlog) has times",
+            path.display()
+        ),
+    }
+}
+
+/// The bytes of a recording of ours: those of the file with all parts that continue it, or made from a telemetry log in memory; and what
+/// was left out.
+///
+/// # Errors
+/// The file cannot be read, or is neither.
+pub fn recording_bytes(path: &Path, station: Station<'_>) -> Result<(Vec<u8>, Vec<String>)> {
+    let file = InputFile::open(path)?;
+    if file.kind != Kind::Tlog {
+        return parts::joined(path, file.whole(MOST_BYTES)?);
+    }
+    let source = tlog::Source::open(path, station.config()?)?;
+    let header = header_of(&source.config, source.epoch_micros)?;
+    let out = Cursor::new(Vec::new());
+    let (out, account) = write(out, &header, |sink| source.inputs(sink))?;
+    Ok((out.into_inner(), account.notes))
+}
+
+fn header_of(config: &Config, utc_start_micros: u64) -> Result<Header> {
+    Ok(Header {
+        format: FORMAT,
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        utc_start_micros,
+        config_toml: toml::to_string(config)
+            .context("writing the configuration into the recording")?,
+        links: config.links.iter().map(|link| link.url.clone()).collect(),
+    })
+}
+
+fn write<W: Write + Seek>(
+    out: W,
+    header: &Header,
+    inputs: impl FnOnce(&mut Sink<'_>) -> Result<Vec<String>>,
+) -> Result<(W, Account)> {
+    let mut writer = Writer::create(out, header)?;
+    let mut account = Account::default();
+    account.notes = inputs(&mut |now, input| {
+        account.inputs += 1;
+        Ok(writer.record(now, &input)?)
+    })?;
+    Ok((writer.finish()?, account))
+}

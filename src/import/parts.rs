@@ -1,0 +1,176 @@
+//! A recording in several files as one: the parts that continue each other, joined in memory.
+//!
+//! A part is known to follow by its number and by the name of the file that it says it continues; what else lies in the folder under such
+//! a name is left alone. What was damaged or missing is said, because the joined recording no longer shows it.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use posebridge_recording::container::{self, Ending, Reader, Writer};
+
+use crate::tasks::parts::part_path;
+
+/// The recording in `first`, the content of the file at `path`, with all parts that continue it; and what they lack, in words. As it is
+/// if nothing continues it.
+///
+/// # Errors
+/// A part that continues it cannot be read. A `first` that is no recording comes back as it is: whoever opens it says so.
+pub(super) fn joined(path: &Path, first: Vec<u8>) -> Result<(Vec<u8>, Vec<String>)> {
+    let Ok(reader) = Reader::open(&first) else {
+        return Ok((first, Vec::new()));
+    };
+    let number = reader.beginning().part;
+    let Some((next_path, next)) = continuation(path, number)? else {
+        return Ok((first, Vec::new()));
+    };
+    let out = Cursor::new(Vec::with_capacity(first.len() + next.len()));
+    let mut writer = Writer::create_part(out, reader.header(), reader.beginning())?;
+    let mut notes = Vec::new();
+    let mut part = (number, path.to_owned(), first);
+    let mut following = Some((number + 1, next_path, next));
+    loop {
+        let (number, path, bytes) = &part;
+        copy(path, bytes, &mut writer, &mut notes)?;
+        let Some(next) = following.take() else {
+            // The truth of a simulated run stands where the run ended.
+            let truth = container::truth(bytes).with_context(|| name_of(path))?;
+            writer.record_truth(posebridge_telemetry::Stamp::ZERO, &truth)?;
+            notes.insert(0, format!("{number} parts were joined"));
+            break;
+        };
+        following = continuation(&next.1, next.0)?.map(|(path, bytes)| (next.0 + 1, path, bytes));
+        part = next;
+    }
+    Ok((writer.finish()?.into_inner(), notes))
+}
+
+/// The part behind part `number`, which is the file at `path`.
+fn continuation(path: &Path, number: u32) -> Result<Option<(PathBuf, Vec<u8>)>> {
+    let next = part_path(&first_path(path, number), number + 1);
+    if !next.is_file() {
+        return Ok(None);
+    }
+    let bytes = std::fs::read(&next).with_context(|| format!("reading `{}`", next.display()))?;
+    let continues = Reader::open(&bytes).ok().is_some_and(|reader| {
+        let beginning = reader.beginning();
+        let before = path.file_name().unwrap_or_default().to_string_lossy();
+        beginning.part == number + 1 && beginning.continues.as_deref() == Some(&*before)
+    });
+    Ok(continues.then_some((next, bytes)))
+}
+
+/// The path of the first part, from that of part `number`.
+fn first_path(path: &Path, number: u32) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let of_part = format!(".{number}");
+    match (number, name.rsplit_once('.')) {
+        (2.., Some((stem, extension))) if stem.ends_with(&of_part) => {
+            let stem = stem.strip_suffix(&of_part).unwrap_or(stem);
+            path.with_file_name(format!("{stem}.{extension}"))
+        }
+        _ => path.to_owned(),
+    }
+}
+
+fn copy(
+    path: &Path,
+    bytes: &[u8],
+    writer: &mut Writer<Cursor<Vec<u8>>>,
+    notes: &mut Vec<String>,
+) -> Result<()> {
+    let name = name_of(path);
+    let mut reader = Reader::open(bytes).with_context(|| name.clone())?;
+    for item in &mut reader {
+        match item {
+            Ok((now, input)) => writer.record(now, &input)?,
+            Err(error) => notes.push(format!(
+                "{name}: {error}; the replay is not that of the live run any more"
+            )),
+        }
+    }
+    if let Ending::Torn { offset, what } = reader.ending() {
+        notes.push(format!("{name}: cut off at byte {offset} ({what})"));
+    }
+    Ok(())
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tasks::parts::{Limits, Parts};
+    use posebridge_recording::container::Header;
+    use posebridge_telemetry::{Input, Span, Stamp};
+
+    /// Seven seconds of ticks, four a second, in parts of two seconds.
+    fn record(folder: &Path) -> PathBuf {
+        let path = folder.join("recording.mcap");
+        let limits = Limits {
+            part_span: Some(Span::from_millis(2_000)),
+            ..Limits::default()
+        };
+        let header = Header {
+            format: container::FORMAT,
+            ..Header::default()
+        };
+        let mut parts = Parts::create(&path, header, limits, 0).unwrap();
+        for number in 0..28 {
+            let now = Stamp::from_millis(250 * i64::from(number));
+            parts
+                .record(now, u64::from(number as u32), &Input::Tick)
+                .unwrap();
+        }
+        parts.finish(28).unwrap();
+        path
+    }
+
+    fn instants(bytes: &[u8]) -> Vec<i64> {
+        let reader = Reader::open(bytes).unwrap();
+        let instant = |item: Result<(Stamp<_>, Input), _>| item.unwrap().0.as_nanos() / 1_000_000;
+        reader.map(instant).collect()
+    }
+
+    #[test]
+    fn parts_that_continue_each_other_are_one_recording() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = record(folder.path());
+        assert!(folder.path().join("recording.3.mcap").exists());
+        let (whole, notes) = joined(&path, std::fs::read(&path).unwrap()).unwrap();
+        let expected: Vec<i64> = (0..28).map(|number| 250 * number).collect();
+        assert_eq!(instants(&whole), expected);
+        assert_eq!(notes.len(), 1, "{notes:?}");
+        assert!(notes[0].ends_with("parts were joined"), "{notes:?}");
+    }
+
+    #[test]
+    fn a_later_part_is_joined_with_what_follows_and_still_lacks_its_beginning() {
+        let folder = tempfile::tempdir().unwrap();
+        record(folder.path());
+        let second = folder.path().join("recording.2.mcap");
+        let bytes = std::fs::read(&second).unwrap();
+        let begins_ms = instants(&bytes)[0];
+        let (rest, _) = joined(&second, bytes).unwrap();
+        let found = instants(&rest);
+        assert_eq!((found[0], found[found.len() - 1]), (begins_ms, 6_750));
+        let reader = Reader::open(&rest).unwrap();
+        assert!(reader.beginning().inputs_before > 0);
+        assert_eq!(reader.beginning().part, 2);
+    }
+
+    #[test]
+    fn a_stranger_under_the_name_of_a_part_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = record(folder.path());
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::copy(&path, folder.path().join("recording.2.mcap")).unwrap();
+        let (same, notes) = joined(&path, bytes.clone()).unwrap();
+        assert_eq!((same, notes), (bytes, Vec::new()));
+    }
+}

@@ -1,0 +1,160 @@
+//! What kind of recording a file is, and its bytes, unpacked if they are packed.
+
+use std::ffi::OsStr;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use flate2::read::MultiGzDecoder;
+
+/// What is read at once.
+const CHUNK: usize = 256 * 1024;
+/// The first bytes of a gzip file (RFC 1952, section 2.3.1).
+const GZIP: [u8; 2] = [0x1F, 0x8B];
+/// The first bytes of an MCAP file (MCAP specification 0, "Magic").
+const MCAP: &[u8] = b"\x89MCAP";
+/// Where the first frame of a .tlog file begins, behind its time.
+const TLOG_FRAME: usize = posebridge_recording::tlog::TIME_BYTES;
+
+/// The kinds of recordings that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A recording of ours.
+    Own,
+    /// A telemetry log.
+    Tlog,
+    /// Bytes as they came off a link, without times.
+    Bytes,
+    /// The descriptor of a foreign recording.
+    Descriptor,
+}
+
+/// A file that is open for reading.
+pub struct InputFile {
+    /// What it is.
+    pub kind: Kind,
+    /// How it is called in messages.
+    pub name: String,
+    /// Its size on the disk, in bytes; packed, if it is.
+    pub size: u64,
+    reader: Box<dyn BufRead>,
+}
+
+impl InputFile {
+    /// Opens a file and finds out what it is: by its first bytes, and where they do not tell by its name.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn open(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let file = File::open(path).with_context(|| format!("reading the recording `{name}`"))?;
+        let size = file
+            .metadata()
+            .with_context(|| format!("looking at `{name}`"))?
+            .len();
+        let mut plain = BufReader::with_capacity(CHUNK, file);
+        let is_packed = beginning(&mut plain, &name)?.starts_with(&GZIP);
+        let mut reader: Box<dyn BufRead> = if is_packed {
+            Box::new(BufReader::with_capacity(CHUNK, MultiGzDecoder::new(plain)))
+        } else {
+            Box::new(plain)
+        };
+        let kind = kind_of(path, beginning(&mut reader, &name)?);
+        Ok(Self {
+            kind,
+            name,
+            size,
+            reader,
+        })
+    }
+
+    /// Gives the bytes in chunks, to the end of the file.
+    ///
+    /// # Errors
+    /// The file cannot be read or unpacked any further; what came before was given.
+    pub fn chunks(&mut self, mut take: impl FnMut(&[u8])) -> Result<()> {
+        loop {
+            let chunk = beginning(&mut self.reader, &self.name)?;
+            let length = chunk.len();
+            if length == 0 {
+                return Ok(());
+            }
+            take(chunk);
+            self.reader.consume(length);
+        }
+    }
+
+    /// All bytes, at most `most` of them.
+    ///
+    /// # Errors
+    /// It cannot be read or unpacked, or is longer.
+    pub fn whole(mut self, most: u64) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        (&mut self.reader)
+            .take(most + 1)
+            .read_to_end(&mut bytes)
+            .with_context(|| format!("reading `{}`", self.name))?;
+        anyhow::ensure!(
+            bytes.len() as u64 <= most,
+            "`{}` holds more than {} MiB: cut it into parts",
+            self.name,
+            most >> 20
+        );
+        Ok(bytes)
+    }
+}
+
+/// What lies ready to be read; nothing at the end.
+fn beginning<'a>(reader: &'a mut impl BufRead, name: &str) -> Result<&'a [u8]> {
+    reader
+        .fill_buf()
+        .with_context(|| format!("reading `{name}`"))
+}
+
+fn kind_of(path: &Path, beginning: &[u8]) -> Kind {
+    if beginning.starts_with(MCAP) {
+        return Kind::Own;
+    }
+    let unpacked = match path.file_stem() {
+        Some(stem) if has_extension(path, "gz") => Path::new(stem),
+        _ => path,
+    };
+    let is = |extension| has_extension(unpacked, extension);
+    if is("toml") {
+        Kind::Descriptor
+    } else if is("mcap") {
+        Kind::Own
+    } else if is("tlog") {
+        Kind::Tlog
+    } else if is("raw") || is("bin") {
+        Kind::Bytes
+    } else if matches!(beginning.get(TLOG_FRAME), Some(0xFD | 0xFE)) {
+        Kind::Tlog
+    } else {
+        Kind::Bytes
+    }
+}
+
+fn has_extension(path: &Path, wanted: &str) -> bool {
+    path.extension()
+        .and_then(OsStr::to_str)
+        .is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_kind_is_told_by_the_bytes_first_and_then_by_the_name() {
+        let of = |name: &str, bytes: &[u8]| kind_of(Path::new(name), bytes);
+        let record = [0, 6, 0x60, 0xBE, 0x90, 0x38, 2, 0xCB, 0xFD, 9];
+        assert_eq!(of("a.tlog", b"\x89MCAP0\r\n"), Kind::Own);
+        assert_eq!(of("a.TLOG.gz", &record), Kind::Tlog);
+        assert_eq!(of("a", &record), Kind::Tlog);
+        assert_eq!(of("a.raw", &record), Kind::Bytes);
+        assert_eq!(of("a.toml", b"name = 'x'"), Kind::Descriptor);
+        assert_eq!(of("a", b""), Kind::Bytes);
+    }
+}

@@ -1,0 +1,330 @@
+//! The files of a recording: one after another, each readable by itself.
+//!
+//! Knows no thread and no queue, so that tests drive it as they like. It flushes 400 ms after the last flush, and once
+//! a second looks whether the file is still there, whether the disk has room, and whether the part is large or old enough.
+
+use std::fs::File;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use nix::sys::statvfs::statvfs;
+use posebridge_recording::container::{Beginning, Gap, Header, TruthSample, Writer};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
+
+/// What was recorded reaches the system at least this often, so that a killed program loses less than a second. Each time a chunk ends, and what
+/// the file's index needs of it stays in memory until the part ends: more often would let a long recording's memory grow.
+pub const FLUSH_PERIOD: Span = Span::from_millis(400);
+/// File and disk are looked at this often.
+const LOOK_PERIOD: Span = Span::from_millis(1_000);
+
+/// When a recording goes on in a new file, when it ends, and what stands beside the inputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// A part ends when it is so large, in bytes.
+    pub part_bytes: Option<u64>,
+    /// A part ends when it is so old.
+    pub part_span: Option<Span>,
+    /// The recording ends when the disk has less room than this, in bytes.
+    pub floor_bytes: u64,
+    /// Estimates beside the inputs lie at least so far apart.
+    pub output_spacing: Span,
+}
+
+impl Default for Limits {
+    /// Those of the configuration's default.
+    fn default() -> Self {
+        crate::config::RecordSection::default().limits()
+    }
+}
+
+/// What a recording holds when it has ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Kept {
+    /// Inputs in it.
+    pub inputs: u64,
+    /// Inputs that it lacks because the disk was too slow.
+    pub lost: u64,
+    /// Files.
+    pub parts: u32,
+}
+
+impl Kept {
+    /// Nothing is missing.
+    ///
+    /// # Errors
+    /// Inputs are; the message says how many.
+    pub fn whole(self) -> Result<()> {
+        ensure!(
+            self.lost == 0,
+            "the disk was too slow for {} inputs; a replay is not exact",
+            self.lost
+        );
+        Ok(())
+    }
+}
+
+/// A recording that is being written.
+pub struct Parts {
+    first: PathBuf,
+    header: Header,
+    limits: Limits,
+    part: Part,
+    kept: Kept,
+    /// Number of the next input of the session.
+    next: u64,
+    last: Stamp<HostClock>,
+    flushed: Stamp<HostClock>,
+    looked: Stamp<HostClock>,
+}
+
+/// The file that is open.
+struct Part {
+    path: PathBuf,
+    writer: Writer<File>,
+    /// Device and number by which the system knows it.
+    identity: (u64, u64),
+    begun: Option<Stamp<HostClock>>,
+}
+
+impl Part {
+    fn create(path: PathBuf, header: &Header, begins: &Beginning, spacing: Span) -> Result<Self> {
+        let name = path.display().to_string();
+        let file =
+            File::create_new(&path).with_context(|| format!("creating the recording `{name}`"))?;
+        let identity = file.metadata().map(|found| (found.dev(), found.ino()));
+        let mut writer = Writer::create_part(file, header, begins)
+            .with_context(|| format!("recording `{name}`"))?;
+        writer.space_outputs(spacing);
+        Ok(Self {
+            identity: identity.with_context(|| format!("looking at `{name}`"))?,
+            path,
+            writer,
+            begun: None,
+        })
+    }
+}
+
+impl Parts {
+    /// Creates the first file. `inputs_before` were given to the pipeline before the recording begins.
+    ///
+    /// # Errors
+    /// It cannot be created; one that is there already is never overwritten.
+    pub fn create(path: &Path, header: Header, limits: Limits, inputs_before: u64) -> Result<Self> {
+        let begins = Beginning {
+            inputs_before,
+            ..Beginning::default()
+        };
+        let part = Part::create(path.to_owned(), &header, &begins, limits.output_spacing)?;
+        Ok(Self {
+            first: path.to_owned(),
+            header,
+            limits,
+            part,
+            kept: Kept {
+                parts: 1,
+                ..Kept::default()
+            },
+            next: inputs_before,
+            last: Stamp::ZERO,
+            flushed: Stamp::ZERO,
+            looked: Stamp::ZERO,
+        })
+    }
+
+    /// Records the input with this number in the session; those that are missing before it are a gap.
+    ///
+    /// # Errors
+    /// The recording has ended, and why: what was written before stays readable.
+    pub fn record(&mut self, now: Stamp<HostClock>, number: u64, input: &Input) -> Result<()> {
+        self.note_gap(now, number)?;
+        self.tend(now)?;
+        self.part.begun.get_or_insert(now);
+        self.part
+            .writer
+            .record(now, input)
+            .with_context(|| self.name())?;
+        self.kept.inputs += 1;
+        self.next = number + 1;
+        self.last = now;
+        Ok(())
+    }
+
+    /// Records what came out of the pipeline.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn show(&mut self, now: Stamp<HostClock>, events: &[Event]) -> Result<()> {
+        for event in events {
+            let written = self.part.writer.record_event(now, event);
+            written.with_context(|| self.name())?;
+        }
+        Ok(())
+    }
+
+    /// Records what the filter has learned.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn show_calibration(
+        &mut self,
+        now: Stamp<HostClock>,
+        calibration: &Calibration,
+    ) -> Result<()> {
+        let written = self.part.writer.record_calibration(now, calibration);
+        written.with_context(|| self.name())
+    }
+
+    /// Records a line for people, with its MAVLink severity.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn show_line(&mut self, now: Stamp<HostClock>, severity: u8, text: &str) -> Result<()> {
+        let written = self.part.writer.record_line(now, severity, text);
+        written.with_context(|| self.name())
+    }
+
+    /// Records where a simulated robot really was.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn record_truth(&mut self, truth: &[TruthSample]) -> Result<()> {
+        let written = self.part.writer.record_truth(self.last, truth);
+        written.with_context(|| self.name())
+    }
+
+    /// Hands over to the system what waits.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn flush(&mut self) -> Result<()> {
+        self.part.writer.flush().with_context(|| self.name())
+    }
+
+    /// Ends the file; `given` is the number of the session's inputs up to here.
+    ///
+    /// # Errors
+    /// The file could not be written.
+    pub fn finish(mut self, given: u64) -> Result<Kept> {
+        self.note_gap(self.last, given)?;
+        let name = self.name();
+        self.part.writer.finish().context(name)?;
+        Ok(self.kept)
+    }
+
+    /// The number that the next input of the session has.
+    #[must_use]
+    pub const fn next(&self) -> u64 {
+        self.next
+    }
+
+    /// What is said of an error.
+    fn name(&self) -> String {
+        format!("recording `{}`", self.part.path.display())
+    }
+
+    fn note_gap(&mut self, now: Stamp<HostClock>, number: u64) -> Result<()> {
+        let inputs = number.saturating_sub(self.next);
+        if inputs == 0 {
+            return Ok(());
+        }
+        self.kept.lost += inputs;
+        self.next = number;
+        let gap = Gap {
+            inputs,
+            from: self.last,
+            to: now,
+        };
+        self.part
+            .writer
+            .record_gap(&gap)
+            .with_context(|| self.name())
+    }
+
+    /// Does what is due.
+    fn tend(&mut self, now: Stamp<HostClock>) -> Result<()> {
+        if now - self.flushed < FLUSH_PERIOD {
+            return Ok(());
+        }
+        self.flushed = now;
+        self.flush()?;
+        if now - self.looked < LOOK_PERIOD {
+            return Ok(());
+        }
+        self.looked = now;
+        let bytes = self.bytes_there()?;
+        self.look_at_the_disk()?;
+        let age = self.part.begun.map_or(Span::ZERO, |begun| now - begun);
+        let is_full = self.limits.part_bytes.is_some_and(|most| bytes >= most)
+            || self.limits.part_span.is_some_and(|most| age >= most);
+        if is_full {
+            self.begin_next_part()
+        } else {
+            Ok(())
+        }
+    }
+
+    /// How large the file is; who has deleted or moved it is told, because what is written goes nowhere.
+    fn bytes_there(&self) -> Result<u64> {
+        let found = std::fs::metadata(&self.part.path).ok();
+        match found.filter(|found| (found.dev(), found.ino()) == self.part.identity) {
+            Some(found) => Ok(found.len()),
+            None => bail!(
+                "{}: the file or its folder has been deleted or moved",
+                self.name()
+            ),
+        }
+    }
+
+    fn look_at_the_disk(&self) -> Result<()> {
+        // A file system that cannot be asked may well have room.
+        let Ok(disk) = statvfs(&self.part.path) else {
+            return Ok(());
+        };
+        let free_bytes = disk.blocks_available().saturating_mul(disk.fragment_size());
+        if free_bytes >= self.limits.floor_bytes {
+            return Ok(());
+        }
+        bail!(
+            "{}: the disk has {} MB left, less than `record.min_free_mb` = {}; what was written is whole",
+            self.name(),
+            free_bytes / 1_000_000,
+            self.limits.floor_bytes / 1_000_000
+        )
+    }
+
+    fn begin_next_part(&mut self) -> Result<()> {
+        let number = self.kept.parts + 1;
+        let name = self.part.path.file_name();
+        let begins = Beginning {
+            part: number,
+            inputs_before: self.next,
+            continues: name.map(|name| name.to_string_lossy().into_owned()),
+        };
+        let path = part_path(&self.first, number);
+        let spacing = self.limits.output_spacing;
+        let mut next = Part::create(path, &self.header, &begins, spacing)?;
+        next.writer.take_over(&mut self.part.writer);
+        let ended = std::mem::replace(&mut self.part, next);
+        let name = ended.path.display().to_string();
+        ended
+            .writer
+            .finish()
+            .with_context(|| format!("recording `{name}`"))?;
+        self.kept.parts = number;
+        Ok(())
+    }
+}
+
+/// The path of a part: `recording.mcap`, `recording.2.mcap`, `recording.3.mcap` and so on.
+#[must_use]
+pub fn part_path(first: &Path, number: u32) -> PathBuf {
+    match (number, first.extension()) {
+        (..=1, _) => first.to_owned(),
+        (_, Some(extension)) => {
+            let extension = extension.to_string_lossy();
+            first.with_extension(format!("{number}.{extension}"))
+        }
+        (_, None) => first.with_extension(number.to_string()),
+    }
+}

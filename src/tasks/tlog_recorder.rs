@@ -1,0 +1,174 @@
+//! The thread that writes a telemetry log beside the recording: what came and what was sent, as ground stations keep it.
+//!
+//! It hangs off the same place as the recorder but never makes the shard wait: what does not fit into its queue is dropped and counted,
+//! because the recording is whole without it. The frames are found here and not in the shard.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_pipeline::LinkConfig;
+use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, Span, Stamp};
+
+use super::gulps::Gulps;
+use crate::tlog::TrafficLog;
+
+/// So many chunks and frames wait for the disk before they are dropped.
+const WAITING: usize = 16_384;
+/// What was written reaches the system at least this often.
+const FLUSH_PERIOD: Span = Span::from_millis(1_000);
+
+/// Bytes on their way to the file.
+struct Traffic {
+    now: Stamp<HostClock>,
+    link: LinkId,
+    direction: Direction,
+    bytes: Vec<u8>,
+}
+
+/// Which way they went.
+enum Direction {
+    /// A chunk that one peer of the link has sent.
+    In(PeerId),
+    /// One frame that was sent.
+    Out(Priority),
+}
+
+/// A running recorder of a telemetry log.
+pub struct TlogRecorder {
+    /// Where it is written.
+    pub path: PathBuf,
+    sender: SyncSender<Traffic>,
+    thread: JoinHandle<Result<u64>>,
+    dropped: u64,
+}
+
+/// What a telemetry log has become.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TlogWritten {
+    /// Where it is.
+    pub path: PathBuf,
+    /// Frames in it.
+    pub frames: u64,
+    /// Chunks and frames that are missing in it because the disk was too slow.
+    pub dropped: u64,
+}
+
+impl TlogRecorder {
+    /// Creates the file and starts the thread. `utc_start_micros` is the date at the host clock's zero; of links whose bricks speak no
+    /// MAVLink nothing is written.
+    ///
+    /// # Errors
+    /// The file cannot be created; one that is there already is never overwritten.
+    pub fn start(path: &Path, utc_start_micros: u64, links: &[LinkConfig]) -> Result<Self> {
+        let name = path.display().to_string();
+        let file = File::create_new(path)
+            .with_context(|| format!("creating the telemetry log `{name}`"))?;
+        let (sender, receiver) = sync_channel(WAITING);
+        let log = TrafficLog::new(BufWriter::new(file), utc_start_micros, links);
+        let thread = std::thread::Builder::new()
+            .name("tlog".to_owned())
+            .spawn(move || {
+                write(log, Gulps::new(receiver)).with_context(|| format!("telemetry log `{name}`"))
+            })
+            .context("starting the telemetry log's thread")?;
+        Ok(Self {
+            path: path.to_owned(),
+            sender,
+            thread,
+            dropped: 0,
+        })
+    }
+
+    /// Takes note of what was given to the pipeline.
+    ///
+    /// # Errors
+    /// The file could not be written; nothing more is taken.
+    pub fn received(&mut self, now: Stamp<HostClock>, input: &Input) -> Result<()> {
+        let Input::Bytes { link, peer, bytes } = input else {
+            return Ok(());
+        };
+        self.offer(Traffic {
+            now,
+            link: *link,
+            direction: Direction::In(*peer),
+            bytes: bytes.clone(),
+        })
+    }
+
+    /// Takes note of a frame that was sent.
+    ///
+    /// # Errors
+    /// The file could not be written; nothing more is taken.
+    pub fn sent(
+        &mut self,
+        now: Stamp<HostClock>,
+        link: LinkId,
+        priority: Priority,
+        frame: &[u8],
+    ) -> Result<()> {
+        self.offer(Traffic {
+            now,
+            link,
+            direction: Direction::Out(priority),
+            bytes: frame.to_vec(),
+        })
+    }
+
+    /// Writes what still waits and ends the file.
+    ///
+    /// # Errors
+    /// The file could not be written.
+    pub fn finish(self) -> Result<TlogWritten> {
+        drop(self.sender);
+        let frames = self
+            .thread
+            .join()
+            .map_err(|_panic| anyhow!("the telemetry log's thread died"))??;
+        Ok(TlogWritten {
+            path: self.path,
+            frames,
+            dropped: self.dropped,
+        })
+    }
+
+    fn offer(&mut self, traffic: Traffic) -> Result<()> {
+        match self.sender.try_send(traffic) {
+            Ok(()) => Ok(()),
+            Err(TrySendError::Full(_)) => {
+                self.dropped += 1;
+                Ok(())
+            }
+            Err(TrySendError::Disconnected(_)) => Err(anyhow!("the telemetry log has stopped")),
+        }
+    }
+}
+
+/// Writes until nobody can send any more, and says how many frames there are.
+fn write(mut log: TrafficLog<BufWriter<File>>, mut traffic: Gulps<Traffic>) -> Result<u64> {
+    let mut flushed = Stamp::<HostClock>::ZERO;
+    let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
+    loop {
+        match traffic.next(patience) {
+            Ok(one) => {
+                match one.direction {
+                    Direction::In(peer) => log.received(one.now, (one.link, peer), &one.bytes)?,
+                    Direction::Out(priority) => {
+                        log.sent(one.now, (one.link, priority), &one.bytes)?;
+                    }
+                }
+                if one.now - flushed >= FLUSH_PERIOD {
+                    log.flush()?;
+                    flushed = one.now;
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => log.flush()?,
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    Ok(log.finish()?.1)
+}

@@ -1,0 +1,151 @@
+"""MAVSDK as it is against a running station: what its plugins show of the robot, our own messages by our definition, and a fix from it."""
+
+import asyncio
+import contextlib
+import json
+import math
+import os
+import tempfile
+import unittest
+
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
+from mavsdk.asyncio.plugins.mocap import MocapAsync
+from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from mavsdk.logging import log_subscribe
+from mavsdk.plugins.mavlink_direct import MavlinkMessage
+from mavsdk.plugins.mocap import AngleBody, Covariance, PositionBody, VisionPositionEstimate
+
+from drives import for_ground_stations, nxt_station, simulated
+from harness import DEADLINE_S, RunningStation
+
+# A robot that stands where nobody sees it.
+AT_REST = """
+seed = 3
+steering = "odometry"
+
+[drive]
+rest_s = 10000.0
+
+[camera]
+is_present = false
+"""
+# Where MAVSDK says that it sees the robot: north, east in metres, yaw in radians.
+SEEN_FIRST, SEEN_THEN = (0.3, 0.5, 0.2), (0.4, 0.3, -0.4)
+SIGMA_M, SIGMA_RAD = 0.005, 0.01
+# Height, roll and pitch: nobody knows them.
+UNKNOWN = 1e4
+PLANAR_POSE = 42102
+
+# What MAVSDK says of itself would stand between the tests' names.
+log_subscribe(lambda level, text, file, line: True)
+
+class Mavsdk41(unittest.IsolatedAsyncioTestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = folder.name
+
+    async def connected(self, station):
+        """MAVSDK as a ground station, and the system that it finds."""
+        host, port = station.addresses[0]
+        mavsdk = await self.enterAsyncContext(Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)))
+        await mavsdk.add_any_connection(f"udpout://{host}:{port}")
+        system = await mavsdk.first_autopilot(timeout_s=DEADLINE_S)
+        self.assertIsNotNone(system, station.talk())
+        return system
+
+    async def first(self, stream, is_wanted=lambda value: True):
+        """The first value of a subscription that is wanted."""
+        async with contextlib.aclosing(stream), asyncio.timeout(DEADLINE_S):
+            async for value in stream:
+                if is_wanted(value):
+                    return value
+
+    async def collected(self, stream, count):
+        """The first values of a subscription."""
+        values = []
+        await self.first(stream, lambda value: values.append(value) or len(values) == count)
+        return values
+
+    def at_rest(self):
+        """A station with a robot that stands still, and has not been told where."""
+        return RunningStation(self.folder, "run", simulated(self.folder, AT_REST) + for_ground_stations("udp")).belongs_to(self)
+
+    async def test_connects_and_odometry_attitude_position_distance_and_status_text_arrive(self):
+        station = nxt_station(self, self.folder, for_ground_stations("udp"))
+        system = await self.connected(station)
+        self.assertEqual(await system.get_system_id(), 1)
+        self.assertTrue(await system.is_connected())
+        self.assertIn(197, await system.component_ids())
+        telemetry, direct = TelemetryAsync(system), MavlinkDirectAsync(system)
+        frames = asyncio.create_task(self.collected(direct.subscribe_message("ODOMETRY"), 30))
+        seen = await self.collected(telemetry.subscribe_odometry(), 20)
+        by_time = {fields["time_usec"]: fields for fields in map(fields_of, await frames)}
+        compared = [(odometry, by_time[odometry.time_usec]) for odometry in seen if odometry.time_usec in by_time]
+        self.assertGreater(len(compared), 10)
+        for odometry, fields in compared:
+            self.assertEqual((odometry.position_body.x_m, odometry.position_body.y_m), (fields["x"], fields["y"]))
+            self.assertEqual((odometry.q.w, odometry.q.z), (fields["q"][0], fields["q"][3]))
+        # The square and its surroundings, and the wall in front of it.
+        attitude = await self.first(telemetry.subscribe_attitude_euler())
+        self.assertTrue(-180.0 <= attitude.yaw_deg <= 180.0 and attitude.roll_deg == attitude.pitch_deg == 0.0)
+        position = (await self.first(telemetry.subscribe_position_velocity_ned())).position
+        self.assertTrue(-0.1 < position.north_m < 0.4 and -0.1 < position.east_m < 0.4, position)
+        distance = await self.first(telemetry.subscribe_distance_sensor())
+        self.assertTrue(0.2 < distance.current_distance_m < 2.6, distance)
+        text = asyncio.create_task(self.first(telemetry.subscribe_status_text(), lambda text: "slip_nis" in text.text.lower()))
+        await direct.send_message(message("PARAM_SET", param_id="SLIP_NIS", param_value=-1.0, param_type=9))
+        self.assertIn("not in", (await text).text)
+
+    async def test_custom_xml_decodes(self):
+        station = self.at_rest()
+        direct = MavlinkDirectAsync(await self.connected(station))
+        with open(os.path.join(os.environ["PEERS_DIALECT"], "posebridge.xml")) as file:
+            await direct.load_custom_xml(file.read())
+        ticks = fields_of(await self.first(direct.subscribe_message("PB_WHEEL_TICKS")))
+        self.assertEqual((ticks["left"], ticks["right"], ticks["flags"]), (0, 0, 3))
+        pose = asyncio.create_task(self.first(direct.subscribe_message("PB_PLANAR_POSE")))
+        await direct.send_message(message(
+            "COMMAND_LONG", command=511, confirmation=0, param1=PLANAR_POSE, param2=100_000,
+            param3=0, param4=0, param5=0, param6=0, param7=0))
+        pose = fields_of(await pose)
+        self.assertEqual(len(pose["covariance"]), 6)
+        self.assertEqual(pose["fix_age_ms"], 65_535)
+
+    async def test_a_vision_fix_through_the_mocap_api_and_the_pose_follows_it(self):
+        system = await self.connected(self.at_rest())
+        for place in (SEEN_FIRST, SEEN_THEN):
+            await self.see(system, place)
+
+    async def see(self, system, place):
+        """Tells where the robot is seen until it is believed to be there."""
+        north_m, east_m, yaw_rad = place
+        covariance = [0.0] * 21
+        # The upper triangle over x, y, z, roll, pitch, yaw.
+        for index, variance in ((0, SIGMA_M**2), (6, SIGMA_M**2), (11, UNKNOWN), (15, UNKNOWN), (18, UNKNOWN), (20, SIGMA_RAD**2)):
+            covariance[index] = variance
+        fix = VisionPositionEstimate(0, PositionBody(north_m, east_m, 0.0), AngleBody(0.0, 0.0, yaw_rad), Covariance(covariance))
+        mocap, telemetry = MocapAsync(system), TelemetryAsync(system)
+        positions, attitudes = telemetry.subscribe_position_velocity_ned(), telemetry.subscribe_attitude_euler()
+        async with contextlib.aclosing(positions), contextlib.aclosing(attitudes), asyncio.timeout(DEADLINE_S):
+            while True:
+                await mocap.set_vision_position_estimate(fix)
+                position, attitude = (await anext(positions)).position, await anext(attitudes)
+                off_m = math.hypot(position.north_m - north_m, position.east_m - east_m)
+                if off_m < SIGMA_M and abs(attitude.yaw_deg - math.degrees(yaw_rad)) < 1.0:
+                    return
+
+
+def message(name, **fields):
+    """A message for the estimator, as MAVSDK takes any."""
+    whom = {"target_system": 1, "target_component": 197}
+    return MavlinkMessage(name, 0, 0, 1, 197, json.dumps({**whom, **fields}))
+
+
+def fields_of(heard):
+    return json.loads(heard.fields_json)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,225 @@
+//! The files of a recording when they grow, when the disk fills and when somebody takes them away: each ends readable, and what they
+//! lack is said.
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+use std::path::{Path, PathBuf};
+
+use posebridge::tasks::parts::{Limits, Parts, part_path};
+use posebridge::tasks::recorder::Recorder;
+use posebridge_recording::container::{Ending, FORMAT, Header, Reader};
+use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Span, Stamp};
+
+type Recorded = (Stamp<HostClock>, Input);
+
+/// Neither parts nor a floor.
+const UNLIMITED: Limits = Limits {
+    part_bytes: None,
+    part_span: None,
+    floor_bytes: 0,
+    output_spacing: Span::ZERO,
+};
+
+fn header() -> Header {
+    Header {
+        format: FORMAT,
+        utc_start_micros: 1_700_000_000_000_000,
+        ..Header::default()
+    }
+}
+
+/// One input of 400 bytes every 20 ms.
+fn inputs(count: i64) -> Vec<Recorded> {
+    let input = |n: i64| {
+        let bytes = vec![n as u8; 400];
+        let (link, peer) = (LinkId(0), PeerId::default());
+        (
+            Stamp::from_millis(20 * n),
+            Input::Bytes { link, peer, bytes },
+        )
+    };
+    (0..count).map(input).collect()
+}
+
+fn record(parts: &mut Parts, inputs: &[Recorded]) -> anyhow::Result<()> {
+    for (now, input) in inputs {
+        parts.record(*now, parts.next(), input)?;
+    }
+    Ok(())
+}
+
+/// What a file holds; it must have ended properly.
+fn whole(path: &Path) -> Vec<Recorded> {
+    let bytes = std::fs::read(path).unwrap();
+    let reader = Reader::open(&bytes).unwrap();
+    assert_eq!(reader.ending(), Ending::Complete, "{}", path.display());
+    reader.map(Result::unwrap).collect()
+}
+
+/// Records until an error, which is told; the file is then closed.
+fn error_of(path: &Path, limits: Limits, before: impl FnOnce()) -> String {
+    let mut parts = Parts::create(path, header(), limits, 0).unwrap();
+    let all = inputs(400);
+    record(&mut parts, &all[..40]).unwrap();
+    before();
+    format!("{:#}", record(&mut parts, &all[40..]).unwrap_err())
+}
+
+/// The parts hold everything once, in order, each with the number of its first input; gives where each begins.
+fn joined(first: &Path, count: u32, all: &[Recorded]) -> Vec<PathBuf> {
+    let paths: Vec<PathBuf> = (1..=count).map(|number| part_path(first, number)).collect();
+    let mut found = Vec::new();
+    for (index, path) in paths.iter().enumerate() {
+        let bytes = std::fs::read(path).unwrap();
+        let begins = Reader::open(&bytes).unwrap().beginning().clone();
+        assert_eq!(begins.part as usize, index + 1);
+        assert_eq!(begins.inputs_before, found.len() as u64);
+        let before = index.checked_sub(1).map(|before| &paths[before]);
+        let name = before.map(|path| path.file_name().unwrap().to_str().unwrap());
+        assert_eq!(begins.continues.as_deref(), name);
+        found.extend(whole(path));
+    }
+    assert_eq!(found, all);
+    paths
+}
+
+#[test]
+fn a_large_recording_goes_on_in_another_file_without_a_gap() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("recording.mcap");
+    let limits = Limits {
+        part_bytes: Some(100_000),
+        ..UNLIMITED
+    };
+    let all = inputs(1_000);
+    let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
+    record(&mut parts, &all).unwrap();
+    let kept = parts.finish(1_000).unwrap();
+    assert_eq!((kept.inputs, kept.lost), (1_000, 0));
+    assert!((4..=5).contains(&kept.parts), "{kept:?}");
+    for path in joined(&path, kept.parts, &all) {
+        // It is looked at once a second, in which 25 kB come.
+        assert!(std::fs::metadata(path).unwrap().len() < 140_000);
+    }
+    assert!(folder.path().join("recording.2.mcap").exists());
+}
+
+#[test]
+fn an_old_recording_goes_on_in_another_file_without_a_gap() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("recording.mcap");
+    let limits = Limits {
+        part_span: Some(Span::from_millis(5_000)),
+        ..UNLIMITED
+    };
+    let all = inputs(1_000);
+    let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
+    record(&mut parts, &all).unwrap();
+    let kept = parts.finish(1_000).unwrap();
+    assert!((3..=4).contains(&kept.parts), "{kept:?}");
+    joined(&path, kept.parts, &all);
+}
+
+#[test]
+fn a_disk_without_room_ends_the_recording_and_what_was_written_is_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("recording.mcap");
+    let limits = Limits {
+        floor_bytes: u64::MAX,
+        ..UNLIMITED
+    };
+    let error = error_of(&path, limits, || {});
+    assert!(error.contains("record.min_free_mb"), "{error}");
+    assert!(error.contains("recording.mcap"), "{error}");
+    let kept = whole(&path);
+    assert_eq!(kept, inputs(kept.len() as i64));
+    assert!(kept.len() >= 40, "{}", kept.len());
+}
+
+#[test]
+fn a_folder_that_is_deleted_ends_the_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("run");
+    std::fs::create_dir(&inner).unwrap();
+    let error = error_of(&inner.join("recording.mcap"), UNLIMITED, || {
+        std::fs::remove_dir_all(&inner).unwrap();
+    });
+    assert!(error.contains("deleted or moved"), "{error}");
+}
+
+#[test]
+fn a_folder_that_is_moved_ends_the_recording_and_its_file_is_whole_where_it_went() {
+    let folder = tempfile::tempdir().unwrap();
+    let (here, there) = (folder.path().join("here"), folder.path().join("there"));
+    std::fs::create_dir(&here).unwrap();
+    let path = here.join("recording.mcap");
+    let error = error_of(&path, UNLIMITED, || {
+        std::fs::rename(&here, &there).unwrap();
+        // Another file in its place is not ours.
+        std::fs::create_dir(&here).unwrap();
+        std::fs::write(&path, "a note").unwrap();
+    });
+    assert!(error.contains("deleted or moved"), "{error}");
+    let kept = whole(&there.join("recording.mcap"));
+    assert_eq!(kept, inputs(kept.len() as i64));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "a note");
+}
+
+#[test]
+fn a_next_file_that_cannot_be_made_ends_the_recording_and_the_one_before_is_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("recording.mcap");
+    std::fs::create_dir(part_path(&path, 2)).unwrap();
+    let limits = Limits {
+        part_span: Some(Span::from_millis(2_000)),
+        ..UNLIMITED
+    };
+    let error = error_of(&path, limits, || {});
+    assert!(error.contains("recording.2.mcap"), "{error}");
+    let kept = whole(&path);
+    assert_eq!(kept, inputs(kept.len() as i64));
+    assert!(kept.len() >= 90, "{}", kept.len());
+}
+
+#[test]
+fn a_folder_that_takes_no_files_is_named() {
+    // In this folder nobody makes a file, not even root.
+    let path = Path::new("/proc/self/recording.mcap");
+    let error = Recorder::start(path, &header()).err().unwrap();
+    assert!(format!("{error:#}").contains("/proc/self/recording.mcap"));
+}
+
+#[test]
+fn a_device_that_is_full_fails_when_the_header_is_written() {
+    let full = std::fs::File::options().write(true).open("/dev/full");
+    let writer = posebridge_recording::container::Writer::create(full.unwrap(), &header());
+    let error = anyhow::Error::from(writer.err().unwrap());
+    assert!(format!("{error:#}").contains("No space left"), "{error:#}");
+}
+
+#[test]
+fn a_recording_that_begins_in_the_session_says_so_and_numbers_its_inputs_by_the_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("later.mcap");
+    let all = inputs(100);
+    let mut recorder = Recorder::start_in_session(&path, &header(), UNLIMITED, 60).unwrap();
+    for (now, input) in &all[60..] {
+        recorder.record(*now, input.clone()).unwrap();
+    }
+    let kept = recorder.stop().wait().unwrap();
+    assert_eq!((kept.inputs, kept.lost), (40, 0));
+    assert_eq!(whole(&path), all[60..]);
+    let bytes = std::fs::read(&path).unwrap();
+    let begins = Reader::open(&bytes).unwrap().beginning().clone();
+    assert_eq!((begins.inputs_before, begins.continues), (60, None));
+}
+
+#[test]
+fn a_recorder_that_cannot_make_its_file_in_the_session_says_why_in_the_end() {
+    let path = Path::new("/proc/self/recording.mcap");
+    let recorder = Recorder::start_in_session(path, &header(), UNLIMITED, 0).unwrap();
+    let error = recorder.stop().wait().unwrap_err();
+    assert!(format!("{error:#}").contains("/proc/self/recording.mcap"));
+}
