@@ -72,21 +72,25 @@ fn frames_of(found: &Value, component: u64) -> u64 {
     source.unwrap()["frames"].as_u64().unwrap()
 }
 
-#[test]
-fn a_drive_becomes_tables_with_units() {
+/// A folder with a drive, and in `out` its tables and its telemetry log.
+fn exported_drive() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     drive(folder.path());
-    run(
-        folder.path(),
-        &[
-            "export",
-            "drive.mcap",
-            "--format",
-            "csv,tlog",
-            "--out",
-            "out",
-        ],
-    );
+    let command = [
+        "export",
+        "drive.mcap",
+        "--format",
+        "csv,tlog",
+        "--out",
+        "out",
+    ];
+    run(folder.path(), &command);
+    folder
+}
+
+#[test]
+fn a_drive_becomes_tables_with_units() {
+    let folder = exported_drive();
     let out = folder.path().join("out");
     let (header, estimates) = csv(&out.join("estimates.csv"));
     assert!(header.starts_with("t_s,x_m,y_m,heading_rad,"), "{header}");
@@ -107,19 +111,7 @@ fn a_drive_becomes_tables_with_units() {
 
 #[test]
 fn an_exported_log_holds_what_came_and_what_is_sent() {
-    let folder = tempfile::tempdir().unwrap();
-    drive(folder.path());
-    run(
-        folder.path(),
-        &[
-            "export",
-            "drive.mcap",
-            "--format",
-            "csv,tlog",
-            "--out",
-            "out",
-        ],
-    );
+    let folder = exported_drive();
     let out = folder.path().join("out");
     let replayed = json(folder.path(), &["replay", "drive.mcap", "--json"]);
     let found = json(folder.path(), &["inspect", "out/drive.tlog", "--json"]);

@@ -17,6 +17,7 @@ mod bench;
 mod brick;
 mod damage;
 mod golden;
+mod missing_sensors;
 mod push;
 mod rates;
 mod session;

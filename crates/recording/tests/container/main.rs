@@ -6,6 +6,8 @@
     reason = "helpers outside the test functions may fail loudly as well"
 )]
 
+mod damage;
+mod older;
 mod properties;
 
 use std::cell::RefCell;
@@ -13,8 +15,8 @@ use std::io::{Cursor, Result as IoResult, Seek, SeekFrom, Write};
 use std::rc::Rc;
 
 use posebridge_recording::container::{
-    Beginning, Ending, FORMAT, Gap, Header, INPUT_ENCODING, INPUT_TOPIC, ReadError, Reader,
-    TruthSample, WriteError, Writer, truth,
+    Beginning, Ending, FORMAT, Header, INPUT_ENCODING, INPUT_TOPIC, ReadError, Reader, TruthSample,
+    WriteError, Writer, truth,
 };
 use posebridge_telemetry::{
     BeaconId, Celsius, Command, Fix, Heading, HostClock, Input, LandmarkId, LinkId, LinkState,
@@ -163,6 +165,14 @@ fn good(bytes: &[u8]) -> Vec<Recorded> {
     reader.map(Result::unwrap).collect()
 }
 
+/// Where the record of the input with this number begins: opcode, length, the inputs' channel, the number.
+fn record_of(bytes: &[u8], number: u8) -> usize {
+    bytes
+        .windows(15)
+        .position(|head| head[0] == 5 && head[9..] == [1, 0, number, 0, 0, 0])
+        .unwrap()
+}
+
 #[test]
 fn every_kind_of_input_comes_back() {
     let bytes = write(&sample());
@@ -271,116 +281,6 @@ fn what_was_flushed_survives_a_kill() {
 }
 
 #[test]
-fn a_flipped_bit_never_becomes_another_input() {
-    let items = sample();
-    let bytes = write(&items);
-    for at in 0..bytes.len() {
-        let mut damaged = bytes.clone();
-        damaged[at] ^= 0x10;
-        let Ok(reader) = Reader::open(&damaged) else {
-            continue;
-        };
-        let mut rest = items.iter();
-        for found in reader.flatten() {
-            assert!(rest.any(|item| *item == found), "byte {at} gave {found:?}");
-        }
-    }
-}
-
-/// Where the record of the input with this number begins: opcode, length, the inputs' channel, the number.
-fn record_of(bytes: &[u8], number: u8) -> usize {
-    bytes
-        .windows(15)
-        .position(|head| head[0] == 5 && head[9..] == [1, 0, number, 0, 0, 0])
-        .unwrap()
-}
-
-#[test]
-fn a_damaged_message_is_named_by_its_offset_and_the_next_one_follows() {
-    let items: Vec<Recorded> = (0..5)
-        .map(|n| (Stamp::from_millis(n), Input::Tick))
-        .collect();
-    let mut damaged = write(&items);
-    let at = record_of(&damaged, 2);
-    damaged[at + 9 + 22 + 1] ^= 1;
-    let found: Vec<_> = Reader::open(&damaged).unwrap().collect();
-    let [Err(ReadError::Chunk { .. }), found @ ..] = &found[..] else {
-        panic!("the chunk's checksum said nothing: {found:?}");
-    };
-    assert_eq!(found.len(), 5);
-    let Err(ReadError::Message { offset, .. }) = &found[2] else {
-        panic!("{:?}", found[2]);
-    };
-    assert_eq!(*offset, at as u64);
-    assert!(found.iter().filter(|item| item.is_ok()).count() == 4);
-}
-
-#[test]
-fn a_missing_message_is_a_gap() {
-    let items: Vec<Recorded> = (0..4)
-        .map(|n| (Stamp::from_millis(n), Input::Tick))
-        .collect();
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
-    writer.record(items[0].0, &items[0].1).unwrap();
-    let gap = Gap {
-        inputs: 1,
-        from: items[0].0,
-        to: items[2].0,
-    };
-    writer.record_gap(&gap).unwrap();
-    for (now, input) in &items[2..] {
-        writer.record(*now, input).unwrap();
-    }
-    let bytes = writer.finish().unwrap().into_inner();
-    let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
-    assert!(
-        matches!(
-            found[1],
-            Err(ReadError::Gap {
-                expected: 1,
-                found: 2,
-                ..
-            })
-        ),
-        "{:?}",
-        found[1]
-    );
-    assert_eq!(found[2], Ok(items[2].clone()));
-    assert_eq!(found.len(), 4);
-}
-
-#[test]
-fn destroyed_framing_costs_the_rest_of_its_chunk_and_no_more() {
-    let items = sample();
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
-    for (now, input) in &items {
-        writer.record(*now, input).unwrap();
-        writer.flush().unwrap();
-    }
-    let mut bytes = writer.finish().unwrap().into_inner();
-    let at = record_of(&bytes, 5);
-    bytes[at] = 0;
-    let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
-    let good = found.iter().filter(|item| item.is_ok()).count();
-    assert_eq!(good, items.len() - 1);
-    let defects: Vec<_> = found
-        .iter()
-        .filter_map(|item| item.as_ref().err())
-        .collect();
-    assert!(
-        matches!(
-            defects[..],
-            [
-                ReadError::Chunk { .. },
-                ReadError::Chunk { .. },
-                ReadError::Gap { .. }
-            ]
-        ),
-        "{defects:?}"
-    );
-}
-
-#[test]
 fn what_is_not_ours_is_refused_with_a_reason() {
     assert_eq!(Reader::open(b"").unwrap_err(), ReadError::NotMcap);
     assert_eq!(Reader::open(b"PK\x03\x04").unwrap_err(), ReadError::NotMcap);
@@ -433,106 +333,6 @@ fn a_later_part_says_what_it_continues_and_counts_on() {
     let whole = write(&sample());
     let begins = Reader::open(&whole).unwrap().beginning().clone();
     assert_eq!(begins, Beginning::default());
-}
-
-/// A recording of format 2, which has no chunks and the host clock's own times.
-fn unchunked(items: &[Recorded]) -> Vec<u8> {
-    let chunked = write(items);
-    let mut file = mcap::WriteOptions::new()
-        .use_chunks(false)
-        .create(Cursor::new(Vec::new()))
-        .unwrap();
-    let metadata = [
-        ("format", "2"),
-        ("program_version", "0.1.0"),
-        ("utc_start_micros", "1700000000123456"),
-        ("config_toml", ""),
-        ("links", "[]"),
-    ];
-    file.write_metadata(&mcap::records::Metadata {
-        name: "posebridge.recording".to_owned(),
-        metadata: metadata
-            .map(|(key, value)| (key.to_owned(), value.to_owned()))
-            .into(),
-    })
-    .unwrap();
-    let schema = file
-        .add_schema(INPUT_ENCODING, INPUT_ENCODING, b"text")
-        .unwrap();
-    let channel = file
-        .add_channel(
-            schema,
-            INPUT_TOPIC,
-            INPUT_ENCODING,
-            &std::collections::BTreeMap::new(),
-        )
-        .unwrap();
-    for message in mcap::MessageStream::new(&chunked).unwrap() {
-        let message = message.unwrap();
-        let time = message.log_time - UTC_START_NANOS;
-        let header = mcap::records::MessageHeader {
-            channel_id: channel,
-            sequence: message.sequence,
-            log_time: time,
-            publish_time: time,
-        };
-        if message.channel.topic == INPUT_TOPIC {
-            file.write_to_known_channel(&header, &message.data).unwrap();
-        }
-    }
-    file.finish().unwrap();
-    file.into_inner().into_inner()
-}
-
-#[test]
-fn a_recording_without_chunks_is_still_read_whole_or_cut() {
-    let items = sample();
-    let bytes = unchunked(&items);
-    let reader = Reader::open(&bytes).unwrap();
-    assert_eq!(reader.header().format, 2);
-    assert_eq!(reader.ending(), Ending::Complete);
-    assert_eq!(good(&bytes), items);
-    let cut = record_of(&bytes, 7) + 12;
-    let found: Vec<_> = Reader::open(&bytes[..cut]).unwrap().flatten().collect();
-    assert_eq!(found, items[..7]);
-    let ending = Reader::open(&bytes[..cut]).unwrap().ending();
-    let offset = record_of(&bytes, 7) as u64;
-    assert!(matches!(ending, Ending::Torn { offset: at, .. } if at == offset));
-}
-
-#[test]
-fn a_file_that_was_put_together_by_hand_from_the_specification_is_read() {
-    let bytes = &include_bytes!("../../../../fuzz/corpus/recording/chunks_and_truth")[1..];
-    let reader = Reader::open(bytes).unwrap();
-    assert_eq!(reader.header().utc_start_micros, 1_700_000_000_000_000);
-    assert_eq!(
-        (reader.beginning().part, reader.beginning().inputs_before),
-        (2, 5)
-    );
-    assert_eq!(reader.beginning().continues.as_deref(), Some("a.mcap"));
-    assert_eq!(reader.ending(), Ending::Complete);
-    let hello = Input::Bytes {
-        link: LinkId(0),
-        peer: posebridge_telemetry::PeerId(0),
-        bytes: b"hello".to_vec(),
-    };
-    let up = Input::Link {
-        link: LinkId(0),
-        state: LinkState::Up,
-    };
-    let expected = [
-        (Stamp::from_micros(1), Input::Tick),
-        (Stamp::from_micros(2), hello),
-        (Stamp::from_micros(3), up),
-    ];
-    assert_eq!(good(bytes), expected);
-    let pose = Pose::new(Meters(1.5), Meters(-2.0), Heading::from_rad(0.5));
-    let sample = TruthSample {
-        stamp: Stamp::from_nanos(7),
-        pose,
-        odometry: None,
-    };
-    assert_eq!(truth(bytes).unwrap(), [sample]);
 }
 
 #[test]

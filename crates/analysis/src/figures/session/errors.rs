@@ -33,14 +33,7 @@ fn position(samples: &[ErrorSample]) -> StripPanel {
                 .flat_map(|sample| [sample.position_m, sample.position_claim_m])
                 .map(|size| size * M_TO_MM),
         ),
-        curves: vec![
-            Inked::new(
-                "its 2-sigma claim",
-                Shape::Band(claim.collect()),
-                INK_OF_CLAIM,
-            ),
-            Inked::new("error", Shape::Line(error.collect()), INK_OF_ESTIMATE),
-        ],
+        curves: curves(claim.collect(), error.collect()),
         ..StripPanel::default()
     }
 }
@@ -65,16 +58,17 @@ fn heading(samples: &[ErrorSample]) -> StripPanel {
                 .flat_map(|sample| [sample.heading_rad, sample.heading_claim_rad])
                 .map(f64::to_degrees),
         ),
-        curves: vec![
-            Inked::new(
-                "its 2-sigma claim",
-                Shape::Band(claim.collect()),
-                INK_OF_CLAIM,
-            ),
-            Inked::new("error", Shape::Line(error.collect()), INK_OF_ESTIMATE),
-        ],
+        curves: curves(claim.collect(), error.collect()),
         ..StripPanel::default()
     }
+}
+
+/// A claim as a band, over it the error.
+fn curves(claim: Vec<(f64, f64, f64)>, error: Vec<(f64, f64)>) -> Vec<Inked> {
+    vec![
+        Inked::new("its 2-sigma claim", Shape::Band(claim), INK_OF_CLAIM),
+        Inked::new("error", Shape::Line(error), INK_OF_ESTIMATE),
+    ]
 }
 
 #[cfg(test)]
