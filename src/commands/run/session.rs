@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use posebridge_link::HostTimer;
+use posebridge_link::{HostTimer, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{Span, Stamp};
 use tokio_util::sync::CancellationToken;
@@ -24,6 +24,7 @@ use crate::tasks::desk::Desk;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::{Kept, Recorder};
 use crate::tasks::shard::{Ending, Shard};
+use crate::tasks::sim_brick::CommandSender;
 use crate::tasks::tlog_recorder::{TlogRecorder, TlogWritten};
 use crate::tasks::truth_tap::TruthTap;
 
@@ -73,13 +74,7 @@ pub(super) async fn session(
         folder: &folder,
         laps,
     };
-    let opened = open_links(args, config, simulated, &stop).await;
-    if opened.is_err() {
-        // Only a folder that is still empty goes.
-        drop(std::fs::remove_dir(&folder));
-    }
-    let (ports, mut embedded) = opened.at_start()?;
-    warn_of_open_listeners(&ports, config);
+    let (ports, mut embedded) = open(args, config, simulated, &stop).await.at_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.recorded(config);
     let started = start_recorder(args, &for_recordings, &timer, &recording);
@@ -87,12 +82,7 @@ pub(super) async fn session(
     let tlog = start_tlog(args, config, &timer, &recording).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
-    let commands = embedded
-        .as_ref()
-        .map(|embedded| embedded.brick.hands.commands.clone());
-    let truth = embedded
-        .as_mut()
-        .and_then(|embedded| embedded.brick.truth.take());
+    let (commands, truth) = simulated_brick(embedded.as_mut());
     let mut shard = Shard {
         pipeline,
         ports,
@@ -128,6 +118,30 @@ pub(super) async fn session(
         learned,
         kept,
         recording_failure: closed.recording_failure,
+    })
+}
+
+/// Opens the links.
+async fn open(
+    args: &RunArgs,
+    config: &Config,
+    session: SimulatedSession<'_>,
+    stop: &CancellationToken,
+) -> Result<(PortSet, Option<Embedded>)> {
+    let opened = open_links(args, config, session, stop).await;
+    match &opened {
+        Ok((ports, _)) => warn_of_open_listeners(ports, config),
+        // Only a folder that is still empty goes.
+        Err(_) => drop(std::fs::remove_dir(session.folder)),
+    }
+    opened
+}
+
+/// What a desk hands to the simulated brick, and who hears where that is, if there is one.
+fn simulated_brick(embedded: Option<&mut Embedded>) -> (Option<CommandSender>, Option<TruthTap>) {
+    let brick = embedded.map(|embedded| &mut embedded.brick);
+    brick.map_or((None, None), |brick| {
+        (Some(brick.hands.commands.clone()), brick.truth.take())
     })
 }
 
