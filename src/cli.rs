@@ -20,11 +20,21 @@ pub use lab::{LabAccuracyArgs, LabArgs, LabExperiment, LabLinksArgs};
 ///
 /// Without a subcommand it runs the station with a simulated brick on a pseudo-terminal.
 #[derive(Debug, Parser)]
-#[command(name = "posebridge", version, about, long_about, after_long_help = links_help())]
+#[command(
+    name = "posebridge",
+    version,
+    about,
+    long_about,
+    args_conflicts_with_subcommands = true,
+    after_long_help = links_help()
+)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
     pub command: Option<Command>,
+    /// Without a subcommand: the flags of `run`.
+    #[command(flatten, next_help_heading = "Without a command, the options of `run`")]
+    pub run: RunArgs,
 }
 
 /// The subcommands.
@@ -72,12 +82,6 @@ pub enum Command {
     Completions(CompletionsArgs),
 }
 
-impl Default for Command {
-    fn default() -> Self {
-        Self::Run(RunArgs::default())
-    }
-}
-
 /// Flags that change the configuration.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ConfigFlags {
@@ -114,6 +118,9 @@ pub struct RunArgs {
     /// Seed of the simulated brick, instead of its scenario's.
     #[arg(long)]
     pub seed: Option<u64>,
+    /// End when the simulated brick has driven its path so often; without it the brick drives on until Ctrl-C.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub laps: Option<u32>,
     /// Folder for recording and pictures, instead of one named after the time.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,

@@ -6,11 +6,11 @@ use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::Occurrence;
 use posebridge_telemetry::{
     Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
-    Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId,
+    Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId, Verdict,
 };
 
-use super::Pipeline;
 use super::intake::{Arrival, Arrived};
+use super::{Pipeline, SEVERITY_WARNING};
 use crate::clock::unwrap::Unwrapped;
 use crate::config::DescriptionPolicy;
 use crate::interpret::{Reading, StampedBy};
@@ -308,7 +308,12 @@ impl Pipeline {
             self.publish_range(range, observation.stamp);
         }
         self.publish_record(&record);
+        let slipped = (record.verdict == Verdict::Slip).then_some(record.stamp);
         self.tell(Event::Fused { robot, record });
+        if slipped.is_some_and(|stamp| self.slip.begins(stamp)) {
+            let text = "wheels slip: gyro and wheels disagree".to_owned();
+            self.tell_own(SEVERITY_WARNING, text);
+        }
     }
 
     /// What the normalised innovation of a fix must stay below.
