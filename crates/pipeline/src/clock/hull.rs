@@ -39,6 +39,18 @@ pub(super) struct Bound {
     pub(super) offset_s: f64,
 }
 
+impl Bound {
+    /// As a point of the hull at `t_s`: that of the lower side mirrored, and loosened by what the rate may have changed since,
+    /// `drift_per_s` (t - t_i)^2 / 2.
+    pub(super) fn loosened(self, side: Side, t_s: f64, drift_per_s: f64) -> Self {
+        let age_s = t_s - self.t_s;
+        Self {
+            t_s: self.t_s,
+            offset_s: side.sign() * self.offset_s + 0.5 * drift_per_s * age_s * age_s,
+        }
+    }
+}
+
 /// Corners of the hull of one side. Its memory is kept from one set of bounds to the next.
 #[derive(Clone, Debug)]
 pub(super) struct Hull {
@@ -55,16 +67,11 @@ impl Hull {
         }
     }
 
-    /// Takes the bounds anew, in the order of time. Each is loosened by what the rate may have changed since:
-    /// `drift_per_s` (t - t_i)^2 / 2.
+    /// Takes the bounds anew, in the order of time, each loosened by what the rate may have changed since.
     pub(super) fn span(&mut self, bounds: impl Iterator<Item = Bound>, t_s: f64, drift_per_s: f64) {
         self.corners.clear();
         for bound in bounds {
-            let age_s = t_s - bound.t_s;
-            let next = Bound {
-                t_s: bound.t_s,
-                offset_s: self.side.sign() * bound.offset_s + 0.5 * drift_per_s * age_s * age_s,
-            };
+            let next = bound.loosened(self.side, t_s, drift_per_s);
             while let [.., before, last] = self.corners.as_slice()
                 && !is_below(before, last, &next)
             {
@@ -93,7 +100,7 @@ impl Hull {
 }
 
 /// Whether `middle` lies below the straight line from `left` to `right`.
-fn is_below(left: &Bound, middle: &Bound, right: &Bound) -> bool {
+pub(super) fn is_below(left: &Bound, middle: &Bound, right: &Bound) -> bool {
     let rise_to_middle = (middle.offset_s - left.offset_s) * (right.t_s - left.t_s);
     let rise_to_right = (right.offset_s - left.offset_s) * (middle.t_s - left.t_s);
     rise_to_middle < rise_to_right
