@@ -84,18 +84,21 @@ impl Hull {
     /// U(s) or L(s) at `t_s`, and the instant of the bound that makes it.
     pub(super) fn at(&self, slope: f64, t_s: f64) -> (f64, f64) {
         let sign = self.side.sign();
-        let (value, instant_s) =
-            self.corners
-                .iter()
-                .fold((f64::INFINITY, t_s), |tightest, corner| {
-                    let value = corner.offset_s + sign * slope * (t_s - corner.t_s);
-                    if value < tightest.0 {
-                        (value, corner.t_s)
-                    } else {
-                        tightest
-                    }
-                });
-        (sign * value, instant_s)
+        let value = |corner: &Bound| corner.offset_s + sign * slope * (t_s - corner.t_s);
+        // Along the hull the values fall to the corner that the line touches and rise behind it.
+        let (mut low, mut high) = (0, self.corners.len().saturating_sub(1));
+        while low < high {
+            let middle = low.midpoint(high);
+            if value(&self.corners[middle + 1]) < value(&self.corners[middle]) {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        let touched = self.corners.get(low);
+        touched.map_or((sign * f64::INFINITY, t_s), |corner| {
+            (sign * value(corner), corner.t_s)
+        })
     }
 }
 
