@@ -74,13 +74,23 @@ impl InputFile {
     /// # Errors
     /// The file cannot be read or unpacked any further; what came before was given.
     pub fn chunks(&mut self, mut take: impl FnMut(&[u8])) -> Result<()> {
+        self.chunks_while(|chunk| {
+            take(chunk);
+            true
+        })
+    }
+
+    /// Gives the bytes in chunks for as long as more are wanted, at most to the end of the file.
+    ///
+    /// # Errors
+    /// As [`Self::chunks`].
+    pub fn chunks_while(&mut self, mut wants_more: impl FnMut(&[u8]) -> bool) -> Result<()> {
         loop {
             let chunk = beginning(&mut self.reader, &self.name)?;
             let length = chunk.len();
-            if length == 0 {
+            if length == 0 || !wants_more(chunk) {
                 return Ok(());
             }
-            take(chunk);
             self.reader.consume(length);
         }
     }

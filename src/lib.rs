@@ -11,6 +11,7 @@ pub mod data;
 pub mod drawn;
 pub mod import;
 pub mod input_file;
+pub mod known;
 pub mod learned;
 pub mod link_flags;
 pub mod link_profile;

@@ -8,9 +8,7 @@ use std::io::Write;
 
 use anyhow::Result;
 use posebridge_pipeline::{AcceptedVersions, LinkConfig};
-use posebridge_protocol::framing::{
-    Scanned, Scanner, ScannerConfig, Verified, verified_before, verify,
-};
+use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, Verified, verify};
 use posebridge_recording::tlog::{Judged, LINK_BITS, Reader, Record, Writer};
 use posebridge_telemetry::{HostClock, LinkId, PeerId, Priority, Stamp};
 
@@ -31,6 +29,28 @@ pub fn records(mut file: InputFile, mut take: impl FnMut(Record<'_, ()>)) -> Res
     reader.finish(&mut judge, &mut take);
     bar.finish_and_clear();
     Ok(reader)
+}
+
+/// Gives the first records of a file for as long as more are wanted.
+///
+/// # Errors
+/// As [`records`].
+pub fn first_records(
+    mut file: InputFile,
+    mut wants_more: impl FnMut(Record<'_, ()>) -> bool,
+) -> Result<()> {
+    let mut reader = Reader::new();
+    let mut is_wanted = true;
+    file.chunks_while(|chunk| {
+        reader.push(chunk, &mut judge, &mut |record| {
+            is_wanted = is_wanted && wants_more(record);
+        });
+        is_wanted
+    })?;
+    reader.finish(&mut judge, &mut |record| {
+        is_wanted = is_wanted && wants_more(record);
+    });
+    Ok(())
 }
 
 /// What the checksum says of a record's frame.
@@ -104,7 +124,7 @@ impl<W: Write> TrafficLog<W> {
         frame: &[u8],
     ) -> std::io::Result<()> {
         let is_ours = priority != Priority::Forwarded && self.links.contains_key(&link);
-        if is_ours && verified_before(frame).is_some() {
+        if is_ours && verify(frame) != Verified::Not {
             self.writer.record(self.utc_micros(now, link), frame)?;
             self.frames += 1;
         }

@@ -14,7 +14,7 @@ use posebridge_sim::Scenario;
 use posebridge_telemetry::Span;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
-use virtual_drive::record_drive;
+use virtual_drive::{record_drive, record_drive_and_truth};
 
 /// A short drive with a camera.
 const SQUARE: &str = r#"
@@ -220,6 +220,35 @@ fn an_imported_log_is_the_recording_that_a_replay_of_the_log_sees() {
     assert_eq!(again.status.code(), Some(2));
 }
 
+/// The error between the two trajectories of a folder is that of a replay.
+fn trajectories_score_as(scored: &Value, folder: &Path) {
+    let estimate = trajectory(&folder.join("estimate.tum"));
+    let truth = trajectory(&folder.join("truth.tum"));
+    assert_eq!(estimate.len(), truth.len());
+    let pairs = estimate.iter().zip(&truth);
+    let squares = pairs.map(|(ours, theirs)| {
+        assert_eq!(ours.0, theirs.0, "pairs have one stamp");
+        (ours.1 - theirs.1).powi(2) + (ours.2 - theirs.2).powi(2)
+    });
+    let rms_m = (squares.sum::<f64>() / truth.len() as f64).sqrt();
+    let expected_m = scored["estimators"][0]["position_rms_m"].as_f64().unwrap();
+    assert!(
+        (rms_m / expected_m - 1.0).abs() < 1e-4,
+        "{rms_m} m, {expected_m} m"
+    );
+}
+
+#[test]
+fn trajectories_of_a_recording_hold_the_truth_that_it_knows() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scenario = Scenario::from_toml(SQUARE).unwrap();
+    record_drive_and_truth(&folder.join("drive.mcap"), scenario, Span::ZERO);
+    run(folder, &["export", "drive.mcap", "--format", "tum"]);
+    let scored = json(folder, &["replay", "drive.mcap", "--json"]);
+    trajectories_score_as(&scored, folder);
+}
+
 #[test]
 fn trajectories_of_a_foreign_recording_score_as_the_replay_does() {
     let folder = tempfile::tempdir().unwrap();
@@ -246,20 +275,7 @@ fn trajectories_of_a_foreign_recording_score_as_the_replay_does() {
         ]
         .concat(),
     );
-    let estimate = trajectory(&folder.path().join("estimate.tum"));
-    let truth = trajectory(&folder.path().join("truth.tum"));
-    assert_eq!(estimate.len(), truth.len());
-    let pairs = estimate.iter().zip(&truth);
-    let squares = pairs.map(|(ours, theirs)| {
-        assert_eq!(ours.0, theirs.0, "pairs have one stamp");
-        (ours.1 - theirs.1).powi(2) + (ours.2 - theirs.2).powi(2)
-    });
-    let rms_m = (squares.sum::<f64>() / truth.len() as f64).sqrt();
-    let expected_m = scored["estimators"][0]["position_rms_m"].as_f64().unwrap();
-    assert!(
-        (rms_m / expected_m - 1.0).abs() < 1e-4,
-        "{rms_m} m, {expected_m} m"
-    );
+    trajectories_score_as(&scored, folder.path());
     // The recording made of it gives the same estimates.
     run(
         folder.path(),

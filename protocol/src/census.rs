@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 use posebridge_telemetry::{Address, HostClock, LinkId, Span, Stamp};
 
 use crate::dialect;
-use crate::framing::{FrameRef, SequenceTracker, WireVersion};
+use crate::framing::{FrameRef, SequenceCounter, WireVersion};
 
 /// A silence of everybody that is told of: four heartbeats come in it, mostly from several senders.
 pub const GAP: Span = Span::from_millis(1_000);
@@ -144,6 +144,10 @@ pub struct Source {
     /// Its clock, if it sends stamps and the times of arrival are known.
     pub clock: Option<StampedClock>,
     last_sequence: u8,
+    /// Its numbers, were they of one link.
+    numbers: SequenceCounter,
+    /// The same of each link of a log.
+    numbers_by_link: [SequenceCounter; LINKS_OF_A_LOG],
 }
 
 /// How many links a log can tell apart: two bits. A sender counts for each link for itself.
@@ -162,8 +166,6 @@ pub struct Gap {
 #[derive(Clone, Debug, Default)]
 pub struct Census {
     sources: Vec<Source>,
-    sequences: BTreeMap<LinkId, SequenceTracker>,
-    sequences_by_link: [SequenceTracker; LINKS_OF_A_LOG],
     all: Tally,
     versions: [u64; 2],
     signed: u64,
@@ -185,12 +187,12 @@ impl Census {
     /// of the reading that has fewer: numbers that mean nothing tear a sequence apart, and links that are not told apart tangle several.
     pub fn take_logged(&mut self, number: usize, frame: &FrameRef<'_>, at: Stamp<HostClock>) {
         self.take(LinkId(0), frame, Some(at));
-        let Some(sequences) = self.sequences_by_link.get_mut(number) else {
+        let is_it = |source: &&mut Source| source.address == frame.source;
+        let Some(source) = self.sources.get_mut(self.latest).filter(is_it) else {
             return;
         };
-        let missing = sequences.missing_before(frame.source, frame.sequence);
-        let is_it = |source: &&mut Source| source.address == frame.source;
-        if let Some(source) = self.sources.get_mut(self.latest).filter(is_it) {
+        if let Some(numbers) = source.numbers_by_link.get_mut(number) {
+            let missing = numbers.missing_before(frame.sequence);
             *source.lost_by_link.get_or_insert(0) += u64::from(missing);
         }
     }
@@ -209,10 +211,7 @@ impl Census {
             self.crowd += 1;
             return;
         };
-        let sequences = self.sequences.entry(link).or_default();
-        let missing = sequences.missing_before(frame.source, frame.sequence);
         if let Some(source) = self.sources.get_mut(index) {
-            source.lost += u64::from(missing);
             source.take(frame, at);
         }
     }
@@ -313,6 +312,8 @@ impl Census {
             sequence_steps: 0,
             clock: None,
             last_sequence: frame.sequence.wrapping_sub(1),
+            numbers: SequenceCounter::default(),
+            numbers_by_link: std::array::from_fn(|_| SequenceCounter::default()),
         });
         Some(self.latest)
     }
@@ -332,6 +333,7 @@ impl Source {
             .wrapping_sub(1);
         self.sequence_steps += u64::from(step);
         self.last_sequence = frame.sequence;
+        self.lost += u64::from(self.numbers.missing_before(frame.sequence));
         if let Some(at) = at
             && self.all.frames.is_multiple_of(STAMP_EVERY)
         {

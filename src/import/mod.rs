@@ -11,7 +11,7 @@ use std::io::{Cursor, Seek, Write};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use posebridge_recording::container::{FORMAT, Header, Writer};
+use posebridge_recording::container::{FORMAT, Header, Reader, Writer};
 use posebridge_telemetry::{HostClock, Input, Stamp};
 
 use crate::cli::DataFlags;
@@ -53,7 +53,38 @@ pub struct Account {
 }
 
 /// Takes the inputs of a file as they are found.
-type Sink<'s> = dyn FnMut(Stamp<HostClock>, Input) -> Result<()> + 's;
+pub type Sink<'s> = dyn FnMut(Stamp<HostClock>, Input) -> Result<()> + 's;
+
+/// What a session was given, and how its station was configured.
+pub struct Session {
+    /// The configuration, and what else the result depends on.
+    pub header: Header,
+    /// What was left out, as far as that is known before the inputs are read; in words.
+    pub notes: Vec<String>,
+    /// Where the inputs are.
+    pub inputs: Inputs,
+}
+
+/// Where the inputs of a session are.
+pub enum Inputs {
+    /// In a recording of ours, in memory.
+    Recorded(Vec<u8>),
+    /// In a telemetry log, from which they are made one by one.
+    Logged(LoggedInputs),
+}
+
+/// The inputs that a telemetry log stands for.
+pub struct LoggedInputs(tlog::Source);
+
+impl LoggedInputs {
+    /// Gives them in the order of their times; the first one always at [`Stamp::ZERO`]. Says in words what was left out.
+    ///
+    /// # Errors
+    /// The file cannot be read any further, or as `sink` says.
+    pub fn give(&self, sink: &mut Sink<'_>) -> Result<Vec<String>> {
+        self.0.inputs(sink)
+    }
+}
 
 /// Writes a telemetry log or a descriptor's run as a recording of ours.
 ///
@@ -99,6 +130,28 @@ pub fn recording_bytes(path: &Path, station: Station<'_>) -> Result<(Vec<u8>, Ve
     let out = Cursor::new(Vec::new());
     let (out, account) = write(out, &header, |sink| source.inputs(sink))?;
     Ok((out.into_inner(), account.notes))
+}
+
+/// A recording of ours with all parts that continue it, or a telemetry log.
+///
+/// # Errors
+/// As [`recording_bytes`].
+pub fn session(path: &Path, station: Station<'_>) -> Result<Session> {
+    if InputFile::open(path)?.kind == Kind::Tlog {
+        let source = tlog::Source::open(path, station.config()?)?;
+        return Ok(Session {
+            header: header_of(&source.config, source.epoch_micros)?,
+            notes: Vec::new(),
+            inputs: Inputs::Logged(LoggedInputs(source)),
+        });
+    }
+    let (bytes, notes) = recording_bytes(path, station)?;
+    let reader = Reader::open(&bytes).with_context(|| format!("recording `{}`", path.display()))?;
+    Ok(Session {
+        header: reader.header().clone(),
+        notes,
+        inputs: Inputs::Recorded(bytes),
+    })
 }
 
 fn header_of(config: &Config, utc_start_micros: u64) -> Result<Header> {

@@ -21,7 +21,7 @@ use posebridge_telemetry::{Address, HostClock, Input, LinkId, LinkState, PeerId,
 use super::Sink;
 use crate::config::{Config, LinkSection};
 use crate::input_file::InputFile;
-use crate::tlog::records;
+use crate::tlog::{first_records, records};
 
 /// The only link of the recording.
 const LINK: LinkId = LinkId(0);
@@ -129,20 +129,17 @@ fn own_request(frame: &[u8], own: Address) -> Option<Stamp<HostClock>> {
 
 fn epoch_of(path: &Path, own: Address) -> Result<u64> {
     let (mut first, mut asked, mut seen) = (None, None, 0);
-    let look = |record: Record<'_, ()>| {
+    first_records(InputFile::open(path)?, |record| {
         seen += 1;
-        if seen > SOUGHT || asked.is_some() {
-            return;
-        }
-        first = first.or(Some(record.micros));
+        let first = *first.get_or_insert(record.micros);
         asked = own_request(record.frame, own).and_then(|at| {
             let since_zero = u64::try_from(at.as_micros()).ok()?;
             // A zero behind the first record would make times negative: then the stamps are by another clock.
             let zero = record.micros.checked_sub(since_zero);
-            zero.filter(|zero| first.is_none_or(|first| *zero <= first))
+            zero.filter(|zero| *zero <= first)
         });
-    };
-    records(InputFile::open(path)?, look)?;
+        asked.is_none() && seen < SOUGHT
+    })?;
     Ok(asked.or(first).unwrap_or_default())
 }
 

@@ -5,6 +5,7 @@ import csv
 import json
 import math
 import os
+import sys
 import tempfile
 import time
 import unittest
@@ -40,6 +41,10 @@ OURS = {
 INPUTS = "posebridge/input"
 # What a killed program may have kept to itself.
 LAST_S = 1.0
+KILLS = 10
+# How long a file is when the first program is killed, and how much longer for each that follows.
+FIRST_KILL_BYTES = 40_000
+BYTES_BETWEEN_KILLS = 13_000
 
 
 class Recording(unittest.TestCase):
@@ -116,25 +121,43 @@ class Recording(unittest.TestCase):
 
 
 class Killed(unittest.TestCase):
-    def test_a_recording_is_read_up_to_the_last_second_after_kill_9(self):
+    def test_ten_recordings_are_read_up_to_the_last_second_after_kill_9(self):
+        # Side by side, each killed at another length of its file, so that no place between two flushes passes by luck.
+        alive = dict(self.station(number) for number in range(KILLS))
+        sizes, torn = [], 0
+        deadline = time.monotonic() + DEADLINE_S + KILLS
+        while alive:
+            self.assertLess(time.monotonic(), deadline, [station.talk() for station in alive.values()])
+            for recording, station in list(alive.items()):
+                number = KILLS - len(alive)
+                if os.path.exists(recording) and os.path.getsize(recording) > FIRST_KILL_BYTES + number * BYTES_BETWEEN_KILLS:
+                    del alive[recording]
+                    station.kill()
+                    sizes.append(os.path.getsize(recording))
+                    torn += self.is_read_after_kill(recording, time.time())
+        self.assertEqual(torn, KILLS)
+        print(f"\n  killed at bytes {sizes}", file=sys.stderr)
+
+    def station(self, number):
+        """A station with a robot that drives, and the recording that it writes."""
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         station = RunningStation(folder.name, "run", simulated(folder.name)).belongs_to(self)
-        recording = os.path.join(folder.name, "run", "recording.mcap")
-        deadline = time.monotonic() + DEADLINE_S
-        while not (os.path.exists(recording) and os.path.getsize(recording) > 100_000):
-            self.assertLess(time.monotonic(), deadline, station.talk())
-        station.kill()
-        killed = time.time()
-        messages, inputs = self.messages(recording)
+        return os.path.join(folder.name, "run", "recording.mcap"), station
+
+    def is_read_after_kill(self, recording, killed):
+        """Reads a recording whose program was killed; whether it was cut off."""
+        messages, inputs, is_torn = self.messages(recording)
         self.assertLess(killed - 1e-9 * messages[-1].log_time, LAST_S)
-        self.assertGreater(inputs, 100)
+        self.assertGreater(inputs, 10)
         # Ours has an eye for what is whole in the chunk that was cut, so it may find more.
-        self.assertGreaterEqual(inspected(folder.name, "run/recording.mcap")["recording"]["inputs"], inputs)
+        folder, name = os.path.split(recording)
+        self.assertGreaterEqual(inspected(folder, name)["recording"]["inputs"], inputs)
+        return is_torn
 
     def messages(self, recording):
-        """What can be had without an index, and how many of them are inputs."""
-        found, channels = [], {}
+        """What can be had without an index, how many of them are inputs, and whether the end is missing."""
+        found, channels, is_torn = [], {}, False
         with open(recording, "rb") as file:
             try:
                 for record in StreamReader(file, validate_crcs=True).records:
@@ -143,8 +166,8 @@ class Killed(unittest.TestCase):
                     elif hasattr(record, "topic"):
                         channels[record.id] = record.topic
             except EndOfFile:
-                pass
-        return found, sum(channels[message.channel_id] == INPUTS for message in found)
+                is_torn = True
+        return found, sum(channels[message.channel_id] == INPUTS for message in found), is_torn
 
 
 if __name__ == "__main__":

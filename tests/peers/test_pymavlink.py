@@ -25,6 +25,7 @@ OF_ESTIMATOR = {
 OF_VEHICLE = {"HEARTBEAT", "ATTITUDE", "DISTANCE_SENSOR"}
 OF_ROBOT = {"HEARTBEAT", "ATTITUDE", "PB_WHEEL_TICKS", "PB_INERTIAL", "PB_ROBOT_DESCRIPTION"}
 CAMERA = (1, 100)
+EVERYBODY = (VEHICLE, ESTIMATOR, CAMERA)
 
 
 class Common(unittest.TestCase):
@@ -42,12 +43,12 @@ class Common(unittest.TestCase):
         self.addCleanup(ground.close)
         return ground
 
-    def lost_nothing(self, ground, both=(VEHICLE, ESTIMATOR)):
-        """Neither component has lost anything, and everything made sense; how many frames of each that says something about."""
+    def lost_nothing(self, ground, of=(VEHICLE, ESTIMATOR)):
+        """None of these has lost anything, and everything made sense; how many frames of each that says something about."""
         self.assertEqual(ground.undecoded(), [])
         self.assertEqual(ground.mav.total_receive_errors, 0)
-        self.assertEqual({of: ground.lost[of] for of in both}, {of: 0 for of in both})
-        return {of: sum(sender(message) == of for message in ground.heard) for of in both}
+        self.assertEqual({one: ground.lost[one] for one in of}, {one: 0 for one in of})
+        return {one: sum(sender(message) == one for message in ground.heard) for one in of}
 
 
 class GroundStation(Common):
@@ -84,21 +85,21 @@ class GroundStation(Common):
         ground.mav.command_int_send(*ESTIMATOR, 0, 31_999, 0, 0, 0, 0, 0, 0, 0, 0, 0)
         self.assertEqual(ground.hear_from(ESTIMATOR, "COMMAND_ACK", lambda answer: answer.command == 31_999).result, UNSUPPORTED)
 
-    def test_no_loss_with_two_component_ids_on_each_link(self):
-        # A camera on the robot's link would be a third, whose answers to the station are not for others: pymavlink misses them.
-        alone = SQUARE + "[camera]\nis_present = false\n"
-        station = self.station(for_ground_stations("udp"), for_ground_stations("tcp"), scenario=alone)
+    def test_no_loss_with_three_component_ids_on_each_link(self):
+        # The camera answers the station's requests for its time; these answers are not for others, and must not look like losses.
+        station = self.station(for_ground_stations("udp"), for_ground_stations("tcp"))
         grounds = [self.ground(address, scheme) for address, scheme in zip(station.addresses, ("udp", "tcp"))]
         # The sockets hold what comes meanwhile on the other link.
         for _ in range(5):
             for ground in grounds:
-                ground.hear_beats(1)
+                ground.hear_beats(1, of=EVERYBODY)
         for ground in grounds:
             ground.hear_from(VEHICLE, "PB_ROBOT_DESCRIPTION")
-            frames = self.lost_nothing(ground)
+            frames = self.lost_nothing(ground, of=EVERYBODY)
             self.assertEqual(ground.link.packet_loss(), 0.0)
             print(f"\n  frames, lost 0: {frames}", file=sys.stderr)
-            self.assertTrue(all(count > 100 for count in frames.values()), frames)
+            self.assertTrue(all(count > 10 for count in frames.values()), frames)
+            self.assertTrue(all(frames[one] > 100 for one in (VEHICLE, ESTIMATOR)), frames)
             # The robot's own frames and what the station says in its name have one count.
             self.assertLessEqual(OF_ROBOT, {message.get_type() for message in ground.heard if sender(message) == VEHICLE})
 
@@ -146,10 +147,11 @@ class GroundStation(Common):
             key = bytes.fromhex(file.read().strip())
         station = self.station(for_ground_stations("udp", 'signing = { key_file = "station.key", link_id = 3 }'))
         ground = self.ground(station.addresses[0], key=key)
-        ground.hear_beats(3, of=(ESTIMATOR,))
+        ground.hear_beats(3, of=EVERYBODY)
         self.sets_every_parameter(ground)
-        # The robot does not sign, so its frames keep their numbers, and those that it sends to the station alone are missing.
-        self.lost_nothing(ground, both=(ESTIMATOR,))
+        # Robot and camera do not sign; their frames are numbered all the same, because some of them were for the station alone.
+        frames = self.lost_nothing(ground, of=EVERYBODY)
+        self.assertTrue(all(count > 10 for count in frames.values()), frames)
         self.assertEqual(ground.command(REQUEST_MESSAGE, 148), ACCEPTED)
         ours = [message for message in ground.heard if sender(message) == ESTIMATOR]
         self.assertTrue(all(message.get_signed() for message in ours))

@@ -3,17 +3,44 @@
     clippy::unwrap_used,
     reason = "helpers outside #[test] stop where the set-up is broken"
 )]
+#![allow(dead_code, reason = "each test file uses its own part of this")]
+#![allow(
+    clippy::allow_attributes,
+    reason = "whether a helper is used depends on the file that includes it"
+)]
 
+use std::fs::File;
 use std::path::Path;
 
 use posebridge::config::Config;
 use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::{FORMAT, Header, Writer};
+use posebridge_recording::container::{FORMAT, Header, TruthSample, Writer};
 use posebridge_sim::{Scenario, Simulation};
 use posebridge_telemetry::{Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
 
 /// Drives to the end of the path and then for `rest`; every input of the station is written down.
 pub(crate) fn record_drive(path: &Path, scenario: Scenario, rest: Span) {
+    let (writer, _) = drive(path, scenario, rest);
+    writer.finish().unwrap();
+}
+
+/// The same, and where the robot really was.
+pub(crate) fn record_drive_and_truth(path: &Path, scenario: Scenario, rest: Span) {
+    let (mut writer, simulation) = drive(path, scenario, rest);
+    let samples = simulation.truth().iter();
+    let truth: Vec<TruthSample> = samples
+        .map(|sample| TruthSample {
+            stamp: sample.brick,
+            pose: sample.pose,
+            odometry: Some(sample.odometry),
+        })
+        .collect();
+    let now = Stamp::ZERO + simulation.elapsed();
+    writer.record_truth(now, &truth).unwrap();
+    writer.finish().unwrap();
+}
+
+fn drive(path: &Path, scenario: Scenario, rest: Span) -> (Writer<File>, Simulation) {
     let config = Config::default().with_tag_of(&scenario);
     let header = Header {
         format: FORMAT,
@@ -24,7 +51,7 @@ pub(crate) fn record_drive(path: &Path, scenario: Scenario, rest: Span) {
     };
     let mut pipeline = Pipeline::new(config.pipeline().unwrap(), Stamp::ZERO).unwrap();
     let mut simulation = Simulation::new(scenario);
-    let mut writer = Writer::create(std::fs::File::create(path).unwrap(), &header).unwrap();
+    let mut writer = Writer::create(File::create(path).unwrap(), &header).unwrap();
     let link = LinkId(0);
     let mut inputs = vec![Input::Link {
         link,
@@ -54,5 +81,5 @@ pub(crate) fn record_drive(path: &Path, scenario: Scenario, rest: Span) {
             ends_at = Some(simulation.elapsed() + rest);
         }
     }
-    writer.finish().unwrap();
+    (writer, simulation)
 }

@@ -222,19 +222,24 @@ impl Pipeline {
         }
         let now = self.now;
         self.publish_to_others(now);
-        for (link, seen) in std::mem::take(&mut self.passages) {
-            self.finish_passage(now, link, &seen);
-        }
+        self.finish_passages(now);
         self.router.settle(now);
         self.pass_time(now);
         // What waited of a peer that fell silent may have been news, too.
         self.publish_to_robot(now);
         self.publish_to_others(now);
-        for (link, seen) in std::mem::take(&mut self.passages) {
-            self.finish_passage(now, link, &seen);
-        }
+        self.finish_passages(now);
         self.settle_temperatures();
         self.say_texts();
+    }
+
+    fn finish_passages(&mut self, now: Stamp<HostClock>) {
+        let mut passages = std::mem::take(&mut self.passages);
+        for (link, seen) in passages.drain(..) {
+            self.finish_passage(now, link, &seen);
+        }
+        // Its memory is wanted again.
+        self.passages = passages;
     }
 
     /// The next output: our own and what happened, oldest first, then what is passed on, oldest first.

@@ -7,8 +7,10 @@
 //! - The robot's frames that are passed on to the link take the next number of the same count ([`Encoder::renumber`]); payload and
 //!   checksum's seed stay as they are. So do everybody else's, each of his own count, because not all of them are for this link.
 //! - What the robot says itself is not said a second time.
-//! - Frames that must not be changed (signed ones, and all where the link has a key) leave as they came. Then the station keeps silent
-//!   as the robot.
+//! - Signed frames must not be changed and leave as they came. While they do, the station keeps silent as the robot.
+//! - On a link with a key unsigned frames of others are numbered like everywhere, and stay unsigned. The station's own are signed there,
+//!   and its signature must not stand beside frames that the robot sends without one: it keeps silent as the robot there, too.
+//!   docs/adr/0010 says why.
 //!
 //! [`Encoder::renumber`]: posebridge_protocol::dialect::Encoder::renumber
 
@@ -44,6 +46,8 @@ pub(crate) struct RobotVoice {
     said: BTreeMap<(SystemId, u32), Stamp<HostClock>>,
     /// When a frame of somebody that must not be changed left here last.
     untouched: BTreeMap<Address, Stamp<HostClock>>,
+    /// When a vehicle's own frame left here last while the link has a key.
+    beside_a_key: BTreeMap<SystemId, Stamp<HostClock>>,
 }
 
 #[derive(Debug)]
@@ -95,24 +99,30 @@ impl RobotVoice {
         self.untouched.insert(from, now);
     }
 
-    /// Whether somebody's frames leave under numbers of his own.
-    pub(crate) fn is_untouched(&self, now: Stamp<HostClock>, from: Address) -> bool {
-        let last = self.untouched.get(&from);
-        last.is_some_and(|last| now - *last < SAID_LATELY)
+    /// A vehicle's own frame leaves on a link with a key, where ours under the same address would be signed.
+    pub(crate) fn passed_beside_a_key(&mut self, now: Stamp<HostClock>, from: SystemId) {
+        self.beside_a_key.insert(from, now);
     }
 
-    /// Whether frames leave under the robot's address that we may not number.
+    /// Whether somebody's frames leave under numbers of his own.
+    pub(crate) fn is_untouched(&self, now: Stamp<HostClock>, from: Address) -> bool {
+        is_lately(now, self.untouched.get(&from))
+    }
+
+    /// Whether frames leave under the robot's address beside which ours must not stand: signed ones, or any where the link has a key.
     pub(crate) fn is_silenced(&self, now: Stamp<HostClock>) -> bool {
-        self.address()
-            .is_some_and(|own| self.is_untouched(now, own))
+        self.address().is_some_and(|own| {
+            self.is_untouched(now, own) || is_lately(now, self.beside_a_key.get(&own.system))
+        })
     }
 
     /// Whether the robot says this message here itself.
     pub(crate) fn is_said_by_robot(&self, now: Stamp<HostClock>, message_id: u32) -> bool {
-        let last = self
-            .address()
-            .and_then(|own| self.said.get(&(own.system, message_id)));
-        last.is_some_and(|last| now - *last < SAID_LATELY)
+        let own = self.address();
+        is_lately(
+            now,
+            own.and_then(|own| self.said.get(&(own.system, message_id))),
+        )
     }
 
     /// Whether a message commands the vehicle something that is ours to answer: all of it where the robot cannot, else what concerns
@@ -130,6 +140,10 @@ impl RobotVoice {
         let is_ours = |id| kind_of(id).is_some() && !self.is_said_by_robot(now, id);
         known.vehicle == Vehicle::Mute || concerns.is_some_and(is_ours)
     }
+}
+
+fn is_lately(now: Stamp<HostClock>, last: Option<&Stamp<HostClock>>) -> bool {
+    last.is_some_and(|last| now - *last < SAID_LATELY)
 }
 
 /// Whom a message commands, and which message the command is about, if it is about one.

@@ -34,6 +34,7 @@ use station::{LINK, STATION, Station, at, config, link, stream};
 
 const GCS_LINK: LinkId = LinkId(5);
 const GCS: Address = Address::new(254, 190);
+const CAMERA: Address = Address::new(1, 100);
 
 /// A robot's link, and one for ground stations.
 fn two_links() -> PipelineConfig {
@@ -320,6 +321,61 @@ fn a_ring_brings_nothing_round_twice() {
     assert_eq!(again.count(), 0);
 }
 
+fn a_key() -> SigningConfig {
+    let date = Timestamp::from_units(34_000_000_000_000);
+    SigningConfig {
+        key: Key::from_bytes([7; 32]),
+        link_id: 1,
+        unsigned: Unsigned::RefuseExcept(BTreeSet::new()),
+        memory: Memory {
+            written: date,
+            clock: date,
+            ..Memory::default()
+        },
+    }
+}
+
+/// Not all that a robot and the camera beside it say is for ground stations; what is missing there must not look like a loss, with a key
+/// on the link or without.
+#[test]
+fn nobody_loses_frames_by_what_was_for_the_station_alone() {
+    for key in [None, Some(a_key())] {
+        let mut config = two_links();
+        let has_key = key.is_some();
+        config.links[1].signing = key;
+        let mut station = Station::new(&config);
+        let mut brick = Speaker::new(BRICK, LINK, 0);
+        let mut camera = Speaker::new(CAMERA, LINK, 0);
+        let for_us = Message::Command(CommandLong {
+            target: STATION,
+            command: 400,
+            params: [0.0; 7],
+        });
+        for second in 0..8 {
+            drive(&mut station, &mut brick, 1_000 * second, 1_000);
+            let now = at(i64::from(1_000 * second) + 970);
+            let (_, passed) = brick.say(&mut station, now, &for_us);
+            assert!(passed.is_empty());
+            camera.say(&mut station, now, &for_us);
+            camera.say(&mut station, now, &HEARTBEAT);
+        }
+        let heard = Heard::on(&station, GCS_LINK);
+        println!("{:?}", heard.senders);
+        for (who, frames) in [(BRICK, 160), (STATION, 50), (CAMERA, 8)] {
+            let (_, found, lost) = heard.senders[&who];
+            assert_eq!(lost, 0, "{who}");
+            assert!(found >= frames, "{who}: {found}");
+        }
+        // Beside frames that the robot does not sign nobody signs as the robot.
+        let attitudes = |who| heard.times(who, is_attitude).len();
+        let (of_brick, of_station) = (attitudes(BRICK), attitudes(STATION));
+        assert_eq!(of_brick > 50, !has_key, "{of_brick}");
+        assert_eq!(of_station > 50, has_key, "{of_station}");
+        let ours = heard.senders[&STATION].1;
+        assert_eq!(heard.signed, if has_key { ours } else { 0 });
+    }
+}
+
 fn sign(
     brick: &mut LinkSigning,
     encoder: &mut Encoder,
@@ -335,17 +391,7 @@ fn sign(
 #[test]
 fn signed_frames_are_never_touched_and_silence_us() {
     let mut station = Station::new(&two_links());
-    let date = Timestamp::from_units(34_000_000_000_000);
-    let mut signing = LinkSigning::new(SigningConfig {
-        key: Key::from_bytes([7; 32]),
-        link_id: 1,
-        unsigned: Unsigned::RefuseExcept(BTreeSet::new()),
-        memory: Memory {
-            written: date,
-            clock: date,
-            ..Memory::default()
-        },
-    });
+    let mut signing = LinkSigning::new(a_key());
     let mut encoder = Encoder::new(WireVersion::V2);
     let voice = Speaker::new(BRICK, LINK, 0);
     let mut said = Vec::new();

@@ -84,17 +84,13 @@ pub fn verify(raw: &[u8]) -> Verified<'_> {
 /// seen, which need not be summed up again.
 #[must_use]
 pub fn verified_before(raw: &[u8]) -> Option<FrameRef<'_>> {
-    match judge(raw, &EVERYTHING) {
-        Candidate::Known { header, .. } | Candidate::Unknown { header }
-            if header.total == raw.len() =>
-        {
-            Some(header.frame(raw))
-        }
-        Candidate::Known { .. }
-        | Candidate::Unknown { .. }
-        | Candidate::Incomplete
-        | Candidate::Impossible { .. } => None,
-    }
+    let header = match raw {
+        [START_V2, rest @ ..] => header_v2(rest),
+        [START_V1, rest @ ..] => header_v1(rest),
+        _ => None,
+    };
+    let header = header.filter(|header| header.total == raw.len())?;
+    Some(header.frame(raw))
 }
 
 /// Whether a whole frame bears a signature.
@@ -123,6 +119,30 @@ fn judge_v2(rest: &[u8], catalogue: &Catalogue) -> Candidate {
             length,
         };
     }
+    let Some(header) = header_v2(rest) else {
+        return Candidate::Incomplete;
+    };
+    with_shape(header, catalogue, |shape| {
+        header.payload_len <= usize::from(shape.max_len_v2)
+    })
+}
+
+#[inline]
+fn judge_v1(rest: &[u8], catalogue: &Catalogue) -> Candidate {
+    let Some(header) = header_v1(rest) else {
+        return Candidate::Incomplete;
+    };
+    // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there, but pymavlink
+    // sends them when it is told to speak version 1.
+    with_shape(header, catalogue, |shape| {
+        let lengths = [shape.max_len_v1, shape.max_len_v2];
+        lengths.map(usize::from).contains(&header.payload_len)
+    })
+}
+
+/// What stands behind the start byte of version 2; `None` if it is not whole.
+#[inline]
+fn header_v2(rest: &[u8]) -> Option<Header> {
     let [
         length,
         flags,
@@ -136,7 +156,7 @@ fn judge_v2(rest: &[u8], catalogue: &Catalogue) -> Candidate {
         ..,
     ] = *rest
     else {
-        return Candidate::Incomplete;
+        return None;
     };
     let payload_len = usize::from(length);
     let signature = if flags & FLAG_SIGNED == 0 {
@@ -144,34 +164,30 @@ fn judge_v2(rest: &[u8], catalogue: &Catalogue) -> Candidate {
     } else {
         SIGNATURE
     };
-    let header = Header {
+    Some(Header {
         version: WireVersion::V2,
         message_id: u32::from_le_bytes([id0, id1, id2, 0]),
         source: Address::new(system, component),
         sequence,
         payload_len,
         total: HEADER_V2 + payload_len + CHECKSUM + signature,
-    };
-    with_shape(header, catalogue, |shape| length <= shape.max_len_v2)
+    })
 }
 
-fn judge_v1(rest: &[u8], catalogue: &Catalogue) -> Candidate {
+/// What stands behind the start byte of version 1; `None` if it is not whole.
+#[inline]
+fn header_v1(rest: &[u8]) -> Option<Header> {
     let [length, sequence, system, component, id, ..] = *rest else {
-        return Candidate::Incomplete;
+        return None;
     };
     let payload_len = usize::from(length);
-    let header = Header {
+    Some(Header {
         version: WireVersion::V1,
         message_id: u32::from(id),
         source: Address::new(system, component),
         sequence,
         payload_len,
         total: HEADER_V1 + payload_len + CHECKSUM,
-    };
-    // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there, but pymavlink
-    // sends them when it is told to speak version 1.
-    with_shape(header, catalogue, |shape| {
-        length == shape.max_len_v1 || length == shape.max_len_v2
     })
 }
 

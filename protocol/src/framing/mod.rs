@@ -23,7 +23,7 @@ pub use candidate::{Verified, verified_before, verify};
 pub(crate) use crc::crc_extra_of;
 pub use crc::{Crc, checksum};
 pub use scanner::Scanner;
-pub use sequence::SequenceTracker;
+pub use sequence::{SequenceCounter, SequenceTracker};
 
 use posebridge_telemetry::{Address, Defect, Span};
 

@@ -87,5 +87,17 @@ impl SequenceTracker {
     }
 }
 
+/// The frames of one sender by their numbers alone.
+#[derive(Clone, Debug, Default)]
+pub struct SequenceCounter(Sender);
+
+impl SequenceCounter {
+    /// As [`SequenceTracker::missing_before`], of the one sender.
+    pub fn missing_before(&mut self, sequence: u8) -> u8 {
+        self.0.take(sequence);
+        u8::try_from(self.0.news()).unwrap_or(u8::MAX)
+    }
+}
+
 #[cfg(test)]
 mod tests;

@@ -87,7 +87,8 @@ struct Note {
 /// Frames of the last while.
 ///
 /// To sort a key in takes longer than anything else that is done with a small frame, so that it waits until nobody waits for an answer
-/// ([`Self::settle`]); what is not sorted in yet is known all the same.
+/// ([`Self::settle`]), and as long as frames come by a single way, of which none can be a repeat; what is not sorted in yet is known all
+/// the same.
 #[derive(Clone, Debug)]
 pub(super) struct DuplicateGuard {
     window: Span,
@@ -95,7 +96,7 @@ pub(super) struct DuplicateGuard {
     /// Every note, oldest first; a key that was noted again stands here twice.
     order: VecDeque<(Stamp<HostClock>, Key)>,
     /// Notes that are not sorted in, oldest first.
-    waiting: Vec<(Key, Note)>,
+    waiting: VecDeque<(Key, Note)>,
     /// By which way the last note came, and when one came last by another way than the one before it.
     last_way: Option<Way>,
     last_change: Stamp<HostClock>,
@@ -107,7 +108,7 @@ impl DuplicateGuard {
             window,
             noted: BTreeMap::new(),
             order: VecDeque::with_capacity(RESERVED_KEYS),
-            waiting: Vec::with_capacity(MOST_WAITING),
+            waiting: VecDeque::with_capacity(RESERVED_KEYS),
             last_way: None,
             last_change: Stamp::ZERO,
         }
@@ -125,14 +126,13 @@ impl DuplicateGuard {
         if self.last_way.replace(way) != Some(way) {
             self.last_change = now;
         }
-        self.waiting.push((key, Note { at: now, way }));
+        self.waiting.push_back((key, Note { at: now, way }));
         None
     }
 
     /// By which way a key came last within the window.
     fn noted_way(&self, now: Stamp<HostClock>, way: Way, key: Key) -> Option<Way> {
-        // Of a single way's frames none is a repeat.
-        if self.last_way == Some(way) && now - self.last_change >= self.window {
+        if self.last_way == Some(way) && self.is_of_one_way(now) {
             return None;
         }
         let waiting = self.waiting.iter().rev().find(|(other, _)| *other == key);
@@ -142,12 +142,35 @@ impl DuplicateGuard {
         (now - note.at < self.window).then_some(note.way)
     }
 
+    /// Whether all that came within the window came by the way by which the last came: none of it is a repeat.
+    fn is_of_one_way(&self, now: Stamp<HostClock>) -> bool {
+        now - self.last_change >= self.window
+    }
+
     /// Sorts in what waits, and forgets what is too old.
     pub(super) fn settle(&mut self, now: Stamp<HostClock>) {
-        for (key, note) in self.waiting.drain(..) {
-            self.noted.insert(key, note);
-            self.order.push_back((note.at, key));
+        if self.is_of_one_way(now) {
+            self.forget_waiting(now);
+        } else {
+            for (key, note) in self.waiting.drain(..) {
+                self.noted.insert(key, note);
+                self.order.push_back((note.at, key));
+            }
         }
+        self.forget_sorted(now);
+    }
+
+    fn forget_waiting(&mut self, now: Stamp<HostClock>) {
+        while self
+            .waiting
+            .front()
+            .is_some_and(|(_, note)| now - note.at >= self.window || self.waiting.len() > MOST_KEYS)
+        {
+            self.waiting.pop_front();
+        }
+    }
+
+    fn forget_sorted(&mut self, now: Stamp<HostClock>) {
         while let Some((noted, key)) = self.order.front().copied() {
             if now - noted < self.window && self.order.len() <= MOST_KEYS {
                 break;

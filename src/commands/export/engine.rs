@@ -16,12 +16,12 @@ use crate::config::Config;
 use crate::data::DataSet;
 use crate::import;
 use crate::input_file::Kind;
+use crate::known::Known;
 use crate::own_recording::{Overlay, laid_over};
 use crate::score::{Pair, Scorer};
 use crate::signing;
 use crate::stderr::say;
 use crate::tlog::TrafficLog;
-use crate::truth_file;
 
 /// A recording with everything that a run through the engine needs.
 pub(super) struct Session {
@@ -80,13 +80,17 @@ impl Session {
         if let Some(filter) = &args.filter {
             config.filter.name.clone_from(filter);
         }
-        let truth = args.truth.as_deref().map(truth_file::open).transpose()?;
+        let known = if args.formats.contains(&Format::Tum) || args.truth.is_some() {
+            Known::of(&name, &bytes, args.truth.as_deref())?
+        } else {
+            Known::default()
+        };
         Ok(Self {
             name,
             bytes,
             config,
             scorer,
-            truth,
+            truth: known.truth,
         })
     }
 

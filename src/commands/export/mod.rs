@@ -40,7 +40,7 @@ pub struct ExportArgs {
     /// Another robot for a recording or a telemetry log; --set goes over it.
     #[arg(long, value_name = "FILE.toml")]
     pub robot: Option<PathBuf>,
-    /// Truth written by `posebridge sim --truth`, for a recording of ours.
+    /// Truth written by `posebridge sim --truth`, instead of the one that a recording of ours may hold.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
     /// A key of a link that was signed, instead of the file that held it when it was recorded; may be repeated.

@@ -9,13 +9,14 @@ use posebridge_analysis::{ErrorSummary, Track};
 use posebridge_estimator::FilterConfig;
 use posebridge_pipeline::Pipeline;
 
-use super::recording::{Known, OwnRecording};
+use super::recording::OwnRecording;
 use super::watch::{Lane, Pace, Window};
 use super::{NoPath, Outcome, Replayed, Seen, SmoothedRun, draw, finish_events};
 use crate::cli::ReplayArgs;
 use crate::collect::Collector;
 use crate::commands::{Failure, Stage};
 use crate::config::Config;
+use crate::known::Known;
 use crate::learned::Learned;
 use crate::stderr::say;
 use crate::tasks::observer::create;

@@ -2,46 +2,35 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
-use posebridge_analysis::{TimedPose, Track};
+use anyhow::{Result, ensure};
 use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::{self, Ending, Header, Reader};
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_recording::container::{Ending, Header, Reader};
+use posebridge_telemetry::{HostClock, Input, Span, Stamp};
 
 use super::robot;
 use super::watch::{Lane, Pace, Place, Window};
 use crate::cli::SessionFlags;
-use crate::collect::LONGEST_GAP;
 use crate::config::{self, Config};
-use crate::import::{self, Station};
+use crate::import::{self, Inputs, Session, Station};
+use crate::known::Known;
 use crate::own_recording::lack_of;
 use crate::progress;
 use crate::signing;
-use crate::truth_file;
 
 /// So many damaged places are named.
 const MOST_NOTES: usize = 50;
 /// The bar moves when so many bytes have been read.
 const BAR_STEP: u64 = 256 * 1024;
 
-/// A recording of ours, in memory.
+/// A recording of ours, in memory, or a telemetry log in its place.
 pub struct OwnRecording {
     /// Its path, as it was given.
     pub name: String,
     /// What it says about itself.
     pub header: Header,
-    bytes: Vec<u8>,
-    /// What was left out when a telemetry log was made into a recording.
+    inputs: Inputs,
+    /// What is missing of the file's parts.
     notes: Vec<String>,
-}
-
-/// Where the robot was, and where it believed to be, as far as the recording or a file beside it tells.
-#[derive(Default)]
-pub struct Known {
-    /// The truth of a simulated run.
-    pub truth: Option<Track>,
-    /// The brick's own dead reckoning.
-    pub odometry: Option<Track>,
 }
 
 /// What came of giving a recording to the engine.
@@ -54,7 +43,7 @@ pub struct Passage {
 }
 
 impl OwnRecording {
-    /// Reads it; a telemetry log becomes one in memory.
+    /// Reads it; of a telemetry log only the beginning.
     ///
     /// # Errors
     /// The file cannot be read or is no recording of ours, or a flag is for other recordings.
@@ -69,13 +58,15 @@ impl OwnRecording {
             settings: &settings,
             ..Station::default()
         };
-        let (bytes, notes) = import::recording_bytes(&flags.recording, station)?;
-        let reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
-        let header = reader.header().clone();
+        let Session {
+            header,
+            notes,
+            inputs,
+        } = import::session(&flags.recording, station)?;
         Ok(Self {
             name,
             header,
-            bytes,
+            inputs,
             notes,
         })
     }
@@ -127,37 +118,18 @@ impl OwnRecording {
     /// # Errors
     /// The file cannot be read, or the recorded truth is damaged.
     pub fn known(&self, truth: Option<&Path>) -> Result<Known> {
-        if let Some(path) = truth {
-            return Ok(Known {
-                truth: Some(truth_file::open(path)?),
-                odometry: None,
-            });
+        match &self.inputs {
+            Inputs::Recorded(bytes) => Known::of(&self.name, bytes, truth),
+            Inputs::Logged(_) => Known::of_file(truth),
         }
-        let samples = container::truth(&self.bytes)
-            .with_context(|| format!("the truth in `{}`; give another with --truth", self.name))?;
-        if samples.is_empty() {
-            return Ok(Known::default());
-        }
-        let of_truth = samples.iter().map(|sample| TimedPose {
-            stamp: sample.stamp,
-            pose: sample.pose,
-        });
-        let believed = samples.iter().filter_map(|sample| {
-            Some(TimedPose {
-                stamp: sample.stamp,
-                pose: sample.odometry?,
-            })
-        });
-        let odometry = Track::new(believed, LONGEST_GAP);
-        Ok(Known {
-            truth: Some(Track::new(of_truth, LONGEST_GAP)),
-            odometry: (!odometry.samples().is_empty()).then_some(odometry),
-        })
     }
 
     /// When its first input was given.
     pub fn origin(&self) -> Stamp<HostClock> {
-        let reader = Reader::open(&self.bytes).ok();
+        let Inputs::Recorded(bytes) = &self.inputs else {
+            return Stamp::ZERO;
+        };
+        let reader = Reader::open(bytes).ok();
         let first = reader.and_then(|mut reader| reader.find_map(Result::ok));
         first.map_or(Stamp::ZERO, |(now, _)| now)
     }
@@ -165,60 +137,97 @@ impl OwnRecording {
     /// Gives every lane what the pipeline was given live, at the same instants.
     ///
     /// # Errors
-    /// As the watchers say.
+    /// As the watchers say; or a telemetry log cannot be read any further.
     pub fn run(
         &self,
         lanes: &mut [Lane<'_>],
         window: Window,
         pace: Option<&Pace>,
     ) -> Result<Passage> {
-        let mut reader = Reader::open(&self.bytes)?;
-        let bar = progress::bar(self.bytes.len() as u64, "bytes")?;
         let mut notes = Notes::default();
         self.notes.iter().cloned().for_each(|note| notes.add(note));
-        if let Some(lack) = lack_of(reader.beginning()) {
-            notes.add(format!("{lack}; the replay is not that of the live run"));
-        }
-        let mut first = None;
-        let mut recorded = Span::ZERO;
-        let mut is_over = false;
-        while let Some(item) = reader.next() {
-            let (now, input) = match item {
-                Ok(given) => given,
-                // What is whole behind the damage is still worth replaying.
-                Err(error) => {
-                    notes.add(format!(
-                        "{error}; the replay is not that of the live run any more"
-                    ));
-                    continue;
+        let mut course = Course {
+            lanes,
+            window,
+            pace,
+            first: None,
+            recorded: Span::ZERO,
+            is_over: false,
+        };
+        match &self.inputs {
+            Inputs::Recorded(bytes) => run_recorded(bytes, &mut course, &mut notes)?,
+            Inputs::Logged(log) => {
+                let left_out = log.give(&mut |now, input| course.give(now, &input))?;
+                for note in left_out {
+                    notes.add(note);
                 }
-            };
-            let elapsed = now - *first.get_or_insert(now);
-            let place = window.place(elapsed);
-            if place == Place::Behind {
-                is_over = true;
-                break;
-            }
-            if let Some(pace) = pace {
-                pace.wait(elapsed);
-            }
-            for lane in &mut *lanes {
-                lane.give(now, &input, place)?;
-            }
-            recorded = recorded.max(elapsed);
-            if reader.offset() >= bar.position() + BAR_STEP {
-                bar.set_position(reader.offset());
             }
         }
-        bar.finish_and_clear();
-        if let (Ending::Torn { offset, what }, false) = (reader.ending(), is_over) {
-            notes.add(format!(
-                "cut off at byte {offset} ({what}); everything before was replayed"
-            ));
-        }
+        let recorded = course.recorded;
         let notes = notes.finish();
         Ok(Passage { recorded, notes })
     }
+}
+
+/// The lanes on their way through a session.
+struct Course<'c, 'l> {
+    lanes: &'c mut [Lane<'l>],
+    window: Window,
+    pace: Option<&'c Pace>,
+    /// When the first input was given.
+    first: Option<Stamp<HostClock>>,
+    recorded: Span,
+    /// All that is wanted was given.
+    is_over: bool,
+}
+
+impl Course<'_, '_> {
+    fn give(&mut self, now: Stamp<HostClock>, input: &Input) -> Result<()> {
+        let elapsed = now - *self.first.get_or_insert(now);
+        let place = self.window.place(elapsed);
+        self.is_over |= place == Place::Behind;
+        if self.is_over {
+            return Ok(());
+        }
+        if let Some(pace) = self.pace {
+            pace.wait(elapsed);
+        }
+        for lane in &mut *self.lanes {
+            lane.give(now, input, place)?;
+        }
+        self.recorded = self.recorded.max(elapsed);
+        Ok(())
+    }
+}
+
+fn run_recorded(bytes: &[u8], course: &mut Course<'_, '_>, notes: &mut Notes) -> Result<()> {
+    let mut reader = Reader::open(bytes)?;
+    let bar = progress::bar(bytes.len() as u64, "bytes")?;
+    if let Some(lack) = lack_of(reader.beginning()) {
+        notes.add(format!("{lack}; the replay is not that of the live run"));
+    }
+    while let Some(item) = reader.next() {
+        match item {
+            Ok((now, input)) => course.give(now, &input)?,
+            // What is whole behind the damage is still worth replaying.
+            Err(error) => notes.add(format!(
+                "{error}; the replay is not that of the live run any more"
+            )),
+        }
+        if course.is_over {
+            break;
+        }
+        if reader.offset() >= bar.position() + BAR_STEP {
+            bar.set_position(reader.offset());
+        }
+    }
+    bar.finish_and_clear();
+    if let (Ending::Torn { offset, what }, false) = (reader.ending(), course.is_over) {
+        notes.add(format!(
+            "cut off at byte {offset} ({what}); everything before was replayed"
+        ));
+    }
+    Ok(())
 }
 
 /// What flags lay over a configuration, in words.

@@ -16,10 +16,10 @@
 //! Sources: convex hulls for one-way delays: Zhang, Liu, Xia (2002); both sides with error bounds: TICSync (2011);
 //! docs/maths/clock.md, sections 2 and 3.
 
-use std::collections::VecDeque;
-
 use super::LARGEST_SKEW;
+use super::concave::{Piece, climb, edge};
 use super::hull::{Bound, Hull, Side};
+use super::window::Window;
 
 /// Bounds older than this are forgotten, s. It balances what the delays' jitter leaves of the line's end, which falls with the window,
 /// against what the line loses of a clock that bends, which grows with its square; docs/maths/clock.md, equation (7).
@@ -38,8 +38,8 @@ const LARGEST_DRIFT_PER_S: f64 = 2e-7;
 /// Bounds may contradict each other by so much before the clock is taken to have stepped, s: a brick that reads its clock once per
 /// pass of its main loop answers with a reading as old as a pass.
 const CONTRADICTION_S: f64 = 0.020;
-/// Bisection steps on the slope: 2^-40 of two per cent is far below a nanosecond over the window.
-const BISECTIONS: u32 = 40;
+/// Corners of both hulls, and so pieces of the room between them.
+const MOST_PIECES: usize = 2 * MOST_BOUNDS;
 
 /// A tangent to the offset between the bounds, valid near the window's end.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,8 +85,8 @@ struct Middle {
 /// The bounds within the window.
 #[derive(Clone, Debug)]
 pub struct ClockBounds {
-    upper: VecDeque<Bound>,
-    lower: VecDeque<Bound>,
+    upper: Window,
+    lower: Window,
     upper_hull: Hull,
     lower_hull: Hull,
     slope: f64,
@@ -95,8 +95,8 @@ pub struct ClockBounds {
 impl Default for ClockBounds {
     fn default() -> Self {
         Self {
-            upper: VecDeque::with_capacity(MOST_BOUNDS),
-            lower: VecDeque::with_capacity(MOST_BOUNDS),
+            upper: Window::new(Side::Upper, LARGEST_DRIFT_PER_S, MOST_BOUNDS),
+            lower: Window::new(Side::Lower, LARGEST_DRIFT_PER_S, MOST_BOUNDS),
             upper_hull: Hull::new(Side::Upper),
             lower_hull: Hull::new(Side::Lower),
             slope: 0.0,
@@ -132,12 +132,7 @@ impl ClockBounds {
     /// Forgets what lies a window before `t_s`.
     pub fn forget_before(&mut self, t_s: f64) {
         for bounds in [&mut self.upper, &mut self.lower] {
-            while bounds
-                .front()
-                .is_some_and(|first| t_s - first.t_s > WINDOW_S)
-            {
-                bounds.pop_front();
-            }
+            bounds.forget(|bound| t_s - bound.t_s > WINDOW_S);
         }
     }
 
@@ -173,11 +168,12 @@ impl ClockBounds {
     /// The line below all arrivals that is highest in the middle of the window, for a clock that never answers. Its offset is late by the
     /// link's smallest delay, which a one-way observer cannot know; `assumed_delay_s` stands in for it, and for its uncertainty.
     pub fn one_way_line(&mut self, t_s: f64, assumed_delay_s: f64) -> Option<Line> {
-        let (first, last) = (self.upper.front()?, self.upper.back()?);
+        let (first, last) = (self.upper.oldest()?, self.upper.youngest()?);
         let (middle_s, half_s) = (0.5 * (first.t_s + last.t_s), 0.5 * (last.t_s - first.t_s));
-        self.upper_hull.span(self.upper.iter().copied(), t_s, 0.0);
-        let slope = climb(-LARGEST_SLOPE, LARGEST_SLOPE, |slope| {
-            self.upper_hull.at(slope, middle_s).1 < middle_s
+        self.upper_hull.span(self.upper.candidates(), t_s, 0.0);
+        let slope = climb(-LARGEST_SLOPE, LARGEST_SLOPE, MOST_PIECES, |slope| {
+            let (value_s, touched_s) = self.upper_hull.at(slope, middle_s);
+            piece(slope, value_s, middle_s - touched_s)
         });
         self.slope = slope;
         let offset_s =
@@ -194,16 +190,22 @@ impl ClockBounds {
 
     fn span_hulls(&mut self, t_s: f64, drift_per_s: f64) {
         self.upper_hull
-            .span(self.upper.iter().copied(), t_s, drift_per_s);
+            .span(self.upper.candidates(), t_s, drift_per_s);
         self.lower_hull
-            .span(self.lower.iter().copied(), t_s, drift_per_s);
+            .span(self.lower.candidates(), t_s, drift_per_s);
     }
 
-    /// The line with the most room: the slope of the concave room is the distance in time between the two bounds that make it.
+    /// The room at a slope; it rises by the distance in time between the two bounds that make it.
+    fn room(&self, slope: f64, t_s: f64) -> Piece {
+        let (upper_s, upper_at_s) = self.upper_hull.at(slope, t_s);
+        let (lower_s, lower_at_s) = self.lower_hull.at(slope, t_s);
+        piece(slope, upper_s - lower_s, lower_at_s - upper_at_s)
+    }
+
+    /// The line with the most room.
     fn middle(&self, t_s: f64, steepest: f64) -> Middle {
-        let slope = climb(-steepest, steepest, |slope| {
-            self.lower_hull.at(slope, t_s).1 > self.upper_hull.at(slope, t_s).1
-        });
+        let room = |slope| self.room(slope, t_s);
+        let slope = climb(-steepest, steepest, MOST_PIECES, room);
         let (upper_s, lower_s) = (
             self.upper_hull.at(slope, t_s).0,
             self.lower_hull.at(slope, t_s).0,
@@ -233,12 +235,18 @@ impl ClockBounds {
         }
         let (upper, lower) = (&self.upper_hull, &self.lower_hull);
         // All slopes that leave room: from the best one outwards to where it vanishes.
-        let leaves_room = |slope: f64| upper.at(slope, t_s).0 >= lower.at(slope, t_s).0;
-        let lowest = bisect(-LARGEST_SLOPE, slope, leaves_room);
-        let highest = bisect(LARGEST_SLOPE, slope, leaves_room);
+        let room = |slope| self.room(slope, t_s);
+        let lowest = edge(-LARGEST_SLOPE, slope, MOST_PIECES, room);
+        let highest = edge(LARGEST_SLOPE, slope, MOST_PIECES, room);
         // U is concave and L convex in the slope.
-        let at_highest = climb(lowest, highest, |slope| upper.at(slope, t_s).1 < t_s);
-        let at_lowest = climb(lowest, highest, |slope| lower.at(slope, t_s).1 > t_s);
+        let at_highest = climb(lowest, highest, MOST_PIECES, |slope| {
+            let (value_s, touched_s) = upper.at(slope, t_s);
+            piece(slope, value_s, t_s - touched_s)
+        });
+        let at_lowest = climb(lowest, highest, MOST_PIECES, |slope| {
+            let (value_s, touched_s) = lower.at(slope, t_s);
+            piece(slope, -value_s, touched_s - t_s)
+        });
         let uncertainty_s =
             (upper.at(at_highest, t_s).0 - offset_s).max(offset_s - lower.at(at_lowest, t_s).0);
         Line {
@@ -251,50 +259,24 @@ impl ClockBounds {
     }
 }
 
-fn keep_tightest(
-    bounds: &mut VecDeque<Bound>,
-    new: Bound,
-    is_tighter: impl Fn(&Bound, &Bound) -> bool,
-) {
+const fn piece(slope: f64, value_s: f64, rise_s: f64) -> Piece {
+    Piece {
+        slope,
+        value_s,
+        rise_s,
+    }
+}
+
+fn keep_tightest(bounds: &mut Window, new: Bound, is_tighter: impl Fn(&Bound, &Bound) -> bool) {
     let bucket = |bound: &Bound| (bound.t_s / BUCKET_S).floor();
-    match bounds.back_mut() {
+    match bounds.youngest() {
         // Overtaken by half a second: the bounds stay in the order of time.
-        Some(last) if bucket(last) > bucket(&new) => {}
-        Some(last) if bucket(last) == bucket(&new) => {
-            if is_tighter(&new, last) {
-                *last = new;
+        Some(last) if bucket(&last) > bucket(&new) => {}
+        Some(last) if bucket(&last) == bucket(&new) => {
+            if is_tighter(&new, &last) {
+                bounds.tighten(new);
             }
         }
-        _ => bounds.push_back(new),
+        _ => bounds.append(new),
     }
-}
-
-/// The highest point of a concave function between two slopes, by the sign of its derivative.
-fn climb(mut low: f64, mut high: f64, rises: impl Fn(f64) -> bool) -> f64 {
-    for _ in 0..BISECTIONS {
-        let middle = 0.5 * (low + high);
-        if rises(middle) {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    0.5 * (low + high)
-}
-
-/// The point nearest to `outside` at which a condition that holds at `inside` still holds.
-fn bisect(outside: f64, inside: f64, holds: impl Fn(f64) -> bool) -> f64 {
-    if holds(outside) {
-        return outside;
-    }
-    let (mut bad, mut good) = (outside, inside);
-    for _ in 0..BISECTIONS {
-        let middle = 0.5 * (bad + good);
-        if holds(middle) {
-            good = middle;
-        } else {
-            bad = middle;
-        }
-    }
-    good
 }

@@ -39,6 +39,18 @@ pub(super) struct Bound {
     pub(super) offset_s: f64,
 }
 
+impl Bound {
+    /// As a point of the hull at `t_s`: that of the lower side mirrored, and loosened by what the rate may have changed since,
+    /// `drift_per_s` (t - t_i)^2 / 2.
+    pub(super) fn loosened(self, side: Side, t_s: f64, drift_per_s: f64) -> Self {
+        let age_s = t_s - self.t_s;
+        Self {
+            t_s: self.t_s,
+            offset_s: side.sign() * self.offset_s + 0.5 * drift_per_s * age_s * age_s,
+        }
+    }
+}
+
 /// Corners of the hull of one side. Its memory is kept from one set of bounds to the next.
 #[derive(Clone, Debug)]
 pub(super) struct Hull {
@@ -55,16 +67,11 @@ impl Hull {
         }
     }
 
-    /// Takes the bounds anew, in the order of time. Each is loosened by what the rate may have changed since:
-    /// `drift_per_s` (t - t_i)^2 / 2.
+    /// Takes the bounds anew, in the order of time, each loosened by what the rate may have changed since.
     pub(super) fn span(&mut self, bounds: impl Iterator<Item = Bound>, t_s: f64, drift_per_s: f64) {
         self.corners.clear();
         for bound in bounds {
-            let age_s = t_s - bound.t_s;
-            let next = Bound {
-                t_s: bound.t_s,
-                offset_s: self.side.sign() * bound.offset_s + 0.5 * drift_per_s * age_s * age_s,
-            };
+            let next = bound.loosened(self.side, t_s, drift_per_s);
             while let [.., before, last] = self.corners.as_slice()
                 && !is_below(before, last, &next)
             {
@@ -77,23 +84,26 @@ impl Hull {
     /// U(s) or L(s) at `t_s`, and the instant of the bound that makes it.
     pub(super) fn at(&self, slope: f64, t_s: f64) -> (f64, f64) {
         let sign = self.side.sign();
-        let (value, instant_s) =
-            self.corners
-                .iter()
-                .fold((f64::INFINITY, t_s), |tightest, corner| {
-                    let value = corner.offset_s + sign * slope * (t_s - corner.t_s);
-                    if value < tightest.0 {
-                        (value, corner.t_s)
-                    } else {
-                        tightest
-                    }
-                });
-        (sign * value, instant_s)
+        let value = |corner: &Bound| corner.offset_s + sign * slope * (t_s - corner.t_s);
+        // Along the hull the values fall to the corner that the line touches and rise behind it.
+        let (mut low, mut high) = (0, self.corners.len().saturating_sub(1));
+        while low < high {
+            let middle = low.midpoint(high);
+            if value(&self.corners[middle + 1]) < value(&self.corners[middle]) {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        let touched = self.corners.get(low);
+        touched.map_or((sign * f64::INFINITY, t_s), |corner| {
+            (sign * value(corner), corner.t_s)
+        })
     }
 }
 
 /// Whether `middle` lies below the straight line from `left` to `right`.
-fn is_below(left: &Bound, middle: &Bound, right: &Bound) -> bool {
+pub(super) fn is_below(left: &Bound, middle: &Bound, right: &Bound) -> bool {
     let rise_to_middle = (middle.offset_s - left.offset_s) * (right.t_s - left.t_s);
     let rise_to_right = (right.offset_s - left.offset_s) * (middle.t_s - left.t_s);
     rise_to_middle < rise_to_right

@@ -7,10 +7,12 @@
 
 pub mod align;
 pub mod bounds;
+mod concave;
 pub mod conversion;
 mod hull;
 pub mod unwrap;
 mod ways;
+mod window;
 
 pub use posebridge_protocol::routing::Way;
 

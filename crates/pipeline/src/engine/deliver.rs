@@ -40,8 +40,8 @@ impl Pipeline {
             return;
         };
         let served = self.robot.unwrap_or_default().link;
-        let ids: Vec<LinkId> = self.links.keys().copied().collect();
-        for id in ids.into_iter().filter(|id| *id != served) {
+        let others = self.links.keys().copied().filter(|id| *id != served);
+        for id in others.collect::<Vec<LinkId>>() {
             self.publish_on(id, &estimate, now);
         }
     }

@@ -218,17 +218,21 @@ fn numbered(
 ) -> Option<Vec<u8>> {
     let voice = link.voice.as_mut()?;
     let from = frame.source;
-    if origin == Origin::Robot && from.component == VEHICLE {
+    let is_of_robot = origin == Origin::Robot;
+    if is_of_robot && from.component == VEHICLE {
         voice.passed(now, from.system, frame.message_id);
+        if link.peers.signing.is_some() {
+            voice.passed_beside_a_key(now, from.system);
+        }
     }
     let mut bytes = frame.bytes.clone();
-    let outcome = if link.peers.signing.is_some() || voice.is_untouched(now, from) {
+    let outcome = if voice.is_untouched(now, from) {
         Err(RenumberError::Signed)
     } else {
         link.encoder.renumber(&mut bytes).map(|()| bytes)
     };
-    if outcome == Err(RenumberError::Signed) && origin == Origin::Robot {
-        if link.peers.signing.is_some() || frame.is_signed {
+    if outcome == Err(RenumberError::Signed) && is_of_robot {
+        if frame.is_signed {
             voice.passed_untouched(now, from);
         }
         // Should the next one be ours, it follows that.

@@ -19,7 +19,7 @@ const LARGEST_DELAY_S: f64 = 60.0;
 const OVERTAKEN_S: f64 = 15.0;
 /// So many stamps in a row that lie behind, of frames that were not missing, are those of a clock that began anew.
 const MOST_STRAYS: u32 = 8;
-/// A message is overtaken by no more frames than this.
+/// A message is overtaken by no more frames than this, which [`SequenceSet::ahead_of`] looks at.
 const MOST_AHEAD: u8 = 64;
 /// So many frames without another stamp of the same message, and stamps are given up: it is not sent any more.
 const MOST_NOTED: u32 = 96;
@@ -269,10 +269,10 @@ impl Sender {
         let Some(interval) = &mut self.interval else {
             return;
         };
-        for ahead in 1..=MOST_AHEAD {
+        for ahead in noted.ahead_of(interval.from) {
             let sequence = interval.from.wrapping_add(ahead);
             // Of an interval of nearly a turn the same number may be its own.
-            if noted.contains(sequence) && sent + u32::from(ahead) < 256 {
+            if sent + u32::from(ahead) < 256 {
                 interval.noted.insert(sequence);
                 interval.received += 1;
                 self.newest = Some(sequence);

@@ -113,25 +113,53 @@ impl<const N: usize> PoseFilter<N> {
         self.entries.back().map_or(&self.base, |entry| &entry.after)
     }
 
-    /// Puts an entry where it belongs and applies again whatever it changes: everything after `changed_after`.
+    /// Puts what was told where it belongs and applies again whatever it changes: everything after `changed_after`.
     fn insert(
         &mut self,
-        entry: Entry<N>,
+        told: Told,
         changed_after: Option<Stamp<BrickClock>>,
         record: &mut FusionRecord,
     ) {
         let index = count_before(&self.entries, |other| {
-            other.told.order(&entry.told) != Ordering::Greater
+            other.told.order(&told) != Ordering::Greater
         });
-        self.entries.insert(index, entry);
         let first_changed = changed_after.map_or(index, |after| {
             count_before(&self.entries, |other| other.told.stamp <= after)
         });
-        self.apply_from(first_changed.min(index), Some((index, record)));
+        if first_changed.min(index) == self.entries.len() {
+            self.append(told, record);
+        } else {
+            let after = self.base;
+            self.entries.insert(index, Entry { told, after });
+            self.apply_from(first_changed.min(index), (index, record));
+        }
         self.forget();
     }
 
-    fn apply_from(&mut self, first: usize, mut recorded: Option<(usize, &mut FusionRecord)>) {
+    /// What nearly everything is: the youngest, which changes nothing before it. The state is large, and is copied no more than it must.
+    fn append(&mut self, told: Told, record: &mut FusionRecord) {
+        let before = self.state();
+        let mut entry = Entry {
+            told,
+            after: *before,
+        };
+        act(&mut entry.after, &told, &self.context(), record);
+        if entry.is_without_effect(record.verdict) {
+            entry.after = before.after_refusal(&entry.after);
+        }
+        self.entries.push_back(entry);
+    }
+
+    fn context(&self) -> Context<'_> {
+        Context {
+            config: &self.config,
+            track: &self.track,
+            gyro: &self.gyro,
+            gates: &self.gates,
+        }
+    }
+
+    fn apply_from(&mut self, first: usize, (wanted, recorded): (usize, &mut FusionRecord)) {
         let before = first.checked_sub(1).and_then(|i| self.entries.get(i));
         let mut state = before.map_or(self.base, |entry| entry.after);
         let context = Context {
@@ -142,21 +170,16 @@ impl<const N: usize> PoseFilter<N> {
         };
         for (index, entry) in self.entries.iter_mut().enumerate().skip(first) {
             let mut scratch = scratch_record(&entry.told);
-            let record = match &mut recorded {
-                Some((wanted, record)) if *wanted == index => &mut **record,
-                _ => &mut scratch,
+            let record = if index == wanted {
+                &mut *recorded
+            } else {
+                &mut scratch
             };
             // The state is large: it is kept aside only where it may be wanted back.
             let aside = matches!(entry.told.action, Action::Sight(..)).then_some(state);
             act(&mut state, &entry.told, &context, record);
             if let Some(before) = aside.filter(|_| entry.is_without_effect(record.verdict)) {
-                // Not even the way to its instant is kept: two steps would round otherwise than one.
-                state = PoseState {
-                    refused: state.refused,
-                    scales: state.scales,
-                    spaces: state.spaces,
-                    ..before
-                };
+                state = before.after_refusal(&state);
             }
             entry.after = state;
         }
@@ -178,14 +201,13 @@ impl<const N: usize> PoseFilter<N> {
     fn forget(&mut self) {
         let Some(latest) = self.latest() else { return };
         let settled = self.settled_at(latest - Span::from_secs_f64(self.config.params.history_s));
-        while self
-            .entries
-            .front()
-            .is_some_and(|entry| entry.told.stamp < settled)
-        {
-            if let Some(entry) = self.entries.pop_front() {
-                self.base = entry.after;
-            }
+        let entries = self.entries.iter();
+        let settled = entries
+            .take_while(|entry| entry.told.stamp < settled)
+            .count();
+        if let Some(last) = settled.checked_sub(1).and_then(|i| self.entries.get(i)) {
+            self.base = last.after;
+            self.entries.drain(..settled);
         }
         if let Some(oldest) = self.base.stamp {
             // The open gyro window may reach back behind the history.
@@ -225,7 +247,7 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     fn take_once(&mut self, observation: &Observation, action: Action, record: &mut FusionRecord) {
-        let entry = self.entry(observation, action);
+        let told = told(observation, action);
         // In the order of time: behind the first that is older there is no other of this instant.
         let is_repeated = self
             .entries
@@ -233,12 +255,12 @@ impl<const N: usize> PoseFilter<N> {
             .rev()
             .map(|other| &other.told)
             .take_while(|other| other.stamp >= observation.stamp)
-            .any(|other| other.repeats(&entry.told));
+            .any(|other| other.repeats(&told));
         if is_repeated {
             record.verdict = Verdict::Malformed;
             return;
         }
-        self.insert(entry, Some(observation.stamp), record);
+        self.insert(told, Some(observation.stamp), record);
     }
 
     fn take_motion(
@@ -254,7 +276,7 @@ impl<const N: usize> PoseFilter<N> {
             Added::Rebased(before) => Some(before),
             Added::Outranked | Added::Duplicate | Added::TooOld => return,
         };
-        self.insert(self.entry(observation, action), changed_after, record);
+        self.insert(told(observation, action), changed_after, record);
     }
 
     /// What a person says holds after all that was observed; before the first observation there is nothing to be after.
@@ -275,11 +297,7 @@ impl<const N: usize> PoseFilter<N> {
             sensor: SensorId(0),
             action,
         };
-        let entry = Entry {
-            told,
-            after: self.base,
-        };
-        self.insert(entry, None, &mut scratch_record(&told));
+        self.insert(told, None, &mut scratch_record(&told));
     }
 
     /// All tunables are read where they are used, but for two that something was made of.
@@ -288,17 +306,6 @@ impl<const N: usize> PoseFilter<N> {
         self.gates = fuse::gates_of(&self.config);
         self.track
             .set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
-    }
-
-    fn entry(&self, observation: &Observation, action: Action) -> Entry<N> {
-        Entry {
-            told: Told {
-                stamp: observation.stamp,
-                sensor: observation.sensor,
-                action,
-            },
-            after: *self.state(),
-        }
     }
 }
 
@@ -370,16 +377,19 @@ impl<const N: usize> Filter for PoseFilter<N> {
             .map_or(&self.base, |entry| &entry.after);
         from.stamp.filter(|known_from| *known_from <= stamp)?;
         let mut state = *from;
-        let context = Context {
-            config: &self.config,
-            track: &self.track,
-            gyro: &self.gyro,
-            gates: &self.gates,
-        };
+        let context = self.context();
         state.advance(stamp, context.track, context.config);
         // The open window is used for the outside only; inside it stays open until it is full.
         fuse::use_gyro_window(&mut state, &context);
         Some(published(&state, stamp, &self.config))
+    }
+}
+
+const fn told(observation: &Observation, action: Action) -> Told {
+    Told {
+        stamp: observation.stamp,
+        sensor: observation.sensor,
+        action,
     }
 }
 

@@ -258,6 +258,18 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
+    /// This state once a sight was refused in `tried`, the state that went to the instant of that sight: all that is kept is what the refusal
+    /// itself teaches. Not even the way to its instant is kept: two steps would round otherwise than one.
+    #[must_use]
+    pub(super) fn after_refusal(&self, tried: &Self) -> Self {
+        Self {
+            refused: tried.refused,
+            scales: tried.scales,
+            spaces: tried.spaces,
+            ..*self
+        }
+    }
+
     /// Sets a row, independent of all others; rows that this state does not have are left out.
     pub(super) fn set_row(&mut self, row: usize, known: Known) {
         if row < N {
