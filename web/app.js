@@ -11,6 +11,8 @@ import { readPalette } from './view/palette.js';
 import { followTheme } from './view/theme.js';
 
 const NOTICE_MS = 6000;
+// A clock that is known so badly says nothing about now.
+const MOST_AHEAD_S = 1;
 const CONNECTION_WORDS = { connecting: 'connecting', live: 'live', lost: 'connection lost, trying again' };
 
 const page = {
@@ -98,8 +100,17 @@ function look() {
   const { robots } = view.session;
   view.robot = robots.get(shownRobot) ?? robots.values().next().value ?? null;
   view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
-  view.until_s = replay.isOn ? replay.until_s : view.session.now_s;
+  view.until_s = replay.isOn ? replay.until_s : liveTime();
   view.path = station.path();
+}
+
+// Now, or the instant of the latest estimate when the robot's clock has that a little later.
+function liveTime() {
+  const { now_s } = view.session;
+  const estimates = view.robot?.estimates;
+  if (!estimates || estimates.length === 0) return now_s;
+  const last_s = estimates.columns.t_s[estimates.end - 1];
+  return last_s > now_s && last_s < now_s + MOST_AHEAD_S ? last_s : now_s;
 }
 
 // The panels that are not animated come one a frame, in turn: no frame of the screen has to wait for all of them.

@@ -8,10 +8,14 @@ import { count, fixed } from '../view/format.js';
 
 const WINDOW_S = 30;
 const NIS_FLOOR = 1e-3;
-// A NIS beyond is drawn at the edge.
+// A NIS beyond is drawn near the edge.
 const NIS_RANGE = [NIS_FLOOR, 100];
+const NIS_MOST = 75;
 // How much of an innovation's chart its band of two sigma takes.
 const BAND_SHARE = 0.6;
+// And where marks beyond the chart stand.
+const EDGE = 0.93;
+const RANGE_STEPS = [1, 1.5, 2, 3, 4, 5, 7];
 // Counted over this many used observations.
 const SHARE_OVER = 200;
 
@@ -210,7 +214,7 @@ function fillInnovation(columns, track, { from, to, index, scale }) {
 function fillNis(columns, track, from, to) {
   return fill(columns, track, from, to, (at, row) => {
     const band = nisBand(track.columns.dof[row]);
-    const nis = Math.min(NIS_RANGE[1], Math.max(NIS_FLOOR, track.columns.nis[row]));
+    const nis = Math.min(NIS_MOST, Math.max(NIS_FLOOR, track.columns.nis[row]));
     const isGated = isRefused(track.columns.mark[row]);
     columns[1][at] = band ? band[1] : NaN;
     columns[2][at] = band ? Math.max(NIS_FLOOR, band[0]) : NaN;
@@ -254,7 +258,7 @@ function insideBand(track, until_s) {
 function bandRange(upper, rows) {
   let widest = 0;
   for (let at = 0; at < rows; at += 1) if (upper[at] > widest) widest = upper[at];
-  const top = widest > 0 ? roundUp(widest / BAND_SHARE) : 1;
+  const top = widest > 0 ? roundUp(widest / BAND_SHARE, RANGE_STEPS) : 1;
   return [-top, top];
 }
 
@@ -262,8 +266,8 @@ function bandRange(upper, rows) {
 function clampTo(range, columns, rows) {
   for (const values of [columns[3], columns[4]]) {
     for (let at = 0; at < rows; at += 1) {
-      if (values[at] > range[1]) values[at] = range[1];
-      else if (values[at] < range[0]) values[at] = range[0];
+      if (values[at] > EDGE * range[1]) values[at] = EDGE * range[1];
+      else if (values[at] < EDGE * range[0]) values[at] = EDGE * range[0];
     }
   }
   return range;

@@ -67,7 +67,7 @@ function timeAxis() {
 }
 
 function valueAxis({ isLog, format = String }) {
-  const made = axis({ size: 52, space: 26, values: (_, ticks) => ticks.map((tick) => format(tick)) });
+  const made = axis({ size: 52, space: 26, values: (_, ticks) => ticks.map((tick) => (tick === null ? '' : format(tick))) });
   if (isLog) made.splits = (plot) => decades(plot.scales.y.min, plot.scales.y.max);
   return made;
 }
@@ -145,10 +145,10 @@ function paint(context, shape, colour, scale) {
   context.stroke();
 }
 
-/** The next 1, 2 or 5 times a power of ten. */
-export function roundUp(size) {
+/** The next of some steps, 1, 2 or 5 unless told, times a power of ten. */
+export function roundUp(size, steps = [1, 2, 5]) {
   const power = 10 ** Math.floor(Math.log10(size));
-  for (const step of [1, 2, 5]) if (size <= step * power) return step * power;
+  for (const step of steps) if (size <= step * power) return step * power;
   return 10 * power;
 }
 
