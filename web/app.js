@@ -66,7 +66,7 @@ function take(message) {
   if (message.type === 'hello') {
     session = new Session();
     station.greet(message);
-    session.apply(message.history);
+    session.begin(message.history);
     session.apply({ now_s: message.now_s });
   } else if (message.type === 'frame') {
     session.apply(message);

@@ -26,7 +26,7 @@ export class Replay {
   /** Begins with what the station computed of a recording; says whether there is anything in it. */
   begin(name, history) {
     const session = new Session(CAPACITY);
-    session.apply(history);
+    session.begin(history);
     const span = session.span();
     if (!span) return false;
     this.session = session;

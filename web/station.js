@@ -21,7 +21,7 @@ export class Station {
   greet(hello) {
     this.version = String(hello.version ?? '').slice(0, 40);
     this.simulator = isRecord(hello.simulator) ? hello.simulator : null;
-    this.sources = new Map(list(hello.sources).filter(isRecord).map((source) => [String(source.id), source]));
+    this.sources = new Map(list(hello.sources).filter(isRecord).map((source) => [String(source.name), source]));
     this.parameters = new Map(list(hello.parameters).filter(isParameter).slice(0, MOST_PARAMETERS).map((parameter) => [parameter.name, parameter]));
     this.recordings = list(hello.recordings).filter(isRecord);
     this.recording = null;
@@ -41,9 +41,9 @@ export class Station {
     return list(this.simulator?.path).filter((point) => Array.isArray(point) && Number.isFinite(point[0]) && Number.isFinite(point[1]));
   }
 
-  /** A source's name for people. */
-  nameOf(sensor) {
-    return String(this.sources.get(sensor)?.name ?? sensor).slice(0, 40);
+  /** The number by which commands name a source; undefined where the station told none. */
+  idOf(sensor) {
+    return this.sources.get(sensor)?.id;
   }
 
   redraw() {

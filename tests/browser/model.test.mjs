@@ -65,7 +65,7 @@ test('the bands of NIS hold 95 in 100, half of the rest on each side', () => {
 test('errors are those at the instant of the estimate, not of the last truth', () => {
   const session = new Session();
   // 1 m/s east; the estimate between two samples of truth is exact, odometry is 0.1 m off.
-  session.apply({
+  session.begin({
     now_s: 2,
     truth: [0, 1, 2].map((t_s) => ({ t_s, x_m: t_s, y_m: 0, heading_rad: 0, odometry: [t_s, 0.1, 0] })),
     robots: [{ id: 'a', estimates: [{ t_s: 0.5, x_m: 0.5, y_m: 0, major_m: 0.01 }, { t_s: 1.25, x_m: 1.25, y_m: 0.03, major_m: 0.01 }] }],
@@ -76,6 +76,14 @@ test('errors are those at the instant of the estimate, not of the last truth', (
   assert.deepEqual(rows('odometry_m'), [0.1, 0.1]);
   assert.ok(Math.abs(errors.recent('estimate_m', 1.25) - 0.03 / Math.sqrt(2)) < 1e-9);
   assert.ok(Number.isNaN(errors.recent('estimate_m', 50)));
+});
+
+test('what the station tells of the errors goes before what is worked out here', () => {
+  const session = new Session();
+  const sample = (t_s) => ({ now_s: t_s, truth: [{ t_s, x_m: t_s, y_m: 0, odometry: [t_s, 0, 0] }], robots: [{ id: 'a', estimates: [{ t_s, x_m: t_s + 0.5, y_m: 0 }] }] });
+  for (const t_s of [1, 1.1, 1.2]) session.apply({ ...sample(t_s), errors: { estimate_m: 0.002, odometry_m: 0.3 } });
+  assert.ok(Math.abs(session.errors.get('a').recent('estimate_m', 1.2) - 0.002) < 1e-12);
+  assert.ok(Math.abs(session.errors.get('a').recent('odometry_m', 1.2) - 0.3) < 1e-12);
 });
 
 test('an estimate waits for the truth after it', () => {

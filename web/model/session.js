@@ -23,8 +23,25 @@ export class Session {
     this.revision = 0;
   }
 
-  /** Takes a frame or a history. */
+  /** Takes a history: errors are worked out here. */
+  begin(history) {
+    this.#take(history);
+    for (const id of this.robots.keys()) this.#score(id);
+  }
+
+  /** Takes a frame, which may tell the errors: the station knows them by the robot's own stamps. */
   apply(frame) {
+    this.#take(frame);
+    if (!isRecord(frame)) return;
+    for (const part of list(frame.robots)) {
+      const id = idOf(part);
+      if (!this.robots.has(id)) continue;
+      if (isRecord(frame.errors)) this.#toldErrors(id, frame.errors);
+      else this.#score(id);
+    }
+  }
+
+  #take(frame) {
     if (!isRecord(frame)) return;
     if (Number.isFinite(frame.now_s)) this.now_s = Math.max(this.now_s, frame.now_s);
     for (const sample of list(frame.truth)) this.#truth(sample);
@@ -59,7 +76,7 @@ export class Session {
 
   #robot(part) {
     if (!isRecord(part)) return;
-    const id = String(part.id).slice(0, 60);
+    const id = idOf(part);
     let robot = this.robots.get(id);
     if (!robot) {
       if (this.robots.size >= MOST_ROBOTS) return;
@@ -68,16 +85,36 @@ export class Session {
       this.errors.set(id, new Errors(this.capacity));
     }
     robot.apply(part, this.now_s);
-    // Truth is that of the simulated brick, of which a station has one: with it there is one robot.
-    if (this.truth.length > 0) this.errors.get(id).update(this.truth, robot.estimates);
+  }
+
+  // Truth is that of the simulated brick, of which a station has one: with it there is one robot.
+  #score(id) {
+    if (this.truth.length > 0) this.errors.get(id).update(this.truth, this.robots.get(id).estimates);
+  }
+
+  #toldErrors(id, told) {
+    const { estimates } = this.robots.get(id);
+    const claim_m = estimates.length > 0 ? estimates.columns.major_m[estimates.end - 1] : NaN;
+    this.errors.get(id).track.append({ t_s: this.now_s, estimate_m: told.estimate_m, odometry_m: told.odometry_m, claim_m });
   }
 
   #line(line) {
     if (!isRecord(line)) return;
     this.logged += 1;
-    this.log.push({ t_s: line.t_s, severity: String(line.severity ?? 'info').slice(0, 20), text: String(line.text).slice(0, MOST_TEXT) });
+    this.log.push({ t_s: line.t_s, severity: severityOf(line.severity), text: String(line.text).slice(0, MOST_TEXT) });
     if (this.log.length > MOST_LOG_LINES) this.log.shift();
   }
+}
+
+// MAVLink's MAV_SEVERITY, 0 to 7.
+const SEVERITIES = ['emergency', 'alert', 'critical', 'error', 'warning', 'notice', 'info', 'debug'];
+
+function severityOf(value) {
+  return SEVERITIES[value] ?? String(value ?? 'info').slice(0, 20);
+}
+
+function idOf(part) {
+  return String(part?.id).slice(0, 60);
 }
 
 export function isRecord(value) {

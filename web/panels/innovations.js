@@ -88,10 +88,11 @@ class InnovationsPanel {
   }
 
   #newRow(source) {
-    const name = this.station.nameOf(source.sensor);
+    const name = source.sensor;
     const radio = element('input', { type: 'radio', name: 'source', on: { change: () => this.#choose(source.sensor) } });
     const use = element('input', {
-      type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.station.command({ command: 'switch-source', sensor: Number(source.sensor), on: use.checked }) },
+      type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.station.command({ command: 'switch-source', sensor: this.station.idOf(name), on: use.checked }) },
+      disabled: this.station.idOf(name) === undefined,
     });
     use.checked = true;
     const cells = { seen: cell(), gated: cell(), late: cell(), inside: cell(), last: element('td') };
@@ -119,7 +120,7 @@ class InnovationsPanel {
       chart.remove();
       figure.remove();
     }
-    const name = this.station.nameOf(source.sensor);
+    const name = source.sensor;
     this.charts = components.map(([text, unit], index) => ({ index, ...this.#innovationChart(name, text, unit) }));
     this.charts.push({ index: -1, ...this.#nisChart(name) });
   }

@@ -21,7 +21,7 @@ class RecordingsPanel {
       element('div', { class: 'actions' }, this.start, this.stop, button('Look again', () => this.#renew(), { 'aria-label': 'Read the list of recordings anew' })),
       this.state,
       element('div', { class: 'scroll' }, element('table', {},
-        element('thead', {}, element('tr', {}, ...['recording', 'size', ''].map((text) => element('th', { scope: 'col', text })))), this.table)),
+        element('thead', {}, element('tr', {}, ...['recording', 'begun', 'size', ''].map((text) => element('th', { scope: 'col', text })))), this.table)),
     );
   }
 
@@ -40,6 +40,7 @@ class RecordingsPanel {
     const name = String(entry.name);
     return element('tr', {},
       element('th', { scope: 'row', class: 'name', text: name }),
+      element('td', { text: begun(entry.begun) }),
       element('td', { class: 'number', text: bytes(entry.bytes) }),
       element('td', { class: 'actions' },
         element('a', { class: 'button', href: `v1/recordings/${encodeURIComponent(name)}`, download: name, 'aria-label': `Download ${name}`, text: 'Download' }),
@@ -54,4 +55,9 @@ class RecordingsPanel {
   async #renew() {
     await this.station.renewRecordings();
   }
+}
+
+// Seconds since 1970 as this computer's date and time.
+function begun(unix_s) {
+  return Number.isFinite(unix_s) ? new Date(1000 * unix_s).toLocaleString() : '–';
 }

@@ -36,8 +36,8 @@ class SimulatorPanel {
   }
 
   #kidnap() {
-    const forward = number('ahead m', 0.3, -5, 5);
-    const left = number('left m', 0.2, -5, 5);
+    const forward = number('ahead m', 0.3, -10, 10);
+    const left = number('left m', 0.2, -10, 10);
     const turn = number('turn °', 60, -180, 180);
     return row('Kidnap', () => ({ command: 'kidnap', forward_m: forward.read(), left_m: left.read(), turn_rad: turn.read() * DEGREE_RAD }),
       'Lift the robot and put it down elsewhere; its wheels count nothing.', this.station, forward.label, left.label, turn.label);
@@ -45,10 +45,10 @@ class SimulatorPanel {
 
   #slip() {
     const wheel = choice('wheel', [['both', 'both'], ['left', 'left'], ['right', 'right']]);
-    const factor = number('×', 2, 0, 10);
-    const seconds = number('s', 1, 0.1, 60);
-    return row('Slip', () => ({ command: 'slip', wheel: wheel.read(), factor: factor.read(), seconds: seconds.read() }),
-      'Let wheels spin without moving the body: they count too much.', this.station, wheel.label, factor.label, seconds.label);
+    const factor = number('loses %', 80, 0, 100);
+    const seconds = number('for s', 1, 0.1, 60);
+    return row('Slip', () => ({ command: 'slip', wheel: wheel.read(), factor: factor.read() / 100, seconds: seconds.read() }),
+      'Let wheels lose that share of their travel: they count more than the body moves.', this.station, wheel.label, factor.label, seconds.label);
   }
 
   #camera() {
@@ -58,12 +58,12 @@ class SimulatorPanel {
   }
 
   #delay() {
-    const delay = number('by ms', 300, 0, 10000);
+    const delay = number('by ms', 300, 0, 5000);
     return row('Camera late', () => ({ command: 'camera-delay', delay_ms: delay.read() }), 'Fixes arrive that much later than they were taken.', this.station, delay.label);
   }
 
   #gyro() {
-    const step = number('by °/s', 3, -100, 100);
+    const step = number('by °/s', 3, -57, 57);
     return row('Gyro bias step', () => ({ command: 'gyro-bias-step', rad_per_s: step.read() * DEGREE_RAD }), 'The zero of the gyro jumps, as after a knock.', this.station, step.label);
   }
 

@@ -49,7 +49,7 @@ export class FakeStation {
       sources: [{ id: 0, name: 'wheels', kind: 'wheels' }, { id: 1, name: 'gyro', kind: 'gyro' }, { id: 3, name: 'camera', kind: 'camera' }],
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
       robots: this.robots,
-      recordings: [{ name: 'square-1.mcap', bytes: 123456, begun: '2026-01-01T00:00:00Z', is_current: false }],
+      recordings: [{ name: 'square-1.mcap', bytes: 123456, begun: 1767225600, is_current: false }],
       history: this.history,
     };
   }
@@ -76,7 +76,7 @@ export class FakeStation {
       robots: this.robots.map((id, index) => robotAt(id, t_s, 3 * index)),
       truth: [truthAt(t_s)],
       ...(isSecond ? { links: [LINK], clock: CLOCK, recording: { name: 'now.mcap', bytes: Math.round(4000 * t_s) } } : {}),
-      log: isSecond ? [{ t_s, severity: 'info', text: `second ${Math.round(t_s)}` }] : [],
+      log: isSecond ? [{ t_s, severity: 6, text: `second ${Math.round(t_s)}` }] : [],
       dropped: 0,
     };
   }
@@ -133,7 +133,7 @@ function robotAt(id, t_s, ahead_s) {
     forward_m_per_s: SPEED_M_PER_S, turn_rad_per_s: 0, reset_counter: 0, is_dead_reckoning: false, fix_age_s: 0.1,
   };
   const part = { id, estimates: [estimate], fixes: [], fusion: [] };
-  part.fusion.push({ t_s, sensor: 0, kind: 'wheel_angles', verdict: 'accepted', lag_s: 0, nis: wave(9.1) ** 2, dof: 1, innovation: [0.01 * wave(9.1)], sigma: [0.01] });
+  part.fusion.push({ t_s, sensor: 'wheels', kind: 'wheel_angles', verdict: 'accepted', lag_s: 0, nis: wave(9.1) ** 2, dof: 1, innovation: [0.01 * wave(9.1)], sigma: [0.01] });
   if (step % 5 === 0) addFix(part, truth, t_s, step);
   if (step % 15 === 0) part.calibration = learned(t_s);
   return part;
@@ -143,9 +143,9 @@ function addFix(part, truth, t_s, step) {
   const verdict = step % 115 === 0 ? 'gated' : 'accepted';
   const off_m = verdict === 'gated' ? 0.2 : 0.006;
   const lag_s = step % 60 === 0 ? 0.5 : 0.1;
-  part.fixes.push({ t_s, x_m: truth.x_m + off_m * Math.sin(7.3 * step), y_m: truth.y_m + off_m * Math.cos(3.1 * step), heading_rad: truth.heading_rad, sensor: 3, verdict, lag_s });
+  part.fixes.push({ t_s, x_m: truth.x_m + off_m * Math.sin(7.3 * step), y_m: truth.y_m + off_m * Math.cos(3.1 * step), heading_rad: truth.heading_rad, sensor: 'camera', verdict, lag_s });
   part.fusion.push({
-    t_s, sensor: 3, kind: 'fix', verdict, lag_s, nis: verdict === 'gated' ? 60 : 3 + 2.5 * Math.sin(5.3 * step), dof: 3,
+    t_s, sensor: 'camera', kind: 'fix', verdict, lag_s, nis: verdict === 'gated' ? 60 : 3 + 2.5 * Math.sin(5.3 * step), dof: 3,
     innovation: [off_m * Math.sin(7.3 * step), off_m * Math.cos(3.1 * step), 0.01 * Math.sin(step)], sigma: [0.007, 0.007, 0.015],
   });
 }
