@@ -68,8 +68,8 @@ function timeAxis() {
 
 function valueAxis({ isLog, format = String }) {
   const made = axis({ size: 52, space: 26, values: (_, ticks) => ticks.map((tick) => (tick === null ? '' : format(tick))) });
-  if (isLog) made.splits = (plot) => decades(plot.scales.y.min, plot.scales.y.max);
-  return made;
+  if (!isLog) return made;
+  return { ...made, splits: (plot) => decades(plot.scales.y.min, plot.scales.y.max), filter: (_, splits) => splits };
 }
 
 // Every decade of a range, or every second one when there are many.

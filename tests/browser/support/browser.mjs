@@ -31,10 +31,11 @@ export class Browser {
 
   /**
    * A page at an address, for which no other host exists: what it asks of one is noted and refused. `forgives` are texts of console
-   * errors that a test brings about itself.
+   * errors that a test brings about itself; `tap` hears the page's stream.
    */
-  async open(address, { forgives = [] } = {}) {
+  async open(address, { forgives = [], tap = null } = {}) {
     const page = await this.context.newPage();
+    tap?.listen(page);
     const own = new URL(address).origin;
     await page.route((url) => url.origin !== own && url.protocol !== 'data:', (route) => {
       this.foreign.push(route.request().url());

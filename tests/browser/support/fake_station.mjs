@@ -4,9 +4,10 @@
 import { createServer } from 'node:http';
 import { readFile } from 'node:fs/promises';
 import path from 'node:path';
+import { fileURLToPath } from 'node:url';
 import { WebSocketServer } from 'ws';
 
-const WEB = path.join(process.env.BROWSER_ROOT, 'web');
+const WEB = fileURLToPath(new URL('../web/', import.meta.url));
 const TYPES = { '.html': 'text/html', '.js': 'text/javascript', '.css': 'text/css', '.svg': 'image/svg+xml' };
 const SIDE_M = 1;
 const SPEED_M_PER_S = 0.2;
