@@ -31,13 +31,13 @@ export class Browser {
 
   /**
    * A page at an address, for which no other host exists: what it asks of one is noted and refused. `forgives` are texts of console
-   * errors that a test brings about itself; `tap` hears the page's stream.
+   * errors that a test brings about itself; `tap` hears the page's
+   * stream; `own` is the only host when the address is not yet on it.
    */
-  async open(address, { forgives = [], tap = null } = {}) {
+  async open(address, { forgives = [], tap = null, own = new URL(address).origin } = {}) {
     const page = await this.context.newPage();
     tap?.listen(page);
-    const own = new URL(address).origin;
-    await page.route((url) => url.origin !== own && url.protocol !== 'data:', (route) => {
+    await page.route((url) => url.origin !== own && url.protocol !== 'data:' && url.protocol !== 'about:', (route) => {
       this.foreign.push(route.request().url());
       return route.abort();
     });
