@@ -9,6 +9,7 @@ export class Station {
   /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void}} page */
   constructor(page) {
     this.page = page;
+    this.isGreeted = false;
     this.version = '';
     this.simulator = null;
     this.sources = new Map();
@@ -19,6 +20,7 @@ export class Station {
 
   /** Takes what a connection begins with. */
   greet(hello) {
+    this.isGreeted = true;
     this.version = String(hello.version ?? '').slice(0, 40);
     this.simulator = isRecord(hello.simulator) ? hello.simulator : null;
     this.sources = new Map(list(hello.sources).filter(isRecord).map((source) => [String(source.name), source]));

@@ -1,5 +1,5 @@
 # Installs what run.sh needs, which sources this. Modules go into a folder that is named by what is pinned and kept between runs; a half
-# installed one is never used. Only Chromium may go into the system. What cannot be had ends the run with what to do.
+# installed one is never used. Only the browsers may go into the system. What cannot be had ends the run with what to do.
 
 fail() {
     printf 'browser tests: %s\n' "$1" >&2
@@ -18,21 +18,23 @@ install_node_modules() {
     touch "$modules/complete"
 }
 
-# Chromium of this computer, else Debian's. Sets and exports CHROMIUM.
-install_chromium() {
-    if [[ -n "${CHROMIUM:-}" ]]; then
+# A browser of this computer, else Debian's: the variable that names it, Debian's package. Sets and exports the variable.
+install_browser() {
+    local variable="$1" package="$2"
+    if [[ -n "${!variable:-}" ]]; then
         return
     fi
-    if [[ ! -x /usr/bin/chromium ]]; then
-        [[ "$(id -u)" == 0 ]] || fail "there is no /usr/bin/chromium. Install it (apt-get install chromium), or name one: CHROMIUM=/path/to/chromium"
-        install_package_of_chromium >"$made/chromium.log" 2>&1 ||
-            fail "there is no /usr/bin/chromium, and apt-get does not install it: $(tail -1 "$made/chromium.log")"
+    if [[ ! -x "/usr/bin/$package" ]]; then
+        [[ "$(id -u)" == 0 ]] || fail "there is no /usr/bin/$package. Install it (apt-get install $package), or name one: $variable=/path/to/it"
+        install_packages "$package" >"$made/$package.log" 2>&1 ||
+            fail "there is no /usr/bin/$package, and apt-get does not install it: $(tail -1 "$made/$package.log")"
     fi
-    export CHROMIUM=/usr/bin/chromium
+    export "$variable=/usr/bin/$package"
 }
 
-install_package_of_chromium() {
+# With a font: without one there is no text to measure or to photograph.
+install_packages() {
     local apt=(env DEBIAN_FRONTEND=noninteractive apt-get -qq --yes --no-install-recommends)
-    # A fresh machine has no lists, an old one has stale ones. Without a font there is no text to measure or to photograph.
-    "${apt[@]}" install chromium fonts-dejavu-core || { "${apt[@]}" update && "${apt[@]}" install chromium fonts-dejavu-core; }
+    # A fresh machine has no lists, an old one has stale ones.
+    "${apt[@]}" install "$@" fonts-dejavu-core || { "${apt[@]}" update && "${apt[@]}" install "$@" fonts-dejavu-core; }
 }

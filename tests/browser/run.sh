@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# A browser on the page of the real program, over loopback. Needs cargo, Node 20 or newer with npm, Chromium or apt, and once the network:
-# install.sh gets the rest. Everything that it makes lies under target/browser; arguments go to node (a test's file, --test-name-pattern=..).
+# A browser on the page of the real program, over loopback. Needs cargo, Node 20 or newer with npm, Chromium and Firefox or apt, and once the
+# network: install.sh gets the rest. Everything that it makes lies under target/browser; arguments go to node (a test's file, --test-name-pattern=..).
 #
-# POSEBRIDGE names another program to test than the one that is built here, CHROMIUM another browser. BROWSER_SCREENSHOTS=1 writes the
+# POSEBRIDGE names another program to test than the one that is built here, CHROMIUM and FIREFOX other browsers. BROWSER_SCREENSHOTS=1 writes the
 # pictures of the README anew, BROWSER_SOAK_S=600 lets the test of memory look at ten minutes.
 set -euo pipefail
 
@@ -15,7 +15,8 @@ mkdir -p "$made"
 source "$here/install.sh"
 
 install_node_modules
-install_chromium
+install_browser CHROMIUM chromium
+install_browser FIREFOX firefox-esr
 
 if [[ -z "${POSEBRIDGE:-}" ]]; then
     (cd "$root" && cargo build --quiet --locked --package posebridge)

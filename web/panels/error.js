@@ -12,8 +12,8 @@ export const error = {
   id: 'error',
   title: 'How far off',
   build(body) {
-    const host = element('div');
-    const none = element('p', { class: 'note', text: 'Nobody knows the truth of a real robot: this chart is for the simulated one.' });
+    const host = element('div', { hidden: true });
+    const none = element('p', { class: 'note', text: 'Nobody knows the truth of a real robot: this chart is for the simulated one.', hidden: true });
     body.append(host, none, element('p', { class: 'note keys' },
       key('odometry', "brick's odometry"), key('estimate', 'estimate'), key('ellipse', 'its claim: 95 % within')));
     const chart = new Chart(host, {
@@ -31,7 +31,7 @@ export const error = {
       draw(view) {
         const track = view.errors?.track;
         host.hidden = !track || track.length === 0;
-        none.hidden = !host.hidden;
+        none.hidden = !host.hidden || !view.robot;
         if (host.hidden) return;
         const from_s = view.until_s - WINDOW_S;
         const [from, to] = [track.rowAt(from_s), track.rowAfter(view.until_s)];

@@ -30,6 +30,7 @@ export const links = {
     const clock = factList("Robot's clock", CLOCK_FACTS);
     const empty = element('p', { class: 'note', text: 'No link has reported yet.' });
     const cards = new Map();
+    clock.card.hidden = true;
     body.append(empty, host, clock.card);
     return {
       draw(view) {

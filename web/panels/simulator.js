@@ -16,14 +16,14 @@ class SimulatorPanel {
     this.station = station;
     this.known = null;
     this.driver = new Driver((command) => station.command(command));
-    this.none = element('p', { class: 'note', text: 'This station has no simulated brick: its robot is real.' });
+    this.none = element('p', { class: 'note', text: 'This station has no simulated brick: its robot is real.', hidden: true });
     this.host = element('div', { class: 'hands' });
     body.append(this.none, this.host);
   }
 
   draw() {
     const known = this.station.simulator;
-    this.none.hidden = Boolean(known);
+    this.none.hidden = Boolean(known) || !this.station.isGreeted;
     this.host.hidden = !known;
     if (known === this.known) return;
     this.known = known;
