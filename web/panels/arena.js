@@ -1,6 +1,7 @@
 // The arena from above: truth, brick odometry and estimate with their trails, ellipse and heading cone, and what the camera saw.
 
 import { MARKS, MARK_WORDS } from '../model/marks.js';
+import { ESTIMATE_COLUMNS } from '../model/robot.js';
 import { drawCone, drawEllipse, drawFixes, drawGrid, drawMark, drawPath, drawRobot, drawTrail } from '../view/arena_scene.js';
 import { Box, Camera } from '../view/camera.js';
 import { button, element, setText } from '../view/dom.js';
@@ -15,6 +16,10 @@ const ZOOM_STEP = 1.25;
 const READINGS = [
   ['x', 'x'], ['y', 'y'], ['heading', 'heading'], ['sigma', '95 % within'], ['speed', 'speed'], ['fix', 'last fix'], ['resets', 'resets'],
 ];
+
+const ESTIMATE = ESTIMATE_COLUMNS.map((name) => [name, name]);
+const TRUTH = [['x_m', 'x_m'], ['y_m', 'y_m'], ['heading_rad', 'heading_rad']];
+const ODOMETRY = TRUTH.map(([name]) => [name, `odometry_${name}`]);
 
 export const arena = {
   id: 'arena',
@@ -33,6 +38,9 @@ class ArenaPanel {
     this.truth = pose();
     this.odometry = pose();
     this.mode = 'fit';
+    this.session = null;
+    this.robot = null;
+    this.trails = [];
     this.canvas = element('canvas', { tabindex: '0', role: 'img', 'aria-label': 'Map of the arena. Arrow keys move it, plus and minus zoom.' });
     this.context = this.canvas.getContext('2d');
     this.fitButton = button('Fit', () => this.#look('fit'), { 'aria-pressed': 'true', title: 'Show the whole drive (0)' });
@@ -127,9 +135,14 @@ class ArenaPanel {
 
   // The poses at the time that is shown.
   #read(view) {
-    this.pose.has = readRow(this.pose, view.robot?.estimates, view.until_s, '');
-    this.truth.has = readRow(this.truth, view.session.truth, view.until_s, '');
-    this.odometry.has = readRow(this.odometry, view.session.truth, view.until_s, 'odometry_');
+    if (this.session !== view.session || this.robot !== view.robot) {
+      this.session = view.session;
+      this.robot = view.robot;
+      this.trails = trails(view);
+    }
+    this.pose.has = readRow(this.pose, view.robot?.estimates, view.until_s, ESTIMATE);
+    this.truth.has = readRow(this.truth, view.session.truth, view.until_s, TRUTH);
+    this.odometry.has = readRow(this.odometry, view.session.truth, view.until_s, ODOMETRY);
   }
 
   #aim(view) {
@@ -140,7 +153,7 @@ class ArenaPanel {
     if (this.mode !== 'fit') return;
     this.box.clear();
     for (const [x_m, y_m] of view.path) this.box.add(x_m, y_m);
-    for (const trail of trails(view)) {
+    for (const trail of this.trails) {
       const [from, to] = rows(trail.track, view);
       const step = Math.max(1, Math.floor((to - from) / 200));
       for (let row = from; row < to; row += step) this.box.add(trail.track.columns[trail.x][row], trail.track.columns[trail.y][row]);
@@ -155,7 +168,7 @@ class ArenaPanel {
     context.clearRect(0, 0, camera.width_px, camera.height_px);
     drawGrid(context, camera);
     drawPath(context, camera, view.path);
-    for (const trail of trails(view)) drawTrail(context, camera, trail, ...rows(trail.track, view));
+    for (const trail of this.trails) drawTrail(context, camera, trail, ...rows(trail.track, view));
     if (view.robot) drawFixes(context, camera, view.robot.fixes, view.until_s);
     if (this.odometry.has) drawRobot(context, camera, this.odometry, { colour: 'odometry', width: 1.5, dash: DASHES.odometry });
     if (this.truth.has) drawRobot(context, camera, this.truth, { colour: 'truth', width: 1.5 });
@@ -199,15 +212,13 @@ function pose() {
   return { has: false, t_s: NaN, x_m: NaN, y_m: NaN, heading_rad: NaN };
 }
 
-// Fills a pose from a track's row at a time: the columns that begin with a prefix.
-function readRow(into, track, until_s, prefix) {
+// Fills a pose from a track's row at a time: pairs of the pose's and the track's names.
+function readRow(into, track, until_s, names) {
   if (!track) return false;
   const row = track.rowUntil(until_s);
   if (row < 0) return false;
   into.t_s = track.columns.t_s[row];
-  for (const name of track.names) {
-    if (name !== 't_s' && name.startsWith(prefix)) into[name.slice(prefix.length)] = track.columns[name][row];
-  }
+  for (const [name, column] of names) into[name] = track.columns[column][row];
   return !Number.isNaN(into.x_m + into.y_m);
 }
 
