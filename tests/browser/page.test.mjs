@@ -27,6 +27,11 @@ async function withStation(options, body) {
   }
 }
 
+// The last command that came, when there are this many.
+function lastOf(station, count) {
+  return station.until((commands) => commands.length >= count);
+}
+
 test('the latest estimate stands on the page', async () => {
   await withStation({}, async (page, station) => {
     station.advance(120);
@@ -114,29 +119,22 @@ test('sliders and fields send the parameter that they stand for, and show what t
     await row.locator('input[type=number]').press('Enter');
     await row.locator('input[type=range]').focus();
     await row.locator('input[type=range]').press('End');
-    await page.waitForFunction(() => document.getElementById('announcer').textContent.includes('set-parameter'));
+    await lastOf(station, 2);
     assert.deepEqual(station.commands, [{ command: 'set-parameter', name: 'slip_nis', value: 20 }, { command: 'set-parameter', name: 'slip_nis', value: 100 }]);
     await row.locator('input[type=range]').blur();
     station.send({ type: 'frame', now_s: 1, parameters: [{ name: 'slip_nis', value: 42.5 }] });
     await page.waitForFunction(() => document.getElementById('parameter-slip_nis').value === '42.5');
     await row.locator('button').click();
-    await page.waitForFunction((count) => document.getElementById('announcer').textContent.includes('set-parameter') && count > 0, 1);
-    assert.deepEqual(await lastCommand(page, station, 3), { command: 'set-parameter', name: 'slip_nis', value: 10.83 });
+    assert.deepEqual(await lastOf(station, 3), { command: 'set-parameter', name: 'slip_nis', value: 10.83 });
   });
 });
-
-// The station's last command, when it has this many: commands arrive while the page waits for its answers.
-async function lastCommand(page, station, count) {
-  while (station.commands.length < count) await page.evaluate(() => new Promise(requestAnimationFrame));
-  return station.commands.at(-1);
-}
 
 test('every fault of the simulated brick is one command', async () => {
   await withStation({}, async (page, station) => {
     const press = async (name, expected) => {
       const count = station.commands.length;
       await page.getByRole('button', { name, exact: true }).click();
-      const command = await lastCommand(page, station, count + 1);
+      const command = await lastOf(station, count + 1);
       for (const [key, value] of Object.entries(command)) if (typeof value === 'number') command[key] = Number(value.toFixed(6));
       assert.deepEqual(command, expected);
     };
@@ -151,7 +149,7 @@ test('every fault of the simulated brick is one command', async () => {
     await press('Back to the path', { command: 'path' });
     const count = station.commands.length;
     await page.getByLabel('odometry', { exact: true }).check();
-    assert.deepEqual(await lastCommand(page, station, count + 1), { command: 'steering', by: 'odometry' });
+    assert.deepEqual(await lastOf(station, count + 1), { command: 'steering', by: 'odometry' });
   });
 });
 
@@ -160,12 +158,12 @@ test('keys drive only while armed, and letting go stops the robot', async () => 
     await page.locator('body').press('w');
     await page.getByRole('button', { name: 'Drive with the keys' }).click();
     await page.keyboard.down('w');
-    assert.deepEqual(await lastCommand(page, station, 1), { command: 'drive', forward_m_per_s: 0.2, turn_rad_per_s: 0 });
-    await lastCommand(page, station, 3);
+    assert.deepEqual(await lastOf(station, 1), { command: 'drive', forward_m_per_s: 0.2, turn_rad_per_s: 0 });
+    await lastOf(station, 3);
     await page.keyboard.up('w');
     await page.keyboard.press('Escape');
     const stop = { command: 'drive', forward_m_per_s: 0, turn_rad_per_s: 0 };
-    while (JSON.stringify(station.commands.at(-1)) !== JSON.stringify(stop)) await lastCommand(page, station, station.commands.length);
+    await station.until((commands) => JSON.stringify(commands.at(-1)) === JSON.stringify(stop));
     assert.equal(await page.getByRole('button', { name: 'Drive with the keys' }).getAttribute('aria-pressed'), 'false');
   });
 });

@@ -3,7 +3,8 @@
 # network: install.sh gets the rest. Everything that it makes lies under target/browser; arguments go to node (a test's file, --test-name-pattern=..).
 #
 # POSEBRIDGE names another program to test than the one that is built here, CHROMIUM and FIREFOX other browsers. BROWSER_SCREENSHOTS=1 writes the
-# pictures of the README anew, BROWSER_SOAK_S=600 lets the test of memory look at ten minutes.
+# pictures of the README anew, BROWSER_SOAK_S=600 with BROWSER_TIMEOUT_MS=900000 lets the
+# test of memory look at ten minutes.
 set -euo pipefail
 
 root="$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)"
@@ -31,4 +32,5 @@ cd "$modules"
 if [[ $# -eq 0 ]]; then
     set -- ./*.test.mjs
 fi
-exec node --test --test-concurrency=1 --test-reporter=spec "$@"
+# A test that hangs shall fail, not stop the rest.
+exec node --test --test-concurrency=1 --test-timeout="${BROWSER_TIMEOUT_MS:-120000}" --test-reporter=spec "$@"

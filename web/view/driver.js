@@ -23,12 +23,14 @@ const KEYS = new Map([
 ]);
 
 export class Driver {
-  /** @param {(command: object) => void} send */
+  /** @param {(command: object) => Promise<void>} send */
   constructor(send) {
     this.send = send;
     this.held = new Set();
     this.isArmed = false;
     this.timer = 0;
+    this.isSending = false;
+    this.isDue = false;
     document.addEventListener('keydown', (event) => this.#key(event, true), { capture: true });
     document.addEventListener('keyup', (event) => this.#key(event, false), { capture: true });
     globalThis.addEventListener('blur', () => this.#release());
@@ -106,7 +108,19 @@ export class Driver {
     this.timer = 0;
   }
 
-  #say() {
+  // One at a time and the newest: two on their way at once might overtake each other, and a stop be followed by a drive.
+  async #say() {
+    this.isDue = true;
+    if (this.isSending) return;
+    this.isSending = true;
+    while (this.isDue) {
+      this.isDue = false;
+      await this.send(this.#command());
+    }
+    this.isSending = false;
+  }
+
+  #command() {
     let forward_m_per_s = 0;
     let turn_rad_per_s = 0;
     for (const way of this.held) {
@@ -114,6 +128,6 @@ export class Driver {
       forward_m_per_s += forward;
       turn_rad_per_s += turn;
     }
-    this.send({ command: 'drive', forward_m_per_s, turn_rad_per_s });
+    return { command: 'drive', forward_m_per_s, turn_rad_per_s };
   }
 }

@@ -1,6 +1,7 @@
 // A made-up station: serves web/ and speaks the stream as the program does. It is for what the program never says or does on demand:
 // several robots, nonsense, silence, a loss in the middle. All time is virtual and moves with `advance`.
 
+import { EventEmitter, once } from 'node:events';
 import { createServer } from 'node:http';
 import { readFile } from 'node:fs/promises';
 import path from 'node:path';
@@ -17,6 +18,7 @@ export class FakeStation {
     this.robots = robots;
     this.now_s = 0;
     this.commands = [];
+    this.commanded = new EventEmitter();
     this.history = { robots: [] };
     this.replay = null;
     this.refusal = null;
@@ -82,6 +84,14 @@ export class FakeStation {
     };
   }
 
+  /** Waits until the commands that came fulfil a condition, and gives the last one. */
+  async until(holds) {
+    // Only a test that fails waits so long.
+    const signal = AbortSignal.timeout(20_000);
+    while (!holds(this.commands)) await once(this.commanded, 'command', { signal });
+    return this.commands.at(-1);
+  }
+
   async #answer(request, response) {
     const { pathname } = new URL(request.url, this.address);
     if (request.method === 'POST') return this.#command(request, response);
@@ -101,6 +111,7 @@ export class FakeStation {
     let text = '';
     for await (const part of request) text += part;
     this.commands.push(JSON.parse(text));
+    this.commanded.emit('command');
     if (this.refusal) reply(response, 400, { error: this.refusal });
     else reply(response, 200, {});
   }
