@@ -17,8 +17,8 @@ const LOOK_FOR_S = IS_KEPT ? 9 : 2;
 const LARGEST_BYTES = 200_000;
 
 const SHOTS = [
-  { name: 'dashboard-light', width: 1280, height: 1200, colorScheme: 'light' },
-  { name: 'dashboard-dark', width: 1280, height: 1200, colorScheme: 'dark' },
+  { name: 'dashboard-light', width: 1280, height: 960, colorScheme: 'light' },
+  { name: 'dashboard-dark', width: 1280, height: 960, colorScheme: 'dark' },
   { name: 'dashboard-phone', width: 390, height: 844, colorScheme: 'light' },
 ];
 

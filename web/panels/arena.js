@@ -6,12 +6,14 @@ import { drawCone, drawEllipse, drawFixes, drawGrid, drawMark, drawPath, drawRob
 import { Box, Camera } from '../view/camera.js';
 import { button, element, setText } from '../view/dom.js';
 import { degrees, fixed, metres, millimetres } from '../view/format.js';
-import { Lens } from '../view/lens.js';
+import { Lens, lensSize_px } from '../view/lens.js';
 import { listen } from '../view/map_input.js';
 import { DASHES, palette } from '../view/palette.js';
 
 const TRAIL_S = 60;
 const ZOOM_STEP = 1.25;
+// Height of the toolbar on the map, with the space around it.
+const TOOLBAR_PX = 34;
 
 const READINGS = [
   ['x', 'x'], ['y', 'y'], ['heading', 'heading'], ['sigma', '95 % within'], ['speed', 'speed'], ['fix', 'last fix'], ['resets', 'resets'],
@@ -41,6 +43,7 @@ class ArenaPanel {
     this.session = null;
     this.robot = null;
     this.trails = [];
+    this.kept = { right_px: 0, top_px: 0 };
     this.canvas = element('canvas', { tabindex: '0', role: 'img', 'aria-label': 'Map of the arena. Arrow keys move it, plus and minus zoom.' });
     this.context = this.canvas.getContext('2d');
     this.fitButton = button('Fit', () => this.#look('fit'), { 'aria-pressed': 'true', title: 'Show the whole drive (0)' });
@@ -111,8 +114,7 @@ class ArenaPanel {
   }
 
   #toggleLens() {
-    const isOn = this.lensButton.getAttribute('aria-pressed') !== 'true';
-    this.lensButton.setAttribute('aria-pressed', String(isOn));
+    this.lensButton.setAttribute('aria-pressed', String(!this.#hasLens()));
     this.station.redraw();
   }
 
@@ -160,7 +162,20 @@ class ArenaPanel {
     }
     for (const shown of [this.pose, this.truth, this.odometry]) if (shown.has) this.box.add(shown.x_m, shown.y_m);
     if (this.box.isEmpty) this.box.add(0, 0);
-    this.camera.fit(this.box);
+    this.camera.fit(this.box, this.#kept());
+  }
+
+  // What the drive shall not stand under: the toolbar, and the lens, at the right of a broad map and at the top of a narrow one.
+  #kept() {
+    const size_px = this.#hasLens() ? lensSize_px(this.camera) : 0;
+    const isBroad = this.camera.width_px - size_px > this.camera.height_px - TOOLBAR_PX;
+    this.kept.right_px = isBroad ? size_px : 0;
+    this.kept.top_px = isBroad ? TOOLBAR_PX : Math.max(TOOLBAR_PX, size_px);
+    return this.kept;
+  }
+
+  #hasLens() {
+    return this.lensButton.getAttribute('aria-pressed') === 'true';
   }
 
   #paint(view) {
@@ -176,7 +191,7 @@ class ArenaPanel {
     drawEllipse(context, camera, this.pose);
     drawCone(context, camera, this.pose);
     drawRobot(context, camera, this.pose, { colour: 'estimate', width: 2, isFilled: true });
-    if (this.lensButton.getAttribute('aria-pressed') === 'true') {
+    if (this.#hasLens()) {
       this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s });
     }
   }

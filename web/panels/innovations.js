@@ -126,7 +126,7 @@ class InnovationsPanel {
   }
 
   #innovationChart(name, text, unit) {
-    const figure = element('figure', {}, element('figcaption', { text: `${name}: ${text}, observed − predicted (${unit === 'rad' ? '°' : 'mm'}) with 2 σ` }));
+    const figure = element('figure', {}, element('figcaption', { text: `${name}, ${text}: observed − predicted, ${unit === 'rad' ? '°' : 'mm'}, 2 σ` }));
     this.host.append(figure);
     const chart = new Chart(figure, {
       label: `Innovations of ${name}, ${text}, with their band of two sigma`,
@@ -143,7 +143,7 @@ class InnovationsPanel {
   }
 
   #nisChart(name) {
-    const figure = element('figure', {}, element('figcaption', { text: `${name}: NIS with the band of 95 % (chi-square)` }));
+    const figure = element('figure', {}, element('figcaption', { text: `${name}: NIS, 95 % (chi-square)` }));
     this.host.append(figure);
     const chart = new Chart(figure, {
       label: `Normalised innovation squared of ${name} with its chi-square band`,

@@ -10,6 +10,8 @@ const SMALLEST_ROBOT_PX = 7;
 // The cone shows two standard deviations to each side, as ellipses hold 95 in 100.
 const CONE_SIGMAS = 2;
 const FIXES_S = 20;
+// Above stands the toolbar.
+const LABELS_FROM_PX = 56;
 // Points of a trail nearer than this to the last drawn one add nothing.
 const SHORTEST_STEP_PX = 1.5;
 
@@ -32,7 +34,7 @@ export function drawGrid(context, camera) {
     const y = Math.round(camera.toY(line * step_m)) + 0.5;
     context.moveTo(0, y);
     context.lineTo(camera.width_px, y);
-    context.fillText(gridLabel(line * step_m, step_m), 4, y - 3);
+    if (y > LABELS_FROM_PX) context.fillText(gridLabel(line * step_m, step_m), 4, y - 3);
   }
   context.stroke();
 }

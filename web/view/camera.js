@@ -2,6 +2,7 @@
 
 const SMALLEST_PX_PER_M = 4;
 const LARGEST_PX_PER_M = 40000;
+const MARGIN_PX = 36;
 
 export class Camera {
   constructor() {
@@ -41,14 +42,14 @@ export class Camera {
     this.y_m += before.y_m - after.y_m;
   }
 
-  /** Shows a box with a margin. */
-  fit(box, margin_px = 44) {
+  /** Shows a box with a margin, beside what is kept free at the right and at the top. */
+  fit(box, { right_px, top_px }) {
     const width_m = Math.max(0.3, box.right_m - box.left_m);
     const height_m = Math.max(0.3, box.top_m - box.bottom_m);
-    this.x_m = (box.left_m + box.right_m) / 2;
-    this.y_m = (box.bottom_m + box.top_m) / 2;
-    const scale = Math.min((this.width_px - 2 * margin_px) / width_m, (this.height_px - 2 * margin_px) / height_m);
+    const scale = Math.min((this.width_px - right_px - 2 * MARGIN_PX) / width_m, (this.height_px - top_px - 2 * MARGIN_PX) / height_m);
     this.px_per_m = Math.min(LARGEST_PX_PER_M, Math.max(SMALLEST_PX_PER_M, scale));
+    this.x_m = (box.left_m + box.right_m) / 2 + right_px / 2 / this.px_per_m;
+    this.y_m = (box.bottom_m + box.top_m) / 2 + top_px / 2 / this.px_per_m;
   }
 }
 

@@ -11,6 +11,7 @@ import { palette } from './palette.js';
 const WIDTH_BY_SIZE = 3.2;
 const NARROWEST_M = 0.01;
 const FIXES_S = 1.5;
+const EDGE_PX = 12;
 
 export class Lens {
   constructor() {
@@ -22,9 +23,9 @@ export class Lens {
   draw(context, map, view) {
     const { estimate, truth, fixes, until_s } = view;
     if (Number.isNaN(estimate.x_m + estimate.y_m)) return;
-    const radius_px = Math.max(48, Math.min(86, 0.16 * Math.min(map.width_px, map.height_px) + 12));
-    const x_px = map.width_px - radius_px - 12;
-    const y_px = radius_px + 12;
+    const radius_px = radiusOn(map);
+    const x_px = map.width_px - radius_px - EDGE_PX;
+    const y_px = radius_px + EDGE_PX;
     this.#adjust(estimate, truth, radius_px);
     context.save();
     this.#frame(context, x_px, y_px, radius_px);
@@ -96,4 +97,13 @@ export class Lens {
     context.fillText(bar_m < 0.1 ? `${Math.round(1000 * bar_m)} mm` : `${bar_m.toFixed(1)} m`, x_px, y - 4);
     context.textAlign = 'start';
   }
+}
+
+/** How much of a map the lens takes: its diameter with the space around it. */
+export function lensSize_px(map) {
+  return 2 * (radiusOn(map) + EDGE_PX);
+}
+
+function radiusOn(map) {
+  return Math.max(46, Math.min(86, 0.13 * Math.min(map.width_px, map.height_px) + 12));
 }
