@@ -97,8 +97,8 @@ function frame(now_ms) {
 // What the panels are shown: the live session or the replayed one, at its time.
 function look() {
   view.session = replay.isOn ? replay.session : session;
-  const { robots } = view.session;
-  view.robot = robots.get(shownRobot) ?? robots.values().next().value ?? null;
+  const robots = view.session.estimated();
+  view.robot = robots.find(({ id }) => id === shownRobot) ?? robots[0] ?? null;
   view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
   view.until_s = replay.isOn ? replay.until_s : liveTime();
   view.path = station.path();
@@ -142,7 +142,7 @@ function showHeadline() {
 }
 
 function showRobots() {
-  const ids = [...view.session.robots.keys()];
+  const ids = view.session.estimated().map(({ id }) => id);
   page.robotChoice.hidden = ids.length < 2;
   if (page.robotSelect.dataset.ids === ids.join('\n')) return;
   page.robotSelect.dataset.ids = ids.join('\n');

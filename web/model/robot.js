@@ -26,7 +26,7 @@ export class Robot {
     this.fixes = new Track(['x_m', 'y_m', 'heading_rad', 'mark'], Math.max(1024, capacity / 2));
     /** sensor -> { sensor, kind, track, counts, lastVerdict } */
     this.sources = new Map();
-    /** name -> { name, unit, value, sigma, track } */
+    /** name -> { name, unit, value, sigma, isLearned, track } */
     this.calibration = new Map();
   }
 
@@ -84,12 +84,15 @@ export class Robot {
     let known = this.calibration.get(name);
     if (!known) {
       if (this.calibration.size >= MOST_CALIBRATED) return;
-      known = { name, unit: String(entry.unit ?? '').slice(0, 20), value: NaN, sigma: NaN, last_s: -Infinity, track: new Track(['value', 'sigma'], CALIBRATION_CAPACITY) };
+      known = { name, unit: String(entry.unit ?? '').slice(0, 20), value: NaN, sigma: NaN, isLearned: false, last_s: -Infinity,
+        track: new Track(['value', 'sigma'], CALIBRATION_CAPACITY) };
       this.calibration.set(name, known);
     }
     const t_s = Number.isFinite(entry.t_s) ? entry.t_s : now_s;
     known.value = entry.value;
     known.sigma = entry.sigma;
+    // A sigma of zero: taken as given and not estimated.
+    known.isLearned ||= entry.sigma > 0;
     if (t_s - known.last_s < CALIBRATION_EVERY_S) return;
     known.last_s = t_s;
     known.track.append({ t_s, value: entry.value, sigma: entry.sigma });

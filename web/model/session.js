@@ -53,6 +53,13 @@ export class Session {
     this.revision += 1;
   }
 
+  /** Those with an estimate; a camera is heard as well but has none. Without any estimate all that are heard. */
+  estimated() {
+    const all = [...this.robots.values()];
+    const estimated = all.filter((robot) => robot.estimates.length > 0);
+    return estimated.length > 0 ? estimated : all;
+  }
+
   /** First and last instant of any estimate or truth; null without any. */
   span() {
     let from_s = Infinity;

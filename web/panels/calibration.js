@@ -24,7 +24,7 @@ export const calibration = {
       button('Begin anew', ask('reset-calibration'), { title: 'Forget what was learned' })));
     return {
       draw(view) {
-        const learned = view.robot?.calibration ?? new Map();
+        const learned = new Map([...(view.robot?.calibration ?? [])].filter(([, entry]) => entry.isLearned));
         empty.hidden = learned.size > 0;
         for (const [name, row] of rows) {
           if (learned.has(name)) continue;
