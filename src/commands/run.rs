@@ -8,6 +8,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use posebridge_dashboard::Dashboard;
 use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortSet, Role};
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::TruthSample;
@@ -26,6 +27,7 @@ use crate::report::run::{self as report, Truth};
 use crate::signing::{SigningSession, warn_of_open_listeners};
 use crate::stderr::say;
 use crate::stdout;
+use crate::tasks::dashboard::{self, Outlet, Simulated};
 use crate::tasks::desk::{Desk, RECORDING, header};
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::{Kept, Recorder};
@@ -123,6 +125,7 @@ fn configuration(args: &RunArgs) -> Result<Config> {
         }
     }
     config.pipeline()?;
+    config.dashboard.checked()?;
     Ok(config)
 }
 
@@ -215,6 +218,8 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
     let (recorder, recording_failure) = unless_it_was_made(started, &recording).at_start()?;
     let tlog = start_tlog(args, config, &timer, &recording).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
+    let page = start_page(args, config, (timer, &folder), embedded.as_ref()).at_start()?;
+    let (page, outlet) = page.unzip();
     let configs = (config.clone(), for_recordings);
     let mut shard = Shard {
         pipeline,
@@ -224,6 +229,7 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
         given: 0,
         tlog,
         observer: observer(args, embedded.as_ref()).at_start()?,
+        dashboard: outlet,
         recording_failure,
         signing: signing.keep().at_start()?,
         desk: Desk::new(folder.clone(), timer, configs, current),
@@ -237,6 +243,7 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
     let kept = shard.keep_last_stamps();
     let learned = learned_of(&shard.pipeline, config).at_start()?;
     let closed = close(shard, driven.as_ref()).while_running()?;
+    drop(page);
     Ok(Session {
         timer,
         folder,
@@ -250,6 +257,21 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
         kept,
         recording_failure: closed.recording_failure,
     })
+}
+
+/// The page, with what it shows of the simulated brick.
+fn start_page(
+    args: &RunArgs,
+    config: &Config,
+    place: (HostTimer, &Path),
+    embedded: Option<&Embedded>,
+) -> Result<Option<(Dashboard, Outlet)>> {
+    let simulated = embedded.map(|embedded| Simulated {
+        name: &embedded.name,
+        scenario: &embedded.scenario,
+        truth: None,
+    });
+    dashboard::start(&args.page, config, place, simulated)
 }
 
 /// Shows people what happens.

@@ -94,6 +94,10 @@ impl Desk {
             Request::SaveParameters { values } => self.save(values),
             Request::StartRecording { values } => self.start(now, values, recorder),
             Request::StopRecording => self.stop(recorder),
+            Request::Simulator(command) => Err(anyhow!(
+                "{}: this station has no simulated brick of its own",
+                command.name()
+            )),
         };
         match outcome {
             Ok(text) => Input::Report {

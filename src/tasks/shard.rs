@@ -10,6 +10,7 @@ use posebridge_telemetry::{
 use tokio_util::sync::CancellationToken;
 
 use super::calendar::CalendarWatch;
+use super::dashboard::{Outlet, next_command, standing_of};
 use super::desk::{Desk, WARNING};
 use super::observer::Observer;
 use super::recorder::Recorder;
@@ -50,6 +51,8 @@ pub struct Shard {
     pub tlog: Option<TlogRecorder>,
     /// The terminal.
     pub observer: Observer,
+    /// The dashboard, if there is one.
+    pub dashboard: Option<Outlet>,
     /// Why the recording ended before the run.
     pub recording_failure: Option<anyhow::Error>,
     /// What keeps the stamps of signed links, if there are any.
@@ -92,6 +95,7 @@ impl Shard {
                     }
                     (at, input)
                 }
+                command = next_command(&mut self.dashboard) => (self.timer.now(), Input::Command(command)),
                 () = alarm.reached(deadline) => (self.timer.now(), Input::Tick),
                 () = &mut stopped => return,
             };
@@ -104,6 +108,7 @@ impl Shard {
                 self.tell_counts(now);
                 self.look_at_the_calendar(now, &mut calendar);
                 self.show_calibration(now);
+                self.show_standing(now);
             }
             if finished.len() == self.ports.iter().len() {
                 return;
@@ -156,6 +161,13 @@ impl Shard {
         }
     }
 
+    /// Tells the dashboard what stands.
+    fn show_standing(&self, now: Stamp<HostClock>) {
+        if let Some(dashboard) = &self.dashboard {
+            dashboard.tell_standing(now, standing_of(&self.pipeline, self.desk.current()));
+        }
+    }
+
     fn take(&mut self, now: Stamp<HostClock>, input: Input) {
         self.pipeline.handle(now, &input);
         self.given += 1;
@@ -187,6 +199,10 @@ impl Shard {
                 Output::Request(request) => requests.push(request),
             }
         }
+        if let Some(dashboard) = &self.dashboard {
+            dashboard.tell(now, &events);
+        }
+        let is_command = matches!(input, Input::Command(_));
         self.log_traffic(now, &input, &sent);
         self.desk.note(&input);
         let is_lost = self.record(now, input, &events).is_err();
@@ -210,6 +226,9 @@ impl Shard {
                 .desk
                 .carry_out((now, self.given), &request, &mut self.recorder);
             self.take(now, report);
+        }
+        if is_command {
+            self.show_standing(now);
         }
     }
 

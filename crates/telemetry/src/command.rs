@@ -7,6 +7,7 @@
 //! [`Input::Report`](crate::Input::Report).
 
 use crate::ids::{ChannelName, SensorId};
+use crate::simulator::SimulatorCommand;
 use crate::spaces::{Arena, Pose};
 
 /// The key of a tunable; it has the form of a channel's name, which is that of MAVLink's parameters.
@@ -51,6 +52,8 @@ pub enum Command {
     StartRecording,
     /// End the recording.
     StopRecording,
+    /// Do something to the simulated brick.
+    Simulator(SimulatorCommand),
 }
 
 impl Command {
@@ -73,6 +76,7 @@ impl Command {
             Self::SwitchSource { to: Switch::On, .. } => "switch source on",
             Self::StartRecording => "start recording",
             Self::StopRecording => "stop recording",
+            Self::Simulator(command) => command.name(),
         }
     }
 }
@@ -121,4 +125,6 @@ pub enum Request {
     },
     /// End the recording, if one is being written.
     StopRecording,
+    /// Do something to the simulated brick, if the program has one.
+    Simulator(SimulatorCommand),
 }

@@ -20,6 +20,7 @@ pub mod observation;
 pub mod outbound;
 pub mod quantities;
 pub mod robot;
+pub mod simulator;
 pub mod spaces;
 pub mod world;
 
@@ -43,5 +44,6 @@ pub use quantities::{
     RadiansPerSecond, Volts,
 };
 pub use robot::{DriveGeometry, SensorNoise};
+pub use simulator::{SimulatorCommand, SlippingWheel, SteeringSource};
 pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};
 pub use world::{Wall, World};

@@ -166,6 +166,11 @@ impl Pipeline {
                 self.request(Request::StopRecording);
                 Ok("the recording's end was asked for".to_owned())
             }
+            Command::Simulator(command) => {
+                command.check().map_err(|error| error.to_string())?;
+                self.request(Request::Simulator(command));
+                Ok(command.to_string())
+            }
         }
     }
 

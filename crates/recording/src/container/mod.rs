@@ -25,7 +25,7 @@ pub use writer::{WriteError, Writer};
 use posebridge_telemetry::{HostClock, Stamp};
 
 /// Version of the recording's layout that this program writes, and the newest that it reads.
-pub const FORMAT: u32 = 3;
+pub const FORMAT: u32 = 4;
 
 /// The newest layout without chunks, whose messages have the time of the host clock and not UTC.
 const UNCHUNKED: u32 = 2;

@@ -1,8 +1,8 @@
 //! The fields of the layout, taken one by one from what is left of a message.
 
 use posebridge_telemetry::{
-    BeaconId, Celsius, Command, Fix, Heading, Input, LandmarkId, Learning, LinkId, LinkState,
-    Meters, MetersPerSecond, MetersPerSecondSquared, Observation, Observed, ParameterName,
+    BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, Learning, LinkId,
+    LinkState, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, Observed,
     ParameterStorage, PeerId, Point2, PortCounts, Pose, PositionCovariance, Radians,
     RadiansPerSecond, SensorId, Span, Stamp, Switch,
 };
@@ -48,11 +48,11 @@ impl<'a> Cursor<'a> {
         self.take().map(u32::from_le_bytes)
     }
 
-    fn i64(&mut self) -> Result<i64, DecodeError> {
+    pub(super) fn i64(&mut self) -> Result<i64, DecodeError> {
         self.take().map(i64::from_le_bytes)
     }
 
-    fn f64(&mut self) -> Result<f64, DecodeError> {
+    pub(super) fn f64(&mut self) -> Result<f64, DecodeError> {
         self.take().map(f64::from_le_bytes)
     }
 
@@ -135,6 +135,7 @@ impl<'a> Cursor<'a> {
                 severity: self.u8()?,
                 text: self.rest_as_text("a report")?.to_owned(),
             },
+            tag::SIMULATOR => Input::Command(Command::Simulator(self.simulator()?)),
             tag::TICK => Input::Tick,
             value => {
                 return Err(DecodeError::Unknown {
@@ -150,7 +151,7 @@ impl<'a> Cursor<'a> {
             command::RESET_POSE => Command::ResetPose,
             command::SET_PARAMETER => Command::SetParameter {
                 value: self.f64()?,
-                name: self.rest_as_name()?,
+                name: self.rest_as_name("a parameter's name")?,
             },
             command::SAVE_PARAMETERS => Command::Parameters(ParameterStorage::Save),
             command::RELOAD_PARAMETERS => Command::Parameters(ParameterStorage::Reload),
@@ -182,10 +183,9 @@ impl<'a> Cursor<'a> {
         std::str::from_utf8(rest).map_err(|_invalid| DecodeError::Text(what))
     }
 
-    fn rest_as_name(&mut self) -> Result<ParameterName, DecodeError> {
-        let what = "a parameter's name";
+    pub(super) fn rest_as_name(&mut self, what: &'static str) -> Result<ChannelName, DecodeError> {
         let text = self.rest_as_text(what)?;
-        let name = ParameterName::from_bytes(text.as_bytes());
+        let name = ChannelName::from_bytes(text.as_bytes());
         // What a name would change was not written by us.
         if name.as_str() == text {
             Ok(name)

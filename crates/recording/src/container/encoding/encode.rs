@@ -5,6 +5,7 @@ use posebridge_telemetry::{
     PortCounts, Pose, Switch,
 };
 
+use super::simulated::put_simulator;
 use super::{Place, VERSION, command, fix_flag, kind, tag};
 
 /// Appends the bytes of `input` to `bytes`, which must be empty.
@@ -90,10 +91,14 @@ fn put_command(command: &Command, bytes: &mut Vec<u8>) {
         Command::ResetCalibration => put(command::RESET_CALIBRATION),
         Command::StartRecording => put(command::START_RECORDING),
         Command::StopRecording => put(command::STOP_RECORDING),
+        Command::Simulator(command) => {
+            bytes.push(tag::SIMULATOR);
+            put_simulator(command, bytes);
+        }
     }
 }
 
-fn put_all(values: &[f64], bytes: &mut Vec<u8>) {
+pub(super) fn put_all(values: &[f64], bytes: &mut Vec<u8>) {
     for value in values {
         bytes.extend_from_slice(&value.to_le_bytes());
     }

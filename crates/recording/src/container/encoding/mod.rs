@@ -6,6 +6,7 @@
 mod cursor;
 mod decode;
 mod encode;
+mod simulated;
 #[cfg(test)]
 mod tests;
 
@@ -15,7 +16,7 @@ pub(super) use decode::decode;
 pub(super) use encode::encode;
 
 /// First byte of every message; a change of layout changes it.
-const VERSION: u8 = 3;
+const VERSION: u8 = 4;
 /// The oldest layout that is still read: it has the same tags, but for those that came later.
 const OLDEST: u8 = 1;
 /// Bytes of the checksum at the end.
@@ -34,6 +35,7 @@ mod tag {
     /// A command other than the oldest one, which has a tag of its own.
     pub(super) const COMMAND: u8 = 7;
     pub(super) const REPORT: u8 = 8;
+    pub(super) const SIMULATOR: u8 = 9;
 }
 
 /// Which command follows.
@@ -50,6 +52,22 @@ mod command {
     pub(super) const SOURCE_ON: u8 = 9;
     pub(super) const START_RECORDING: u8 = 10;
     pub(super) const STOP_RECORDING: u8 = 11;
+}
+
+/// Which command for the simulated brick follows.
+mod simulator {
+    pub(super) const KIDNAP: u8 = 0;
+    pub(super) const SLIP: u8 = 1;
+    pub(super) const CAMERA_OFF: u8 = 2;
+    pub(super) const CAMERA_ON: u8 = 3;
+    pub(super) const CAMERA_DELAY: u8 = 4;
+    pub(super) const GYRO_BIAS_STEP: u8 = 5;
+    pub(super) const LINK_PROFILE: u8 = 6;
+    pub(super) const NO_LINK_PROFILE: u8 = 7;
+    pub(super) const PULL_CABLE: u8 = 8;
+    pub(super) const STEERING: u8 = 9;
+    pub(super) const DRIVE: u8 = 10;
+    pub(super) const PATH: u8 = 11;
 }
 
 /// Which kind of observation follows.

@@ -1,8 +1,9 @@
 //! The bytes of the format page, written by hand, and what is refused.
 
 use posebridge_telemetry::{
-    Command, Input, Learning, LinkId, LinkState, Observation, Observed, ParameterName,
-    ParameterStorage, PeerId, PortCounts, RadiansPerSecond, SensorId, Span, Stamp, Switch,
+    ChannelName, Command, Input, Learning, LinkId, LinkState, Observation, Observed, ParameterName,
+    ParameterStorage, PeerId, PortCounts, RadiansPerSecond, SensorId, SimulatorCommand,
+    SlippingWheel, Span, Stamp, SteeringSource, Switch,
 };
 
 use super::*;
@@ -63,7 +64,7 @@ fn check(body: &[u8], input: &Input) {
 #[test]
 fn the_bytes_are_those_of_the_format_page() {
     check(
-        &[3, 0, 0x02, 0x01, 0xFE, 0x09],
+        &[4, 0, 0x02, 0x01, 0xFE, 0x09],
         &Input::Bytes {
             link: LinkId(0x0102),
             peer: PeerId(0),
@@ -71,14 +72,14 @@ fn the_bytes_are_those_of_the_format_page() {
         },
     );
     check(
-        &[3, 5, 0x02, 0x01, 9, 0, 0, 1, 0xFE],
+        &[4, 5, 0x02, 0x01, 9, 0, 0, 1, 0xFE],
         &Input::Bytes {
             link: LinkId(0x0102),
             peer: PeerId(0x0100_0009),
             bytes: vec![0xFE],
         },
     );
-    let mut counts = vec![3, 6, 7, 0];
+    let mut counts = vec![4, 6, 7, 0];
     counts.extend_from_slice(&[1, 0, 0, 0, 0, 0, 0, 0]);
     counts.extend_from_slice(&[2, 0, 0, 0, 0, 0, 0, 0]);
     counts.extend_from_slice(&[3, 0, 0, 0, 4, 0, 0, 0, 5, 0, 0, 0]);
@@ -98,42 +99,42 @@ fn the_bytes_are_those_of_the_format_page() {
         },
     );
     check(
-        &[3, 1, 3, 0, 1],
+        &[4, 1, 3, 0, 1],
         &Input::Link {
             link: LinkId(3),
             state: LinkState::Up,
         },
     );
-    check(&[3, 4], &Input::Tick);
+    check(&[4, 4], &Input::Tick);
 }
 
 #[test]
 fn commands_and_reports_stand_where_the_format_page_says() {
     let command = |body: &[u8], command| check(body, &Input::Command(command));
-    command(&[3, 7, 0], Command::ResetPose);
+    command(&[4, 7, 0], Command::ResetPose);
     command(
         &[
-            3, 7, 1, 0, 0, 0, 0, 0, 0, 0xE0, 0xBF, b's', b'l', b'i', b'p',
+            4, 7, 1, 0, 0, 0, 0, 0, 0, 0xE0, 0xBF, b's', b'l', b'i', b'p',
         ],
         Command::SetParameter {
             name: ParameterName::from_bytes(b"slip"),
             value: -0.5,
         },
     );
-    command(&[3, 7, 2], Command::Parameters(ParameterStorage::Save));
-    command(&[3, 7, 3], Command::Parameters(ParameterStorage::Reload));
-    command(&[3, 7, 4], Command::Parameters(ParameterStorage::Default));
-    command(&[3, 7, 5], Command::Learning(Learning::Frozen));
-    command(&[3, 7, 6], Command::Learning(Learning::Free));
-    command(&[3, 7, 7], Command::ResetCalibration);
+    command(&[4, 7, 2], Command::Parameters(ParameterStorage::Save));
+    command(&[4, 7, 3], Command::Parameters(ParameterStorage::Reload));
+    command(&[4, 7, 4], Command::Parameters(ParameterStorage::Default));
+    command(&[4, 7, 5], Command::Learning(Learning::Frozen));
+    command(&[4, 7, 6], Command::Learning(Learning::Free));
+    command(&[4, 7, 7], Command::ResetCalibration);
     for (kind, to) in [(8, Switch::Off), (9, Switch::On)] {
         let sensor = SensorId::CAMERA;
-        command(&[3, 7, kind, 3], Command::SwitchSource { sensor, to });
+        command(&[4, 7, kind, 3], Command::SwitchSource { sensor, to });
     }
-    command(&[3, 7, 10], Command::StartRecording);
-    command(&[3, 7, 11], Command::StopRecording);
+    command(&[4, 7, 10], Command::StartRecording);
+    command(&[4, 7, 11], Command::StopRecording);
     check(
-        &[3, 8, 4, b'f', 0xC3, 0xBC],
+        &[4, 8, 4, b'f', 0xC3, 0xBC],
         &Input::Report {
             severity: 4,
             text: "f\u{fc}".to_owned(),
@@ -142,8 +143,64 @@ fn commands_and_reports_stand_where_the_format_page_says() {
 }
 
 #[test]
+fn commands_for_the_simulated_brick_stand_where_the_format_page_says() {
+    let command = |body: &[u8], command| check(body, &Input::Command(Command::Simulator(command)));
+    let minus_half = [0, 0, 0, 0, 0, 0, 0xE0, 0xBF];
+    let half = [0, 0, 0, 0, 0, 0, 0xE0, 0x3F];
+    let second = [0x00, 0xCA, 0x9A, 0x3B, 0, 0, 0, 0]; // 1e9 ns
+    let of = |kind: u8, fields: &[&[u8]]| [&[4, 9, kind][..], &fields.concat()].concat();
+    let duration = Span::from_millis(1_000);
+    command(
+        &of(0, &[&half, &minus_half, &[0; 8]]),
+        SimulatorCommand::Kidnap {
+            forward_m: 0.5,
+            left_m: -0.5,
+            turn_rad: 0.0,
+        },
+    );
+    for (place, wheel) in SlippingWheel::ALL.into_iter().enumerate() {
+        command(
+            &of(1, &[&half, &second, &[place as u8]]),
+            SimulatorCommand::Slip {
+                wheel,
+                factor: 0.5,
+                duration,
+            },
+        );
+    }
+    command(&[4, 9, 2], SimulatorCommand::Camera(Switch::Off));
+    command(&[4, 9, 3], SimulatorCommand::Camera(Switch::On));
+    let delay = duration;
+    command(&of(4, &[&second]), SimulatorCommand::CameraDelay { delay });
+    let rad_per_s = -0.5;
+    command(
+        &of(5, &[&minus_half]),
+        SimulatorCommand::GyroBiasStep { rad_per_s },
+    );
+    let profile = ChannelName::from_bytes(b"usb");
+    command(
+        &of(6, &[b"usb"]),
+        SimulatorCommand::LinkProfile(Some(profile)),
+    );
+    command(&[4, 9, 7], SimulatorCommand::LinkProfile(None));
+    command(&of(8, &[&second]), SimulatorCommand::PullCable { duration });
+    let odometry = SteeringSource::Odometry;
+    command(&[4, 9, 9, 0], SimulatorCommand::Steering(odometry));
+    let estimate = SteeringSource::Estimate;
+    command(&[4, 9, 9, 1], SimulatorCommand::Steering(estimate));
+    command(
+        &of(10, &[&half, &minus_half]),
+        SimulatorCommand::Drive {
+            forward_m_per_s: 0.5,
+            turn_rad_per_s: -0.5,
+        },
+    );
+    command(&[4, 9, 11], SimulatorCommand::Path);
+}
+
+#[test]
 fn a_turn_rate_stands_where_the_format_page_says() {
-    let mut body = vec![3, 2, 1];
+    let mut body = vec![4, 2, 1];
     body.extend_from_slice(&[0x00, 0xCA, 0x9A, 0x3B, 0, 0, 0, 0]); // 1e9 ns
     body.extend_from_slice(&[0xFF; 8]); // -1 ns
     body.push(3);
@@ -168,22 +225,33 @@ fn what_the_layout_does_not_have_is_named() {
     check(&[1, 4, 0, 0], DecodeError::TooLong(2));
     check(&[1, 0, 5], DecodeError::TooShort { wanted: 2, left: 1 });
     check(
-        &[3, 9],
+        &[4, 10],
         DecodeError::Unknown {
             field: "input tag",
-            value: 9,
+            value: 10,
         },
     );
     check(
-        &[3, 7, 12],
+        &[4, 7, 12],
         DecodeError::Unknown {
             field: "command",
             value: 12,
         },
     );
-    check(&[3, 7, 5, 0], DecodeError::TooLong(1));
-    check(&[3, 8, 6, 0xFF], DecodeError::Text("a report"));
-    let name = |name: &[u8]| [&[3, 7, 1][..], &[0; 8], name].concat();
+    for (body, field, value) in [
+        (&[4, 9, 12][..], "command for the simulated brick", 12),
+        (&[4, 9, 9, 2], "steering source", 2),
+        (
+            &[&[4, 9, 1][..], &[0; 16], &[3]].concat(),
+            "slipping wheel",
+            3,
+        ),
+    ] {
+        check(body, DecodeError::Unknown { field, value });
+    }
+    check(&[4, 7, 5, 0], DecodeError::TooLong(1));
+    check(&[4, 8, 6, 0xFF], DecodeError::Text("a report"));
+    let name = |name: &[u8]| [&[4, 7, 1][..], &[0; 8], name].concat();
     check(&name(b"a b"), DecodeError::Text("a parameter's name"));
     check(
         &name(b"seventeen_letters"),
@@ -204,6 +272,7 @@ fn what_the_layout_does_not_have_is_named() {
 fn the_layouts_before_this_one_are_still_read() {
     assert_eq!(decode(&sealed(&[1, 4], PLACE), PLACE), Ok(Input::Tick));
     assert_eq!(decode(&sealed(&[2, 4], PLACE), PLACE), Ok(Input::Tick));
+    assert_eq!(decode(&sealed(&[3, 4], PLACE), PLACE), Ok(Input::Tick));
 }
 
 #[test]
