@@ -67,6 +67,11 @@ impl Hub {
         }
         if let Some(standing) = &batch.standing {
             self.recording.clone_from(&standing.recording);
+            if let (Some(simulator), Some(steering)) =
+                (&mut self.facts.simulator, &standing.steering)
+            {
+                simulator.steering.clone_from(steering);
+            }
             self.tell(batch.now, Told::Standing(standing));
         }
     }

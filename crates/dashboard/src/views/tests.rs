@@ -184,7 +184,7 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
             name: "gate_prob".to_owned(),
             value: 0.999,
         }],
-        recording: None,
+        ..Standing::default()
     };
     let mut parameters = view("parameters");
     parameters.take(at(0), Told::Standing(&standing));
