@@ -384,6 +384,7 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, Socke
             (config.clone(), config),
             Some(recording.to_owned()),
         ),
+        truth: None,
     };
     (shard, address)
 }

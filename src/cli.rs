@@ -116,6 +116,9 @@ pub struct RunArgs {
     /// Seed of the simulated brick, instead of its scenario's.
     #[arg(long)]
     pub seed: Option<u64>,
+    /// End when the simulated brick has driven its path so often; without it the brick drives on until Ctrl-C.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub laps: Option<u32>,
     /// Folder for recording and pictures, instead of one named after the time.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 
 use posebridge_analysis::{FixMark, SourceTally, TimedPose, Track};
+use posebridge_sim::REMEMBERED;
 use posebridge_telemetry::{
-    Arena, Estimate, Event, FusionRecord, LinkId, Observation, Observed, Point2, Span,
+    Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, Observed, Point2, Span,
+    Stamp,
 };
 
 use crate::report::links::LinkReport;
@@ -13,6 +15,8 @@ use crate::report::links::LinkReport;
 const KEPT: usize = 50_000;
 /// The same for a live run, whose memory must not grow after its first minute: still more than a picture has columns.
 const KEPT_LIVE: usize = 2_048;
+/// Of a live run without an end at least so much is kept, and the oldest goes: as much as its simulated brick remembers.
+const REMEMBERED_LIVE: Span = REMEMBERED;
 /// A track is not interpolated across a longer silence.
 pub const LONGEST_GAP: Span = Span::from_millis(1_000);
 
@@ -53,8 +57,8 @@ impl Collector {
     #[must_use]
     pub fn live() -> Self {
         Self {
-            estimates: Thinned::reserving(KEPT_LIVE),
-            fixes: Thinned::reserving(KEPT_LIVE),
+            estimates: Thinned::recent(KEPT_LIVE, REMEMBERED_LIVE, |estimate| estimate.stamp),
+            fixes: Thinned::recent(KEPT_LIVE, REMEMBERED_LIVE, |fix| fix.stamp),
             ..Self::default()
         }
     }
@@ -133,13 +137,22 @@ impl Collector {
     }
 }
 
-/// A list that keeps every item, then every second, then every fourth, so that it never holds more than a fixed number.
+/// A list that keeps every item, then every second, then every fourth, so that it never holds more than a fixed number. One for the recent
+/// past stops to thin once it reaches back far enough, and forgets the oldest instead.
 #[derive(Debug)]
 pub struct Thinned<T> {
     items: Vec<T>,
     most: usize,
     stride: usize,
     seen: usize,
+    recent: Option<Recent<T>>,
+}
+
+/// How far back a list of the recent past has to reach, and how old its items are.
+#[derive(Debug)]
+struct Recent<T> {
+    reach: Span,
+    stamp_of: fn(&T) -> Stamp<BrickClock>,
 }
 
 impl<T> Default for Thinned<T> {
@@ -157,13 +170,15 @@ impl<T> Thinned<T> {
             most,
             stride: 1,
             seen: 0,
+            recent: None,
         }
     }
 
-    /// The same with room for all of them.
-    fn reserving(most: usize) -> Self {
+    /// An empty list with room for `most` items that reaches back at least so far.
+    fn recent(most: usize, reach: Span, stamp_of: fn(&T) -> Stamp<BrickClock>) -> Self {
         Self {
             items: Vec::with_capacity(most),
+            recent: Some(Recent { reach, stamp_of }),
             ..Self::keeping(most)
         }
     }
@@ -174,7 +189,12 @@ impl<T> Thinned<T> {
             self.items.push(item);
         }
         self.seen += 1;
-        if self.items.len() >= self.most {
+        if self.items.len() < self.most {
+            return;
+        }
+        if self.reaches_back() {
+            self.items.drain(..self.most / 4);
+        } else {
             let mut index = 0;
             self.items.retain(|_| {
                 index += 1;
@@ -182,6 +202,17 @@ impl<T> Thinned<T> {
             });
             self.stride *= 2;
         }
+    }
+
+    /// Whether three quarters of the list would still reach back far enough.
+    fn reaches_back(&self) -> bool {
+        let Some(recent) = &self.recent else {
+            return false;
+        };
+        let later = self.items.get(self.most / 4).zip(self.items.last());
+        later.is_some_and(|(oldest, newest)| {
+            (recent.stamp_of)(newest) - (recent.stamp_of)(oldest) >= recent.reach
+        })
     }
 
     /// The items that were kept, oldest first.
@@ -211,13 +242,23 @@ mod tests {
     }
 
     #[test]
-    fn a_reserved_list_takes_no_more_memory() {
-        let mut list = Thinned::reserving(100);
+    fn a_list_of_the_recent_past_reaches_back_far_enough_and_takes_no_more_memory() {
+        let reach = Span::from_millis(1_000);
+        let mut list = Thinned::recent(100, reach, |item: &i64| Stamp::from_millis(*item));
         let capacity = list.items.capacity();
         for item in 0..100_000 {
             list.push(item);
+            let (oldest, newest) = (list.items()[0], *list.items().last().unwrap());
+            assert!(newest - oldest >= item.min(1_000) - 32, "{oldest} {newest}");
+            assert!(newest - oldest <= 3_200, "{oldest} {newest}");
         }
         assert!((50..100).contains(&list.items().len()));
         assert_eq!(list.items.capacity(), capacity);
+        let steps: Vec<i64> = list
+            .items()
+            .windows(2)
+            .map(|pair| pair[1] - pair[0])
+            .collect();
+        assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
     }
 }

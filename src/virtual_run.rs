@@ -10,8 +10,11 @@ use posebridge_protocol::framing::Framing;
 use posebridge_sim::impairment::{
     Counters, End, Fate, ImpairedLink, LinkEvent, LinkKind, LinkProfile, LogEntry,
 };
-use posebridge_sim::{Scenario, Simulation};
-use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
+use posebridge_sim::{Doer, Scenario, Simulation};
+use posebridge_telemetry::{
+    Command, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Request, SimulatorCommand,
+    Span, Stamp,
+};
 
 use crate::collect::Collector;
 
@@ -105,54 +108,52 @@ pub fn run_over(
     run_on(scenario, config, link)
 }
 
+/// What somebody sees who looks on at a run, in the order in which it happens.
+#[derive(Clone, Copy, Debug)]
+pub enum Seen<'a> {
+    /// The pipeline is given this.
+    Input(&'a Input),
+    /// The pipeline tells this.
+    Event(&'a Event),
+}
+
+/// What is done in a run, and who looks on.
+pub struct Deeds<'a> {
+    /// What the pipeline is told to do at which world time, in the order of time. What it asks to be done to the brick is done.
+    pub commands: &'a [(Span, Command)],
+    /// The run ends then, if not before.
+    pub until: Span,
+    /// Sees everything.
+    pub look: &'a mut dyn FnMut(Stamp<HostClock>, Seen<'_>),
+}
+
+/// Runs a scenario as [`run`] does, while somebody gives commands.
+///
+/// # Errors
+/// The pipeline cannot be built.
+pub fn run_with(
+    scenario: Scenario,
+    config: PipelineConfig,
+    deeds: Deeds<'_>,
+) -> Result<VirtualRun, BuildError> {
+    let link = ImpairedLink::new(&LinkProfile::default(), 0, Stamp::ZERO);
+    let until = deeds.until;
+    let mut session = Session::new(scenario, config, link)?;
+    session.commands = deeds.commands.iter().copied().collect();
+    session.look = Some(deeds.look);
+    Ok(session.drive(until))
+}
+
 fn run_on(
     scenario: Scenario,
     config: PipelineConfig,
     link: ImpairedLink,
 ) -> Result<VirtualRun, BuildError> {
-    let camera = config.links.get(1).map(|link| link.id);
-    let mut session = Session {
-        id: config.links.first().map_or(LinkId(0), |link| link.id),
-        camera: camera.filter(|_| !scenario.brick.personality.shares_link_with_camera()),
-        pipeline: Pipeline::new(config, Stamp::ZERO)?,
-        simulation: Simulation::new(scenario),
-        collector: Collector::default(),
-        link,
-        outages: 0,
-        to_station: Journeys::default(),
-        to_brick: Journeys::default(),
-    };
-    session.tell(Stamp::ZERO, session.id, LinkState::Up);
-    if let Some(camera) = session.camera {
-        session.tell(Stamp::ZERO, camera, LinkState::Up);
-    }
-    session.pass_to(Stamp::ZERO);
-    let mut ends_at: Option<Span> = None;
-    loop {
-        let elapsed = session.simulation.elapsed();
-        if ends_at.is_some_and(|end| elapsed >= end) || elapsed >= LONGEST {
-            break;
-        }
-        session.step();
-        if session.simulation.is_finished() && ends_at.is_none() {
-            ends_at = Some(session.simulation.elapsed() + AFTERGLOW);
-        }
-    }
-    Ok(VirtualRun {
-        link: LinkTally {
-            to_station: session.link.counters(End::Station),
-            to_brick: session.link.counters(End::Brick),
-            outages: session.outages,
-        },
-        simulation: session.simulation,
-        collector: session.collector,
-        delays_to_station: session.to_station.delays,
-        delays_to_brick: session.to_brick.delays,
-    })
+    Ok(Session::new(scenario, config, link)?.drive(LONGEST))
 }
 
 /// Brick, link and station.
-struct Session {
+struct Session<'a> {
     id: LinkId,
     /// The camera's own link, where it has one.
     camera: Option<LinkId>,
@@ -163,6 +164,13 @@ struct Session {
     outages: u64,
     to_station: Journeys,
     to_brick: Journeys,
+    /// What is still to be told to the pipeline, and when.
+    commands: VecDeque<(Span, Command)>,
+    /// What the pipeline has asked to be done to the link.
+    asked_of_link: VecDeque<SimulatorCommand>,
+    /// Until when the cable is out.
+    unplugged_until: Option<Span>,
+    look: Option<&'a mut dyn FnMut(Stamp<HostClock>, Seen<'_>)>,
 }
 
 /// How long what was offered in one direction was on its way.
@@ -198,13 +206,112 @@ impl Journeys {
     }
 }
 
-impl Session {
+impl Session<'_> {
+    fn new(
+        scenario: Scenario,
+        config: PipelineConfig,
+        link: ImpairedLink,
+    ) -> Result<Self, BuildError> {
+        let camera = config.links.get(1).map(|link| link.id);
+        Ok(Self {
+            id: config.links.first().map_or(LinkId(0), |link| link.id),
+            camera: camera.filter(|_| !scenario.brick.personality.shares_link_with_camera()),
+            pipeline: Pipeline::new(config, Stamp::ZERO)?,
+            simulation: Simulation::new(scenario),
+            collector: Collector::default(),
+            link,
+            outages: 0,
+            to_station: Journeys::default(),
+            to_brick: Journeys::default(),
+            commands: VecDeque::new(),
+            asked_of_link: VecDeque::new(),
+            unplugged_until: None,
+            look: None,
+        })
+    }
+
+    /// Lets the brick drive until its path ends, at the longest until then.
+    fn drive(mut self, until: Span) -> VirtualRun {
+        self.tell(Stamp::ZERO, self.id, LinkState::Up);
+        if let Some(camera) = self.camera {
+            self.tell(Stamp::ZERO, camera, LinkState::Up);
+        }
+        self.pass_to(Stamp::ZERO);
+        let mut ends_at = until;
+        while self.simulation.elapsed() < ends_at {
+            self.step();
+            if self.simulation.is_finished() && ends_at == until {
+                ends_at = until.min(self.simulation.elapsed() + AFTERGLOW);
+            }
+        }
+        VirtualRun {
+            link: LinkTally {
+                to_station: self.link.counters(End::Station),
+                to_brick: self.link.counters(End::Brick),
+                outages: self.outages,
+            },
+            simulation: self.simulation,
+            collector: self.collector,
+            delays_to_station: self.to_station.delays,
+            delays_to_brick: self.to_brick.delays,
+        }
+    }
+
+    /// Gives the commands whose time has come, and does to the link what was asked for.
+    fn obey(&mut self, now: Stamp<HostClock>) {
+        let elapsed = self.simulation.elapsed();
+        while let Some((at, command)) = self.commands.front().copied()
+            && at <= elapsed
+        {
+            self.commands.pop_front();
+            self.give(now, &Input::Command(command));
+        }
+        while let Some(command) = self.asked_of_link.pop_front() {
+            self.change_link(now, &command);
+        }
+        if self
+            .unplugged_until
+            .take_if(|back| *back <= elapsed)
+            .is_some()
+        {
+            self.simulation.reopen_link();
+            self.tell(now, self.id, LinkState::Up);
+        }
+    }
+
+    fn change_link(&mut self, now: Stamp<HostClock>, command: &SimulatorCommand) {
+        match command {
+            SimulatorCommand::LinkProfile(name) => {
+                let profile = name.and_then(|name| LinkProfile::bundled(name.as_str()).ok());
+                let seed = self.simulation.scenario().seed;
+                self.link = ImpairedLink::new(&profile.unwrap_or_default(), seed, now);
+            }
+            SimulatorCommand::PullCable { duration } => {
+                self.unplugged_until = Some(self.simulation.elapsed() + *duration);
+                self.outages += 1;
+                self.tell(now, self.id, LinkState::Down);
+            }
+            SimulatorCommand::Kidnap { .. }
+            | SimulatorCommand::Slip { .. }
+            | SimulatorCommand::Camera(_)
+            | SimulatorCommand::CameraDelay { .. }
+            | SimulatorCommand::GyroBiasStep { .. }
+            | SimulatorCommand::Steering(_)
+            | SimulatorCommand::Drive { .. }
+            | SimulatorCommand::Path => {}
+        }
+    }
+
     /// A step of the world, and all that happens until its end.
     fn step(&mut self) {
         self.simulation.step();
         let now = Stamp::<HostClock>::ZERO + self.simulation.elapsed();
+        self.obey(now);
         self.pass_to(now);
         while let Some(bytes) = self.simulation.poll() {
+            if self.unplugged_until.is_some() {
+                continue;
+            }
             let unit = self.link.offer(End::Brick, now, &bytes);
             self.to_station.begin(unit, now);
             self.pass_to(now);
@@ -264,9 +371,13 @@ impl Session {
     }
 
     fn give(&mut self, at: Stamp<HostClock>, input: &Input) {
+        if let Some(look) = &mut self.look {
+            look(at, Seen::Input(input));
+        }
         self.pipeline.handle(at, input);
         while let Some(output) = self.pipeline.poll() {
             match output {
+                Output::Transmit { .. } if self.unplugged_until.is_some() => {}
                 Output::Transmit { link, bytes, .. } if self.camera == Some(link) => {
                     self.simulation.receive_camera(&bytes);
                 }
@@ -274,9 +385,24 @@ impl Session {
                     let unit = self.link.offer(End::Station, at, &bytes);
                     self.to_brick.begin(unit, at);
                 }
-                Output::Event(event) => self.collector.take(&event),
+                Output::Event(event) => {
+                    if let Some(look) = &mut self.look {
+                        look(at, Seen::Event(&event));
+                    }
+                    self.collector.take(&event);
+                }
+                Output::Request(Request::Simulator(command)) => {
+                    match self.simulation.carry_out(&command) {
+                        Doer::World => {}
+                        Doer::Link => self.asked_of_link.push_back(command),
+                    }
+                }
                 // There is no file to write.
-                Output::Request(_) => {}
+                Output::Request(
+                    Request::SaveParameters { .. }
+                    | Request::StartRecording { .. }
+                    | Request::StopRecording,
+                ) => {}
             }
         }
     }

@@ -192,6 +192,7 @@ fn impossible_flags_are_refused() {
         &["run", "--duration", "nan"],
         &["run", "--until-silent", "inf"],
         &["sim", "square", "--listen", "pty:x", "--laps", "0"],
+        &["run", "--laps", "0"],
         &["play", "x.toml", "--listen", "pty:x", "--speed", "0"],
         &["replay", "x.mcap", "--use-every", "4"],
     ] {

@@ -245,7 +245,7 @@ fn each_source_of_the_json_object_has_the_documented_keys_and_counts() {
         "unused",
         "degrees_of_freedom",
     ];
-    let others = ["name", "used", "mean_nis_per_dof", "consistency"];
+    let others = ["name", "used", "slip", "mean_nis_per_dof", "consistency"];
     assert_eq!(keys(source), sorted(&[&counts[..], &others].concat()));
     assert_eq!(source["name"], "wheels");
     assert!(source["used"].as_u64().unwrap() > 1_000);

@@ -18,6 +18,8 @@ fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_c
         "run",
         "--link",
         "sim://skewed.toml",
+        "--laps",
+        "1",
         "--out",
         "run",
         "--events",

@@ -22,6 +22,8 @@ fn live_run(folder: &Path) -> PathBuf {
         "run",
         "--link",
         "sim://skewed.toml",
+        "--laps",
+        "1",
         "--out",
         "run",
         "--tlog",

@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message, VisionFix, WireStamp};
 use posebridge_telemetry::{
-    Address, Arena, Body, CameraClock, Heading, Meters, Point2, Pose, Radians, Span, Stamp,
+    Address, Arena, Body, CameraClock, Heading, Meters, Point2, Pose, Radians, Span, Stamp, Switch,
 };
 
 use crate::clock::SkewedClock;
@@ -19,7 +19,7 @@ use crate::node::{IntervalRequest, Node};
 use crate::overhead_view;
 use crate::random::Stream;
 use crate::scenario::{CameraImages, CameraOrder, CameraSettings};
-use crate::simulation::History;
+use crate::simulation::{History, forget_oldest};
 
 /// The camera's address on the link: MAV_COMP_ID_CAMERA of the robot's system (minimal.xml).
 pub const CAMERA: Address = Address::new(1, 100);
@@ -70,8 +70,12 @@ pub(crate) struct Camera {
     /// What it sees goes there and no fix is sent, once somebody looks through it.
     images: Option<VecDeque<String>>,
     image_count: u64,
+    /// A hand before the lens: it sees nothing.
+    is_covered: bool,
 }
 
+/// Of a drive without an end at least so many fixes are remembered: ten minutes at 20 per second.
+const REMEMBERED_FIXES: usize = 12_000;
 /// So many images wait for whoever looks; older ones are of no use to anybody.
 const MOST_IMAGES: usize = 64;
 
@@ -102,6 +106,7 @@ impl Camera {
             log: Vec::new(),
             images: None,
             image_count: 0,
+            is_covered: false,
         }
     }
 
@@ -128,7 +133,8 @@ impl Camera {
         for fix in self.pending.drain(..due).collect::<Vec<_>>() {
             let message = self.message(&fix);
             self.node.send(&message);
-            if self.history == History::Kept {
+            if self.history != History::Forgotten {
+                forget_oldest(self.history, REMEMBERED_FIXES, &mut self.log);
                 self.log.push(fix);
             }
         }
@@ -151,9 +157,19 @@ impl Camera {
         bytes.filter(|_| self.images.is_none())
     }
 
-    /// Keeps no log.
-    pub(crate) const fn forget(&mut self) {
-        self.history = History::Forgotten;
+    /// A hand covers the lens, or is taken away.
+    pub(crate) const fn switch(&mut self, to: Switch) {
+        self.is_covered = matches!(to, Switch::Off);
+    }
+
+    /// From here on what it sees is told so much later. What was seen before is told as it would have been.
+    pub(crate) fn set_delay(&mut self, delay: Span) {
+        self.settings.latency_ms = delay.as_millis_f64();
+    }
+
+    /// Keeps so much of its log from here on.
+    pub(crate) const fn remember(&mut self, history: History) {
+        self.history = history;
     }
 
     /// Everything that was sent.
@@ -180,7 +196,8 @@ impl Camera {
     /// Takes an image. Every image draws the same number of random values, so that one more outlier or dropout leaves
     /// the noise of the others as it was.
     fn expose(&mut self, world: Span, pose: Pose<Arena>) {
-        let is_dropped = self.stream.happens(self.settings.dropout) || self.is_dark(world);
+        let is_dropped =
+            self.stream.happens(self.settings.dropout) || self.is_dark(world) || self.is_covered;
         let is_outlier = self.stream.happens(self.settings.outlier);
         let gross = f64::from(u8::from(is_outlier));
         let error = Noise::draw(&mut self.stream, &self.settings, gross);

@@ -7,7 +7,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Arena, Body, Heading, Meters, Point2, Pose, Transform2};
 
-use crate::scenario::{Course, Scenario};
+use crate::scenario::{Course, DriveEnd, Scenario};
 
 /// Points of [`Path::polyline`] lie at most this far apart on arcs, in metres.
 const POLYLINE_STEP_M: f64 = 0.02;
@@ -134,13 +134,25 @@ pub(crate) struct Path {
     legs: Vec<Leg>,
     /// The pieces of one lap; all laps lie on them.
     lap: Vec<Segment>,
+    /// How many legs make a lap; a path without a stop has a single leg for all of its laps.
+    lap_legs: usize,
     is_closed: bool,
 }
+
+/// Laps of a path without a stop that is driven for ever: beyond the first of them the follower goes back by one.
+const SMOOTH_LAPS: usize = 2;
 
 impl Path {
     /// The path of a scenario.
     pub(crate) fn new(scenario: &Scenario) -> Self {
-        let laps = scenario.drive.laps as usize;
+        let (laps, smooth_laps, is_endless) = match scenario.drive.end {
+            DriveEnd::LastLap => (
+                scenario.drive.laps as usize,
+                scenario.drive.laps as usize,
+                false,
+            ),
+            DriveEnd::Never => (1, SMOOTH_LAPS, true),
+        };
         let start = scenario.start.pose();
         match &scenario.path {
             Course::Square { side_m, direction } => {
@@ -152,10 +164,11 @@ impl Path {
             Course::Circle {
                 radius_m,
                 direction,
-            } => Self::smooth(start, laps, &[direction.sign() / radius_m]),
+            } => Self::smooth(start, smooth_laps, &[direction.sign() / radius_m]),
             Course::FigureEight { radius_m } => {
-                Self::smooth(start, laps, &[1.0 / radius_m, -1.0 / radius_m])
+                Self::smooth(start, smooth_laps, &[1.0 / radius_m, -1.0 / radius_m])
             }
+            Course::Waypoints { points_m } if is_endless => round_trip(start, points_m),
             Course::Waypoints { points_m } => waypoints(start, points_m, laps),
         }
     }
@@ -172,6 +185,7 @@ impl Path {
         Self {
             legs,
             lap,
+            lap_legs,
             is_closed: first.origin().distance(last.origin()).0 < CLOSED_M,
         }
     }
@@ -188,6 +202,7 @@ impl Path {
         Self {
             legs: vec![leg],
             lap: pen.segments,
+            lap_legs: 1,
             is_closed: true,
         }
     }
@@ -210,6 +225,28 @@ impl Path {
     /// The length of all laps, in metres.
     pub(crate) fn length_m(&self) -> f64 {
         self.legs.iter().map(Leg::length_m).sum()
+    }
+
+    /// The length of one lap, in metres.
+    pub(crate) fn lap_length_m(&self) -> f64 {
+        self.lap.iter().map(|segment| segment.length_m).sum()
+    }
+
+    /// The place of the lap with `leg` in it that is next to a point: its leg, and how far along it in metres.
+    pub(crate) fn nearest(&self, leg: usize, point: Point2<Arena>) -> (usize, f64) {
+        let first = leg - leg % self.lap_legs.max(1);
+        let mut best = (first, 0.0, f64::INFINITY);
+        for (index, leg) in self.legs.iter().enumerate().skip(first).take(self.lap_legs) {
+            let mut begin_m = 0.0;
+            for segment in &leg.segments {
+                let found = segment.project(point);
+                if found.distance_m < best.2 {
+                    best = (index, begin_m + found.along_m, found.distance_m);
+                }
+                begin_m += segment.length_m;
+            }
+        }
+        (best.0, best.1)
     }
 
     /// Distance of a point from the nearest place of the path, in metres.
@@ -304,6 +341,18 @@ fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
         legs.extend(lap.iter().cloned());
     }
     Path::of_legs(legs, lap.len() + usize::from(way_back.is_some()))
+}
+
+/// Between the points and back to the first of them: a lap that can be driven again and again.
+fn round_trip(start: Pose<Arena>, points_m: &[[f64; 2]]) -> Path {
+    let mut points_m = points_m.to_vec();
+    let ends = points_m.first().copied().zip(points_m.last().copied());
+    if let Some((first, _)) =
+        ends.filter(|(first, last)| (first[0] - last[0]).hypot(first[1] - last[1]) >= CLOSED_M)
+    {
+        points_m.push(first);
+    }
+    waypoints(start, &points_m, 1)
 }
 
 fn straight(from: Point2<Arena>, to: Point2<Arena>) -> Leg {

@@ -102,6 +102,11 @@ impl SensorBoard {
         self.thermometer.as_mut().map(Thermometer::read)
     }
 
+    /// The gyro shows so much more from here on, until a power cycle.
+    pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
+        self.gyro.bias_deg_per_s += rad_per_s.to_degrees();
+    }
+
     /// A power cycle: counters and the gyro's integral at zero, biases drawn anew.
     pub(crate) fn restart(&mut self) {
         self.encoders.as_mut().map(Encoder::zero);

@@ -6,6 +6,8 @@
 //! It advances only when [`Simulation::step`] is called and knows no other time. Bytes go in and come out; how they
 //! travel, and how fast the steps follow each other, is the caller's business.
 
+mod faults;
+
 use std::collections::VecDeque;
 
 use posebridge_protocol::dialect;
@@ -16,11 +18,12 @@ use posebridge_telemetry::{
     RadiansPerSecond, SensorNoise, Span, Stamp,
 };
 
+pub use self::faults::Doer;
 use crate::camera::{Camera, CameraFix};
 use crate::clock::SkewedClock;
 use crate::path::Path;
 use crate::personality::{Brick, When};
-use crate::scenario::{Scenario, Steering};
+use crate::scenario::{DriveEnd, Scenario, Steering};
 use crate::sensors::SensorBoard;
 use crate::wheels::Pair;
 use crate::world::{Body, STEP};
@@ -70,11 +73,25 @@ impl ReceivedEstimate {
     }
 }
 
+/// A drive without an end remembers at least this much of what has been, and at most twice as much.
+pub const REMEMBERED: Span = Span::from_millis(600_000);
+/// Of estimates and fixes, which come at other rates, it remembers at least so many: ten minutes at 20 per second.
+const REMEMBERED_ITEMS: usize = 12_000;
+
+/// Forgets the oldest half once there are twice as many as have to be remembered.
+pub(crate) fn forget_oldest<T>(history: History, most: usize, list: &mut Vec<T>) {
+    if history == History::Recent && list.len() >= 2 * most {
+        list.drain(..most);
+    }
+}
+
 /// Whether a simulation remembers what has been.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum History {
     /// All of it.
     Kept,
+    /// The last of it: [`REMEMBERED`].
+    Recent,
     /// Nothing: a brick that runs for days must not fill the memory.
     Forgotten,
 }
@@ -116,6 +133,10 @@ impl Simulation {
             .camera
             .is_present
             .then(|| Camera::new(scenario.camera.clone(), scenario.seed));
+        let history = match scenario.drive.end {
+            DriveEnd::LastLap => History::Kept,
+            DriveEnd::Never => History::Recent,
+        };
         let mut simulation = Self {
             world: Span::ZERO,
             polyline: path.polyline(),
@@ -129,24 +150,29 @@ impl Simulation {
             camera_scanner: Scanner::new(ScannerConfig::default()),
             outgoing: VecDeque::new(),
             camera_outgoing: VecDeque::new(),
-            history: History::Kept,
+            history,
             samples: 0,
             truth: Vec::new(),
             received: Vec::new(),
             path,
             scenario,
         };
+        simulation.remember(history);
         simulation.log_truth();
         simulation
+    }
+
+    const fn remember(&mut self, history: History) {
+        self.history = history;
+        if let Some(camera) = &mut self.camera {
+            camera.remember(history);
+        }
     }
 
     /// The same world, which keeps neither truth nor estimates nor camera fixes from here on: for runs without end.
     #[must_use]
     pub fn without_history(mut self) -> Self {
-        self.history = History::Forgotten;
-        if let Some(camera) = &mut self.camera {
-            camera.forget();
-        }
+        self.remember(History::Forgotten);
         self
     }
 
@@ -256,14 +282,25 @@ impl Simulation {
         self.brick.is_finished() && self.body.is_at_rest()
     }
 
-    /// How much of the path is driven, 0 to 1.
+    /// Laps that are done, where the drive has no end ([`DriveEnd::Never`](crate::scenario::DriveEnd::Never)).
+    pub fn laps_done(&self) -> u64 {
+        self.brick.laps_done()
+    }
+
+    /// How much of the path is driven, 0 to 1; of the lap in hand, where the drive has no end.
     pub fn progress(&self) -> f64 {
         self.brick.progress()
     }
 
-    /// The truth at the beginning and after each telemetry period of world time.
+    /// The truth at the beginning and after each telemetry period of world time; of a drive without an end the last of it
+    /// ([`REMEMBERED`]).
     pub fn truth(&self) -> &[TruthSample] {
         &self.truth
+    }
+
+    /// How many samples of the truth there were so far, those that are forgotten included.
+    pub const fn truth_samples(&self) -> u64 {
+        self.samples
     }
 
     /// The usable estimates that reached the brick, in the order of their arrival.
@@ -314,7 +351,8 @@ impl Simulation {
     }
 
     fn log_estimate(&mut self, instant: Stamp<BrickClock>, pose: Pose<Arena>) {
-        if self.history == History::Kept {
+        if self.history != History::Forgotten {
+            forget_oldest(self.history, REMEMBERED_ITEMS, &mut self.received);
             self.received.push(ReceivedEstimate {
                 world: self.world,
                 arrival: self.brick_clock.exact(self.world),
@@ -343,6 +381,8 @@ impl Simulation {
             return;
         }
         self.samples += 1;
+        let most = (REMEMBERED.as_secs_f64() / period_s) as usize;
+        forget_oldest(self.history, most, &mut self.truth);
         let pose = self.body.pose();
         self.truth.push(TruthSample {
             world: self.world,

@@ -8,11 +8,14 @@
 //! turn       (s_r - s_l) / true track + k sqrt(|dtheta|) n + kicks
 //! pose       an exact arc of (s_l + s_r) / 2 and turn
 //! ```
+//! What a person does to it is added by [`crate::mishaps`].
+//!
 //! # Sources
 //! docs/simulated-brick.md, sections 1 and 2.
 
-use posebridge_telemetry::{Arena, Heading, Meters, Pose, Span};
+use posebridge_telemetry::{Arena, Heading, Meters, Pose, SlippingWheel, Span};
 
+use crate::mishaps::{Displacement, Mishaps};
 use crate::motor::{Backlash, Motor};
 use crate::random::Stream;
 use crate::scenario::{ErrorSettings, Scenario};
@@ -42,6 +45,7 @@ pub(crate) struct Body {
     battery_v: f64,
     battery_drop_v_per_step: f64,
     slip: Slip,
+    mishaps: Mishaps,
     pose: Pose<Arena>,
     wheel_speed_m_per_s: Pair<f64>,
     turned_rad: f64,
@@ -73,6 +77,7 @@ impl Body {
             battery_v: robot.battery_v,
             battery_drop_v_per_step: robot.battery_drop_v_per_min / 60.0 * STEP_S,
             slip: Slip::new(scenario.seed, *errors),
+            mishaps: Mishaps::default(),
             pose: start,
             wheel_speed_m_per_s: Pair::default(),
             turned_rad: 0.0,
@@ -95,11 +100,30 @@ impl Body {
             });
         let rolled = self.radius_m.zip(rotation).map(|(r, angle)| r * angle);
         self.wheel_speed_m_per_s = rolled.map(|travel| travel / STEP_S);
+        let grip = self.mishaps.grip();
+        if let Some((pose, turned_rad)) = self.mishaps.carry_on() {
+            // In the air nothing that the wheels do moves anything.
+            self.pose = pose;
+            self.turned_rad += turned_rad;
+            return;
+        }
         let gripped = self.slip.grip(rotation).zip(self.radius_m);
-        let travel = gripped.map(|(angle, r)| r * angle);
+        let travel = gripped
+            .zip(grip)
+            .map(|((angle, r), share)| r * angle * share);
         let travel = travel.map(|s| self.slip.travel(s));
         let turn = self.slip.turn((travel.right - travel.left) / self.track_m);
         self.advance(0.5 * (travel.left + travel.right), turn);
+    }
+
+    /// A hand lifts the robot and puts it down elsewhere.
+    pub(crate) const fn lift(&mut self, by: Displacement) {
+        self.mishaps.lift(self.pose, by);
+    }
+
+    /// A wheel loses this share of its grip for a while.
+    pub(crate) fn take_grip(&mut self, wheel: SlippingWheel, share: f64, duration: Span) {
+        self.mishaps.take_grip(wheel, share, duration);
     }
 
     fn advance(&mut self, forward_m: f64, turn_rad: f64) {

@@ -17,7 +17,7 @@ use super::{Failure, Stage, station_link};
 use crate::cli::{BrickKind, SimArgs, StationLink, SteerBy};
 use crate::link_target::load_scenario;
 use crate::stderr::say;
-use crate::tasks::sim_brick::{Announcement, BrickPorts, drive};
+use crate::tasks::sim_brick::{Announcement, BrickPorts, Cable, Company, drive};
 use crate::truth_file;
 
 /// Runs the brick until its path ends or somebody stops it.
@@ -100,8 +100,13 @@ async fn brick(mut simulation: Simulation, args: &SimArgs) -> Result<Simulation,
     ));
     let stop = CancellationToken::new();
     let (progress, _) = watch::channel(0.0);
+    let company = Company {
+        stop: &stop,
+        progress: &progress,
+        reach: None,
+    };
     tokio::select! {
-        () = drive(&mut simulation, &mut ports, timer, &stop, &progress) => {}
+        () = drive(&mut simulation, &mut ports, timer, company) => {}
         () = signals.received() => {}
     }
     Ok(simulation)
@@ -110,7 +115,8 @@ async fn brick(mut simulation: Simulation, args: &SimArgs) -> Result<Simulation,
 /// All ports, open, and where they are, for people.
 async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)> {
     let (brick, mut place) = open(&args.link, timer).await?;
-    let mut ports = BrickPorts::of(brick);
+    let beacon_port = brick.local_address().map(|address| address.port());
+    let mut ports = BrickPorts::of(Cable::fixed(brick));
     let camera = StationLink {
         listen: args.camera.camera_listen.clone(),
         link: args.camera.camera_link.clone(),
@@ -132,7 +138,7 @@ async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)>
         place.push_str(&its_place);
     }
     if let Some(url) = &args.announce {
-        let beacon = beacon_of(&ports.brick)?;
+        let beacon = beacon_of(beacon_port)?;
         let to = StationLink {
             listen: None,
             link: Some(url.clone()),
@@ -150,8 +156,8 @@ async fn open(link: &StationLink, timer: HostTimer) -> Result<(Port, String)> {
 }
 
 /// What an EV3 that listens there says of itself.
-fn beacon_of(port: &Port) -> Result<Vec<u8>> {
-    match port.local_address().map(|address| address.port()) {
+fn beacon_of(tcp_port: Option<u16>) -> Result<Vec<u8>> {
+    match tcp_port {
         // Four digits is what the clients of the real brick look for.
         Some(number @ 1_000..=9_999) => Ok(ev3_beacon(number)),
         _ => {

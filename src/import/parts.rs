@@ -29,12 +29,13 @@ pub(super) fn joined(path: &Path, first: Vec<u8>) -> Result<(Vec<u8>, Vec<String
     let mut notes = Vec::new();
     let mut part = (number, path.to_owned(), first);
     let mut following = Some((number + 1, next_path, next));
+    let mut truth = Vec::new();
     loop {
         let (number, path, bytes) = &part;
         copy(path, bytes, &mut writer, &mut notes)?;
+        // That of a simulated run; a run of an earlier format has all of it in its last part.
+        truth.extend(container::truth(bytes).with_context(|| name_of(path))?);
         let Some(next) = following.take() else {
-            // The truth of a simulated run stands where the run ended.
-            let truth = container::truth(bytes).with_context(|| name_of(path))?;
             writer.record_truth(posebridge_telemetry::Stamp::ZERO, &truth)?;
             notes.insert(0, format!("{number} parts were joined"));
             break;

@@ -62,6 +62,7 @@ pub(super) type Entries = BTreeMap<&'static str, CalibrationEntry>;
 pub(super) struct Source {
     name: &'static str,
     used: u64,
+    slip: u64,
     gated: u64,
     too_old: u64,
     malformed: u64,
@@ -147,6 +148,7 @@ pub(super) fn source(tally: &SourceTally) -> Source {
     Source {
         name: tally.sensor.name(),
         used: tally.used + tally.reset_to,
+        slip: tally.slip,
         gated: tally.gated,
         too_old: tally.too_old,
         malformed: tally.malformed,

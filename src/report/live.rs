@@ -11,10 +11,13 @@ use posebridge_telemetry::{
 use tokio::sync::watch;
 
 use super::links::{LinkReport, condition};
+use super::off::Off;
 use crate::stderr::say;
 
 /// Without a terminal a plain line is written this often instead.
 const PLAIN_PERIOD: Span = Span::from_millis(5_000);
+/// With a simulated brick a short line is written this often instead: who is how far off.
+const OFF_PERIOD: Span = Span::from_millis(1_000);
 /// The bar's resolution.
 const BAR_STEPS: u64 = 1_000;
 
@@ -22,6 +25,7 @@ const BAR_STEPS: u64 = 1_000;
 pub struct LiveView {
     bar: ProgressBar,
     progress: Option<watch::Receiver<f64>>,
+    off: Option<Off>,
     now: Stamp<HostClock>,
     written: Stamp<HostClock>,
     links: BTreeMap<LinkId, LinkView>,
@@ -85,6 +89,7 @@ impl LiveView {
         Self {
             bar,
             progress,
+            off: None,
             now: Stamp::ZERO,
             written: Stamp::ZERO,
             links: BTreeMap::new(),
@@ -94,6 +99,13 @@ impl LiveView {
             thermometers: BTreeMap::new(),
             voice: Voice::Speaking,
         }
+    }
+
+    /// The same for a robot whose true place is known.
+    #[must_use]
+    pub fn with_truth(mut self, off: Option<Off>) -> Self {
+        self.off = off;
+        self
     }
 
     /// A block that says nothing, for measurements.
@@ -164,17 +176,36 @@ impl LiveView {
             return;
         }
         if self.bar.is_hidden() {
-            if self.now - self.written >= PLAIN_PERIOD {
-                self.written = self.now;
-                say(&self.block().replace('\n', " |"));
-            }
+            self.write_plainly();
             return;
         }
         if let Some(progress) = &self.progress {
             let share = (*progress.borrow()).clamp(0.0, 1.0);
             self.bar.set_position((share * BAR_STEPS as f64) as u64);
         }
-        self.bar.set_message(self.block());
+        let off = self.off_line();
+        let off = off.map_or_else(String::new, |line| format!("\n  {line}"));
+        self.bar.set_message(self.block() + &off);
+    }
+
+    /// A line now and then, for who reads no block.
+    fn write_plainly(&mut self) {
+        let period = match self.off {
+            Some(_) => OFF_PERIOD,
+            None => PLAIN_PERIOD,
+        };
+        if self.now - self.written < period {
+            return;
+        }
+        self.written = self.now;
+        match self.off_line() {
+            Some(line) => say(&line),
+            None => say(&self.block().replace('\n', " |")),
+        }
+    }
+
+    fn off_line(&mut self) -> Option<String> {
+        self.off.as_mut()?.line(self.estimate.as_ref())
     }
 
     /// Takes the block away.

@@ -5,6 +5,7 @@ pub mod happenings;
 pub mod json;
 pub mod links;
 pub mod live;
+pub mod off;
 pub mod run;
 pub mod session_json;
 pub mod session_page;

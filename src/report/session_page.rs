@@ -170,6 +170,7 @@ fn source_parts(run: &RunStory, index: usize) -> Vec<Part> {
     let header = [
         "sensor",
         "used",
+        "slip",
         "gated",
         "too late",
         "malformed",
@@ -219,6 +220,7 @@ fn source_row(verdict: &SourceVerdict) -> Vec<String> {
     vec![
         verdict.sensor.name().to_owned(),
         (tally.used + tally.reset_to).to_string(),
+        tally.slip.to_string(),
         tally.gated.to_string(),
         tally.too_old.to_string(),
         tally.malformed.to_string(),

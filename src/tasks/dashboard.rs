@@ -3,6 +3,7 @@
 //! The shard tells it through [`Outlet`], which never waits; commands come back through the same. The server itself, with a thread and a
 //! runtime of its own, is in `crates/dashboard`.
 
+use std::collections::VecDeque;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
@@ -15,9 +16,13 @@ use posebridge_link::HostTimer;
 use posebridge_pipeline::Pipeline;
 use posebridge_sim::impairment::PROFILES;
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::{Calibration, Command, Event, HostClock, Span, Stamp};
+use posebridge_telemetry::{
+    Calibration, Command, Event, HostClock, SimulatorCommand, Span, Stamp, SteeringSource,
+};
 use tokio::sync::mpsc;
 
+use super::sim_brick::LiveTruth;
+use super::truth_tap::TruthTap;
 use crate::cli::DashboardFlags;
 use crate::config::{CALIBRATION_KEYS, Config};
 use crate::stderr::say;
@@ -28,10 +33,9 @@ pub struct Outlet {
     feed: Feed,
     commands: mpsc::Receiver<Command>,
     timer: HostTimer,
+    /// By what the simulated brick was told to steer last.
+    steering: Option<SteeringSource>,
 }
-
-/// Where the simulated robot was; gives samples until there is none left for now.
-pub type LiveTruth = Box<dyn FnMut() -> Option<TruthSample> + Send>;
 
 /// The simulated brick of a run, as the page shows it.
 pub struct Simulated<'a> {
@@ -40,7 +44,7 @@ pub struct Simulated<'a> {
     /// What it drives.
     pub scenario: &'a Scenario,
     /// Where it is.
-    pub truth: Option<LiveTruth>,
+    pub truth: TruthTap,
 }
 
 /// Starts the dashboard, if there is to be one, and says where it is.
@@ -60,7 +64,8 @@ pub fn start(
         let page = folder.join("index.html");
         ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
     }
-    let (facts, truth) = facts_of(config, simulated)?;
+    let facts = facts_of(config, simulated.as_ref())?;
+    let truth = simulated.map(|simulated| truth_of(simulated.truth));
     let sources = Sources {
         clock: Box::new(move || timer.now()),
         truth,
@@ -84,6 +89,7 @@ pub fn start(
         feed,
         commands,
         timer,
+        steering: None,
     };
     Ok(Some((dashboard, outlet)))
 }
@@ -141,27 +147,35 @@ fn open_in_browser(url: String) -> Result<()> {
         .context("starting a browser")
 }
 
-fn facts_of(
-    config: &Config,
-    simulated: Option<Simulated<'_>>,
-) -> Result<(Facts, Option<LiveTruth>)> {
+/// Gives what was shown since it was asked last, one by one.
+fn truth_of(mut tap: TruthTap) -> Box<dyn FnMut() -> Option<TruthSample> + Send> {
+    let mut waiting = VecDeque::new();
+    Box::new(move || {
+        if waiting.is_empty() {
+            waiting.extend(tap.take());
+        }
+        waiting.pop_front().map(|live: LiveTruth| TruthSample {
+            now: live.at,
+            stamp: live.sample.brick,
+            pose: live.sample.pose,
+            odometry: Some(live.sample.odometry),
+        })
+    })
+}
+
+fn facts_of(config: &Config, simulated: Option<&Simulated<'_>>) -> Result<Facts> {
     let params = config.filter_config()?.params;
-    let (simulator, truth) = match simulated {
-        None => (None, None),
-        Some(simulated) => (Some(simulator_facts(&simulated)), simulated.truth),
-    };
-    let facts = Facts {
+    Ok(Facts {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         links: config.links.iter().map(|link| link.url.clone()).collect(),
         parameters: parameter_rows(&params),
-        simulator,
+        simulator: simulated.map(simulator_facts),
         token: if config.dashboard.always_token {
             TokenPolicy::Always
         } else {
             TokenPolicy::Elsewhere
         },
-    };
-    Ok((facts, truth))
+    })
 }
 
 fn simulator_facts(simulated: &Simulated<'_>) -> SimulatorFacts {
@@ -234,6 +248,7 @@ pub fn standing_of(pipeline: &Pipeline, recording: Option<&Path>) -> Standing {
         calibration: learned.map_or_else(Vec::new, |learned| calibration_rows(&learned)),
         parameters: parameter_values(pipeline.params()),
         recording: name.map(|name| name.to_string_lossy().into_owned()),
+        steering: None,
     }
 }
 
@@ -251,6 +266,10 @@ impl Outlet {
 
     /// Tells what stands.
     pub fn tell_standing(&self, now: Stamp<HostClock>, standing: Standing) {
+        let standing = Standing {
+            steering: self.steering.map(|by| by.word().to_owned()),
+            ..standing
+        };
         self.feed.tell(Batch {
             now,
             took: Span::ZERO,
@@ -265,6 +284,9 @@ pub async fn next_command(outlet: &mut Option<Outlet>) -> Command {
     if let Some(outlet) = outlet
         && let Some(command) = outlet.commands.recv().await
     {
+        if let Command::Simulator(SimulatorCommand::Steering(by)) = command {
+            outlet.steering = Some(by);
+        }
         return command;
     }
     std::future::pending().await

@@ -1,4 +1,5 @@
-//! What the pipeline asks of the program around it: to write the tunables down, to begin and to end a recording.
+//! What the pipeline asks of the program around it: to write the tunables down, to begin and to end a recording, to do something to the
+//! simulated brick.
 //!
 //! What is saved is the whole configuration of the run with the tunables as they are set, as a file of its own in the run's folder:
 //! `--config` reads it back. A file that this run has not written is never touched. What became of a request goes back into the
@@ -10,7 +11,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, Header};
-use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, ParameterName, Request, Stamp};
+use posebridge_sim::impairment::LinkProfile;
+use posebridge_telemetry::{
+    HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand, Stamp,
+};
+use tokio::sync::mpsc;
 
 use super::recorder::{Kept, Recorder, Stopping};
 use crate::config::Config;
@@ -42,6 +47,8 @@ pub struct Desk {
     /// Recordings that were ended while the run goes on.
     ended: Vec<(PathBuf, Stopping)>,
     links: BTreeMap<LinkId, LinkState>,
+    /// The simulated brick of this station, if it has one.
+    brick: Option<mpsc::Sender<SimulatorCommand>>,
 }
 
 impl Desk {
@@ -62,7 +69,15 @@ impl Desk {
             current,
             ended: Vec::new(),
             links: BTreeMap::new(),
+            brick: None,
         }
+    }
+
+    /// The same for a station that has a simulated brick of its own.
+    #[must_use]
+    pub fn with_brick(mut self, brick: Option<mpsc::Sender<SimulatorCommand>>) -> Self {
+        self.brick = brick;
+        self
     }
 
     /// Takes note of what a recording that begins later has to begin with.
@@ -83,23 +98,24 @@ impl Desk {
         self.current = None;
     }
 
-    /// Does what is asked for now, after so many inputs; what became of it, for the pipeline.
+    /// Does what is asked for now, after so many inputs; what became of it, for the pipeline. Nothing, if the pipeline has told it already.
     pub fn carry_out(
         &mut self,
         now: (Stamp<HostClock>, u64),
         request: &Request,
         recorder: &mut Option<Recorder>,
-    ) -> Input {
+    ) -> Option<Input> {
         let outcome = match request {
             Request::SaveParameters { values } => self.save(values),
             Request::StartRecording { values } => self.start(now, values, recorder),
             Request::StopRecording => self.stop(recorder),
-            Request::Simulator(command) => Err(anyhow!(
-                "{}: this station has no simulated brick of its own",
-                command.name()
-            )),
+            Request::Simulator(command) => match self.pass_on(command) {
+                // What happens to the brick stands in the command.
+                Ok(()) => return None,
+                Err(error) => Err(error),
+            },
         };
-        match outcome {
+        Some(match outcome {
             Ok(text) => Input::Report {
                 severity: INFO,
                 text,
@@ -108,7 +124,7 @@ impl Desk {
                 severity: WARNING,
                 text: format!("{error:#}"),
             },
-        }
+        })
     }
 
     /// Waits for the recordings that were ended; which there are, with the number of their inputs.
@@ -119,6 +135,21 @@ impl Desk {
         let ended = self.ended.into_iter();
         let finished = ended.map(|(path, stopping)| Ok((path, stopping.wait()?)));
         finished.collect()
+    }
+
+    /// Hands a command to the simulated brick; never waits.
+    fn pass_on(&self, command: &SimulatorCommand) -> Result<()> {
+        let name = command.name();
+        let brick = self.brick.as_ref();
+        let brick = brick
+            .with_context(|| format!("{name}: this station has no simulated brick of its own"))?;
+        if let SimulatorCommand::LinkProfile(Some(profile)) = command {
+            LinkProfile::bundled(profile.as_str()).with_context(|| name.to_owned())?;
+        }
+        brick.try_send(*command).map_err(|error| match error {
+            mpsc::error::TrySendError::Full(_) => anyhow!("{name}: too many at a time"),
+            mpsc::error::TrySendError::Closed(_) => anyhow!("{name}: the brick has stopped"),
+        })
     }
 
     fn save(&mut self, values: &[(ParameterName, f64)]) -> Result<String> {
@@ -253,7 +284,7 @@ mod tests {
         let mut desk = desk(folder.path());
         for value in [20.0, 30.0] {
             let report = desk.carry_out((Stamp::ZERO, 0), &tuned(value), &mut None);
-            let Input::Report { severity: 6, text } = report else {
+            let Some(Input::Report { severity: 6, text }) = report else {
                 panic!("{report:?}");
             };
             let path = folder.path().join("parameters-2.toml");
@@ -280,11 +311,50 @@ mod tests {
             (Request::StopRecording, "nothing is being recorded"),
         ] {
             let report = desk.carry_out((Stamp::ZERO, 0), &request, &mut None);
-            let Input::Report { severity: 4, text } = report else {
+            let Some(Input::Report { severity: 4, text }) = report else {
                 panic!("{report:?}");
             };
             assert!(text.starts_with(beginning), "{text}");
         }
+    }
+
+    #[test]
+    fn only_a_station_with_a_simulated_brick_does_things_to_it_and_never_waits_for_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let kidnap = SimulatorCommand::Kidnap {
+            forward_m: 0.0,
+            left_m: 0.3,
+            turn_rad: 0.0,
+        };
+        let told = |desk: &mut Desk, command| {
+            let request = Request::Simulator(command);
+            match desk.carry_out((Stamp::ZERO, 0), &request, &mut None) {
+                Some(Input::Report { severity: 4, text }) => text,
+                None => "done".to_owned(),
+                other => panic!("{other:?}"),
+            }
+        };
+        let mut without = desk(folder.path());
+        assert_eq!(
+            told(&mut without, kidnap),
+            "kidnap: this station has no simulated brick of its own"
+        );
+        let (sender, mut receiver) = mpsc::channel(1);
+        let mut with = desk(folder.path()).with_brick(Some(sender));
+        assert_eq!(told(&mut with, kidnap), "done");
+        assert_eq!(told(&mut with, kidnap), "kidnap: too many at a time");
+        assert_eq!(receiver.try_recv(), Ok(kidnap));
+        let profile =
+            |name: &[u8]| SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(name)));
+        let unknown = told(&mut with, profile(b"string"));
+        assert!(unknown.starts_with("link-profile: "), "{unknown}");
+        assert!(
+            unknown.contains("string") && unknown.contains("usb"),
+            "{unknown}"
+        );
+        assert_eq!(told(&mut with, profile(b"usb")), "done");
+        drop(receiver);
+        assert_eq!(told(&mut with, kidnap), "kidnap: the brick has stopped");
     }
 
     #[test]
@@ -306,7 +376,7 @@ mod tests {
             ] {
                 let told = done(what, &folder.path().join(name));
                 let report = desk.carry_out((Stamp::ZERO, 0), request, &mut recorder);
-                let Input::Report { text, .. } = report else {
+                let Some(Input::Report { text, .. }) = report else {
                     panic!("{report:?}");
                 };
                 assert_eq!(text, told);

@@ -14,3 +14,4 @@ pub mod recorder;
 pub mod shard;
 pub mod sim_brick;
 pub mod tlog_recorder;
+pub mod truth_tap;

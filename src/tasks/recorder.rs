@@ -152,11 +152,11 @@ impl Recorder {
         (self.lost, self.lost_outputs)
     }
 
-    /// Hands over where a simulated robot really was, when the run is over; waits for the disk.
-    pub fn record_truth(&mut self, truth: Vec<TruthSample>) {
-        self.waiting.fetch_add(1, Ordering::Relaxed);
-        // A thread that has gone says so in the end.
-        drop(self.sender.send(Item::Truth(truth)));
+    /// Records where a simulated robot really was, as [`Self::show`]; in the order of time.
+    pub fn show_truth(&mut self, truth: Vec<TruthSample>) {
+        if !truth.is_empty() {
+            self.offer(Item::Truth(truth));
+        }
     }
 
     /// Ends the recording without waiting for the disk.

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_link::{Alarm, HostTimer, Outgoing, PortEvent, PortSet};
 use posebridge_pipeline::Pipeline;
+use posebridge_recording::container::TruthSample;
 use posebridge_telemetry::{
     Event, HostClock, Input, LinkId, LinkState, Output, Priority, Span, Stamp,
 };
@@ -15,6 +16,7 @@ use super::desk::{Desk, WARNING};
 use super::observer::Observer;
 use super::recorder::Recorder;
 use super::tlog_recorder::TlogRecorder;
+use super::truth_tap::TruthTap;
 use crate::signing::Keeper;
 
 /// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
@@ -59,6 +61,8 @@ pub struct Shard {
     pub signing: Option<Keeper>,
     /// What carries out the pipeline's requests.
     pub desk: Desk,
+    /// Where the simulated robot really is, if there is one.
+    pub truth: Option<TruthTap>,
 }
 
 impl Shard {
@@ -109,6 +113,7 @@ impl Shard {
                 self.look_at_the_calendar(now, &mut calendar);
                 self.show_calibration(now);
                 self.show_standing(now);
+                self.show_truth();
             }
             if finished.len() == self.ports.iter().len() {
                 return;
@@ -165,6 +170,29 @@ impl Shard {
     fn show_standing(&self, now: Stamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
             dashboard.tell_standing(now, standing_of(&self.pipeline, self.desk.current()));
+        }
+    }
+
+    /// Keeps where the simulated robot really was beside the inputs.
+    pub fn show_truth(&mut self) {
+        let Some(tap) = &mut self.truth else {
+            return;
+        };
+        let missed = tap.missed();
+        let samples = tap.take().into_iter().map(|live| TruthSample {
+            stamp: live.sample.brick,
+            pose: live.sample.pose,
+            odometry: Some(live.sample.odometry),
+        });
+        if let Some(recorder) = &mut self.recorder {
+            recorder.show_truth(samples.collect());
+        }
+        if tap.missed() > missed {
+            let samples = tap.missed() - missed;
+            tracing::warn!(
+                samples,
+                "the truth has a hole in the recording: the station was too slow"
+            );
         }
     }
 
@@ -225,7 +253,9 @@ impl Shard {
             let report = self
                 .desk
                 .carry_out((now, self.given), &request, &mut self.recorder);
-            self.take(now, report);
+            if let Some(report) = report {
+                self.take(now, report);
+            }
         }
         if is_command {
             self.show_standing(now);

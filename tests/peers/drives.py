@@ -88,7 +88,7 @@ def kept_folder():
 def finished_drive():
     """A folder with one lap that is over: `run/recording.mcap` with its truth, and `run/recording.tlog`."""
     folder = kept_folder()
-    station = RunningStation(folder, "run", simulated(folder, laps=1), "--tlog")
+    station = RunningStation(folder, "run", simulated(folder), "--tlog", "--laps", "1")
     try:
         station.end(LAP_S)
     finally:

@@ -34,6 +34,8 @@ pub struct Standing {
     pub parameters: Vec<ParameterValue>,
     /// The file that is being recorded into.
     pub recording: Option<String>,
+    /// By what the simulated brick was told to steer, if it was told.
+    pub steering: Option<String>,
 }
 
 /// Where the simulated robot was at one instant.

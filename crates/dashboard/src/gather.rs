@@ -4,7 +4,7 @@ use posebridge_telemetry::{Event, HostClock, Stamp};
 
 use crate::feed::{Standing, TruthSample};
 use crate::limits::REPLAY_POINTS;
-use crate::model::Frame;
+use crate::model::{Frame, seconds_of};
 pub use crate::views::Keep;
 use crate::views::{Setting, Told, VIEWS, View};
 
@@ -50,7 +50,7 @@ impl Gatherer {
     #[must_use]
     pub fn history(&self) -> Frame {
         let mut history = Frame {
-            now_s: self.last.as_secs_f64(),
+            now_s: seconds_of(self.last),
             ..Frame::default()
         };
         for view in &self.views {

@@ -10,7 +10,7 @@ use crate::counts::Counts;
 use crate::feed::{Batch, TruthSample};
 use crate::latency::Latency;
 use crate::limits::{HISTORY, HISTORY_POINTS, SECOND};
-use crate::model::{Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State};
+use crate::model::{Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State, seconds_of};
 use crate::state::Latest;
 use crate::thread::Facts;
 use crate::views::{Keep, Pace, Setting, Told, VIEWS, View};
@@ -67,6 +67,11 @@ impl Hub {
         }
         if let Some(standing) = &batch.standing {
             self.recording.clone_from(&standing.recording);
+            if let (Some(simulator), Some(steering)) =
+                (&mut self.facts.simulator, &standing.steering)
+            {
+                simulator.steering.clone_from(steering);
+            }
             self.tell(batch.now, Told::Standing(standing));
         }
     }
@@ -88,7 +93,7 @@ impl Hub {
             Pace::News
         };
         let mut frame = Frame {
-            now_s: now.as_secs_f64(),
+            now_s: seconds_of(now),
             ..Frame::default()
         };
         for view in &mut self.views {

@@ -36,10 +36,9 @@ impl Latency {
         }
     }
 
-    /// Upper end of each bucket and how many are at most so long.
-    pub(crate) fn buckets(&self) -> impl Iterator<Item = (Span, u64)> {
-        let ends = BUCKETS_MICROS.iter().map(|end| Span::from_micros(*end));
-        ends.zip(self.buckets)
+    /// Upper end of each bucket, in microseconds, and how many are at most so long.
+    pub(crate) fn buckets(&self) -> impl Iterator<Item = (i64, u64)> {
+        BUCKETS_MICROS.into_iter().zip(self.buckets)
     }
 
     /// Percentiles of the last ones.

@@ -177,7 +177,7 @@ fn latency(page: &mut String, hub: &Hub) {
         "From an observation's arrival to its estimate's departure.",
     );
     for (end, count) in hub.latency.buckets() {
-        let end_s = end.as_secs_f64();
+        let end_s = end as f64 / 1e6;
         line(
             page,
             format_args!("{name}_bucket{{le=\"{end_s}\"}} {count}"),

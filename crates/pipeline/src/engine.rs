@@ -84,6 +84,8 @@ pub struct Pipeline {
     /// What was told of payloads without sense, once for each sender and message.
     told_payloads: BTreeSet<(LinkId, Address, u32)>,
     last_gyro_turn: Option<(Stamp<BrickClock>, Radians)>,
+    /// The instant of the last observation of motion that told of slip.
+    last_slip: Option<Stamp<BrickClock>>,
     thermometers: Thermometers,
     /// Normalised innovation squared of the last fix over its gate; 0 before the first.
     fix_ratio: f64,
@@ -154,6 +156,7 @@ impl Pipeline {
             fix_requests: FixRequests::default(),
             told_payloads: BTreeSet::new(),
             last_gyro_turn: None,
+            last_slip: None,
             thermometers: Thermometers::default(),
             fix_ratio: 0.0,
             fix_gate: None,

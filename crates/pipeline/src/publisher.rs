@@ -200,7 +200,7 @@ impl records::Counts {
     /// One more observation, with what became of it.
     const fn add(&mut self, verdict: Verdict) {
         match verdict {
-            Verdict::Accepted | Verdict::ResetTo | Verdict::Rebased => {
+            Verdict::Accepted | Verdict::Slip | Verdict::ResetTo | Verdict::Rebased => {
                 self.accepted = self.accepted.wrapping_add(1);
             }
             Verdict::Gated | Verdict::TooOld | Verdict::Malformed => {

@@ -89,6 +89,7 @@ const fn verdict_code(verdict: Verdict) -> u8 {
         Verdict::Rebased => 4,
         Verdict::ResetTo => 5,
         Verdict::Unused => 6,
+        Verdict::Slip => 7,
     }
 }
 

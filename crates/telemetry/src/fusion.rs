@@ -33,6 +33,9 @@ pub struct FusionRecord {
 pub enum Verdict {
     /// Used; state and covariance changed.
     Accepted,
+    /// Used, but what it tells of the motion contradicts the gyro beyond chance: wheels slipped, and the gyro was believed. The motion may
+    /// have begun before this observation; it is the first of its sensor after it was noticed.
+    Slip,
     /// Further from the prediction than the gate allows; state untouched.
     Gated,
     /// Older than the oldest state kept for late observations; state untouched.
@@ -53,6 +56,7 @@ impl Verdict {
     pub const fn reason(self) -> &'static str {
         match self {
             Self::Accepted => "accepted",
+            Self::Slip => "slip",
             Self::Gated => "gated",
             Self::TooOld => "too old",
             Self::Malformed => "malformed",

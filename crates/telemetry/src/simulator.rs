@@ -261,9 +261,13 @@ impl SimulatorCommand {
                 SLIP_FACTOR.check(factor)?;
                 SLIP_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND)
             }
-            Self::CameraDelay { delay } => CAMERA_DELAY.check(delay.as_nanos() as f64 / NANOS_PER_MILLISECOND),
+            Self::CameraDelay { delay } => {
+                CAMERA_DELAY.check(delay.as_nanos() as f64 / NANOS_PER_MILLISECOND)
+            }
             Self::GyroBiasStep { rad_per_s } => GYRO_BIAS.check(rad_per_s),
-            Self::PullCable { duration } => CABLE_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND),
+            Self::PullCable { duration } => {
+                CABLE_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND)
+            }
             Self::Drive {
                 forward_m_per_s,
                 turn_rad_per_s,

@@ -73,6 +73,12 @@ impl Belief {
         }
     }
 
+    /// What it rests on from here on; it stays where it is.
+    pub(crate) const fn steer_by(&mut self, steering: Steering) {
+        self.steering = steering;
+        self.last_estimate = None;
+    }
+
     /// Where the brick believes to be.
     pub(crate) fn pose(&self) -> Pose<Arena> {
         let odom = self

@@ -4,13 +4,14 @@
 //! ```text
 //! turn rate = v (curvature - a heading error - b lateral error)      along a leg, v the commanded speed
 //! ```
-//! With a = 8/m and b = 16/m² both errors die out critically damped over a length of 0.25 m.
+//! With a = 8/m and b = 16/m² both errors die out critically damped over a length of 0.25 m. A robot that is far from its path
+//! approaches it at no more than an angle of one radian, and one that points elsewhere turns in place first: people lift robots.
 
 use posebridge_telemetry::{Arena, BrickClock, Heading, Pose, Span, Stamp};
 
 use super::speed_control::PERIOD_S;
 use crate::path::{Leg, Path};
-use crate::scenario::DriveSettings;
+use crate::scenario::{DriveEnd, DriveSettings};
 
 /// Gain on the heading error, 1/m.
 const HEADING_PER_M: f64 = 8.0;
@@ -29,6 +30,12 @@ const CREEP_RAD_PER_S: f64 = 0.15;
 /// A leg ends this far before its end, in metres; a turn this far from its heading, in radians.
 const LEG_END_M: f64 = 0.002;
 const TURN_END_RAD: f64 = 0.017;
+
+/// The path is approached at no more than this angle, in radians: steeper, the robot would turn back rather than come nearer.
+const STEEPEST_APPROACH_RAD: f64 = 1.0;
+/// A robot that points further away from its path than this, in radians, turns in place first. Beyond the steepest approach, so that an
+/// approach goes on.
+const TURN_FIRST_RAD: f64 = 1.3;
 
 /// A wanted motion of the body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -59,7 +66,11 @@ pub(crate) struct Follower {
     along_m: f64,
     /// Length of the legs that are done, in metres.
     done_m: f64,
+    /// Laps that are done, where the drive has no end.
+    laps_done: u64,
     command: Twist,
+    /// What a person wants, and until when. Without anybody who says more the robot stands, until it is sent back to its path.
+    by_hand: Option<(Twist, Stamp<BrickClock>)>,
 }
 
 impl Follower {
@@ -74,17 +85,18 @@ impl Follower {
             begun: None,
             along_m: 0.0,
             done_m: 0.0,
+            laps_done: 0,
             command: Twist::default(),
+            by_hand: None,
         }
     }
 
     /// What to do for the next control period, given where the brick believes to be.
     pub(crate) fn command(&mut self, now: Stamp<BrickClock>, believed: Pose<Arena>) -> Twist {
-        let wanted = match self.program.get(self.next).copied() {
-            Some(Manoeuvre::Rest(span)) => self.rest(now, span),
-            Some(Manoeuvre::Turn(heading)) => self.turn((heading - believed.heading).0),
-            Some(Manoeuvre::Drive { leg }) => self.drive(leg, believed),
-            None => Twist::default(),
+        let wanted = match self.by_hand {
+            Some((twist, until)) if now < until => twist,
+            Some(_) => Twist::default(),
+            None => self.follow(now, believed),
         };
         self.command = Twist {
             forward_m_per_s: slew(
@@ -101,20 +113,67 @@ impl Follower {
         self.command
     }
 
+    /// A person wants this motion until then.
+    pub(crate) const fn drive_by_hand(&mut self, wanted: Twist, until: Stamp<BrickClock>) {
+        self.by_hand = Some((wanted, until));
+    }
+
+    /// The person lets go: on from where the lap in hand is next to where the brick believes to be.
+    pub(crate) fn rejoin(&mut self, believed: Pose<Arena>) {
+        self.by_hand = None;
+        let in_hand = self.program.iter().skip(self.next).find_map(leg_of);
+        let Some(in_hand) = in_hand.or(self.program.iter().rev().find_map(leg_of)) else {
+            return;
+        };
+        let (leg, along_m) = self.path.nearest(in_hand, believed.origin());
+        let place = self.program.iter().position(|one| leg_of(one) == Some(leg));
+        // A path without a stop has all of its laps on one leg: on in the lap in hand.
+        let lap_m = self.path.lap_length_m();
+        let laps = if self.path.legs().len() == 1 {
+            (self.along_m / lap_m).floor()
+        } else {
+            0.0
+        };
+        self.next = place.unwrap_or(self.next);
+        self.begun = None;
+        self.done_m = self.path.legs().iter().take(leg).map(Leg::length_m).sum();
+        self.along_m = along_m + laps * lap_m;
+    }
+
     /// Whether everything is done and nothing is commanded.
     pub(crate) fn is_finished(&self) -> bool {
         self.next >= self.program.len() && self.command == Twist::default()
     }
 
-    /// How much of the path is driven, 0 to 1.
+    /// How much of the path is driven, 0 to 1; of the lap in hand, where the drive has no end.
     pub(crate) fn progress(&self) -> f64 {
-        ((self.done_m + self.along_m) / self.path.length_m()).clamp(0.0, 1.0)
+        let whole_m = match self.settings.end {
+            DriveEnd::LastLap => self.path.length_m(),
+            DriveEnd::Never => self.path.lap_length_m(),
+        };
+        ((self.done_m + self.along_m) / whole_m).clamp(0.0, 1.0)
     }
 
-    /// The brick's clock was restarted: a rest in hand begins anew, and the motors stand.
+    /// Laps that are done, where the drive has no end.
+    pub(crate) const fn laps_done(&self) -> u64 {
+        self.laps_done
+    }
+
+    /// The brick's clock was restarted: a rest in hand begins anew, nobody drives by hand, and the motors stand.
     pub(crate) fn clock_restarted(&mut self) {
         self.begun = None;
         self.command = Twist::default();
+        // The instant until which the hand held is one of the clock of before.
+        self.by_hand = self.by_hand.map(|(twist, _)| (twist, Stamp::ZERO));
+    }
+
+    fn follow(&mut self, now: Stamp<BrickClock>, believed: Pose<Arena>) -> Twist {
+        match self.program.get(self.next).copied() {
+            Some(Manoeuvre::Rest(span)) => self.rest(now, span),
+            Some(Manoeuvre::Turn(heading)) => self.turn((heading - believed.heading).0),
+            Some(Manoeuvre::Drive { leg }) => self.drive(leg, believed),
+            None => Twist::default(),
+        }
     }
 
     fn rest(&mut self, now: Stamp<BrickClock>, span: Span) -> Twist {
@@ -130,6 +189,11 @@ impl Follower {
             self.advance();
             return Twist::default();
         }
+        self.turning(error_rad)
+    }
+
+    /// Turns in place by what is left of a turn.
+    fn turning(&self, error_rad: f64) -> Twist {
         let braking = (2.0 * BRAKING_RAD_PER_S2 * error_rad.abs()).sqrt();
         let rate = braking
             .min(self.settings.turn_rate_rad_per_s)
@@ -152,6 +216,7 @@ impl Follower {
             return Twist::default();
         };
         self.along_m = self.along_m.max(here.along_m);
+        self.begin_lap_anew();
         let remaining_m = length_m - self.along_m;
         if remaining_m < LEG_END_M {
             self.done_m += length_m;
@@ -159,12 +224,16 @@ impl Follower {
             return Twist::default();
         }
         let heading_error_rad = (believed.heading - here.heading).0;
+        if heading_error_rad.abs() > TURN_FIRST_RAD {
+            return self.turning(-heading_error_rad);
+        }
         let braking = (2.0 * BRAKING_M_PER_S2 * remaining_m).sqrt();
         let speed = braking
             .min(self.settings.speed_m_per_s * heading_error_rad.cos().max(0.0))
             .max(CREEP_M_PER_S);
-        let bend_per_m =
-            here.curvature_per_m - HEADING_PER_M * heading_error_rad - LATERAL_PER_M2 * here.left_m;
+        let steepest_per_m = HEADING_PER_M * STEEPEST_APPROACH_RAD;
+        let lateral_per_m = (LATERAL_PER_M2 * here.left_m).clamp(-steepest_per_m, steepest_per_m);
+        let bend_per_m = here.curvature_per_m - HEADING_PER_M * heading_error_rad - lateral_per_m;
         let limit = self.settings.turn_rate_rad_per_s;
         Twist {
             forward_m_per_s: speed,
@@ -172,10 +241,39 @@ impl Follower {
         }
     }
 
+    /// A path without a stop that is driven for ever: beyond its first lap the same place lies one lap back.
+    fn begin_lap_anew(&mut self) {
+        let lap_m = self.path.lap_length_m();
+        let is_endless = self.settings.end == DriveEnd::Never && self.path.legs().len() == 1;
+        if is_endless && self.path.length_m() > lap_m && self.along_m > lap_m + WELL_INTO_M {
+            self.along_m -= lap_m;
+            self.laps_done += 1;
+        }
+    }
+
     fn advance(&mut self) {
         self.next += 1;
         self.begun = None;
         self.along_m = 0.0;
+        if self.settings.end == DriveEnd::Never && self.next >= self.program.len() {
+            // The first rest is for who listens at the beginning.
+            self.next = FIRST_LEG;
+            self.done_m = 0.0;
+            self.laps_done += 1;
+        }
+    }
+}
+
+/// Where the first leg stands in the program: behind the rest.
+const FIRST_LEG: usize = 1;
+/// A smooth lap is begun anew only this far into the next, in metres: the projection looks back a little.
+const WELL_INTO_M: f64 = 0.1;
+
+/// The leg that a manoeuvre drives.
+const fn leg_of(manoeuvre: &Manoeuvre) -> Option<usize> {
+    match manoeuvre {
+        Manoeuvre::Drive { leg } => Some(*leg),
+        Manoeuvre::Rest(_) | Manoeuvre::Turn(_) => None,
     }
 }
 

@@ -13,6 +13,7 @@ mod schedule;
 mod speed_control;
 mod talk;
 
+pub(crate) use self::follower::Twist;
 pub(crate) use self::program::Program;
 pub(crate) use self::speed_control::SpeedControl;
 pub use self::talk::BRICK;

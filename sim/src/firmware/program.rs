@@ -4,6 +4,7 @@
 //! that the truth log can say what dead reckoning would have made of the counts.
 
 use posebridge_protocol::message::WireStamp;
+use posebridge_telemetry::simulator::HELD_FOR;
 use posebridge_telemetry::{Arena, BrickClock, DriveGeometry, Pose, Span, Stamp, Transform2};
 
 use super::belief::Belief;
@@ -116,6 +117,26 @@ impl Program {
     /// What the program steers by at this moment.
     pub(crate) fn steering(&self, now: Stamp<BrickClock>) -> Steering {
         self.belief.steering(now)
+    }
+
+    /// From here on it steers by something else. By odometry it goes on from the last estimate.
+    pub(crate) const fn steer_by(&mut self, steering: Steering) {
+        self.belief.steer_by(steering);
+    }
+
+    /// A person wants this motion, for a while.
+    pub(crate) fn drive_by_hand(&mut self, now: Stamp<BrickClock>, wanted: Twist) {
+        self.follower.drive_by_hand(wanted, now + HELD_FOR);
+    }
+
+    /// Back to the path.
+    pub(crate) fn rejoin(&mut self) {
+        self.follower.rejoin(self.belief.pose());
+    }
+
+    /// Laps that are done, where the drive has no end.
+    pub(crate) const fn laps_done(&self) -> u64 {
+        self.follower.laps_done()
     }
 
     /// How much of the path is driven, 0 to 1.

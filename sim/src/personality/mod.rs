@@ -206,6 +206,16 @@ impl Brick {
         }
     }
 
+    /// The program, for who changes what it does.
+    pub(crate) const fn program_mut(&mut self) -> &mut Program {
+        &mut self.program
+    }
+
+    /// The gyro that is plugged in shows so much more from here on.
+    pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
+        self.senses.step_gyro_bias(rad_per_s);
+    }
+
     /// Where dead reckoning alone believes to be, if it began at `start`.
     pub(crate) fn odometry(&self, start: Pose<Arena>) -> Pose<Arena> {
         self.program.odometry(start)
@@ -229,6 +239,11 @@ impl Brick {
     /// Whether the program is at its end.
     pub(crate) fn is_finished(&self) -> bool {
         self.program.is_finished()
+    }
+
+    /// How often the path was driven to its end.
+    pub(crate) fn laps_done(&self) -> u64 {
+        self.program.laps_done()
     }
 }
 

@@ -85,6 +85,11 @@ impl Senses {
         self.steps = self.steps.wrapping_add(1);
     }
 
+    /// The gyro shows so much more from here on, until a power cycle.
+    pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
+        self.gyro.bias_deg_per_s += rad_per_s.to_degrees();
+    }
+
     /// A power cycle: the gyro's integral begins anew and its bias is another.
     pub(crate) fn restart(&mut self) {
         self.gyro.power_up();

@@ -109,13 +109,26 @@ impl StartPose {
     }
 }
 
+/// Whether a drive ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DriveEnd {
+    /// With the last lap.
+    #[default]
+    LastLap,
+    /// Never: lap after lap. A path that does not close is followed by the way back to its first point.
+    Never,
+}
+
 /// How the path is driven. The values of the follower are limits; the motors may be slower.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DriveSettings {
-    /// How often the path is driven.
+    /// How often the path is driven, if its end is the drive's.
     #[serde(deserialize_with = "checks::laps")]
     pub laps: u32,
+    /// Whether the drive ends. No scenario says so: whoever lets it run decides.
+    #[serde(skip)]
+    pub end: DriveEnd,
     /// Speed on legs and circles, in metres per second.
     #[serde(deserialize_with = "checks::positive")]
     pub speed_m_per_s: f64,
@@ -134,6 +147,7 @@ impl Default for DriveSettings {
     fn default() -> Self {
         Self {
             laps: 1,
+            end: DriveEnd::default(),
             speed_m_per_s: 0.22,
             turn_rate_rad_per_s: 1.2,
             rest_s: 2.0,

@@ -21,7 +21,7 @@ use serde::Deserialize;
 use crate::bundled::text_of;
 
 pub use bundled::BUNDLED;
-pub use course::{Course, Direction, DriveSettings, StartPose};
+pub use course::{Course, Direction, DriveEnd, DriveSettings, StartPose};
 pub use observers::{
     AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings,
 };
@@ -131,6 +131,13 @@ impl Scenario {
     #[must_use]
     pub fn with_laps(mut self, laps: u32) -> Self {
         self.drive.laps = laps.clamp(1, course::MAX_LAPS);
+        self
+    }
+
+    /// The same scenario, driven lap after lap without an end.
+    #[must_use]
+    pub const fn without_end(mut self) -> Self {
+        self.drive.end = DriveEnd::Never;
         self
     }
 

@@ -135,7 +135,10 @@ pub(super) fn ellipse_of(estimate: &Estimate) -> Option<Ellipse> {
 }
 
 fn was_used(verdict: Verdict) -> bool {
-    matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
+    matches!(
+        verdict,
+        Verdict::Accepted | Verdict::Slip | Verdict::ResetTo
+    )
 }
 
 /// Whether a point is finite and not out of reach.

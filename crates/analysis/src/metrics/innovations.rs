@@ -60,7 +60,7 @@ impl InnovationTest {
     pub fn add(&mut self, record: &FusionRecord) {
         match record.verdict {
             Verdict::Gated => self.gated += 1,
-            Verdict::Accepted => {
+            Verdict::Accepted | Verdict::Slip => {
                 self.used += 1;
                 if record.nis.is_finite() && record.degrees_of_freedom > 0 {
                     self.nis_sum += record.nis;

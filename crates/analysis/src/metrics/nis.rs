@@ -30,8 +30,10 @@ pub const MEAN_NIS: Metric = Metric {
 pub struct SourceTally {
     /// The sensor.
     pub sensor: SensorId,
-    /// Used by the filter.
+    /// Used by the filter, slip included.
     pub used: u64,
+    /// Used, but the wheels slipped.
+    pub slip: u64,
     /// Further from the prediction than the gate allows.
     pub gated: u64,
     /// Older than the oldest state that the filter keeps.
@@ -56,6 +58,7 @@ impl SourceTally {
         Self {
             sensor,
             used: 0,
+            slip: 0,
             gated: 0,
             too_old: 0,
             malformed: 0,
@@ -71,8 +74,9 @@ impl SourceTally {
     /// sorts them.
     pub fn add(&mut self, record: &FusionRecord) {
         match record.verdict {
-            Verdict::Accepted => {
+            Verdict::Accepted | Verdict::Slip => {
                 self.used += 1;
+                self.slip += u64::from(record.verdict == Verdict::Slip);
                 if record.nis.is_finite() {
                     self.nis_sum += record.nis;
                     self.degrees_of_freedom += u64::from(record.degrees_of_freedom);
@@ -90,6 +94,7 @@ impl SourceTally {
     /// Adds the counts of another run of the same sensor.
     pub fn absorb(&mut self, other: &Self) {
         self.used += other.used;
+        self.slip += other.slip;
         self.gated += other.gated;
         self.too_old += other.too_old;
         self.malformed += other.malformed;

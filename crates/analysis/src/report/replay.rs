@@ -57,6 +57,7 @@ pub fn source_table(tallies: &[SourceTally]) -> String {
     let mut table = Table::new([
         "source",
         "used",
+        "slip",
         "gated",
         "too old",
         "malformed",
@@ -70,6 +71,7 @@ pub fn source_table(tallies: &[SourceTally]) -> String {
         table.push([
             format!("{} ({})", tally.sensor.name(), tally.sensor),
             tally.used.to_string(),
+            tally.slip.to_string(),
             tally.gated.to_string(),
             tally.too_old.to_string(),
             tally.malformed.to_string(),

@@ -4,6 +4,7 @@ use posebridge_telemetry::{Address, RobotId, Span};
 
 use crate::feed::Standing;
 use crate::model::{Message, ParameterValue};
+use crate::views::tests::estimate;
 
 fn hub() -> Hub {
     let facts = Facts {
@@ -26,12 +27,13 @@ fn batch(millis: i64, events: Vec<Event>) -> Batch {
     }
 }
 
-fn heard() -> Event {
-    Event::RobotSeen {
+fn estimated() -> Event {
+    Event::Estimated {
         robot: RobotId {
             address: Address::new(7, 1),
             ..RobotId::default()
         },
+        estimate: estimate(),
     }
 }
 
@@ -48,7 +50,7 @@ fn a_message_leaves_when_something_is_new_and_once_a_second() {
     let at = Stamp::from_millis;
     assert!(hub.news(at(0), now).is_some(), "the first second");
     assert_eq!(hub.news(at(20), now), None);
-    hub.take(&batch(30, vec![heard()]));
+    hub.take(&batch(30, vec![estimated()]));
     let frame = hub.news(at(40), now).unwrap();
     assert_eq!((frame.now_s, frame.robots[0].id.as_str()), (0.04, "0/7/1"));
     assert_eq!(frame.recording, None, "told once a second");
@@ -86,7 +88,7 @@ fn what_stands_reaches_the_first_message_and_the_parameters() {
 #[test]
 fn messages_are_read_again_as_what_they_were() {
     let mut hub = hub();
-    hub.take(&batch(0, vec![heard()]));
+    hub.take(&batch(0, vec![estimated()]));
     let frame = hub.news(Stamp::ZERO, now).unwrap();
     for message in [
         Message::Frame(Box::new(frame)),
@@ -100,7 +102,7 @@ fn messages_are_read_again_as_what_they_were() {
 #[test]
 fn the_metrics_page_is_in_the_format_of_prometheus() {
     let mut hub = hub();
-    hub.take(&batch(0, vec![heard()]));
+    hub.take(&batch(0, vec![estimated()]));
     let page = crate::metrics::page(&hub, &Counts::default());
     let mut families = BTreeSet::new();
     for line in page.lines() {

@@ -11,6 +11,7 @@ pub use frame::{
 };
 pub use hello::{Hello, ParameterRow, RecordingRow, SimulatorFacts, SourceRow};
 pub use number::Number;
+pub(crate) use number::seconds_of;
 pub use state::{Counters, LatencyRow, RobotState, State};
 
 use schemars::JsonSchema;

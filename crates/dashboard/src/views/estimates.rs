@@ -5,7 +5,7 @@ use posebridge_telemetry::{Ellipse, Estimate, Event, HostClock, Stamp};
 
 use super::trail::{MOST_ROBOTS, Trails, Weight};
 use super::{Pace, Setting, Told, View, robot_name};
-use crate::model::{EstimatePoint, Frame, Number};
+use crate::model::{EstimatePoint, Frame, Number, seconds_of};
 
 /// An ellipse of so many standard deviations holds 95 % of a normal distribution of two dimensions: sqrt(-2 ln 0.05).
 const ELLIPSE_SIGMAS: f64 = 2.447_746_830_680_816;
@@ -63,7 +63,7 @@ pub(crate) fn point_of(now: Stamp<HostClock>, estimate: &Estimate) -> EstimatePo
     let of_ellipse =
         |read: fn(&Ellipse) -> f64| Number::from(ellipse.as_ref().map_or(f64::NAN, read));
     EstimatePoint {
-        t_s: now.as_secs_f64(),
+        t_s: seconds_of(now),
         x_m: estimate.pose.x.0.into(),
         y_m: estimate.pose.y.0.into(),
         heading_rad: estimate.pose.heading.rad().into(),

@@ -8,7 +8,7 @@ use posebridge_telemetry::{Event, Fix, HostClock, Observed, RobotId, SensorId, S
 
 use super::trail::{MOST_ROBOTS, Trails, Weight};
 use super::{Pace, Setting, Told, View, robot_name};
-use crate::model::{FixPoint, Frame};
+use crate::model::{FixPoint, Frame, seconds_of};
 
 /// So many fixes wait for their records; the record follows at once, but a late fix may revise others first.
 const MOST_OPEN: usize = 16;
@@ -54,7 +54,7 @@ impl View for Fixes {
                 };
                 let heading_rad = fix.heading.map_or(f64::NAN, |heading| heading.rad());
                 let point = FixPoint {
-                    t_s: now.as_secs_f64(),
+                    t_s: seconds_of(now),
                     x_m: fix.position.x.0.into(),
                     y_m: fix.position.y.0.into(),
                     heading_rad: heading_rad.into(),

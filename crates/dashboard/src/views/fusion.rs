@@ -5,7 +5,7 @@ use posebridge_telemetry::{Event, FusionRecord, HostClock, SensorId, Stamp};
 use super::fixes::weight_of;
 use super::trail::{MOST_ROBOTS, Trails};
 use super::{Keep, Pace, Setting, Told, View, robot_name};
-use crate::model::{Frame, FusionPoint, Number};
+use crate::model::{Frame, FusionPoint, Number, seconds_of};
 
 /// The share of the history that one source has: a robot has about four, and all together should stay a small message.
 const SHARE: usize = 3;
@@ -65,7 +65,7 @@ fn point_of(now: Stamp<HostClock>, record: &FusionRecord) -> FusionPoint {
     let variances = (0..used).map(|index| record.innovation_covariance[index][index]);
     let nis = if used == 0 { f64::NAN } else { record.nis };
     FusionPoint {
-        t_s: now.as_secs_f64(),
+        t_s: seconds_of(now),
         sensor: record.sensor.name().to_owned(),
         kind: record.kind.to_owned(),
         verdict: record.verdict.reason().to_owned(),

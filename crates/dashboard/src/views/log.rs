@@ -4,7 +4,7 @@ use posebridge_telemetry::{Address, Event, HostClock, LinkState, Span, Stamp};
 
 use super::trail::{Trail, Weight};
 use super::{Keep, Pace, Setting, Told, View, robot_name};
-use crate::model::{Frame, LogLine};
+use crate::model::{Frame, LogLine, seconds_of};
 
 /// So many lines are kept; more than a page shows.
 const MOST_LINES: usize = 300;
@@ -40,20 +40,20 @@ impl Log {
 
     fn line_of(&self, event: &Event) -> Option<(u8, String)> {
         Some(match event {
-            Event::RobotSeen { robot } => (NOTICE, format!("heard robot {}", robot_name(*robot))),
+            Event::RobotSeen { robot } => (NOTICE, format!("heard {}", robot_name(*robot))),
             Event::RobotLost { robot, silence } => {
                 let silent_s = silence.as_secs_f64();
                 let robot = robot_name(*robot);
                 (
                     WARNING,
-                    format!("lost robot {robot}, silent for {silent_s:.1} s"),
+                    format!("lost {robot}, silent for {silent_s:.1} s"),
                 )
             }
             Event::BrickRestarted { robot } => {
                 let robot = robot_name(*robot);
                 (
                     WARNING,
-                    format!("robot {robot} was restarted: clock and counters re-based"),
+                    format!("{robot} was restarted: clock and counters re-based"),
                 )
             }
             Event::Link { link, state } => {
@@ -94,7 +94,7 @@ impl View for Log {
             return;
         };
         if let Some((severity, text)) = self.line_of(event) {
-            let t_s = now.as_secs_f64();
+            let t_s = seconds_of(now);
             let line = LogLine {
                 t_s,
                 severity,

@@ -116,4 +116,4 @@ pub fn robot_name(robot: RobotId) -> String {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -25,7 +25,8 @@ impl Robots {
 
 impl View for Robots {
     fn take(&mut self, _now: Stamp<HostClock>, told: Told<'_>) {
-        let Told::Event(Event::RobotSeen { robot } | Event::Estimated { robot, .. }) = told else {
+        // Not everybody who is heard is a robot: cameras and ground stations are heard as well.
+        let Told::Event(Event::Estimated { robot, .. }) = told else {
             return;
         };
         if self.robots.contains(robot) {

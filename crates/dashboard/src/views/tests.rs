@@ -45,7 +45,7 @@ fn history(view: &dyn View) -> Frame {
 }
 
 /// 1.5 m east and 0.25 m south, sigmas of 3 cm and 1 cm along the axes.
-fn estimate() -> Estimate {
+pub(crate) fn estimate() -> Estimate {
     let mut covariance = [[0.0; 5]; 5];
     covariance[0][0] = 9e-4;
     covariance[1][1] = 1e-4;
@@ -184,7 +184,7 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
             name: "gate_prob".to_owned(),
             value: 0.999,
         }],
-        recording: None,
+        ..Standing::default()
     };
     let mut parameters = view("parameters");
     parameters.take(at(0), Told::Standing(&standing));
@@ -306,7 +306,8 @@ fn robots_are_named_in_the_order_in_which_they_were_heard_and_no_flood_of_them()
             link: LinkId(2),
             address: Address::new(255 - system, 1),
         };
-        view.take(at(0), Told::Event(&Event::RobotSeen { robot }));
+        let estimate = estimate();
+        view.take(at(0), Told::Event(&Event::Estimated { robot, estimate }));
     }
     let frame = news(&mut *view, Pace::News);
     assert_eq!(frame.robots.len(), 64);

@@ -7,7 +7,7 @@ use posebridge_telemetry::{Arena, Estimate, Event, HostClock, Pose, Span, Stamp}
 use super::trail::{Trail, Weight};
 use super::{Pace, Setting, Told, View};
 use crate::feed::TruthSample;
-use crate::model::{ErrorsRow, Frame, Number, TruthPoint};
+use crate::model::{ErrorsRow, Frame, Number, TruthPoint, seconds_of};
 
 /// So many samples wait to be compared with the estimate of their instant: at 50 Hz four seconds, and no estimate is later.
 const MOST_WAITING: usize = 256;
@@ -84,7 +84,7 @@ fn point_of(now: Stamp<HostClock>, sample: &TruthSample) -> TruthPoint {
     let numbers = |pose: Pose<Arena>| [pose.x.0, pose.y.0, pose.heading.rad()].map(Number::from);
     let [x_m, y_m, heading_rad] = numbers(sample.pose);
     TruthPoint {
-        t_s: now.as_secs_f64(),
+        t_s: seconds_of(now),
         x_m,
         y_m,
         heading_rad,

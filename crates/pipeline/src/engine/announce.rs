@@ -281,7 +281,11 @@ fn words_for_record(record: &FusionRecord) -> Option<(Topic, u8, String)> {
             record.lag.as_secs_f64()
         ),
         Verdict::Malformed => format!("fix of {name} refused: malformed"),
-        Verdict::Accepted | Verdict::Rebased | Verdict::ResetTo | Verdict::Unused => return None,
+        Verdict::Accepted
+        | Verdict::Slip
+        | Verdict::Rebased
+        | Verdict::ResetTo
+        | Verdict::Unused => return None,
     };
     Some((Topic::Refused(record.sensor), SEVERITY_WARNING, words))
 }

@@ -330,7 +330,7 @@ impl Pipeline {
         }
     }
 
-    fn tell_own(&mut self, severity: u8, text: String) {
+    pub(super) fn tell_own(&mut self, severity: u8, text: String) {
         let source = self.config.own;
         self.tell(Event::Text {
             source,

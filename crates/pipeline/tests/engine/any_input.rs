@@ -5,7 +5,7 @@ use crate::brick::{BRICK, HEARTBEAT, frame, ticks};
 use crate::station::{LINK, Station, config};
 use posebridge_telemetry::{
     Command, Heading, Input, LinkId, LinkState, Meters, Observation, Observed, Point2, Pose,
-    Radians, SensorId, Span, Stamp,
+    Radians, SensorId, SimulatorCommand, Span, Stamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -38,7 +38,7 @@ fn any_input() -> impl Strategy<Value = (i64, Input)> {
         number.clone(),
         number,
         any::<i64>(),
-        0_u8..4,
+        0_u8..5,
     );
     let values = numbers.prop_map(|(a, b, c, nanos, kind)| input_of((a, b, c), nanos, kind));
     let wait_ms =
@@ -55,6 +55,13 @@ fn input_of((a, b, c): (f64, f64, f64), nanos: i64, kind: u8) -> Input {
                 position_sigma_m: a,
                 heading_sigma_rad: b,
             });
+        }
+        4 => {
+            return Input::Command(Command::Simulator(SimulatorCommand::Kidnap {
+                forward_m: a,
+                left_m: b,
+                turn_rad: c,
+            }));
         }
         1 => Observed::TurnRate(posebridge_telemetry::RadiansPerSecond(a)),
         2 => Observed::WheelAngles {

@@ -3,7 +3,8 @@
 use posebridge_recording::container::Reader;
 use posebridge_telemetry::{
     Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, Observed, ParameterName,
-    Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, SimulatorCommand,
+    SlippingWheel, Span, Stamp,
 };
 use proptest::prelude::*;
 
@@ -59,6 +60,30 @@ fn any_observed() -> impl Strategy<Value = Observed> {
     ]
 }
 
+/// Whatever stands there, sense or not: the pipeline judges it.
+fn done_to_the_brick(number: f64, nanos: i64, kind: u8) -> SimulatorCommand {
+    let span = Span::from_nanos(nanos);
+    match kind {
+        0 => SimulatorCommand::Kidnap {
+            forward_m: number,
+            left_m: -number,
+            turn_rad: 1.0 / number,
+        },
+        1 => SimulatorCommand::Slip {
+            wheel: SlippingWheel::Right,
+            factor: number,
+            duration: span,
+        },
+        2 => SimulatorCommand::CameraDelay { delay: span },
+        3 => SimulatorCommand::GyroBiasStep { rad_per_s: number },
+        4 => SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(&nanos.to_le_bytes()))),
+        _ => SimulatorCommand::Drive {
+            forward_m_per_s: number,
+            turn_rad_per_s: -number,
+        },
+    }
+}
+
 fn any_input() -> impl Strategy<Value = Input> {
     prop_oneof![
         (any::<u16>(), proptest::collection::vec(any::<u8>(), 0..300)).prop_map(|(link, bytes)| {
@@ -84,6 +109,9 @@ fn any_input() -> impl Strategy<Value = Input> {
             Input::Command(Command::SetParameter { name, value })
         }),
         (any::<u8>(), ".{0,40}").prop_map(|(severity, text)| Input::Report { severity, text }),
+        (any_f64(), any::<i64>(), 0_u8..6).prop_map(|(number, nanos, kind)| {
+            Input::Command(Command::Simulator(done_to_the_brick(number, nanos, kind)))
+        }),
         (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| {
             Input::Command(Command::SetPose {
                 pose: Pose::new(Meters(x), Meters(y), heading),

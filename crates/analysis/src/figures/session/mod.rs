@@ -81,7 +81,7 @@ impl InnovationSample {
     #[must_use]
     pub fn of(t_s: f64, record: &FusionRecord) -> Option<Self> {
         let is_used = match record.verdict {
-            Verdict::Accepted => true,
+            Verdict::Accepted | Verdict::Slip => true,
             Verdict::Gated => false,
             Verdict::TooOld
             | Verdict::Malformed

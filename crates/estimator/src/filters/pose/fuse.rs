@@ -126,6 +126,7 @@ pub fn use_gyro_window<const N: usize>(
     let (scalar, before) = judged_gyro(state, context)?;
     if shows_slip(state, &scalar, context) {
         allow_for_slip(state, scalar.innovation.powi(2), before.nis, context);
+        state.slipped_at = state.window.map(|window| window.until);
     }
     let outcome = match rounded(state, context) {
         Rounded::Anew { variance_rad2 } => use_and_pass_rounding(state, &scalar, variance_rad2),

@@ -75,6 +75,8 @@ pub struct PoseFilter<const N: usize> {
     base: PoseState<N>,
     /// In the order of [`Told::order`].
     entries: VecDeque<Entry<N>>,
+    /// Up to which instant the slip that was noticed has been told.
+    slip_told: Option<Stamp<BrickClock>>,
 }
 
 impl<const N: usize> PoseFilter<N> {
@@ -88,6 +90,20 @@ impl<const N: usize> PoseFilter<N> {
             gates: fuse::gates_of(config),
             base: PoseState::initial(config),
             entries: VecDeque::new(),
+            slip_told: None,
+        }
+    }
+
+    /// Says on the record of a motion that was used if slip was noticed since the last one that said so. A fix may have noticed it, or an
+    /// observation that came late: what is told first after it tells it.
+    fn tell_slip(&mut self, record: &mut FusionRecord, observed: &Observed) {
+        let slipped_at = self.state().slipped_at;
+        if record.verdict == Verdict::Accepted
+            && MotionReading::of(observed).is_some()
+            && slipped_at > self.slip_told
+        {
+            record.verdict = Verdict::Slip;
+            self.slip_told = slipped_at;
         }
     }
 
@@ -293,7 +309,10 @@ impl<const N: usize> Filter for PoseFilter<N> {
         let mut record = intake::bare_record(observation, lag, Verdict::Accepted);
         match intake::refuse_outright(observation, latest, self.config.params.history_s) {
             Some(verdict) => record.verdict = verdict,
-            None => self.take(observation, &mut record),
+            None => {
+                self.take(observation, &mut record);
+                self.tell_slip(&mut record, &observation.observed);
+            }
         }
         record
     }
@@ -323,6 +342,9 @@ impl<const N: usize> Filter for PoseFilter<N> {
     fn restart_clock(&mut self) {
         let mut state = *self.state();
         state.restart_clock(&PoseState::initial(&self.config));
+        // The stamps of before mean nothing.
+        state.slipped_at = None;
+        self.slip_told = None;
         self.base = state;
         self.entries.clear();
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);

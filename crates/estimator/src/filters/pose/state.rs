@@ -167,6 +167,8 @@ pub struct PoseState<const N: usize> {
     pub last_motion: Option<Stamp<BrickClock>>,
     /// When the wheels' counts changed.
     pub counts: Counts,
+    /// For which instant it was last noticed that wheels have slipped.
+    pub slipped_at: Option<Stamp<BrickClock>>,
     /// The stamp of the last acceleration.
     pub last_acceleration: Option<Stamp<BrickClock>>,
     /// Fixes refused since the last one that was used.
@@ -208,6 +210,7 @@ impl<const N: usize> PoseState<N> {
             last_fix: None,
             last_motion: None,
             counts: Counts::default(),
+            slipped_at: None,
             last_acceleration: None,
             refused: Refused::default(),
             scales: Scales::default(),
@@ -243,6 +246,7 @@ impl<const N: usize> PoseState<N> {
             last_fix: other.last_fix,
             last_motion: other.last_motion,
             counts: other.counts,
+            slipped_at: other.slipped_at,
             last_acceleration: other.last_acceleration,
             refused: other.refused,
             scales: other.scales,

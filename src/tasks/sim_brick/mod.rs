@@ -1,14 +1,18 @@
 //! The simulated brick in real time, behind a real link: its own thread when it is embedded, the whole process in `posebridge sim`.
 
-use std::path::Path;
-use std::thread::JoinHandle;
+mod cable;
+mod embedded;
+mod hands;
 
-use anyhow::{Context, Result, anyhow};
-use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
-use posebridge_sim::{STEP, Scenario, Simulation};
-use posebridge_telemetry::{HostClock, LinkId, PeerId, Span, Stamp};
+use posebridge_link::{HostTimer, Port, PortEvent};
+use posebridge_sim::{STEP, Simulation};
+use posebridge_telemetry::{HostClock, Span, Stamp};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
+
+pub use self::cable::Cable;
+pub use self::embedded::EmbeddedBrick;
+pub use self::hands::{Hands, LiveTruth, Reach, WAITING_COMMANDS, hands};
 
 /// The world is stepped in bites of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
 const BITE: Span = Span::from_millis(2);
@@ -21,9 +25,7 @@ const ANNOUNCED_EACH: Span = Span::from_millis(1_000);
 /// The links of a simulated brick, open.
 pub struct BrickPorts {
     /// To the station.
-    pub brick: Port,
-    /// Whom the brick has heard last there.
-    station: Option<PeerId>,
+    pub brick: Cable,
     /// The camera's own, where it does not share the brick's. Without it nobody hears such a camera.
     pub camera: Option<Port>,
     /// Where the camera's images go, if another program looks through it.
@@ -61,10 +63,9 @@ impl Announcement {
 impl BrickPorts {
     /// The brick's link alone.
     #[must_use]
-    pub const fn of(brick: Port) -> Self {
+    pub const fn of(brick: Cable) -> Self {
         Self {
             brick,
-            station: None,
             camera: None,
             images: None,
             announcement: None,
@@ -79,21 +80,9 @@ impl BrickPorts {
     ) {
         tokio::select! {
             event = self.brick.next() => {
-                step_to(simulation, timer.now() - start);
-                match event {
-                    PortEvent::Bytes { peer, bytes, .. } => {
-                        if self.station.is_some_and(|station| station != peer) {
-                            simulation.reopen_link();
-                        }
-                        self.station = Some(peer);
-                        simulation.receive(&bytes);
-                    }
-                    PortEvent::Up { .. } | PortEvent::Down { .. } => {
-                        self.station = None;
-                        simulation.reopen_link();
-                    }
-                    PortEvent::Finished { .. } => {}
-                }
+                let now = timer.now();
+                step_to(simulation, now - start);
+                self.brick.take(now, event, simulation);
             }
             event = next_of(self.camera.as_mut()) => {
                 step_to(simulation, timer.now() - start);
@@ -109,10 +98,8 @@ impl BrickPorts {
     }
 
     /// Sends what brick and camera have to say.
-    fn send_all(&mut self, simulation: &mut Simulation) {
-        while let Some(bytes) = simulation.poll() {
-            self.brick.send(&bytes);
-        }
+    fn send_all(&mut self, now: Stamp<HostClock>, simulation: &mut Simulation) {
+        self.brick.pass(now, simulation);
         while let Some(bytes) = simulation.poll_camera() {
             if let Some(camera) = &mut self.camera {
                 camera.send(&bytes);
@@ -137,76 +124,14 @@ async fn next_of(port: Option<&mut Port>) -> PortEvent {
     }
 }
 
-/// A brick in a thread of its own.
-pub struct EmbeddedBrick {
-    thread: JoinHandle<Result<Simulation>>,
-    /// Cancelled when the path is driven to its end.
-    pub finished: CancellationToken,
-    /// How much of the path is driven, 0 to 1.
-    pub progress: watch::Receiver<f64>,
-}
-
-impl EmbeddedBrick {
-    /// Starts the brick on a pseudo-terminal that `path` will point to.
-    ///
-    /// # Errors
-    /// The pseudo-terminal cannot be made or the thread cannot be started.
-    pub fn start(scenario: Scenario, path: &Path, stop: CancellationToken) -> Result<Self> {
-        let url = LinkUrl::pty(path)?;
-        let finished = CancellationToken::new();
-        let (told, progress) = watch::channel(0.0);
-        let done = finished.clone();
-        let (ready, is_ready) = std::sync::mpsc::sync_channel::<Result<()>>(1);
-        let thread = std::thread::Builder::new()
-            .name("brick".to_owned())
-            .spawn(move || {
-                let runtime = tokio::runtime::Builder::new_current_thread()
-                    .enable_all()
-                    .build()
-                    .context("starting the brick's runtime")?;
-                runtime.block_on(async {
-                    let timer = HostTimer::start();
-                    let mut port = Port::new(
-                        PortConfig {
-                            id: LinkId(0),
-                            url,
-                            role: Role::Listen,
-                        },
-                        timer,
-                    );
-                    let opened = port.open_first().await;
-                    let failed = opened.is_err();
-                    // The starter has gone only if it has failed itself.
-                    drop(ready.send(opened.map_err(anyhow::Error::from)));
-                    let mut simulation = Simulation::new(scenario);
-                    if !failed {
-                        let mut ports = BrickPorts::of(port);
-                        drive(&mut simulation, &mut ports, timer, &stop, &told).await;
-                        done.cancel();
-                    }
-                    Ok(simulation)
-                })
-            })
-            .context("starting the brick's thread")?;
-        is_ready
-            .recv()
-            .map_err(|_gone| anyhow!("the brick's thread died"))??;
-        Ok(Self {
-            thread,
-            finished,
-            progress,
-        })
-    }
-
-    /// Waits for the thread and gives the simulation with its truth.
-    ///
-    /// # Errors
-    /// The brick's runtime could not be started.
-    pub fn finish(self) -> Result<Simulation> {
-        self.thread
-            .join()
-            .map_err(|_panic| anyhow!("the brick's thread died"))?
-    }
+/// Who can reach a brick while it drives.
+pub struct Company<'a> {
+    /// Cancelled when it has to stop.
+    pub stop: &'a CancellationToken,
+    /// Told how much of the path is driven, 0 to 1.
+    pub progress: &'a watch::Sender<f64>,
+    /// Whoever may do things to it, if anybody.
+    pub reach: Option<Reach>,
 }
 
 /// Drives a simulation in real time on its ports, until its path ends or somebody stops it.
@@ -214,8 +139,7 @@ pub async fn drive(
     simulation: &mut Simulation,
     ports: &mut BrickPorts,
     timer: HostTimer,
-    stop: &CancellationToken,
-    progress: &watch::Sender<f64>,
+    mut company: Company<'_>,
 ) {
     let start = timer.now();
     let mut ends_at: Option<Stamp<HostClock>> = None;
@@ -224,13 +148,18 @@ pub async fn drive(
         tokio::select! {
             () = ports.serve(simulation, (timer, start)) => {}
             () = timer.sleep_until(bite_end) => step_to(simulation, timer.now() - start),
-            () = stop.cancelled() => return,
+            () = company.stop.cancelled() => return,
         }
-        ports.send_all(simulation);
-        progress.send_replace(simulation.progress());
+        let now = timer.now();
+        if let Some(reach) = &mut company.reach {
+            reach.carry_out(now, simulation, &mut ports.brick);
+            reach.show(start, simulation);
+        }
+        ports.send_all(now, simulation);
+        company.progress.send_replace(simulation.progress());
         if simulation.is_finished() {
-            let end = *ends_at.get_or_insert(timer.now() + AFTERGLOW);
-            if timer.now() >= end {
+            let end = *ends_at.get_or_insert(now + AFTERGLOW);
+            if now >= end {
                 return;
             }
         }

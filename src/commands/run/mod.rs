@@ -1,0 +1,174 @@
+//! `posebridge run`: the station.
+//!
+//! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records everything that came in, and shows one
+//! status block, until Ctrl-C, `--duration` or `--until-silent`. A simulated brick of its own drives its path again and again; with `--laps` the
+//! run ends with the last of them. In the end stand tables and two pictures, with a simulated brick also who was how far off.
+
+mod links;
+mod outcome;
+mod records;
+mod session;
+mod signals;
+
+use anyhow::{Context, Result};
+use posebridge_link::Role;
+
+use self::links::Laps;
+use self::outcome::{finish, report_learned};
+use self::session::session;
+pub(crate) use self::signals::Signals;
+use super::{Failure, Stage};
+use crate::cli::RunArgs;
+use crate::config::{self, Config, LinkSection, RobotProfile, Setting};
+use crate::link_target::{LinkTarget, load_scenario};
+use crate::report::run as report;
+use crate::tasks::desk::RECORDING;
+
+/// Runs the station.
+///
+/// # Errors
+/// The configuration makes no sense, a link cannot be opened for good, or the recording cannot be written.
+pub fn execute(args: &RunArgs) -> Result<(), Failure> {
+    let config = configuration(args).at_start()?;
+    let laps = args.laps.map_or(Laps::Endless, Laps::Counted);
+    let mut session = in_runtime(session(args, &config, (RECORDING, laps)))?;
+    finish(
+        &config,
+        &session.folder,
+        &session.collector,
+        session.driven.take(),
+        &session.recorded,
+    )
+    .while_running()?;
+    report_learned(args, &config, &session).while_running()?;
+    session.whole().while_running()
+}
+
+/// Records a robot without any report of its own: for those who evaluate the recording at once. It is recorded whatever the
+/// configuration says, into the file of this name in the flags' folder; gives how the observations of each sensor fared, as a table.
+///
+/// # Errors
+/// As [`execute`].
+pub(crate) fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
+    let mut config = configuration(args).at_start()?;
+    config.record.enabled = true;
+    // Whoever evaluates a recording wants it to end.
+    let laps = args.laps.map_or(Laps::OfScenario, Laps::Counted);
+    let session = in_runtime(session(args, &config, (file_name, laps)))?;
+    let heard = report::sources(&session.collector);
+    session.whole().while_running()?;
+    Ok(heard)
+}
+
+fn in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .at_start()?;
+    let result = runtime.block_on(work);
+    // An attempt to open a device that hangs must not keep the program alive.
+    runtime.shutdown_background();
+    result
+}
+
+/// The configuration with the command line's flags laid over it.
+fn configuration(args: &RunArgs) -> Result<Config> {
+    let is_of = |setting: &Setting, sections: &[&str]| {
+        let section = setting.path.first();
+        section.is_some_and(|section| sections.contains(&section.as_str()))
+    };
+    let mut settings = args.config.settings.clone();
+    if args.robot.is_some() {
+        // They may be single keys of the file's robot, and make no sense without it.
+        settings.retain(|setting| !is_of(setting, &["robot"]));
+    }
+    let mut config = config::load(args.config.config.as_deref(), &settings)?.config;
+    let flags = &args.links.0;
+    if !flags.is_empty() {
+        let links = flags.iter().map(|flag| LinkSection {
+            listen: flag.role == Role::Listen,
+            ..LinkSection::new(&flag.url)
+        });
+        config.links = links.collect();
+    }
+    for url in &args.ground_stations {
+        let section = LinkSection::for_ground_stations(url);
+        config
+            .links
+            .push(section.with_context(|| format!("--gcs {url}"))?);
+    }
+    if let (Some(name), Some(first)) = (&args.brick, config.links.first_mut()) {
+        first.brick = Some(name.clone());
+    }
+    if let Some(path) = &args.robot {
+        config = config.with_robot(RobotProfile::read(path)?);
+        // What is set by hand is meant for the robot of the file, too.
+        let mut settings = args.config.settings.clone();
+        settings.retain(|setting| is_of(setting, &["robot", "filter"]));
+        config = config::lay_over(&config, &settings)?;
+    }
+    if let Some(name) = &args.filter {
+        config.filter.name.clone_from(name);
+    }
+    for (target, _) in config.targets()? {
+        if let LinkTarget::Sim(name) = target {
+            config = config.with_tag_of(&load_scenario(&name)?);
+        }
+    }
+    config.pipeline()?;
+    config.dashboard.checked()?;
+    Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+    use clap::Parser as _;
+
+    /// Commands of the pages, each in one line, without comments and quotes.
+    fn commands(page: &Path) -> Vec<Vec<String>> {
+        let text = std::fs::read_to_string(page).unwrap();
+        let shells = text.split("```sh\n").skip(1);
+        let blocks = shells.filter_map(|rest| rest.split("```").next());
+        let lines: Vec<String> = blocks
+            .flat_map(|block| {
+                let joined = block.replace("\\\n", " ");
+                joined.lines().map(str::to_owned).collect::<Vec<_>>()
+            })
+            .collect();
+        lines
+            .iter()
+            .map(|line| line.split(" #").next().unwrap_or_default())
+            .filter(|line| line.starts_with("posebridge run") && line.contains("config/robots"))
+            .map(|line| {
+                line.split_whitespace()
+                    .map(|word| word.trim_matches('\'').to_owned())
+                    .collect()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_commands_of_the_pages_about_bricks_make_sense() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut found = 0;
+        for folder in ["docs/bricks", "docs/protocols"] {
+            for entry in std::fs::read_dir(root.join(folder)).unwrap() {
+                for command in commands(&entry.unwrap().path()) {
+                    let cli = Cli::try_parse_from(&command).unwrap();
+                    let Some(Command::Run(args)) = cli.command else {
+                        panic!("{command:?} does not run");
+                    };
+                    if let Err(error) = configuration(&args) {
+                        panic!("{}: {error:#}", command.join(" "));
+                    }
+                    found += 1;
+                }
+            }
+        }
+        assert!(found >= 5, "{found} commands");
+    }
+}

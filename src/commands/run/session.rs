@@ -1,0 +1,248 @@
+//! A session: the station from its start until something ends it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use posebridge_dashboard::Dashboard;
+use posebridge_link::HostTimer;
+use posebridge_pipeline::Pipeline;
+use posebridge_telemetry::{Span, Stamp};
+use tokio_util::sync::CancellationToken;
+
+use super::links::{Driven, Embedded, Laps, SimulatedSession, open_links, stop_brick};
+use super::records::{Recorded, output_folder, start_recorder, start_tlog, unless_it_was_made};
+use super::signals::Signals;
+use crate::cli::RunArgs;
+use crate::collect::Collector;
+use crate::commands::{Failure, Stage};
+use crate::config::Config;
+use crate::learned::Learned;
+use crate::report::live::LiveView;
+use crate::report::off::Off;
+use crate::signing::{SigningSession, warn_of_open_listeners};
+use crate::stderr::say;
+use crate::tasks::dashboard::{self, Outlet, Simulated};
+use crate::tasks::desk::Desk;
+use crate::tasks::observer::{Observer, ObserverConfig};
+use crate::tasks::recorder::{Kept, Recorder};
+use crate::tasks::shard::{Ending, Shard};
+use crate::tasks::tlog_recorder::{TlogRecorder, TlogWritten};
+use crate::tasks::truth_tap::TruthTap;
+
+/// What a session has left.
+pub(super) struct Session {
+    pub(super) timer: HostTimer,
+    pub(super) folder: PathBuf,
+    pub(super) collector: Collector,
+    pub(super) recorded: Recorded,
+    pub(super) driven: Option<Driven>,
+    pub(super) learned: Option<Learned>,
+    /// Whether the stamps of signed links were kept.
+    pub(super) kept: Result<()>,
+    /// Why the recording ended before the session.
+    pub(super) recording_failure: Option<anyhow::Error>,
+}
+
+impl Session {
+    /// Whether everything was written that had to be.
+    pub(super) fn whole(self) -> Result<()> {
+        self.kept?;
+        let recorded = self
+            .recorded
+            .inputs
+            .iter()
+            .try_for_each(|(_, kept)| kept.whole());
+        self.recording_failure
+            .map_or(recorded, Err)
+            .context("the recording is not whole")
+    }
+}
+
+/// Runs the station until something ends it.
+pub(super) async fn session(
+    args: &RunArgs,
+    config: &Config,
+    (file_name, laps): (&str, Laps),
+) -> Result<Session, Failure> {
+    let timer = HostTimer::start();
+    let signing = SigningSession::open(config, timer.utc_start()).at_start()?;
+    let pipeline = pipeline(args, config, &signing).at_start()?;
+    let folder = output_folder(args, config, &timer).at_start()?;
+    let stop = CancellationToken::new();
+    let mut signals = Signals::listen().at_start()?;
+    let simulated = SimulatedSession {
+        timer,
+        folder: &folder,
+        laps,
+    };
+    let opened = open_links(args, config, simulated, &stop).await;
+    if opened.is_err() {
+        // Only a folder that is still empty goes.
+        drop(std::fs::remove_dir(&folder));
+    }
+    let (ports, mut embedded) = opened.at_start()?;
+    warn_of_open_listeners(&ports, config);
+    let recording = folder.join(file_name);
+    let for_recordings = signing.recorded(config);
+    let started = start_recorder(args, &for_recordings, &timer, &recording);
+    let (recorder, recording_failure) = unless_it_was_made(started, &recording).at_start()?;
+    let tlog = start_tlog(args, config, &timer, &recording).at_start()?;
+    let current = recorder.as_ref().map(|_| recording);
+    let configs = (config.clone(), for_recordings);
+    let commands = embedded
+        .as_ref()
+        .map(|embedded| embedded.brick.hands.commands.clone());
+    let truth = embedded
+        .as_mut()
+        .and_then(|embedded| embedded.brick.truth.take());
+    let place = (timer, folder.as_path());
+    let (page, outlet) = page(args, config, place, embedded.as_ref())
+        .at_start()?
+        .unzip();
+    let mut shard = Shard {
+        pipeline,
+        ports,
+        timer,
+        recorder,
+        given: 0,
+        tlog,
+        observer: observer(args, embedded.as_ref()).at_start()?,
+        recording_failure,
+        signing: signing.keep().at_start()?,
+        desk: Desk::new(folder.clone(), timer, configs, current).with_brick(commands),
+        truth,
+        dashboard: outlet,
+    };
+    let ending = ending(args, embedded.as_ref(), &stop);
+    tokio::select! {
+        () = shard.run(&ending) => {}
+        () = signals.received() => {}
+    }
+    let driven = stop_brick(embedded, &stop).while_running()?;
+    let kept = shard.keep_last_stamps();
+    let learned = learned_of(&shard.pipeline, config).at_start()?;
+    shard.show_truth();
+    let closed = close(shard).while_running()?;
+    drop(page);
+    Ok(Session {
+        timer,
+        folder,
+        collector: closed.collector,
+        recorded: Recorded {
+            inputs: closed.recorded,
+            tlog: closed.tlog,
+        },
+        driven,
+        learned,
+        kept,
+        recording_failure: closed.recording_failure,
+    })
+}
+
+/// The dashboard, with what it shows of the simulated brick.
+fn page(
+    args: &RunArgs,
+    config: &Config,
+    place: (HostTimer, &Path),
+    embedded: Option<&Embedded>,
+) -> Result<Option<(Dashboard, Outlet)>> {
+    let simulated = embedded.map(|embedded| Simulated {
+        name: &embedded.name,
+        scenario: &embedded.scenario,
+        truth: TruthTap::new(&embedded.brick.hands.truth),
+    });
+    dashboard::start(&args.page, config, place, simulated)
+}
+
+/// Shows people what happens.
+fn observer(args: &RunArgs, embedded: Option<&Embedded>) -> Result<Observer> {
+    let progress = embedded.map(|embedded| embedded.brick.progress.clone());
+    let off = embedded.map(|embedded| Off::new(TruthTap::new(&embedded.brick.hands.truth)));
+    Observer::start(ObserverConfig {
+        events: args.events.as_deref(),
+        view: LiveView::new(progress).with_truth(off),
+    })
+}
+
+/// When the run ends by itself: at the latest with its simulated brick.
+fn ending(args: &RunArgs, embedded: Option<&Embedded>, stop: &CancellationToken) -> Ending {
+    Ending {
+        stop: embedded.map_or_else(|| stop.clone(), |embedded| embedded.brick.finished.clone()),
+        at: args.duration.map(Stamp::from_secs_f64),
+        silence: args.until_silent.map(Span::from_secs_f64),
+    }
+}
+
+/// The engine; a filter that learns nothing is refused where what it learns shall be saved, before the robot drives for nothing.
+fn pipeline(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result<Pipeline> {
+    let mut pipeline_config = config.pipeline()?;
+    signing.lay_into(&mut pipeline_config);
+    let pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
+    if args.save_calibration.is_some() && pipeline.calibration().is_none() {
+        bail!(
+            "--save-calibration: the filter `{}` learns no calibration",
+            config.filter.name
+        );
+    }
+    Ok(pipeline)
+}
+
+fn learned_of(pipeline: &Pipeline, config: &Config) -> Result<Option<Learned>> {
+    let prior = config.filter_config()?.calibration;
+    Ok(Learned::of(pipeline, "live run", &config.robot, &prior))
+}
+
+/// What recorder and observer leave.
+struct Closed {
+    collector: Collector,
+    recorded: Vec<(PathBuf, Kept)>,
+    tlog: Option<TlogWritten>,
+    recording_failure: Option<anyhow::Error>,
+}
+
+/// Closes the links, then lets recorder and observer finish what waits.
+fn close(shard: Shard) -> Result<Closed> {
+    let Shard {
+        recorder,
+        tlog,
+        observer,
+        ports,
+        recording_failure,
+        desk,
+        ..
+    } = shard;
+    let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
+    if unsent > 0 {
+        say(&format!(
+            "{unsent} messages were not sent: a link was down or too slow"
+        ));
+    }
+    drop(ports);
+    let last = desk.current().map(Path::to_owned);
+    let mut recorded = desk.finish()?;
+    // A disk that fails now must not cost the tables.
+    let last_failure = match recorder.map(Recorder::finish).transpose() {
+        Ok(kept) => {
+            recorded.extend(last.zip(kept));
+            None
+        }
+        Err(error) => Some(error),
+    };
+    let tlog = tlog.map(TlogRecorder::finish).transpose()?;
+    if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
+        say("the telemetry log has holes: the disk was too slow for it");
+    }
+    let (collector, dropped) = observer.finish()?;
+    if dropped > 0 {
+        tracing::warn!(
+            dropped,
+            "events were not shown because the terminal was slow"
+        );
+    }
+    Ok(Closed {
+        collector,
+        recorded,
+        tlog,
+        recording_failure: recording_failure.or(last_failure),
+    })
+}
