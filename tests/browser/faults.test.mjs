@@ -172,6 +172,22 @@ test('a slider changes a parameter of the filter', async () => {
   await tap.until('the default', (frame) => frame.parameters?.find(({ name, value }) => name === 'gate_prob' && value === 0.999));
 });
 
+test('the recording so far is looked at again, beside the drive that goes on', async () => {
+  const [seen] = tap.frames.filter((frame) => estimatesOf(frame).length > 0);
+  const [estimate] = estimatesOf(seen);
+  await page.locator('#recordings').scrollIntoViewIfNeeded();
+  await page.getByRole('button', { name: 'Replay recording.mcap' }).click();
+  await page.getByRole('button', { name: 'Pause' }).click();
+  await page.getByLabel('Time in the recording').fill(String(estimate.t_s + 0.001));
+  await page.waitForFunction((t_s) => Math.abs(Number(document.getElementById('pose').dataset.t_s) - t_s) < 0.2, estimate.t_s);
+  const shown = await page.evaluate(() => ({ ...document.getElementById('pose').dataset }));
+  const live = tap.frames.flatMap(estimatesOf).find(({ t_s }) => t_s === Number(shown.t_s));
+  assert.ok(live, `the instant ${shown.t_s} was live as well`);
+  assert.equal(Number(shown.x_m), live.x_m);
+  await page.getByRole('button', { name: 'Back to live' }).click();
+  await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) > t_s, estimate.t_s + 1);
+});
+
 test('the session with all that was done to it replays bit for bit', async () => {
   assert.equal(await station.stop(), 0, station.text);
   await waitForState(page, 'lost');
