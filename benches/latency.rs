@@ -374,6 +374,7 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, Socke
         recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),
         tlog: None,
         observer: Observer::start(observed).expect("an observer"),
+        dashboard: None,
         recording_failure: None,
         given: 0,
         signing: None,

@@ -1,5 +1,6 @@
 //! Every flag of the program, and nothing else.
 
+mod dashboard;
 mod lab;
 
 use std::path::PathBuf;
@@ -14,6 +15,7 @@ use crate::commands::relay::RelayEnds;
 use crate::config::Setting;
 use crate::link_flags::LinkFlags;
 
+pub use dashboard::DashboardFlags;
 pub use lab::{LabAccuracyArgs, LabArgs, LabExperiment, LabLinksArgs};
 
 /// Ground station for robots that are too weak to filter for themselves.
@@ -133,6 +135,9 @@ pub struct RunArgs {
     /// Write every event as a line of text.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
+    /// The dashboard.
+    #[command(flatten)]
+    pub page: DashboardFlags,
     /// At the end write the robot with what was learned about it, as a profile for --robot.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,

@@ -26,5 +26,6 @@ pub mod stderr;
 pub mod stdout;
 pub mod tasks;
 pub mod tlog;
+pub mod trails;
 pub mod truth_file;
 pub mod virtual_run;

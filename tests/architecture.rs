@@ -60,6 +60,7 @@ const LAYERS: &[Layer] = &[
             "recording",
             "link",
             "sim",
+            "dashboard",
             ROOT,
         ],
     ),
@@ -93,6 +94,7 @@ const IO_CRATES: &[&str] = &[
     "bluer",
     "axum",
     "hyper",
+    "hyper-util",
     "mio",
 ];
 

@@ -64,6 +64,10 @@ fn wrong_configuration() {
     );
     insta::assert_snapshot!("no_link", with_config("link = []\n"));
     insta::assert_snapshot!(
+        "dashboard_address",
+        with_config("[dashboard]\nlisten = \"localhost\"\n")
+    );
+    insta::assert_snapshot!(
         "wrong_setting",
         with_args(&["run", "--set", "robot.track=1"])
     );

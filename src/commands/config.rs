@@ -33,6 +33,7 @@ fn checked(flags: &ConfigFlags) -> Result<Loaded, Failure> {
     let loaded = config::load(flags.config.as_deref(), &flags.settings).at_start()?;
     loaded.config.targets().at_start()?;
     loaded.config.pipeline().at_start()?;
+    loaded.config.dashboard.checked().at_start()?;
     Ok(loaded)
 }
 

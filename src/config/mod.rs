@@ -7,6 +7,7 @@
 mod bricks;
 mod calibrated;
 mod calibration;
+mod dashboard;
 mod filter;
 mod load;
 mod merge;
@@ -25,6 +26,7 @@ pub use bricks::{
 };
 pub use calibrated::{CalibratedRobot, Provenance, utc_date};
 pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration};
+pub use dashboard::DashboardSection;
 pub use filter::{FilterSection, filter_config};
 pub use load::{ConfigError, Loaded, lay_over, load, load_text};
 pub use merge::{Origin, Setting, print};

@@ -17,6 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bricks::{FixSection, brick_link};
+use super::dashboard::DashboardSection;
 use super::filter::{FilterSection, filter_config};
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection, RoutingSection, rules_of};
@@ -48,6 +49,8 @@ pub struct Config {
     pub routing: RoutingSection,
     /// The recording.
     pub record: RecordSection,
+    /// The page of the station.
+    pub dashboard: DashboardSection,
 }
 
 /// Who the station is on its links.
@@ -236,6 +239,7 @@ impl Default for Config {
             clock: ClockConfig::default(),
             routing: RoutingSection::default(),
             record: RecordSection::default(),
+            dashboard: DashboardSection::default(),
         }
     }
 }

@@ -11,6 +11,7 @@ use posebridge_telemetry::{
 use tokio_util::sync::CancellationToken;
 
 use super::calendar::CalendarWatch;
+use super::dashboard::{Outlet, next_command, standing_of};
 use super::desk::{Desk, WARNING};
 use super::observer::Observer;
 use super::recorder::Recorder;
@@ -52,6 +53,8 @@ pub struct Shard {
     pub tlog: Option<TlogRecorder>,
     /// The terminal.
     pub observer: Observer,
+    /// The dashboard, if there is one.
+    pub dashboard: Option<Outlet>,
     /// Why the recording ended before the run.
     pub recording_failure: Option<anyhow::Error>,
     /// What keeps the stamps of signed links, if there are any.
@@ -96,6 +99,7 @@ impl Shard {
                     }
                     (at, input)
                 }
+                command = next_command(&mut self.dashboard) => (self.timer.now(), Input::Command(command)),
                 () = alarm.reached(deadline) => (self.timer.now(), Input::Tick),
                 () = &mut stopped => return,
             };
@@ -108,6 +112,7 @@ impl Shard {
                 self.tell_counts(now);
                 self.look_at_the_calendar(now, &mut calendar);
                 self.show_calibration(now);
+                self.show_standing(now);
                 self.show_truth();
             }
             if finished.len() == self.ports.iter().len() {
@@ -158,6 +163,13 @@ impl Shard {
     fn show_calibration(&mut self, now: Stamp<HostClock>) {
         if let (Some(recorder), Some(learned)) = (&mut self.recorder, self.pipeline.calibration()) {
             recorder.show_calibration(now, learned);
+        }
+    }
+
+    /// Tells the dashboard what stands.
+    fn show_standing(&self, now: Stamp<HostClock>) {
+        if let Some(dashboard) = &self.dashboard {
+            dashboard.tell_standing(now, standing_of(&self.pipeline, self.desk.current()));
         }
     }
 
@@ -215,6 +227,10 @@ impl Shard {
                 Output::Request(request) => requests.push(request),
             }
         }
+        if let Some(dashboard) = &self.dashboard {
+            dashboard.tell(now, &events);
+        }
+        let is_command = matches!(input, Input::Command(_));
         self.log_traffic(now, &input, &sent);
         self.desk.note(&input);
         let is_lost = self.record(now, input, &events).is_err();
@@ -240,6 +256,9 @@ impl Shard {
             if let Some(report) = report {
                 self.take(now, report);
             }
+        }
+        if is_command {
+            self.show_standing(now);
         }
     }
 

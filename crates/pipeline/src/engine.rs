@@ -19,7 +19,7 @@ mod warmth;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use posebridge_estimator::{Filter, filter_named};
+use posebridge_estimator::{Filter, Params, filter_named};
 use posebridge_protocol::routing::{Forward, Router, RouterConfig, Way};
 use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
@@ -275,6 +275,12 @@ impl Pipeline {
     #[must_use]
     pub fn calibration(&self) -> Option<Calibration> {
         self.filter.calibration()
+    }
+
+    /// The tunables as they are set.
+    #[must_use]
+    pub const fn params(&self) -> &Params {
+        &self.config.filter_config.params
     }
 
     /// The nominal geometry that the filter works with: the configured one, or the one that the robot has described.

@@ -8,6 +8,7 @@
 mod brick;
 mod codecs;
 mod config;
+mod dashboard_command;
 mod decode;
 mod impairment;
 mod nxt;
@@ -41,6 +42,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("tlog", tlog::check, 60_000),
     Target::new("line", codecs::check_line, 700_000),
     Target::new("camera_json", codecs::check_camera_json, 200_000),
+    Target::new("dashboard_command", dashboard_command::check, 300_000),
 ];
 
 /// One untrusted input and what must hold for it.

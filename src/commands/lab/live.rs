@@ -8,7 +8,7 @@ use anyhow::anyhow;
 use posebridge_link::Role;
 
 use super::outcome::OutputArgs;
-use crate::cli::{ConfigFlags, DataFlags, RunArgs, positive};
+use crate::cli::{ConfigFlags, DashboardFlags, DataFlags, RunArgs, positive};
 use crate::commands::run;
 use crate::commands::{Failure, Stage};
 use crate::config::Setting;
@@ -145,6 +145,10 @@ impl LiveArgs {
             robot: robot.file.map(Path::to_owned),
             out: Some(folder),
             duration: self.duration,
+            page: DashboardFlags {
+                no_dashboard: true,
+                ..DashboardFlags::default()
+            },
             ..RunArgs::default()
         }
     }

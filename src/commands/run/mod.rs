@@ -116,6 +116,7 @@ fn configuration(args: &RunArgs) -> Result<Config> {
         }
     }
     config.pipeline()?;
+    config.dashboard.checked()?;
     Ok(config)
 }
 

@@ -62,6 +62,10 @@ pub(super) fn finish(
         let (path, frames) = (tlog.path.display(), tlog.frames);
         let _ = writeln!(text, "tlog       {path} ({frames} frames)");
     }
+    if let Some((recording, _)) = recorded.inputs.first() {
+        let recording = recording.display();
+        let _ = writeln!(text, "report     posebridge report {recording}");
+    }
     stdout::print(&text)?;
     Ok(())
 }

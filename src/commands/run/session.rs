@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use posebridge_dashboard::Dashboard;
 use posebridge_link::{HostTimer, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{Span, Stamp};
@@ -20,6 +21,7 @@ use crate::report::live::LiveView;
 use crate::report::off::Off;
 use crate::signing::{SigningSession, warn_of_open_listeners};
 use crate::stderr::say;
+use crate::tasks::dashboard::{self, Outlet, Simulated};
 use crate::tasks::desk::Desk;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::{Kept, Recorder};
@@ -83,6 +85,10 @@ pub(super) async fn session(
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
     let (commands, truth) = simulated_brick(embedded.as_mut());
+    let place = (timer, folder.as_path());
+    let (page, outlet) = page(args, config, place, embedded.as_ref())
+        .at_start()?
+        .unzip();
     let mut shard = Shard {
         pipeline,
         ports,
@@ -95,6 +101,7 @@ pub(super) async fn session(
         signing: signing.keep().at_start()?,
         desk: Desk::new(folder.clone(), timer, configs, current).with_brick(commands),
         truth,
+        dashboard: outlet,
     };
     let ending = ending(args, embedded.as_ref(), &stop);
     tokio::select! {
@@ -106,6 +113,7 @@ pub(super) async fn session(
     let learned = learned_of(&shard.pipeline, config).at_start()?;
     shard.show_truth();
     let closed = close(shard).while_running()?;
+    drop(page);
     Ok(Session {
         timer,
         folder,
@@ -143,6 +151,21 @@ fn simulated_brick(embedded: Option<&mut Embedded>) -> (Option<CommandSender>, O
     brick.map_or((None, None), |brick| {
         (Some(brick.hands.commands.clone()), brick.truth.take())
     })
+}
+
+/// The dashboard, with what it shows of the simulated brick.
+fn page(
+    args: &RunArgs,
+    config: &Config,
+    place: (HostTimer, &Path),
+    embedded: Option<&Embedded>,
+) -> Result<Option<(Dashboard, Outlet)>> {
+    let simulated = embedded.map(|embedded| Simulated {
+        name: &embedded.name,
+        scenario: &embedded.scenario,
+        truth: TruthTap::new(&embedded.brick.hands.truth),
+    });
+    dashboard::start(&args.page, config, place, simulated)
 }
 
 /// Shows people what happens.

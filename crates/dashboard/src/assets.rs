@@ -1,0 +1,266 @@
+//! The files of the page: in the program, or from a folder while somebody edits them.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use axum::body::{Body, Bytes};
+use axum::http::header::{
+    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_TYPE, ETAG, IF_NONE_MATCH, VARY,
+};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::Response;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use sha2::{Digest as _, Sha256};
+
+macro_rules! assets {
+    ($($path:literal),+ $(,)?) => {
+        /// Every file of the page. Adding one: a file in `web/` and a line here.
+        const EMBEDDED: &[(&str, &[u8])] = &[
+            $(($path, include_bytes!(concat!("../../../web/", $path)))),+
+        ];
+    };
+}
+
+assets![
+    "index.html",
+    "app.js",
+    "favicon.svg",
+    "model/chi_square.js",
+    "model/errors.js",
+    "model/marks.js",
+    "model/robot.js",
+    "model/session.js",
+    "model/slider.js",
+    "model/track.js",
+    "panels/arena.js",
+    "panels/calibration.js",
+    "panels/error.js",
+    "panels/index.js",
+    "panels/innovations.js",
+    "panels/links.js",
+    "panels/log.js",
+    "panels/parameters.js",
+    "panels/recordings.js",
+    "panels/simulator.js",
+    "replay.js",
+    "station.js",
+    "stream.js",
+    "style.css",
+    "vendor/uPlot.LICENSE.txt",
+    "vendor/uPlot.iife.min.js",
+    "vendor/uPlot.min.css",
+    "view/arena_scene.js",
+    "view/camera.js",
+    "view/chart.js",
+    "view/dom.js",
+    "view/driver.js",
+    "view/format.js",
+    "view/lens.js",
+    "view/map_input.js",
+    "view/palette.js",
+    "view/theme.js",
+];
+
+/// The page at `/`.
+const INDEX: &str = "index.html";
+
+/// What a browser is told that a file is, by the ending of its name. A file with another ending is not served.
+const TYPES: &[(&str, &str)] = &[
+    ("html", "text/html; charset=utf-8"),
+    ("css", "text/css; charset=utf-8"),
+    ("js", "text/javascript; charset=utf-8"),
+    ("json", "application/json"),
+    ("svg", "image/svg+xml"),
+    ("png", "image/png"),
+    ("txt", "text/plain; charset=utf-8"),
+];
+
+/// A file, ready to be sent.
+pub(crate) struct Asset {
+    path: String,
+    kind: &'static str,
+    tag: HeaderValue,
+    plain: Bytes,
+    packed: Bytes,
+}
+
+/// Where the files are.
+pub(crate) enum Assets {
+    /// In the program, packed once at its start.
+    Embedded(Vec<Asset>),
+    /// In this folder, read anew for each request.
+    Folder(PathBuf),
+}
+
+impl Assets {
+    /// Those of the program, or of a folder.
+    pub(crate) fn new(folder: Option<PathBuf>) -> Self {
+        folder.map_or_else(
+            || {
+                let assets = EMBEDDED.iter();
+                let assets =
+                    assets.filter_map(|(path, plain)| Asset::new(path, Bytes::from_static(plain)));
+                Self::Embedded(assets.collect())
+            },
+            Self::Folder,
+        )
+    }
+
+    /// The answer to a request for the file at this path; `None` if there is none.
+    pub(crate) fn answer(&self, path: &str, asked: &HeaderMap) -> Option<Response> {
+        let path = match path.trim_start_matches('/') {
+            "" => INDEX,
+            path => path,
+        };
+        match self {
+            Self::Embedded(assets) => {
+                let asset = assets.iter().find(|asset| asset.path == path)?;
+                Some(asset.answer(asked))
+            }
+            Self::Folder(folder) => {
+                let plain = read_below(folder, path)?;
+                Some(Asset::new(path, plain)?.answer(asked))
+            }
+        }
+    }
+}
+
+/// A file below a folder; none of another place, however it is spelt.
+fn read_below(folder: &Path, path: &str) -> Option<Bytes> {
+    let folder = folder.canonicalize().ok()?;
+    let found = folder.join(path).canonicalize().ok()?;
+    if !found.starts_with(&folder) {
+        return None;
+    }
+    std::fs::read(found).ok().map(Bytes::from)
+}
+
+impl Asset {
+    fn new(path: &str, plain: Bytes) -> Option<Self> {
+        let ending = path.rsplit_once('.')?.1;
+        let kind = TYPES.iter().find(|(known, _)| *known == ending)?.1;
+        let hash = Sha256::digest(&plain);
+        let start = hash.iter().take(8).map(|byte| format!("{byte:02x}"));
+        let tag = format!("\"{}\"", start.collect::<String>());
+        Some(Self {
+            path: path.to_owned(),
+            kind,
+            tag: HeaderValue::from_str(&tag).ok()?,
+            packed: packed(&plain)?,
+            plain,
+        })
+    }
+
+    fn answer(&self, asked: &HeaderMap) -> Response {
+        let is_known = asked.get(IF_NONE_MATCH).is_some_and(|tag| tag == self.tag);
+        let takes_packed = asked
+            .get(ACCEPT_ENCODING)
+            .and_then(|value| value.to_str().ok())
+            .is_some_and(|value| value.split(',').any(|one| one.trim().starts_with("gzip")));
+        let body = match (is_known, takes_packed) {
+            (true, _) => Body::empty(),
+            (false, true) => Body::from(self.packed.clone()),
+            (false, false) => Body::from(self.plain.clone()),
+        };
+        let mut response = Response::new(body);
+        if is_known {
+            *response.status_mut() = StatusCode::NOT_MODIFIED;
+        }
+        let headers = response.headers_mut();
+        headers.insert(CONTENT_TYPE, HeaderValue::from_static(self.kind));
+        headers.insert(ETAG, self.tag.clone());
+        // Asked for each time: a station that was updated has other files at the same place.
+        headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+        headers.insert(VARY, HeaderValue::from_static("accept-encoding"));
+        if takes_packed && !is_known {
+            headers.insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+        }
+        response
+    }
+}
+
+fn packed(plain: &[u8]) -> Option<Bytes> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(plain).ok()?;
+    encoder.finish().ok().map(Bytes::from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every file below a folder, as paths from it.
+    fn files(folder: &Path, prefix: &str) -> Vec<String> {
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let entry = entry.unwrap();
+            let name = format!("{prefix}{}", entry.file_name().to_str().unwrap());
+            if entry.file_type().unwrap().is_dir() {
+                found.extend(files(&entry.path(), &format!("{name}/")));
+            } else {
+                found.push(name);
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn every_file_of_the_page_is_in_the_table() {
+        let web = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../web");
+        let is_served = |path: &String| {
+            let ending = path.rsplit_once('.').map(|(_, ending)| ending);
+            TYPES.iter().any(|(known, _)| Some(*known) == ending)
+        };
+        // Licences and notes beside them are read in the repository.
+        let mut there: Vec<String> = files(&web, "").into_iter().filter(is_served).collect();
+        there.sort_unstable();
+        let mut table: Vec<&str> = EMBEDDED.iter().map(|(path, _)| *path).collect();
+        table.sort_unstable();
+        assert_eq!(table, there, "web/ and the table in assets.rs differ");
+        let Assets::Embedded(assets) = Assets::new(None) else {
+            panic!("they are embedded");
+        };
+        assert_eq!(assets.len(), there.len());
+    }
+
+    #[test]
+    fn a_file_is_packed_for_who_takes_that_and_not_sent_to_who_has_it() {
+        let assets = Assets::new(None);
+        let mut asked = HeaderMap::new();
+        let plain = assets.answer("/", &asked).unwrap();
+        assert_eq!(plain.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
+        assert!(!plain.headers().contains_key(CONTENT_ENCODING));
+        asked.insert(ACCEPT_ENCODING, HeaderValue::from_static("br, gzip;q=0.8"));
+        let packed = assets.answer("/index.html", &asked).unwrap();
+        assert_eq!(packed.headers()[CONTENT_ENCODING], "gzip");
+        asked.insert(IF_NONE_MATCH, packed.headers()[ETAG].clone());
+        let known = assets.answer("/", &asked).unwrap();
+        assert_eq!(known.status(), StatusCode::NOT_MODIFIED);
+        assert!(assets.answer("/../Cargo.toml", &asked).is_none());
+    }
+
+    #[test]
+    fn a_folder_gives_what_is_below_it_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let web = folder.path().join("web");
+        std::fs::create_dir_all(web.join("panels")).unwrap();
+        std::fs::write(folder.path().join("secret.txt"), "secret").unwrap();
+        std::fs::write(web.join("index.html"), "page").unwrap();
+        std::fs::write(web.join("panels/map.js"), "map").unwrap();
+        std::fs::write(web.join("notes"), "no ending").unwrap();
+        std::os::unix::fs::symlink("../secret.txt", web.join("link.txt")).unwrap();
+        let assets = Assets::new(Some(web));
+        let is_there = |path: &str| assets.answer(path, &HeaderMap::new()).is_some();
+        assert!(is_there("/") && is_there("/panels/map.js") && is_there("//index.html"));
+        for path in [
+            "/../secret.txt",
+            "/panels/../../secret.txt",
+            "/link.txt",
+            "/notes",
+            "/panels",
+        ] {
+            assert!(!is_there(path), "{path}");
+        }
+    }
+}

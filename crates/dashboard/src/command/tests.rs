@@ -1,0 +1,183 @@
+use super::*;
+
+use posebridge_telemetry::simulator::NUMBER_FIELDS;
+use posebridge_telemetry::{
+    SensorId, SimulatorCommand, SlippingWheel, Span, SteeringSource, Switch,
+};
+use serde_json::json;
+
+fn refused(text: &str) -> String {
+    read(text.as_bytes()).unwrap_err().to_string()
+}
+
+/// What a field takes, at one end of its range.
+fn example(kind: Kind) -> Value {
+    match kind {
+        Kind::Number { least, .. } => json!(least),
+        Kind::Simulated => panic!("a field of the simulator has no range"),
+        Kind::Whole { most, .. } => json!(most),
+        Kind::Choice(words) => json!(words[0]),
+        Kind::Switch => json!(true),
+        Kind::Name => json!("gate_prob"),
+        Kind::NameOrNull => json!(null),
+    }
+}
+
+/// A command of this row.
+fn whole(row: &CommandRow) -> Map<String, Value> {
+    let mut object = Map::new();
+    object.insert("command".to_owned(), json!(row.name));
+    for field in row.fields {
+        object.insert(field.name.to_owned(), example(field.kind_in(row.name)));
+    }
+    object
+}
+
+fn text_of(object: Map<String, Value>) -> String {
+    Value::Object(object).to_string()
+}
+
+#[test]
+fn every_row_reads_its_own_fields_and_misses_each_of_them() {
+    for row in COMMANDS {
+        let given = whole(row);
+        let (name, command) = read(text_of(given.clone()).as_bytes()).unwrap();
+        assert_eq!(name, row.name);
+        if let Command::Simulator(simulated) = command {
+            assert_eq!(simulated.name(), row.name);
+            assert_eq!(simulated.check(), Ok(()), "{}", row.name);
+        }
+        for field in row.fields {
+            let mut lacking = given.clone();
+            lacking.remove(field.name);
+            let why = refused(&text_of(lacking));
+            let expected = format!("`{}` needs the field `{}`: ", row.name, field.name);
+            assert!(why.starts_with(&expected), "{why}");
+            let mut wrong = given.clone();
+            wrong.insert(field.name.to_owned(), json!([1, "\u{1b}[2J"]));
+            let why = refused(&text_of(wrong));
+            assert!(
+                why.contains(&format!("the field `{}` is [", field.name)),
+                "{why}"
+            );
+            assert!(!why.contains('\u{1b}'), "{why}");
+        }
+        let mut more = given;
+        more.insert("extra".to_owned(), json!(1));
+        let why = refused(&text_of(more));
+        assert!(why.contains("has no field `extra`; it has: "), "{why}");
+    }
+}
+
+#[test]
+fn every_number_of_the_simulator_has_a_field_with_its_range() {
+    for known in NUMBER_FIELDS {
+        let row = COMMANDS.iter().find(|row| row.name == known.command);
+        let fields = row.unwrap().fields;
+        let field = fields.iter().find(|field| field.name == known.field);
+        let Kind::Number { least, most } = field.unwrap().kind_in(known.command) else {
+            panic!("{} is a number", known.field);
+        };
+        assert_eq!((least, most), (known.least, known.most));
+    }
+}
+
+#[test]
+fn the_words_are_those_of_the_vocabulary() {
+    let words = |name: &str, field: &str| {
+        let row = COMMANDS.iter().find(|row| row.name == name).unwrap();
+        let field = row.fields.iter().find(|one| one.name == field).unwrap();
+        let Kind::Choice(words) = field.kind else {
+            panic!("{name} has words");
+        };
+        words.to_vec()
+    };
+    assert_eq!(
+        words("slip", "wheel"),
+        SlippingWheel::ALL.map(SlippingWheel::word)
+    );
+    assert_eq!(
+        words("steering", "by"),
+        SteeringSource::ALL.map(SteeringSource::word)
+    );
+}
+
+#[test]
+fn commands_are_what_their_fields_say() {
+    let read = |text: &str| read(text.as_bytes()).unwrap().1;
+    let Command::SetPose {
+        pose,
+        position_sigma_m,
+        heading_sigma_rad,
+    } = read(
+        r#"{"command":"set-pose","x_m":1.5,"y_m":-2,"heading_rad":0.5,"position_sigma_m":0.1,"heading_sigma_rad":0.2}"#,
+    )
+    else {
+        panic!("it sets the pose");
+    };
+    assert_eq!((pose.x.0, pose.y.0, pose.heading.rad()), (1.5, -2.0, 0.5));
+    assert_eq!((position_sigma_m, heading_sigma_rad), (0.1, 0.2));
+    assert_eq!(
+        read(r#"{"command":"switch-source","sensor":3,"on":false}"#),
+        Command::SwitchSource {
+            sensor: SensorId::CAMERA,
+            to: Switch::Off
+        }
+    );
+    assert_eq!(
+        read(r#"{"command":"slip","wheel":"right","factor":0.5,"seconds":2}"#),
+        Command::Simulator(SimulatorCommand::Slip {
+            wheel: SlippingWheel::Right,
+            factor: 0.5,
+            duration: Span::from_millis(2_000)
+        })
+    );
+    assert_eq!(
+        read(r#"{"command":"camera-delay","delay_ms":5000}"#),
+        Command::Simulator(SimulatorCommand::CameraDelay {
+            delay: Span::from_millis(5_000)
+        })
+    );
+    let profile = |text: &str| match read(text) {
+        Command::Simulator(SimulatorCommand::LinkProfile(profile)) => {
+            profile.map(|name| name.to_string())
+        }
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(
+        profile(r#"{"command":"link-profile","profile":"bluetooth-spp"}"#).as_deref(),
+        Some("bluetooth-spp")
+    );
+    assert_eq!(
+        profile(r#"{"command":"link-profile","profile":null}"#),
+        None
+    );
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_what_may_stand_there() {
+    assert!(refused("{").starts_with("the command is no JSON: "));
+    assert_eq!(
+        refused("[]"),
+        "a command is an object such as {\"command\": \"reset-pose\"}"
+    );
+    assert!(
+        refused("{}").starts_with("the field `command` is missing; it is one of: reset-pose, ")
+    );
+    assert!(refused(r#"{"command":7}"#).starts_with("`command` is `7`; there are: "));
+    assert!(refused(r#"{"command":"fly"}"#).starts_with("`command` is `fly`; there are: "));
+    assert_eq!(
+        refused(r#"{"command":"kidnap","forward_m":11,"left_m":0,"turn_rad":0}"#),
+        "`kidnap`: the field `forward_m` is 11, must be a number from -10 to 10"
+    );
+    assert_eq!(
+        refused(r#"{"command":"switch-source","sensor":3.5,"on":true}"#),
+        "`switch-source`: the field `sensor` is 3.5, must be a whole number from 0 to 255"
+    );
+    assert_eq!(
+        refused(r#"{"command":"steering","by":"truth"}"#),
+        "`steering`: the field `by` is \"truth\", must be one of \"odometry\", \"estimate\""
+    );
+    let long = "x".repeat(10_000);
+    assert!(refused(&format!(r#"{{"command":"{long}"}}"#)).len() < 1_000);
+}

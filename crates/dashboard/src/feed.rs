@@ -1,0 +1,129 @@
+//! The shard's end of the channel to the dashboard.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Observed, Pose, Span, Stamp};
+
+use crate::counts::{Count, Counts};
+use crate::model::{CalibrationRow, ParameterValue};
+
+/// So many batches wait before they are dropped and counted: half a minute of a brick that sends 200 times a second. The reader
+/// looks fifty times a second.
+const WAITING: usize = 6_000;
+
+/// What one input has led to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Batch {
+    /// When the input was given to the pipeline.
+    pub now: Stamp<HostClock>,
+    /// From its arrival until everything that it led to was handed to the links.
+    pub took: Span,
+    /// What happened.
+    pub events: Vec<Event>,
+    /// What stands, now and then.
+    pub standing: Option<Standing>,
+}
+
+/// What holds until something else is said; told once a second and after commands.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Standing {
+    /// What was learned about it.
+    pub calibration: Vec<CalibrationRow>,
+    /// All tunables.
+    pub parameters: Vec<ParameterValue>,
+    /// The file that is being recorded into.
+    pub recording: Option<String>,
+    /// By what the simulated brick was told to steer, if it was told.
+    pub steering: Option<String>,
+}
+
+/// Where the simulated robot was at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthSample {
+    /// When, by the host's clock.
+    pub now: Stamp<HostClock>,
+    /// When, by the brick's clock, as estimates are stamped.
+    pub stamp: Stamp<BrickClock>,
+    /// Where it was.
+    pub pose: Pose<Arena>,
+    /// Where the brick's own dead reckoning believed it to be.
+    pub odometry: Option<Pose<Arena>>,
+}
+
+/// Tells the dashboard what happens, and never waits for it: what finds no room is dropped and counted.
+#[derive(Debug)]
+pub struct Feed {
+    sender: SyncSender<Batch>,
+    counts: Arc<Counts>,
+}
+
+impl Feed {
+    /// The two ends.
+    pub(crate) fn pair(counts: Arc<Counts>) -> (Self, Receiver<Batch>) {
+        let (sender, receiver) = sync_channel(WAITING);
+        (Self { sender, counts }, receiver)
+    }
+
+    /// Whether the dashboard shows anything of this event. Of observations only fixes are shown by themselves; what became of
+    /// the others stands in their records.
+    #[must_use]
+    pub const fn wants(event: &Event) -> bool {
+        match event {
+            Event::Observed { observation, .. } => {
+                matches!(observation.observed, Observed::Fix(_))
+            }
+            // Each is counted in the health of its link.
+            Event::Defect { .. } => false,
+            Event::RobotSeen { .. }
+            | Event::RobotLost { .. }
+            | Event::BrickRestarted { .. }
+            | Event::Fused { .. }
+            | Event::Estimated { .. }
+            | Event::Temperature { .. }
+            | Event::BrickClockAligned { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Link { .. }
+            | Event::Health { .. }
+            | Event::Text { .. } => true,
+        }
+    }
+
+    /// Tells what an input has led to. Whoever reads looks by itself: this only stores and wakes nobody.
+    pub fn tell(&self, batch: Batch) {
+        let lost = batch.events.len() as u64;
+        if !batch.events.is_empty() || batch.standing.is_some() {
+            let is_told = self.sender.try_send(batch).is_ok();
+            if !is_told {
+                self.counts.add(Count::EventsDropped, lost.max(1));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::Address;
+
+    #[test]
+    fn a_reader_that_hangs_costs_events_and_they_are_counted() {
+        let counts = Arc::new(Counts::default());
+        let (feed, receiver) = Feed::pair(Arc::clone(&counts));
+        let event = Event::Text {
+            source: Address::new(1, 1),
+            severity: 6,
+            text: String::new(),
+        };
+        for _ in 0..WAITING + 7 {
+            feed.tell(Batch {
+                now: Stamp::ZERO,
+                took: Span::ZERO,
+                events: vec![event.clone(); 2],
+                standing: None,
+            });
+        }
+        assert_eq!(counts.of(Count::EventsDropped), 14);
+        assert_eq!(receiver.try_iter().count(), WAITING);
+    }
+}

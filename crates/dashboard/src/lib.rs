@@ -1,0 +1,33 @@
+//! The page of the station: what fusion does, shown while it does it.
+//!
+//! Gets what the shard tells through a bounded channel that drops and counts ([`Feed`]), turns it into messages for browsers and
+//! programs with views that are pure functions of events ([`views`]), and serves them over HTTP and WebSocket on a thread with a
+//! runtime of its own ([`Dashboard`]). What people ask for goes back through a second bounded channel, as
+//! [`Command`](posebridge_telemetry::Command)s, and so into the recording. Nothing here is waited for by whoever steers a robot.
+//!
+//! JSON for browsers is known here and nowhere else. The shapes stand in [`model`], in `schema/v1.json` and in docs/dashboard.md;
+//! units are SI, angles radians, space the arena, times seconds of the session by the host's clock.
+
+mod assets;
+pub mod command;
+mod counts;
+mod feed;
+pub mod gather;
+mod hub;
+mod latency;
+mod limits;
+mod metrics;
+pub mod model;
+mod recordings;
+mod schema;
+mod server;
+mod state;
+mod thread;
+mod token;
+pub mod views;
+
+pub use feed::{Batch, Feed, Standing, TruthSample};
+pub use gather::{Gatherer, Keep};
+pub use schema::schema;
+pub use thread::{Dashboard, Facts, Listen, Sources, StartError, TokenPolicy};
+pub use token::Token;

@@ -1,0 +1,231 @@
+//! `/metrics`, in the text format of Prometheus: base units, one prefix, no time and no sequence number in a label.
+//!
+//! # Sources
+//! Prometheus, "Exposition formats" 0.0.4 and "Metric and label naming".
+
+use std::fmt::Write as _;
+
+use posebridge_telemetry::{LinkHealth, Span};
+
+use crate::counts::{COUNTS, Counts};
+use crate::hub::Hub;
+
+/// The content type of the format.
+pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+/// One number of a link's health.
+struct LinkMetric {
+    name: &'static str,
+    kind: &'static str,
+    help: &'static str,
+    read: fn(&LinkHealth) -> Option<f64>,
+}
+
+const fn link_metric(
+    name: &'static str,
+    kind: &'static str,
+    help: &'static str,
+    read: fn(&LinkHealth) -> Option<f64>,
+) -> LinkMetric {
+    LinkMetric {
+        name,
+        kind,
+        help,
+        read,
+    }
+}
+
+const LINK_METRICS: &[LinkMetric] = &[
+    link_metric("received_bytes_total", "counter", "Bytes received.", |of| {
+        Some(of.bytes_in as f64)
+    }),
+    link_metric(
+        "sent_bytes_total",
+        "counter",
+        "Bytes handed over for sending.",
+        |of| Some(of.bytes_out as f64),
+    ),
+    link_metric(
+        "received_frames_total",
+        "counter",
+        "Frames received whole.",
+        |of| Some(of.frames_in as f64),
+    ),
+    link_metric("sent_frames_total", "counter", "Frames sent.", |of| {
+        Some(of.frames_out as f64)
+    }),
+    // A frame that comes late is taken off again, so this is no counter.
+    link_metric(
+        "lost_frames",
+        "gauge",
+        "Frames missing in the sequence numbers.",
+        |of| Some(of.frames_lost as f64),
+    ),
+    link_metric(
+        "checksum_errors_total",
+        "counter",
+        "Frames whose checksum was wrong.",
+        |of| Some(of.checksum_errors as f64),
+    ),
+    link_metric(
+        "garbage_bytes_total",
+        "counter",
+        "Bytes outside every frame.",
+        |of| Some(of.garbage_bytes as f64),
+    ),
+    link_metric(
+        "stalls_total",
+        "counter",
+        "Frames whose bytes stopped coming.",
+        |of| Some(of.stalls as f64),
+    ),
+    link_metric(
+        "dropped_frames_total",
+        "counter",
+        "Outgoing frames dropped.",
+        |of| Some(of.drops_out as f64),
+    ),
+    link_metric(
+        "reconnects_total",
+        "counter",
+        "Times the link came up again.",
+        |of| Some(of.reconnects as f64),
+    ),
+    link_metric(
+        "queued_frames",
+        "gauge",
+        "Frames that wait to be sent.",
+        |of| Some(f64::from(of.port.queued_frames)),
+    ),
+    link_metric(
+        "round_trip_seconds",
+        "gauge",
+        "Round-trip time of the last answered time request.",
+        |of| of.round_trip.map(Span::as_secs_f64),
+    ),
+    link_metric(
+        "clock_uncertainty_seconds",
+        "gauge",
+        "How far a converted stamp may be off.",
+        |of| of.clock_uncertainty.map(Span::as_secs_f64),
+    ),
+];
+
+/// The whole page.
+pub(crate) fn page(hub: &Hub, counts: &Counts) -> String {
+    let mut page = String::with_capacity(8_192);
+    robots(&mut page, hub, counts);
+    latency(&mut page, hub);
+    links(&mut page, hub);
+    server(&mut page, counts);
+    page
+}
+
+fn robots(page: &mut String, hub: &Hub, counts: &Counts) {
+    let name = "posebridge_observations_total";
+    head(
+        page,
+        name,
+        "counter",
+        "Observations by what became of them.",
+    );
+    for ((sensor, kind, verdict), count) in &hub.tallies {
+        let sensor = sensor.name();
+        line(
+            page,
+            format_args!(
+                "{name}{{sensor=\"{sensor}\",kind=\"{kind}\",verdict=\"{verdict}\"}} {count}"
+            ),
+        );
+    }
+    let state = hub.state(counts);
+    let name = "posebridge_reset_counter";
+    head(
+        page,
+        name,
+        "gauge",
+        "Jumps of the estimate that were no motion, modulo 256.",
+    );
+    for robot in &state.robots {
+        if let Some(estimate) = &robot.estimate {
+            let (id, value) = (&robot.id, estimate.reset_counter);
+            line(page, format_args!("{name}{{robot=\"{id}\"}} {value}"));
+        }
+    }
+    let name = "posebridge_position_ellipse_metres";
+    head(
+        page,
+        name,
+        "gauge",
+        "Half the longer axis of the 95 % ellipse.",
+    );
+    for robot in &state.robots {
+        let major_m = robot.estimate.as_ref().and_then(|one| one.major_m.get());
+        if let Some(major_m) = major_m {
+            let id = &robot.id;
+            line(page, format_args!("{name}{{robot=\"{id}\"}} {major_m}"));
+        }
+    }
+}
+
+fn latency(page: &mut String, hub: &Hub) {
+    let name = "posebridge_estimate_latency_seconds";
+    head(
+        page,
+        name,
+        "histogram",
+        "From an observation's arrival to its estimate's departure.",
+    );
+    for (end, count) in hub.latency.buckets() {
+        let end_s = end as f64 / 1e6;
+        line(
+            page,
+            format_args!("{name}_bucket{{le=\"{end_s}\"}} {count}"),
+        );
+    }
+    let (sum_s, count) = (hub.latency.sum.as_secs_f64(), hub.latency.count);
+    line(page, format_args!("{name}_bucket{{le=\"+Inf\"}} {count}"));
+    line(page, format_args!("{name}_sum {sum_s}"));
+    line(page, format_args!("{name}_count {count}"));
+    let name = "posebridge_estimates_total";
+    head(page, name, "counter", "Estimates.");
+    line(page, format_args!("{name} {count}"));
+}
+
+fn links(page: &mut String, hub: &Hub) {
+    for metric in LINK_METRICS {
+        let name = format!("posebridge_link_{}", metric.name);
+        head(page, &name, metric.kind, metric.help);
+        for (link, health) in &hub.links {
+            if let Some(value) = (metric.read)(health) {
+                line(page, format_args!("{name}{{link=\"{link}\"}} {value}"));
+            }
+        }
+    }
+}
+
+fn server(page: &mut String, counts: &Counts) {
+    let mut last = "";
+    for row in COUNTS {
+        let name = format!("posebridge_dashboard_{}", row.name);
+        if row.name != last {
+            head(page, &name, row.kind, row.help);
+            last = row.name;
+        }
+        let count = counts.of(row.count);
+        match row.reason {
+            Some(reason) => line(page, format_args!("{name}{{reason=\"{reason}\"}} {count}")),
+            None => line(page, format_args!("{name} {count}")),
+        }
+    }
+}
+
+fn head(page: &mut String, name: &str, kind: &str, help: &str) {
+    line(page, format_args!("# HELP {name} {help}"));
+    line(page, format_args!("# TYPE {name} {kind}"));
+}
+
+fn line(page: &mut String, text: std::fmt::Arguments<'_>) {
+    // Writing to a String cannot fail.
+    let _ = writeln!(page, "{text}");
+}

@@ -1,0 +1,297 @@
+//! What is new since the last message, and the history that a new reader begins with: both have this shape.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Number;
+
+/// What is new.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Frame {
+    /// The session's time, in seconds.
+    pub now_s: f64,
+    /// What is new of each robot.
+    pub robots: Vec<RobotFrame>,
+    /// Where the simulated robot really was; absent without news.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub truth: Vec<TruthPoint>,
+    /// How far odometry and estimate are from the truth; absent without truth or news.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub errors: Option<ErrorsRow>,
+    /// All links, once a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub links: Option<Vec<LinkRow>>,
+    /// The alignment of the robot's clock, once a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clock: Option<ClockRow>,
+    /// Lines for people.
+    pub log: Vec<LogLine>,
+    /// All tunables, when one has changed and once a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parameters: Option<Vec<ParameterValue>>,
+    /// The recording that is being written, `null` if none is; once a second, else absent.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "present"
+    )]
+    pub recording: Option<Option<RecordingNow>>,
+    /// So many messages this reader has missed because it was slow.
+    pub dropped: u64,
+}
+
+/// A key that is there, `null` or not.
+fn present<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    T::deserialize(deserializer).map(Some)
+}
+
+impl Frame {
+    /// The part of one robot, made if there is none yet.
+    pub fn robot(&mut self, id: &str) -> &mut RobotFrame {
+        let index = match self.robots.iter().position(|robot| robot.id == id) {
+            Some(index) => index,
+            None => {
+                self.robots.push(RobotFrame::of(id));
+                self.robots.len() - 1
+            }
+        };
+        &mut self.robots[index]
+    }
+
+    /// Whether nothing is in it.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.robots.is_empty()
+            && self.truth.is_empty()
+            && self.log.is_empty()
+            && self.links.is_none()
+            && self.clock.is_none()
+            && self.parameters.is_none()
+            && self.recording.is_none()
+    }
+}
+
+/// What is new of one robot.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotFrame {
+    /// Link, system and component, e.g. `0/1/1`.
+    pub id: String,
+    /// Estimates, oldest first.
+    pub estimates: Vec<EstimatePoint>,
+    /// Camera fixes.
+    pub fixes: Vec<FixPoint>,
+    /// What became of each observation.
+    pub fusion: Vec<FusionPoint>,
+    /// What was learned about the robot; absent without news.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<Vec<CalibrationRow>>,
+}
+
+impl RobotFrame {
+    fn of(id: &str) -> Self {
+        Self {
+            id: id.to_owned(),
+            ..Self::default()
+        }
+    }
+}
+
+/// An estimate.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct EstimatePoint {
+    /// When it was made, in seconds of the session.
+    pub t_s: f64,
+    /// East, in metres.
+    pub x_m: Number,
+    /// North, in metres.
+    pub y_m: Number,
+    /// Counter-clockwise from east, in (-pi, pi].
+    pub heading_rad: Number,
+    /// Half the longer axis of the ellipse that holds the position with 95 %.
+    pub major_m: Number,
+    /// Half its shorter axis.
+    pub minor_m: Number,
+    /// Direction of its longer axis.
+    pub axis_rad: Number,
+    /// One standard deviation of the heading.
+    pub heading_sigma_rad: Number,
+    /// Forward speed.
+    pub forward_m_per_s: Number,
+    /// Turn rate, bias removed.
+    pub turn_rad_per_s: Number,
+    /// Counts jumps that are not motion.
+    pub reset_counter: u8,
+    /// Nothing absolute has been used for longer than the limit.
+    pub is_dead_reckoning: bool,
+    /// Time since the last fix that was used; `null` before the first.
+    pub fix_age_s: Number,
+}
+
+/// A fix of a camera.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct FixPoint {
+    /// When it was used, in seconds of the session.
+    pub t_s: f64,
+    /// East, in metres.
+    pub x_m: Number,
+    /// North, in metres.
+    pub y_m: Number,
+    /// Heading, if the camera tells it.
+    pub heading_rad: Number,
+    /// The camera's name.
+    pub sensor: String,
+    /// What became of it: accepted, gated, too old, malformed, reset to, unused.
+    pub verdict: String,
+    /// How far behind the filter's time it was.
+    pub lag_s: Number,
+}
+
+/// What became of one observation.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct FusionPoint {
+    /// When it was used, in seconds of the session.
+    pub t_s: f64,
+    /// The sensor's name.
+    pub sensor: String,
+    /// The kind of observation.
+    pub kind: String,
+    /// What became of it.
+    pub verdict: String,
+    /// How far behind the filter's time it was.
+    pub lag_s: Number,
+    /// Normalised innovation squared; `null` where nothing was predicted.
+    pub nis: Number,
+    /// Its degrees of freedom.
+    pub dof: u8,
+    /// Observed minus predicted, SI units, one number per degree of freedom.
+    pub innovation: Vec<Number>,
+    /// One standard deviation of each.
+    pub sigma: Vec<Number>,
+}
+
+/// Something that was learned about a robot.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationRow {
+    /// Its key in `[robot.calibration]`.
+    pub name: String,
+    /// The number.
+    pub value: f64,
+    /// One standard deviation.
+    pub sigma: f64,
+    /// Its unit, empty for a ratio.
+    pub unit: String,
+}
+
+/// Where the simulated robot really was.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthPoint {
+    /// In seconds of the session.
+    pub t_s: f64,
+    /// East, in metres.
+    pub x_m: Number,
+    /// North, in metres.
+    pub y_m: Number,
+    /// Heading.
+    pub heading_rad: Number,
+    /// Where the brick's own dead reckoning believed it to be: x_m, y_m, heading_rad.
+    pub odometry: Option<[Number; 3]>,
+}
+
+/// How far off the truth.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ErrorsRow {
+    /// Distance of the brick's own dead reckoning from the truth.
+    pub odometry_m: Number,
+    /// Distance of the estimate from the truth at the same instant.
+    pub estimate_m: Number,
+}
+
+/// How well a link does.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct LinkRow {
+    /// Its place in the configuration, from 0.
+    pub id: u16,
+    /// Its URL.
+    pub name: String,
+    /// `up` or `down`.
+    pub state: String,
+    /// Received in the last second.
+    pub bytes_in_per_s: Number,
+    /// Received whole in the last second.
+    pub frames_in_per_s: Number,
+    /// Frames missing in the sequence numbers since the beginning.
+    pub lost: u64,
+    /// Candidates whose checksum did not match.
+    pub checksum_errors: u64,
+    /// Bytes outside every frame.
+    pub garbage_bytes: u64,
+    /// Candidates given up because their bytes stopped coming.
+    pub stalls: u64,
+    /// Frames that wait to be sent.
+    pub queued_frames: u32,
+    /// Outgoing messages dropped because the link was slow or down.
+    pub drops_out: u64,
+    /// Round-trip time of the last answered question for the time.
+    pub round_trip_ms: Number,
+    /// How far a converted stamp may be off.
+    pub clock_uncertainty_ms: Number,
+}
+
+/// The alignment of the robot's clock.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClockRow {
+    /// Brick time minus host time.
+    pub offset_s: f64,
+    /// Rate of the brick's clock against the host's, minus one.
+    pub skew_ppm: Number,
+    /// Half the distance between the bounds.
+    pub uncertainty_ms: Number,
+    /// `two-way` where the brick answers questions for its time, else `one-way`.
+    pub method: String,
+}
+
+/// A line for people.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct LogLine {
+    /// In seconds of the session.
+    pub t_s: f64,
+    /// MAVLink severity, 0 emergency to 7 debug.
+    pub severity: u8,
+    /// The line; it may hold anything that a robot sent, printable or not.
+    pub text: String,
+}
+
+/// A tunable as it stands.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ParameterValue {
+    /// Its key in `[filter]`.
+    pub name: String,
+    /// Its value, in its own unit.
+    pub value: f64,
+}
+
+/// The recording that is being written.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordingNow {
+    /// The name of its file.
+    pub name: String,
+    /// So large it is.
+    pub bytes: u64,
+}

@@ -1,0 +1,288 @@
+//! The dashboard's own thread and runtime.
+
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use posebridge_telemetry::{Command, HostClock, Stamp};
+use tokio::sync::{Semaphore, mpsc};
+use tokio_util::sync::CancellationToken;
+
+use crate::assets::Assets;
+use crate::counts::Counts;
+use crate::feed::{Feed, TruthSample};
+use crate::hub::Hub;
+use crate::limits::{WAITING_COMMANDS, WAITING_QUESTIONS};
+use crate::model::{ParameterRow, SimulatorFacts};
+use crate::recordings::Recordings;
+use crate::server::{App, Guard, Inlets, Replay, router, run_hub, serve};
+use crate::token::Token;
+
+/// The next free port is looked for among so many.
+const PORTS_TRIED: u16 = 20;
+
+/// Where to listen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Listen {
+    /// There and nowhere else; port 0 takes a free one.
+    Exactly(SocketAddr),
+    /// There, or at the next free port.
+    OrNext(SocketAddr),
+}
+
+/// Who needs the token.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TokenPolicy {
+    /// Whoever reaches the station by another address than loopback.
+    #[default]
+    Elsewhere,
+    /// Everybody.
+    Always,
+}
+
+/// What does not change while the station runs.
+#[derive(Clone, Debug, Default)]
+pub struct Facts {
+    /// The program's version.
+    pub version: String,
+    /// The URL of each link, in their order.
+    pub links: Vec<String>,
+    /// Every tunable, as the run begins.
+    pub parameters: Vec<ParameterRow>,
+    /// The simulated brick, if the station has one of its own.
+    pub simulator: Option<SimulatorFacts>,
+    /// Who needs the token.
+    pub token: TokenPolicy,
+}
+
+/// What the dashboard needs of the program around it.
+pub struct Sources {
+    /// The session's clock.
+    pub clock: Box<dyn Fn() -> Stamp<HostClock> + Send>,
+    /// Where the simulated robot was; gives samples until there is none left for now.
+    pub truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
+    /// The folder of this run's recordings.
+    pub recordings: PathBuf,
+    /// Runs a recording through the engine.
+    pub replay: Box<Replay>,
+    /// Serves the page from there instead of from the program.
+    pub ui_dir: Option<PathBuf>,
+}
+
+/// Why there is no dashboard.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartError {
+    /// Somebody listens there already.
+    #[error(
+        "{address} is in use, perhaps by another station; choose another port with `--dashboard IP:PORT`, or `--no-dashboard`"
+    )]
+    Taken {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// Somebody listens at all ports that were tried.
+    #[error(
+        "{address} and the {PORTS_TRIED} ports behind it are in use; choose one with `--dashboard IP:PORT`"
+    )]
+    AllTaken {
+        /// The first.
+        address: SocketAddr,
+    },
+    /// The system does not let us listen there.
+    #[error("cannot listen on {address}")]
+    Bind {
+        /// The address.
+        address: SocketAddr,
+        /// What it says.
+        source: io::Error,
+    },
+    /// The system has no random bytes for a token.
+    #[error("no random bytes for a token")]
+    Token {
+        /// What it says.
+        source: getrandom::Error,
+    },
+    /// The thread could not be started.
+    #[error("starting the dashboard's thread")]
+    Thread {
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// A running dashboard. It ends when [`Self::finish`] is called or it is dropped.
+#[derive(Debug)]
+pub struct Dashboard {
+    address: SocketAddr,
+    token: Option<Token>,
+    stop: CancellationToken,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Dashboard {
+    /// Begins to listen and starts the thread. Gives the end into which the shard tells what happens, and that from which it takes
+    /// commands.
+    ///
+    /// # Errors
+    /// The address is taken or cannot be listened on, or the thread cannot be started.
+    pub fn start(
+        listen: Listen,
+        facts: Facts,
+        sources: Sources,
+    ) -> Result<(Self, Feed, mpsc::Receiver<Command>), StartError> {
+        let (listener, address) = bind(listen)?;
+        let is_open = address.ip().is_loopback() && facts.token == TokenPolicy::Elsewhere;
+        let token = if is_open {
+            None
+        } else {
+            Some(Token::random().map_err(|source| StartError::Token { source })?)
+        };
+        let counts = Arc::new(Counts::default());
+        let (feed, batches) = Feed::pair(Arc::clone(&counts));
+        let (questions, asked) = mpsc::channel(WAITING_QUESTIONS);
+        let (commands, given) = mpsc::channel(WAITING_COMMANDS);
+        let stop = CancellationToken::new();
+        let recordings = Recordings::new(sources.recordings);
+        let hub = Hub::new(facts, token.is_some());
+        let app = App {
+            guard: Guard::new(address, token.clone()),
+            counts: Arc::clone(&counts),
+            questions,
+            commands,
+            recordings: recordings.clone(),
+            assets: Assets::new(sources.ui_dir),
+            replay: sources.replay,
+            replaying: Semaphore::new(1),
+            stop: stop.clone(),
+        };
+        let inlets = Inlets {
+            batches,
+            truth: sources.truth,
+            clock: sources.clock,
+            questions: asked,
+            recordings,
+            counts,
+        };
+        let work = Work {
+            listener,
+            app,
+            hub,
+            inlets,
+        };
+        let thread = std::thread::Builder::new()
+            .name("dashboard".to_owned())
+            .spawn(move || work.run())
+            .map_err(|source| StartError::Thread { source })?;
+        let dashboard = Self {
+            address,
+            token,
+            stop,
+            thread: Some(thread),
+        };
+        Ok((dashboard, feed, given))
+    }
+
+    /// Where it listens.
+    #[must_use]
+    pub const fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What to open in a browser: with the token, if one is needed, so it is to be shown once and to nobody else.
+    #[must_use]
+    pub fn url(&self) -> String {
+        let token = self.token.as_ref();
+        let query = token.map_or_else(String::new, |token| format!("?token={}", token.expose()));
+        format!("http://{}/{query}", self.address)
+    }
+
+    /// Ends it and waits for its thread.
+    pub fn finish(mut self) {
+        self.end();
+    }
+
+    fn end(&mut self) {
+        self.stop.cancel();
+        if let Some(Err(_panic)) = self.thread.take().map(JoinHandle::join) {
+            tracing::error!("the dashboard's thread died");
+        }
+    }
+}
+
+impl Drop for Dashboard {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// What the thread does.
+struct Work {
+    listener: TcpListener,
+    app: App,
+    hub: Hub,
+    inlets: Inlets,
+}
+
+impl Work {
+    fn run(self) {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(2)
+            .thread_name("dashboard-file")
+            .build();
+        let runtime = match runtime {
+            Ok(runtime) => runtime,
+            Err(error) => {
+                tracing::error!(%error, "the dashboard has no runtime");
+                return;
+            }
+        };
+        runtime.block_on(async {
+            let listener = match tokio::net::TcpListener::from_std(self.listener) {
+                Ok(listener) => listener,
+                Err(error) => {
+                    tracing::error!(%error, "the dashboard cannot listen");
+                    return;
+                }
+            };
+            let (counts, stop) = (Arc::clone(&self.app.counts), self.app.stop.clone());
+            let router = router(Arc::new(self.app));
+            tokio::select! {
+                () = run_hub(self.hub, self.inlets) => {}
+                () = serve(listener, router, counts, stop) => {}
+            }
+        });
+        // A replay that still runs must not keep the station alive.
+        runtime.shutdown_background();
+    }
+}
+
+fn bind(listen: Listen) -> Result<(TcpListener, SocketAddr), StartError> {
+    let (first, tries) = match listen {
+        Listen::Exactly(address) => (address, 0),
+        Listen::OrNext(address) => (address, PORTS_TRIED),
+    };
+    for step in 0..=tries {
+        let mut address = first;
+        address.set_port(first.port().saturating_add(step));
+        match bind_one(address) {
+            Ok(bound) => return Ok(bound),
+            Err(source) if source.kind() == io::ErrorKind::AddrInUse => {}
+            Err(source) => return Err(StartError::Bind { address, source }),
+        }
+    }
+    Err(match listen {
+        Listen::Exactly(address) => StartError::Taken { address },
+        Listen::OrNext(address) => StartError::AllTaken { address },
+    })
+}
+
+fn bind_one(address: SocketAddr) -> io::Result<(TcpListener, SocketAddr)> {
+    let listener = TcpListener::bind(address)?;
+    listener.set_nonblocking(true)?;
+    let address = listener.local_addr()?;
+    Ok((listener, address))
+}

@@ -1,0 +1,324 @@
+use super::*;
+
+use insta::assert_json_snapshot;
+use posebridge_telemetry::{
+    Address, Arena, Estimate, Fix, FusionRecord, Heading, LinkHealth, LinkState, Meters,
+    MetersPerSecond, Observation, Observed, Point2, Pose, RadiansPerSecond, SensorId, Span,
+    Validity, Verdict,
+};
+
+use crate::model::{CalibrationRow, ParameterValue};
+
+fn at(millis: i64) -> Stamp<HostClock> {
+    Stamp::from_millis(millis)
+}
+
+fn robot() -> RobotId {
+    RobotId {
+        link: LinkId(0),
+        address: Address::new(1, 1),
+    }
+}
+
+fn view(name: &str) -> Box<dyn View> {
+    let setting = Setting {
+        links: vec!["sim://square".to_owned()],
+        keep: Keep::Latest {
+            span: Span::from_millis(60_000),
+            most: 1_200,
+        },
+    };
+    let entry = VIEWS.iter().find(|entry| entry.name == name).unwrap();
+    (entry.build)(&setting)
+}
+
+fn news(view: &mut dyn View, pace: Pace) -> Frame {
+    let mut frame = Frame::default();
+    view.add_news(&mut frame, pace);
+    frame
+}
+
+fn history(view: &dyn View) -> Frame {
+    let mut frame = Frame::default();
+    view.add_history(&mut frame);
+    frame
+}
+
+/// 1.5 m east and 0.25 m south, sigmas of 3 cm and 1 cm along the axes.
+pub(crate) fn estimate() -> Estimate {
+    let mut covariance = [[0.0; 5]; 5];
+    covariance[0][0] = 9e-4;
+    covariance[1][1] = 1e-4;
+    covariance[2][2] = 4e-4;
+    Estimate {
+        stamp: Stamp::from_millis(5_000),
+        pose: Pose::new(Meters(1.5), Meters(-0.25), Heading::from_rad(0.6)),
+        forward_speed: MetersPerSecond(0.2),
+        turn_rate: RadiansPerSecond(-0.5),
+        covariance,
+        validity: Validity {
+            position: true,
+            heading: true,
+            speeds: true,
+        },
+        is_dead_reckoning: false,
+        fix_age: Some(Span::from_millis(300)),
+        reset_counter: 2,
+        last_jump: None,
+    }
+}
+
+fn estimated(estimate: Estimate) -> Event {
+    let robot = robot();
+    Event::Estimated { robot, estimate }
+}
+
+fn seen() -> Event {
+    let fix = Fix {
+        position: Point2::new(Meters(1.0), Meters(2.0)),
+        heading: Some(Heading::from_rad(0.5)),
+        covariance: None,
+        tag_in_body: Point2::ORIGIN,
+        reset_counter: 0,
+    };
+    Event::Observed {
+        robot: robot(),
+        source: Address::new(1, 100),
+        arrival: at(1_000),
+        observation: Observation {
+            sensor: SensorId::CAMERA,
+            stamp: Stamp::from_millis(5_000),
+            stamp_sigma: Span::ZERO,
+            observed: Observed::Fix(fix),
+        },
+    }
+}
+
+fn fused(verdict: Verdict, used: u8) -> Event {
+    let record = FusionRecord {
+        sensor: SensorId::CAMERA,
+        kind: "fix",
+        stamp: Stamp::from_millis(5_000),
+        lag: Span::from_millis(150),
+        verdict,
+        innovation: [0.01, -0.02, 0.0],
+        innovation_covariance: [[4e-4, 1e-5, 0.0], [1e-5, 9e-4, 0.0], [0.0; 3]],
+        nis: 1.25,
+        degrees_of_freedom: used,
+        log_likelihood: 3.5,
+    };
+    let robot = robot();
+    Event::Fused { robot, record }
+}
+
+#[test]
+fn an_estimate_has_the_ellipse_of_95_per_cent() {
+    let mut view = view("estimates");
+    view.take(at(1_000), Told::Event(&estimated(estimate())));
+    let frame = news(&mut *view, Pace::News);
+    assert_json_snapshot!("estimate", frame.robots);
+    assert!(news(&mut *view, Pace::News).robots.is_empty());
+    assert_eq!(history(&*view).robots, frame.robots);
+}
+
+#[test]
+fn an_estimate_whose_place_is_unknown_is_not_drawn() {
+    let mut view = view("estimates");
+    let lost = Estimate {
+        validity: Validity::default(),
+        ..estimate()
+    };
+    view.take(at(1_000), Told::Event(&estimated(lost)));
+    assert!(news(&mut *view, Pace::News).is_empty());
+}
+
+#[test]
+fn numbers_that_are_none_are_null() {
+    let mut view = view("estimates");
+    let mut broken = estimate();
+    broken.covariance[0][0] = f64::INFINITY;
+    broken.fix_age = None;
+    view.take(at(1_000), Told::Event(&estimated(broken)));
+    let frame = news(&mut *view, Pace::News);
+    let point = &frame.robots[0].estimates[0];
+    assert_eq!(point.major_m.get(), None);
+    assert_eq!(point.fix_age_s.get(), None);
+    assert!(point.x_m.get().is_some());
+}
+
+#[test]
+fn a_fix_stands_where_it_was_seen_with_what_became_of_it() {
+    let mut view = view("fixes");
+    view.take(at(1_000), Told::Event(&seen()));
+    assert!(
+        news(&mut *view, Pace::News).is_empty(),
+        "its record has not come"
+    );
+    view.take(at(1_000), Told::Event(&fused(Verdict::Gated, 2)));
+    let frame = news(&mut *view, Pace::News);
+    assert_json_snapshot!("fix", frame.robots[0].fixes);
+    // The record of a fix that was never seen has no place on the map.
+    view.take(at(1_000), Told::Event(&fused(Verdict::Gated, 2)));
+    assert!(news(&mut *view, Pace::News).is_empty());
+}
+
+#[test]
+fn a_record_has_its_innovation_with_one_sigma_each() {
+    let mut view = view("fusion");
+    view.take(at(1_000), Told::Event(&fused(Verdict::Accepted, 2)));
+    view.take(at(1_020), Told::Event(&fused(Verdict::TooOld, 0)));
+    let frame = news(&mut *view, Pace::News);
+    assert_json_snapshot!("records", frame.robots[0].fusion);
+}
+
+#[test]
+fn what_stands_is_told_when_it_changes_and_once_a_second() {
+    let standing = Standing {
+        calibration: vec![CalibrationRow {
+            name: "gyro_bias_rad_per_s".to_owned(),
+            value: 0.01,
+            sigma: 0.002,
+            unit: "rad/s".to_owned(),
+        }],
+        parameters: vec![ParameterValue {
+            name: "gate_prob".to_owned(),
+            value: 0.999,
+        }],
+        ..Standing::default()
+    };
+    let mut parameters = view("parameters");
+    parameters.take(at(0), Told::Standing(&standing));
+    let told = |view: &mut dyn View, pace| news(view, pace).parameters;
+    let values = Some(standing.parameters.clone());
+    assert_eq!(told(&mut *parameters, Pace::News), values);
+    assert_eq!(told(&mut *parameters, Pace::News), None);
+    assert_eq!(told(&mut *parameters, Pace::Second), values);
+    let mut calibration = view("calibration");
+    calibration.take(at(0), Told::Standing(&standing));
+    calibration.take(at(0), Told::Event(&estimated(estimate())));
+    let frame = news(&mut *calibration, Pace::News);
+    assert_eq!(frame.robots[0].calibration, Some(standing.calibration));
+    assert!(news(&mut *calibration, Pace::News).is_empty());
+}
+
+fn truth(stamp_millis: i64) -> TruthSample {
+    TruthSample {
+        now: at(1_000),
+        stamp: Stamp::from_millis(stamp_millis),
+        pose: Pose::<Arena>::new(Meters(1.5), Meters(-0.28), Heading::from_rad(0.6)),
+        odometry: Some(Pose::new(Meters(1.8), Meters(0.12), Heading::from_rad(0.4))),
+    }
+}
+
+#[test]
+fn errors_are_distances_from_the_truth_of_the_same_instant() {
+    let mut view = view("truth");
+    view.take(at(900), Told::Truth(&truth(4_000)));
+    view.take(at(1_000), Told::Event(&estimated(estimate())));
+    assert_eq!(news(&mut *view, Pace::News).errors, None, "a second apart");
+    view.take(at(1_000), Told::Truth(&truth(5_010)));
+    view.take(at(1_000), Told::Event(&estimated(estimate())));
+    let frame = news(&mut *view, Pace::News);
+    // 3 cm; 0.3 and 0.4 m.
+    assert_json_snapshot!("truth", (frame.errors, frame.truth));
+}
+
+#[test]
+fn rates_of_a_link_are_differences_of_its_counts() {
+    let mut view = view("links");
+    let up = Event::Link {
+        link: LinkId(0),
+        state: LinkState::Up,
+    };
+    view.take(at(0), Told::Event(&up));
+    for (millis, bytes_in, frames_in) in [(1_000, 500, 10), (3_000, 2_500, 50)] {
+        let health = LinkHealth {
+            bytes_in,
+            frames_in,
+            frames_lost: 3,
+            round_trip: Some(Span::from_micros(4_500)),
+            ..LinkHealth::default()
+        };
+        let event = Event::Health {
+            link: LinkId(0),
+            health,
+            sources: vec![],
+        };
+        view.take(at(millis), Told::Event(&event));
+    }
+    let frame = news(&mut *view, Pace::Second);
+    assert_json_snapshot!("links", frame.links);
+    assert_eq!(news(&mut *view, Pace::News).links, None);
+}
+
+#[test]
+fn a_clock_that_was_answered_once_is_two_way() {
+    let mut view = view("clock");
+    let aligned = |round_trip| Event::BrickClockAligned {
+        robot: robot(),
+        offset: Span::from_millis(-1_500),
+        skew_ppm: 42.0,
+        uncertainty: Span::from_micros(700),
+        round_trip,
+        brick: Stamp::ZERO,
+        host: Stamp::ZERO,
+    };
+    let mut methods = Vec::new();
+    for round_trip in [None, Some(Span::from_millis(3)), None] {
+        view.take(at(0), Told::Event(&aligned(round_trip)));
+        methods.push(news(&mut *view, Pace::Second).clock.unwrap().method);
+    }
+    assert_eq!(methods, ["one-way", "two-way", "two-way"]);
+    assert_json_snapshot!("clock", history(&*view).clock);
+}
+
+#[test]
+fn the_log_tells_of_robots_links_and_texts_and_cuts_what_is_endless() {
+    let mut view = view("log");
+    let text = |text: String| Event::Text {
+        source: Address::new(1, 197),
+        severity: 6,
+        text,
+    };
+    let events = [
+        Event::RobotSeen { robot: robot() },
+        Event::Link {
+            link: LinkId(0),
+            state: LinkState::Down,
+        },
+        text("gate_prob set to 0.9 (was 0.999)".to_owned()),
+        estimated(estimate()),
+    ];
+    for event in &events {
+        view.take(at(1_500), Told::Event(event));
+    }
+    assert_json_snapshot!("log", news(&mut *view, Pace::News).log);
+    view.take(at(2_000), Told::Event(&text("ä".repeat(5_000))));
+    let long = news(&mut *view, Pace::News).log.remove(0).text;
+    assert_eq!(long, format!("1/197: {}", "ä".repeat(500)));
+}
+
+#[test]
+fn robots_are_named_in_the_order_in_which_they_were_heard_and_no_flood_of_them() {
+    let mut view = view("robots");
+    for system in 0..=255 {
+        let robot = RobotId {
+            link: LinkId(2),
+            address: Address::new(255 - system, 1),
+        };
+        let estimate = estimate();
+        view.take(at(0), Told::Event(&Event::Estimated { robot, estimate }));
+    }
+    let frame = news(&mut *view, Pace::News);
+    assert_eq!(frame.robots.len(), 64);
+    assert_eq!(frame.robots[0].id, "2/255/1");
+    assert_eq!(view.dropped(), 192);
+}
+
+#[test]
+fn every_view_has_a_name_of_its_own() {
+    let mut names: Vec<&str> = VIEWS.iter().map(|entry| entry.name).collect();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), VIEWS.len());
+}

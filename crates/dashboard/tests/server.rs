@@ -1,0 +1,370 @@
+//! The server over real sockets, on loopback, with a shard that the test plays.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers outside the test functions may fail loudly as well"
+)]
+
+#[path = "support/http.rs"]
+mod http;
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use http::{Reader, exchange, get, post, refused, request};
+use posebridge_dashboard::model::{Frame, Message, RobotFrame, State};
+use posebridge_dashboard::{
+    Batch, Dashboard, Facts, Feed, Listen, Sources, StartError, TokenPolicy,
+};
+use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
+use tokio::sync::mpsc;
+
+/// A dashboard whose shard is the test.
+struct Played {
+    dashboard: Dashboard,
+    feed: Feed,
+    commands: mpsc::Receiver<Command>,
+    millis: Arc<AtomicI64>,
+    _folder: tempfile::TempDir,
+}
+
+fn loopback() -> SocketAddr {
+    "127.0.0.1:0".parse().unwrap()
+}
+
+fn sources(folder: &Path, millis: &Arc<AtomicI64>) -> Sources {
+    let clock = Arc::clone(millis);
+    Sources {
+        clock: Box::new(move || Stamp::from_millis(clock.fetch_add(20, Ordering::Relaxed))),
+        truth: None,
+        recordings: folder.join("run"),
+        replay: Box::new(|path| {
+            let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+            if bytes.starts_with(b"bad") {
+                return Err("it is no recording".to_owned());
+            }
+            let id = format!("{} bytes", bytes.len());
+            Ok(Frame {
+                robots: vec![RobotFrame {
+                    id,
+                    ..RobotFrame::default()
+                }],
+                ..Frame::default()
+            })
+        }),
+        ui_dir: None,
+    }
+}
+
+impl Played {
+    fn start(token: TokenPolicy) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("run")).unwrap();
+        std::fs::write(folder.path().join("secret.mcap"), "secret").unwrap();
+        let millis = Arc::new(AtomicI64::new(0));
+        let facts = Facts {
+            token,
+            ..Facts::default()
+        };
+        let sources = sources(folder.path(), &millis);
+        let (dashboard, feed, commands) =
+            Dashboard::start(Listen::Exactly(loopback()), facts, sources).unwrap();
+        Self {
+            dashboard,
+            feed,
+            commands,
+            millis,
+            _folder: folder,
+        }
+    }
+
+    fn address(&self) -> SocketAddr {
+        self.dashboard.address()
+    }
+
+    fn tell(&self, events: Vec<Event>) {
+        self.feed.tell(Batch {
+            now: Stamp::from_millis(self.millis.load(Ordering::Relaxed)),
+            took: Span::from_micros(15),
+            events,
+            standing: None,
+        });
+    }
+
+    fn record(&self, name: &str, bytes: &[u8]) {
+        std::fs::write(self._folder.path().join("run").join(name), bytes).unwrap();
+    }
+}
+
+fn says(text: &str) -> Event {
+    Event::Text {
+        source: Address::new(1, 1),
+        severity: 6,
+        text: text.to_owned(),
+    }
+}
+
+/// Whether a line of a message's log ends so.
+fn is_said(log: &serde_json::Value, text: &str) -> bool {
+    let mut lines = log.as_array().into_iter().flatten();
+    lines.any(|line| {
+        line["text"]
+            .as_str()
+            .is_some_and(|line| line.ends_with(text))
+    })
+}
+
+#[test]
+fn a_reader_gets_what_was_before_it_and_then_what_is_new() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    let mut first = Reader::open(played.address());
+    assert_eq!(first.next()["type"], "hello");
+    played.tell(vec![says("one")]);
+    first.until(|message| is_said(&message["log"], "1/1: one"));
+    let mut second = Reader::open(played.address());
+    let hello = second.next();
+    assert!(is_said(&hello["history"]["log"], "1/1: one"));
+    played.tell(vec![says("two")]);
+    for reader in [&mut first, &mut second] {
+        let frame = reader.until(|message| is_said(&message["log"], "1/1: two"));
+        assert!(!is_said(&frame["log"], "one"), "told once");
+    }
+    let state: State = serde_json::from_slice(&get(played.address(), "/v1/state").body).unwrap();
+    assert_eq!(state.counters.clients, 2);
+}
+
+#[test]
+fn commands_come_back_in_their_order_and_wrong_ones_are_refused() {
+    let mut played = Played::start(TokenPolicy::Elsewhere);
+    let address = played.address();
+    let accepted = post(address, r#"{"command":"reset-pose"}"#);
+    assert_eq!(
+        (accepted.status, accepted.json()["accepted"].as_str()),
+        (202, Some("reset-pose"))
+    );
+    let mut reader = Reader::open(address);
+    reader.send(r#"{"command":"stop-recording"}"#);
+    reader.send(r#"{"command":"stop"}"#);
+    let error = reader.until(|message| message["type"] == "error");
+    let error: Message = serde_json::from_value(error).unwrap();
+    assert!(
+        matches!(error, Message::Error(why) if why.error.starts_with("`command` is `stop`; there are: "))
+    );
+    assert_eq!(played.commands.blocking_recv(), Some(Command::ResetPose));
+    assert_eq!(
+        played.commands.blocking_recv(),
+        Some(Command::StopRecording)
+    );
+    let wrong = post(address, r#"{"command":"reset-pose","now":true}"#);
+    assert_eq!(wrong.status, 400);
+    assert_eq!(
+        wrong.error(),
+        "`reset-pose` has no field `now`; it has: none"
+    );
+    assert_eq!(refused(address, "command"), 2.0);
+}
+
+#[test]
+fn commands_that_nobody_takes_are_refused_when_there_are_too_many() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    let address = played.address();
+    let statuses: Vec<u16> = (0..70)
+        .map(|_| post(address, r#"{"command":"reset-pose"}"#).status)
+        .collect();
+    assert!(statuses[..64].iter().all(|status| *status == 202));
+    assert!(statuses[64..].iter().all(|status| *status == 503));
+    assert_eq!(refused(address, "commands_full"), 6.0);
+}
+
+#[test]
+fn every_answer_keeps_browsers_careful_and_allows_no_other_origin() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    for path in ["/", "/v1/state", "/nothing"] {
+        let answer = get(played.address(), path);
+        let policy = answer.header("content-security-policy").unwrap();
+        assert!(
+            policy.starts_with("default-src 'self';"),
+            "{path}: {policy}"
+        );
+        assert_eq!(answer.header("x-content-type-options"), Some("nosniff"));
+        assert_eq!(answer.header("access-control-allow-origin"), None);
+    }
+}
+
+#[test]
+fn foreign_hosts_and_origins_are_refused_and_counted() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    let address = played.address();
+    let rebound = b"GET /v1/state HTTP/1.1\r\nhost: evil.example\r\nconnection: close\r\n\r\n";
+    let answer = exchange(address, rebound).unwrap();
+    assert_eq!(answer.status, 421);
+    assert!(
+        answer
+            .error()
+            .contains("`evil.example` is not this station")
+    );
+    let foreign = "origin: http://evil.example\r\ncontent-type: application/json\r\n";
+    let command = br#"{"command":"reset-pose"}"#;
+    let answer = request(address, "POST /v1/commands", (foreign, command));
+    assert_eq!(answer.status, 403);
+    let upgrade = format!(
+        "upgrade: websocket\r\nsec-websocket-version: 13\r\nsec-websocket-key: AAAAAAAAAAAAAAAAAAAAAA==\r\n{foreign}"
+    );
+    assert_eq!(
+        request(address, "GET /v1/stream", (&upgrade, b"")).status,
+        403
+    );
+    let form = "content-type: text/plain\r\n";
+    assert_eq!(
+        request(address, "POST /v1/commands", (form, command)).status,
+        415
+    );
+    assert_eq!(
+        (refused(address, "host"), refused(address, "origin")),
+        (1.0, 2.0)
+    );
+    assert_eq!(refused(address, "request"), 1.0);
+    let mut commands = played.commands;
+    assert!(commands.try_recv().is_err(), "nothing reached the shard");
+}
+
+#[test]
+fn a_token_opens_the_station_and_a_wrong_one_does_not() {
+    let played = Played::start(TokenPolicy::Always);
+    let address = played.address();
+    let url = played.dashboard.url();
+    let token = url.split_once("?token=").unwrap().1;
+    assert_eq!(get(address, "/v1/state").status, 401);
+    assert_eq!(get(address, "/?token=0123").status, 401);
+    let page = get(address, &format!("/?token={token}"));
+    let cookie = page.header("set-cookie").unwrap();
+    assert!(
+        cookie.ends_with("; path=/; httponly; samesite=strict"),
+        "{cookie}"
+    );
+    let cookie = format!("cookie: {}\r\n", cookie.split(';').next().unwrap());
+    assert_eq!(
+        request(address, "GET /v1/state", (&cookie, b"")).status,
+        200
+    );
+    let bearer = format!("authorization: Bearer {token}\r\n");
+    let metrics = request(address, "GET /metrics", (&bearer, b"")).text();
+    assert!(
+        metrics.contains("refused_total{reason=\"token\"} 2\n"),
+        "{metrics}"
+    );
+    let hello_needs = request(address, "GET /v1/stream", (&bearer, b""));
+    assert_eq!(
+        hello_needs.status, 400,
+        "it is no upgrade, but it was let in"
+    );
+}
+
+#[test]
+fn recordings_are_listed_sent_and_replayed_and_nothing_else_is() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    let address = played.address();
+    let bytes: Vec<u8> = (0..300_000_u32).map(|i| (i % 251) as u8).collect();
+    played.record("recording.mcap", &bytes);
+    played.record("broken.mcap", b"bad");
+    let rows = get(address, "/v1/recordings").json();
+    assert_eq!(rows.as_array().unwrap().len(), 2);
+    assert_eq!(
+        (&rows[1]["name"], &rows[1]["bytes"]),
+        (&"recording.mcap".into(), &300_000.into())
+    );
+    let sent = get(address, "/v1/recordings/recording.mcap");
+    assert_eq!(sent.body, bytes);
+    assert_eq!(
+        sent.header("content-disposition"),
+        Some("attachment; filename=\"recording.mcap\"")
+    );
+    let replayed = get(address, "/v1/recordings/recording.mcap/replay");
+    assert_eq!(replayed.json()["robots"][0]["id"], "300000 bytes");
+    let broken = get(address, "/v1/recordings/broken.mcap/replay");
+    assert_eq!(
+        (broken.status, broken.error()),
+        (422, "it is no recording".to_owned())
+    );
+    for name in [
+        "missing.mcap",
+        "..%2fsecret.mcap",
+        "../secret.mcap",
+        "%2e%2e/secret.mcap",
+        "%2fetc%2fpasswd",
+        "recording.mcap%00",
+    ] {
+        for path in ["", "/replay"] {
+            let answer = get(address, &format!("/v1/recordings/{name}{path}"));
+            assert_eq!(answer.status, 404, "{name}{path}");
+            assert!(!answer.text().contains("secret"));
+        }
+    }
+    assert_eq!(refused(address, "not_found"), 12.0);
+}
+
+#[test]
+fn a_reader_that_hangs_misses_messages_is_told_so_and_slows_nobody() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    let mut slow = Reader::open(played.address());
+    let mut quick = Reader::open(played.address());
+    quick.next();
+    let mut told = 0_u64;
+    while http::metric(played.address(), "posebridge_dashboard_frames_missed_total") == 0.0 {
+        // A quarter of a megabyte a message: the slow one's buffers are full soon.
+        played.tell(vec![says(&"x".repeat(990)); 250]);
+        told += 250;
+        let mut lines = 0;
+        while lines < 250 {
+            let message = quick.next();
+            assert_eq!(message["dropped"], 0);
+            lines += message["log"].as_array().map_or(0, Vec::len);
+        }
+    }
+    assert!(told > 250 * 64, "it may be so many messages behind: {told}");
+    let late = slow.until(|message| message["dropped"].as_u64().is_some_and(|n| n > 0));
+    assert_eq!(late["type"], "frame");
+    assert_eq!(
+        http::metric(
+            played.address(),
+            "posebridge_dashboard_events_dropped_total"
+        ),
+        0.0
+    );
+}
+
+#[test]
+fn a_default_port_that_is_taken_moves_on_and_a_chosen_one_does_not() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    let taken = played.address();
+    let folder = tempfile::tempdir().unwrap();
+    let start = |listen| {
+        Dashboard::start(
+            listen,
+            Facts::default(),
+            sources(folder.path(), &played.millis),
+        )
+    };
+    let error = start(Listen::Exactly(taken)).map(drop).unwrap_err();
+    assert!(matches!(error, StartError::Taken { address } if address == taken));
+    assert!(
+        error
+            .to_string()
+            .contains("is in use, perhaps by another station")
+    );
+    let (next, _feed, _commands) = start(Listen::OrNext(taken)).unwrap();
+    let steps = next.address().port() - taken.port();
+    assert!((1..=20).contains(&steps), "{steps}");
+}
+
+#[test]
+fn it_ends_when_the_shard_is_gone() {
+    let played = Played::start(TokenPolicy::Elsewhere);
+    let mut reader = Reader::open(played.address());
+    reader.next();
+    drop(played.feed);
+    reader.drain();
+    played.dashboard.finish();
+}

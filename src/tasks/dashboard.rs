@@ -1,0 +1,293 @@
+//! The dashboard's place in the station: what it is told, what it may ask for, and where it is printed.
+//!
+//! The shard tells it through [`Outlet`], which never waits; commands come back through the same. The server itself, with a thread and a
+//! runtime of its own, is in `crates/dashboard`.
+
+use std::collections::VecDeque;
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use posebridge_dashboard::model::{CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts};
+use posebridge_dashboard::{
+    Batch, Dashboard, Facts, Feed, Listen, Sources, Standing, StartError, TokenPolicy, TruthSample,
+};
+use posebridge_estimator::{PARAMS, Params};
+use posebridge_link::HostTimer;
+use posebridge_pipeline::Pipeline;
+use posebridge_sim::impairment::PROFILES;
+use posebridge_sim::{Scenario, Simulation, Steering};
+use posebridge_telemetry::{
+    Calibration, Command, Event, HostClock, SimulatorCommand, Span, Stamp, SteeringSource,
+};
+use tokio::sync::mpsc;
+
+use super::sim_brick::LiveTruth;
+use super::truth_tap::TruthTap;
+use crate::cli::DashboardFlags;
+use crate::config::{CALIBRATION_KEYS, Config};
+use crate::stderr::say;
+use crate::trails;
+
+/// The shard's ends of the channels to and from the dashboard.
+pub struct Outlet {
+    feed: Feed,
+    commands: mpsc::Receiver<Command>,
+    timer: HostTimer,
+    /// By what the simulated brick was told to steer last.
+    steering: Option<SteeringSource>,
+}
+
+/// The simulated brick of a run, as the page shows it.
+pub struct Simulated<'a> {
+    /// The scenario's name.
+    pub name: &'a str,
+    /// What it drives.
+    pub scenario: &'a Scenario,
+    /// Where it is.
+    pub truth: TruthTap,
+}
+
+/// Starts the dashboard, if there is to be one, and says where it is.
+///
+/// # Errors
+/// It cannot listen where it was told to. That all ports behind the default are taken is no error: a robot may wait.
+pub fn start(
+    flags: &DashboardFlags,
+    config: &Config,
+    (timer, folder): (HostTimer, &Path),
+    simulated: Option<Simulated<'_>>,
+) -> Result<Option<(Dashboard, Outlet)>> {
+    let Some(listen) = wanted(flags, config)? else {
+        return Ok(None);
+    };
+    if let Some(folder) = &flags.ui_dir {
+        let page = folder.join("index.html");
+        ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
+    }
+    let facts = facts_of(config, simulated.as_ref())?;
+    let truth = simulated.map(|simulated| truth_of(simulated.truth));
+    let sources = Sources {
+        clock: Box::new(move || timer.now()),
+        truth,
+        recordings: folder.to_owned(),
+        replay: Box::new(|path| trails::of(path).map_err(|error| format!("{error:#}"))),
+        ui_dir: flags.ui_dir.clone(),
+    };
+    let (dashboard, feed, commands) = match Dashboard::start(listen, facts, sources) {
+        Ok(started) => started,
+        Err(error @ StartError::AllTaken { .. }) => {
+            tracing::warn!("there is no dashboard: {error}");
+            return Ok(None);
+        }
+        Err(error) => return Err(error).context("starting the dashboard"),
+    };
+    tell(&dashboard, listen);
+    if flags.open {
+        open_in_browser(dashboard.url())?;
+    }
+    let outlet = Outlet {
+        feed,
+        commands,
+        timer,
+        steering: None,
+    };
+    Ok(Some((dashboard, outlet)))
+}
+
+fn wanted(flags: &DashboardFlags, config: &Config) -> Result<Option<Listen>> {
+    if let Some(address) = flags.dashboard {
+        return Ok(Some(Listen::Exactly(address)));
+    }
+    let configured = config.dashboard.checked()?;
+    let is_wanted = config.dashboard.enabled && !flags.no_dashboard;
+    Ok(is_wanted.then_some(configured))
+}
+
+fn tell(dashboard: &Dashboard, listen: Listen) {
+    let address = dashboard.address();
+    if let Listen::OrNext(first) = listen
+        && first != address
+    {
+        say(&format!(
+            "{first} is in use, perhaps by another station: the dashboard takes the next free port"
+        ));
+    }
+    say(&format!("dashboard: {}", dashboard.url()));
+    if !address.ip().is_loopback() {
+        say(
+            "the address holds a token that lets anybody command this station, and it travels unencrypted",
+        );
+    }
+}
+
+/// Opens an address with what the desktop opens addresses with.
+fn open_in_browser(url: String) -> Result<()> {
+    let opener = if cfg!(target_os = "macos") {
+        "open"
+    } else {
+        "xdg-open"
+    };
+    let work = move || {
+        let opened = std::process::Command::new(opener)
+            .arg(&url)
+            .stdin(std::process::Stdio::null())
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .status();
+        if !opened.is_ok_and(|status| status.success()) {
+            say(&format!(
+                "`{opener}` opened no browser: open the address yourself"
+            ));
+        }
+    };
+    std::thread::Builder::new()
+        .name("open".to_owned())
+        .spawn(work)
+        .map(drop)
+        .context("starting a browser")
+}
+
+/// Gives what was shown since it was asked last, one by one.
+fn truth_of(mut tap: TruthTap) -> Box<dyn FnMut() -> Option<TruthSample> + Send> {
+    let mut waiting = VecDeque::new();
+    Box::new(move || {
+        if waiting.is_empty() {
+            waiting.extend(tap.take());
+        }
+        waiting.pop_front().map(|live: LiveTruth| TruthSample {
+            now: live.at,
+            stamp: live.sample.brick,
+            pose: live.sample.pose,
+            odometry: Some(live.sample.odometry),
+        })
+    })
+}
+
+fn facts_of(config: &Config, simulated: Option<&Simulated<'_>>) -> Result<Facts> {
+    let params = config.filter_config()?.params;
+    Ok(Facts {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        links: config.links.iter().map(|link| link.url.clone()).collect(),
+        parameters: parameter_rows(&params),
+        simulator: simulated.map(simulator_facts),
+        token: if config.dashboard.always_token {
+            TokenPolicy::Always
+        } else {
+            TokenPolicy::Elsewhere
+        },
+    })
+}
+
+fn simulator_facts(simulated: &Simulated<'_>) -> SimulatorFacts {
+    // One lap: the others are driven on the same path.
+    let world = Simulation::new(simulated.scenario.clone().with_laps(1));
+    SimulatorFacts {
+        scenario: simulated.name.to_owned(),
+        path: world.path().iter().map(|at| [at.x.0, at.y.0]).collect(),
+        link_profiles: PROFILES
+            .iter()
+            .map(|(name, _)| (*name).to_owned())
+            .collect(),
+        steering: match simulated.scenario.steering {
+            Steering::Odometry => "odometry".to_owned(),
+            Steering::Estimate => "estimate".to_owned(),
+        },
+    }
+}
+
+fn parameter_rows(params: &Params) -> Vec<ParameterRow> {
+    let rows = PARAMS.iter().map(|row| ParameterRow {
+        name: row.key.to_owned(),
+        value: (row.read)(params),
+        default: row.default,
+        least: *row.range.start(),
+        most: *row.range.end(),
+        unit: row.unit.to_owned(),
+        help: row.doc.to_owned(),
+        mavlink_name: row.key.to_ascii_uppercase(),
+    });
+    rows.collect()
+}
+
+fn parameter_values(params: &Params) -> Vec<ParameterValue> {
+    let values = PARAMS.iter().map(|row| ParameterValue {
+        name: row.key.to_owned(),
+        value: (row.read)(params),
+    });
+    values.collect()
+}
+
+/// What was learned about a robot, as the page shows it.
+#[must_use]
+pub fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
+    let rows = CALIBRATION_KEYS.iter().map(|row| {
+        let known = (row.read)(learned);
+        CalibrationRow {
+            name: row.key.to_owned(),
+            value: known.value,
+            sigma: known.sigma,
+            unit: unit_of(row.key).to_owned(),
+        }
+    });
+    rows.collect()
+}
+
+/// The unit that stands in a key's name.
+fn unit_of(key: &str) -> &'static str {
+    let units = [("_rad_per_s", "rad/s"), ("_s", "s"), ("_m", "m")];
+    let found = units.iter().find(|(ending, _)| key.ends_with(ending));
+    found.map_or("", |(_, unit)| unit)
+}
+
+/// What stands in a pipeline, and into which file it is recorded.
+#[must_use]
+pub fn standing_of(pipeline: &Pipeline, recording: Option<&Path>) -> Standing {
+    let learned = pipeline.calibration();
+    let name = recording.and_then(Path::file_name);
+    Standing {
+        calibration: learned.map_or_else(Vec::new, |learned| calibration_rows(&learned)),
+        parameters: parameter_values(pipeline.params()),
+        recording: name.map(|name| name.to_string_lossy().into_owned()),
+        steering: None,
+    }
+}
+
+impl Outlet {
+    /// Tells what an input has led to; drops it if the dashboard is behind.
+    pub fn tell(&self, now: Stamp<HostClock>, events: &[Event]) {
+        let wanted = events.iter().filter(|event| Feed::wants(event));
+        self.feed.tell(Batch {
+            now,
+            took: self.timer.now() - now,
+            events: wanted.cloned().collect(),
+            standing: None,
+        });
+    }
+
+    /// Tells what stands.
+    pub fn tell_standing(&self, now: Stamp<HostClock>, standing: Standing) {
+        let standing = Standing {
+            steering: self.steering.map(|by| by.word().to_owned()),
+            ..standing
+        };
+        self.feed.tell(Batch {
+            now,
+            took: Span::ZERO,
+            events: Vec::new(),
+            standing: Some(standing),
+        });
+    }
+}
+
+/// The next command that somebody gives on the page; without a dashboard, or when it is gone, never.
+pub async fn next_command(outlet: &mut Option<Outlet>) -> Command {
+    if let Some(outlet) = outlet
+        && let Some(command) = outlet.commands.recv().await
+    {
+        if let Command::Simulator(SimulatorCommand::Steering(by)) = command {
+            outlet.steering = Some(by);
+        }
+        return command;
+    }
+    std::future::pending().await
+}

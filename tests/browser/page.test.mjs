@@ -1,0 +1,228 @@
+// The page on a made-up station: what the program never says or does on demand. Everything here moves by the station's frames, not by time.
+
+import assert from 'node:assert/strict';
+import { after, before, test } from 'node:test';
+import { Browser } from './support/browser.mjs';
+import { FakeStation } from './support/fake_station.mjs';
+import { poseOf, waitForState } from './support/page.mjs';
+
+let browser;
+
+before(async () => {
+  browser = await Browser.launch();
+});
+
+after(() => browser.close());
+
+async function withStation(options, body) {
+  const station = new FakeStation(options);
+  await station.open();
+  const page = await browser.open(station.address, options);
+  try {
+    await waitForState(page, 'live');
+    await body(page, station);
+  } finally {
+    await page.close();
+    await station.close();
+  }
+}
+
+// The last command that came, when there are this many.
+function lastOf(station, count) {
+  return station.until((commands) => commands.length >= count);
+}
+
+test('the latest estimate stands on the page', async () => {
+  await withStation({}, async (page, station) => {
+    station.advance(120);
+    await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    const pose = await poseOf(page);
+    const [estimate] = station.frame().robots[0].estimates;
+    assert.equal(pose.x_m, estimate.x_m);
+    assert.equal(pose.y_m, estimate.y_m);
+    assert.match(await page.locator('#headline').textContent(), /^odometry 0\.\d+ m off, estimate 0\.00\d m off$/);
+  });
+});
+
+test('with several robots one is chosen', async () => {
+  await withStation({ robots: ['0/1/1', '0/2/1', '1/1/1'] }, async (page, station) => {
+    station.advance(10);
+    await page.locator('#robot').waitFor({ state: 'visible' });
+    assert.deepEqual(await page.locator('#robot option').allTextContents(), ['0/1/1', '0/2/1', '1/1/1']);
+    await page.selectOption('#robot', '0/2/1');
+    station.advance(1);
+    const [, second] = station.frame().robots;
+    await page.waitForFunction((x_m) => document.getElementById('pose').dataset.robot === '0/2/1' && Number(document.getElementById('pose').dataset.x_m) === x_m, second.estimates[0].x_m);
+  });
+});
+
+test('after a loss the page comes back by itself and begins anew', async () => {
+  await withStation({ forgives: ['WebSocket connection', 'ERR_CONNECTION_REFUSED'] }, async (page, station) => {
+    station.advance(50);
+    await page.waitForFunction(() => Number(document.getElementById('pose').dataset.t_s) > 0.9);
+    await page.evaluate(() => { globalThis.isSamePage = true; });
+    await station.close();
+    await waitForState(page, 'lost');
+    station.now_s = 0;
+    await station.open();
+    await waitForState(page, 'live');
+    station.advance(5);
+    await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    assert.equal(await page.evaluate(() => globalThis.isSamePage), true, 'without loading it anew');
+  });
+});
+
+test('markup in texts is shown and not run', async () => {
+  const markup = '<img src=x onerror="globalThis.wasRun = true"><b>bold</b>';
+  await withStation({ robots: ['0/1/1', markup] }, async (page, station) => {
+    const frame = station.frame();
+    frame.log = [{ t_s: 1, severity: markup, text: markup }];
+    frame.links = [{ id: markup, name: markup, state: markup }];
+    frame.clock = { method: markup };
+    frame.recording = { name: markup, bytes: 1 };
+    frame.robots[0].fusion = [{ t_s: 1, sensor: markup, kind: markup, verdict: markup, lag_s: 0, nis: 1, dof: 1, innovation: [1], sigma: [1] }];
+    frame.robots[0].calibration = [{ name: markup, value: 1, sigma: 1, unit: markup }];
+    station.send(frame);
+    for (const panel of ['#log .text', '#links h3', '#recording-state', '#innovations tbody th', '#calibration tbody th']) {
+      await page.locator(panel).first().scrollIntoViewIfNeeded();
+      await page.waitForFunction((selector) => document.querySelector(selector)?.textContent.includes('<img'), panel).catch(() => assert.fail(`${panel} shows the text`));
+    }
+    assert.equal(await page.locator('#panels b, #panels td img, #panels th img, #panels p img').count(), 0);
+    assert.equal(await page.evaluate(() => globalThis.wasRun), undefined);
+  });
+});
+
+test('nonsense on the stream leaves the page alive', async () => {
+  await withStation({}, async (page, station) => {
+    station.advance(10);
+    const nonsense = [
+      '', 'null', '3', '"text"', '[]', '{', '{"type":"frame"}', '{"type":"frame","robots":null,"truth":3,"log":{},"links":[null,1],"parameters":[null]}', '{"type":"unheard"}',
+      { type: 'frame', now_s: null, robots: [{ id: '0/1/1', estimates: [{ t_s: 0.3, x_m: null, y_m: 'east', heading_rad: 1e308, major_m: -1 }, { t_s: 1e300 }], fixes: [{ t_s: 0.3 }], fusion: [{ t_s: 0.3, sensor: 'camera', dof: 99, nis: -1, innovation: [null], sigma: 'wide' }] }] },
+      { type: 'frame', now_s: 0.4, log: [{ t_s: 0.4, severity: 'info', text: 'long '.repeat(100_000) }] },
+      { type: 'frame', now_s: 0.5, robots: Array.from({ length: 300 }, (_, index) => ({ id: `robot ${index}` })) },
+    ];
+    for (const message of nonsense) station.send(message);
+    await page.waitForFunction(() => document.querySelectorAll('#robot option').length > 10);
+    assert.ok((await page.locator('#robot option').count()) <= 64);
+    await page.locator('#log').scrollIntoViewIfNeeded();
+    await page.waitForFunction(() => document.querySelector('#log .text')?.textContent.startsWith('long '));
+    assert.ok((await page.locator('#log .text').first().textContent()).length <= 400);
+    await waitForState(page, 'live');
+  });
+});
+
+test('sliders and fields send the parameter that they stand for, and show what the station says', async () => {
+  await withStation({}, async (page, station) => {
+    const row = page.locator('.parameter[data-name="slip_nis"]');
+    await row.scrollIntoViewIfNeeded();
+    await row.locator('input[type=number]').fill('20');
+    await row.locator('input[type=number]').press('Enter');
+    await row.locator('input[type=range]').focus();
+    await row.locator('input[type=range]').press('End');
+    await lastOf(station, 2);
+    assert.deepEqual(station.commands, [{ command: 'set-parameter', name: 'slip_nis', value: 20 }, { command: 'set-parameter', name: 'slip_nis', value: 100 }]);
+    await row.locator('input[type=range]').blur();
+    station.send({ type: 'frame', now_s: 1, parameters: [{ name: 'slip_nis', value: 42.5 }] });
+    await page.waitForFunction(() => document.getElementById('parameter-slip_nis').value === '42.5');
+    await row.locator('button').click();
+    assert.deepEqual(await lastOf(station, 3), { command: 'set-parameter', name: 'slip_nis', value: 10.83 });
+  });
+});
+
+test('every fault of the simulated brick is one command', async () => {
+  await withStation({}, async (page, station) => {
+    const press = async (name, expected) => {
+      const count = station.commands.length;
+      await page.getByRole('button', { name, exact: true }).click();
+      const command = await lastOf(station, count + 1);
+      for (const [key, value] of Object.entries(command)) if (typeof value === 'number') command[key] = Number(value.toFixed(6));
+      assert.deepEqual(command, expected);
+    };
+    await press('Kidnap', { command: 'kidnap', forward_m: 0.3, left_m: 0.2, turn_rad: 1.047198 });
+    await press('Slip', { command: 'slip', wheel: 'both', factor: 0.8, seconds: 1 });
+    await press('Camera off', { command: 'camera', on: false });
+    await press('Camera on', { command: 'camera', on: true });
+    await press('Camera late', { command: 'camera-delay', delay_ms: 300 });
+    await press('Gyro bias step', { command: 'gyro-bias-step', rad_per_s: 0.05236 });
+    await press('Link', { command: 'link-profile', profile: null });
+    await press('Pull the cable', { command: 'pull-cable', seconds: 3 });
+    await press('Back to the path', { command: 'path' });
+    const count = station.commands.length;
+    await page.getByLabel('odometry', { exact: true }).check();
+    assert.deepEqual(await lastOf(station, count + 1), { command: 'steering', by: 'odometry' });
+  });
+});
+
+test('keys drive only while armed, and letting go stops the robot', async () => {
+  await withStation({}, async (page, station) => {
+    await page.locator('body').press('w');
+    await page.getByRole('button', { name: 'Drive with the keys' }).click();
+    await page.keyboard.down('w');
+    assert.deepEqual(await lastOf(station, 1), { command: 'drive', forward_m_per_s: 0.2, turn_rad_per_s: 0 });
+    await lastOf(station, 3);
+    await page.keyboard.up('w');
+    await page.keyboard.press('Escape');
+    const stop = { command: 'drive', forward_m_per_s: 0, turn_rad_per_s: 0 };
+    await station.until((commands) => JSON.stringify(commands.at(-1)) === JSON.stringify(stop));
+    assert.equal(await page.getByRole('button', { name: 'Drive with the keys' }).getAttribute('aria-pressed'), 'false');
+  });
+});
+
+test('what the station refuses is said on the page', async () => {
+  await withStation({ forgives: ['status of 400'] }, async (page, station) => {
+    station.refusal = 'forward_m is 900, must lie in -100 to 100';
+    await page.getByRole('button', { name: 'Kidnap', exact: true }).click();
+    await page.waitForFunction((text) => document.querySelector('#announcer.error')?.textContent === text, station.refusal);
+  });
+});
+
+test('a recording is looked at with a scrubber and left again', async () => {
+  await withStation({}, async (page, station) => {
+    const made = new FakeStation();
+    const frames = Array.from({ length: 500 }, () => {
+      made.now_s += 0.02;
+      return made.frame();
+    });
+    station.replay = { now_s: 10, robots: [{ id: '0/1/1', estimates: frames.map((frame) => frame.robots[0].estimates[0]) }], truth: frames.map((frame) => frame.truth[0]) };
+    station.advance(5);
+    await page.locator('#recordings').scrollIntoViewIfNeeded();
+    await page.getByRole('button', { name: 'Replay square-1.mcap' }).click();
+    await page.getByRole('button', { name: 'Pause' }).click();
+    const scrubber = page.getByLabel('Time in the recording');
+    await scrubber.fill('5');
+    await page.waitForFunction(() => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5) < 0.03);
+    const shown = await poseOf(page);
+    assert.equal(shown.x_m, frames[Math.round(shown.t_s / 0.02) - 1].robots[0].estimates[0].x_m);
+    await scrubber.press('ArrowRight');
+    await page.waitForFunction(() => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5.2) < 0.03);
+    await page.getByRole('button', { name: 'Back to live' }).click();
+    await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+  });
+});
+
+test('the map is moved with keys and shows its legend', async () => {
+  await withStation({}, async (page, station) => {
+    station.advance(20);
+    const map = page.locator('.map canvas');
+    await map.focus();
+    await map.press('+');
+    assert.equal(await page.getByRole('button', { name: 'Fit' }).getAttribute('aria-pressed'), 'false');
+    await map.press('f');
+    assert.equal(await page.getByRole('button', { name: 'Follow' }).getAttribute('aria-pressed'), 'true');
+    await map.press('0');
+    assert.equal(await page.getByRole('button', { name: 'Fit' }).getAttribute('aria-pressed'), 'true');
+    assert.equal(await page.locator('.legend li').count(), 8);
+  });
+});
+
+test('the choice of colours is remembered', async () => {
+  await withStation({}, async (page) => {
+    await page.emulateMedia({ colorScheme: 'light' });
+    await page.getByRole('button', { name: 'Change to dark colours' }).click();
+    await page.reload();
+    await waitForState(page, 'live');
+    assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), 'dark');
+    await page.getByRole('button', { name: 'Change to light colours' }).click();
+    assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), 'light');
+  });
+});

@@ -1,0 +1,346 @@
+//! The dashboard of the real program, with its simulated brick: stream, REST and commands, and what hostile peers cannot do to it.
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+#[path = "../crates/dashboard/tests/support/http.rs"]
+mod http;
+mod support;
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use http::{Reader, connect, exchange, get, metric, post, refused, request};
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
+use posebridge_dashboard::model::{Frame, Message, ParameterRow, RecordingRow, SourceRow, State};
+use serde::de::DeserializeOwned;
+use support::{Running, posebridge, root, stdout_of};
+use tungstenite::Message as Packet;
+
+/// A station with its simulated brick and a dashboard at a free port.
+struct Station {
+    program: Running,
+    address: SocketAddr,
+}
+
+impl Station {
+    fn start(folder: &Path) -> Self {
+        let mut command = posebridge(folder);
+        command.args(["run", "--dashboard", "127.0.0.1:0", "--out", "run"]);
+        let mut program = Running::start(&mut command);
+        let line = program.wait_for("dashboard: http://");
+        let (_, rest) = line.split_once("http://").unwrap();
+        let address = rest.trim().trim_end_matches('/').parse().unwrap();
+        Self { program, address }
+    }
+}
+
+fn has_estimate(message: &serde_json::Value) -> bool {
+    let estimates = message["robots"][0]["estimates"].as_array();
+    estimates.is_some_and(|estimates| !estimates.is_empty())
+}
+
+/// What is at a path, as the type that its schema is made from.
+fn typed<T: DeserializeOwned>(address: SocketAddr, path: &str) -> T {
+    let answer = get(address, path);
+    assert_eq!(answer.status, 200, "{path}: {}", answer.text());
+    let read = serde_json::from_slice(&answer.body);
+    read.unwrap_or_else(|error| panic!("{path}: {error}: {}", answer.text()))
+}
+
+#[test]
+fn page_stream_and_requests_tell_of_the_same_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    let address = station.address;
+    let page = get(address, "/");
+    assert_eq!(
+        (page.status, page.header("content-type")),
+        (200, Some("text/html; charset=utf-8"))
+    );
+    let mut reader = Reader::open(address);
+    let hello = reader.next();
+    assert_eq!(hello["simulator"]["scenario"], "square");
+    assert_eq!(hello["needs_token"], false);
+    // Every message is what the schema's structs say.
+    let mut frame = hello;
+    for _ in 0..200 {
+        let read: Result<Message, _> = serde_json::from_value(frame.clone());
+        read.unwrap_or_else(|error| panic!("{error}: {frame}"));
+        frame = reader.next();
+    }
+    let frame = reader.until(has_estimate);
+    let t_s = frame["robots"][0]["estimates"][0]["t_s"].as_f64().unwrap();
+    let state: State = typed(address, "/v1/state");
+    let estimate = state.robots[0].estimate.clone().unwrap();
+    assert!(estimate.t_s >= t_s, "the state is no older than the stream");
+    assert_eq!(state.recording.unwrap().name, "recording.mcap");
+    let sources: Vec<SourceRow> = typed(address, "/v1/sources");
+    assert!(
+        sources
+            .iter()
+            .any(|source| source.name == "wheels" && source.kind == "wheel_angles")
+    );
+    let robots: Vec<String> = typed(address, "/v1/robots");
+    assert_eq!(robots, ["0/1/1"]);
+    let parameters: Vec<ParameterRow> = typed(address, "/v1/parameters");
+    assert!(parameters.iter().any(|row| row.mavlink_name == "GATE_PROB"));
+    assert!(metric(address, "posebridge_estimates_total") > 0.0);
+    assert_eq!(
+        metric(address, "posebridge_dashboard_events_dropped_total"),
+        0.0
+    );
+    assert_eq!(
+        get(address, "/v1/schema.json").json()["title"],
+        "posebridge /v1"
+    );
+    station.program.interrupt();
+}
+
+#[test]
+fn a_command_is_done_told_and_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    let address = station.address;
+    let mut reader = Reader::open(address);
+    reader.until(has_estimate);
+    let command = r#"{"command":"set-parameter","name":"gate_prob","value":0.95}"#;
+    assert_eq!(post(address, command).status, 202);
+    let is_set = |message: &serde_json::Value| {
+        let rows = message["parameters"].as_array().into_iter().flatten();
+        rows.into_iter()
+            .any(|row| row["name"] == "gate_prob" && row["value"] == 0.95)
+    };
+    reader.until(is_set);
+    reader.send(r#"{"command":"set-parameter","name":"gate_prob","value":7}"#);
+    let says = |message: &serde_json::Value, what: &str| {
+        let lines = message["log"].as_array().into_iter().flatten();
+        lines.into_iter().any(|line| {
+            line["text"]
+                .as_str()
+                .is_some_and(|text| text.contains(what))
+        })
+    };
+    reader.until(|message| says(message, "gate_prob 7.0 not in 0.5..0.999999"));
+    reader.send(r#"{"command":"stop-recording"}"#);
+    reader.until(|message| says(message, "recorded recording.mcap"));
+    let rows: Vec<RecordingRow> = typed(address, "/v1/recordings");
+    assert_eq!((rows.len(), rows[0].is_current), (1, false));
+    let sent = get(address, "/v1/recordings/recording.mcap").body;
+    let replayed: Frame = typed(address, "/v1/recordings/recording.mcap/replay");
+    assert!(replayed.robots[0].estimates.len() > 10);
+    assert!(
+        replayed
+            .log
+            .iter()
+            .any(|line| line.text.contains("gate_prob set to 0.95"))
+    );
+    station.program.interrupt();
+    assert_eq!(
+        std::fs::read(folder.path().join("run/recording.mcap")).unwrap(),
+        sent
+    );
+}
+
+/// Lets this process have as many connections as the system allows; tests share it.
+fn allow_many_connections() {
+    let (_, most) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
+    setrlimit(Resource::RLIMIT_NOFILE, most, most).unwrap();
+}
+
+#[test]
+fn a_thousand_half_open_connections_are_refused_and_counted_while_the_estimates_go_on() {
+    allow_many_connections();
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    let address = station.address;
+    let mut reader = Reader::open(address);
+    reader.until(has_estimate);
+    let begun = b"GET /v1/state HTTP/1.1\r\nhost: 127.0.0.1\r\nx-slow: ";
+    let half_open: Vec<TcpStream> = (0..1_000)
+        .map(|index| {
+            let mut stream = connect(address);
+            // Every second one says nothing at all.
+            if index % 2 == 0 {
+                drop(stream.write_all(begun));
+            }
+            stream
+        })
+        .collect();
+    for _ in 0..20 {
+        reader.until(has_estimate);
+    }
+    drop(half_open);
+    // When one of them gets through all the others are gone, and those that were let in are being let go.
+    while exchange(
+        address,
+        format!("GET /v1/robots HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n\r\n")
+            .as_bytes(),
+    )
+    .is_none_or(|answer| answer.status != 200)
+    {
+        reader.until(has_estimate);
+    }
+    assert!(
+        refused(address, "connections") >= 800.0,
+        "{}",
+        refused(address, "connections")
+    );
+    let state: State = typed(address, "/v1/state");
+    assert_eq!(state.counters.events_dropped, 0);
+    assert_eq!(state.links[0].lost, 0, "the link of the brick");
+    let estimates = state.counters.estimates;
+    station.program.interrupt();
+    // Nothing was lost on the way into the recording: its replay makes at least as many estimates as were counted live.
+    let json =
+        stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--json"]));
+    let replayed: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(
+        replayed["observations"].as_u64().unwrap() >= estimates,
+        "{estimates}"
+    );
+}
+
+/// A frame of a WebSocket client with this first byte and length, its payload masked with zeros.
+fn packet(first: u8, payload: &[u8]) -> Vec<u8> {
+    let mut bytes = vec![first, 0x80 | 127];
+    bytes.extend((payload.len() as u64).to_be_bytes());
+    bytes.extend([0; 4]);
+    bytes.extend_from_slice(payload);
+    bytes
+}
+
+#[test]
+fn readers_that_send_what_is_no_websocket_are_let_go_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    let address = station.address;
+    let mut good = Reader::open(address);
+    let oversized = packet(0x81, &vec![b'x'; 70_000]);
+    // A length that nobody has, without the bytes.
+    let endless = [&[0x82, 0xff][..], &[0x7f; 8], &[0; 4]].concat();
+    // Not masked; of a kind that there is not; a control frame in pieces; text that is no UTF-8.
+    let unmasked = vec![0x81, 0x02, b'h', b'i'];
+    let unknown = packet(0x8b, b"?");
+    let torn = packet(0x09, b"ping");
+    let no_text = packet(0x81, &[0xff, 0xfe]);
+    let hostile = [oversized, endless, unmasked, unknown, torn, no_text];
+    for bytes in &hostile {
+        let mut reader = Reader::open(address);
+        drop(reader.raw().write_all(bytes));
+        reader.drain();
+    }
+    // Let go when it next reads, so all of them are counted by the time that a new reader is greeted behind them.
+    good.give(Packet::binary(vec![0; 1_000]));
+    let error = good.until(|message| message["type"] == "error");
+    assert_eq!(error["error"], "commands are JSON in text messages");
+    let dropped = "posebridge_dashboard_clients_dropped_total";
+    while metric(address, dropped) < hostile.len() as f64 {
+        good.next();
+    }
+    good.until(has_estimate);
+    station.program.interrupt();
+}
+
+#[test]
+fn requests_that_are_none_are_refused_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    let address = station.address;
+    let status = |request: &[u8]| exchange(address, request).map(|answer| answer.status);
+    assert_eq!(
+        status(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n"),
+        Some(400)
+    );
+    let long = format!(
+        "GET / HTTP/1.1\r\nhost: {address}\r\nx: {}\r\n\r\n",
+        "a".repeat(100_000)
+    );
+    assert!(matches!(status(long.as_bytes()), Some(431) | None));
+    let headers = "content-type: application/json\r\n";
+    let large = vec![b' '; 70_000];
+    assert_eq!(
+        request(address, "POST /v1/commands", (headers, &large)).status,
+        413
+    );
+    assert_eq!(request(address, "DELETE /v1/state", ("", b"")).status, 405);
+    assert_eq!(get(address, "/../../../etc/passwd").status, 404);
+    assert_eq!(
+        get(address, "/v1/recordings/..%2f..%2fsecret.mcap").status,
+        404
+    );
+    assert_eq!(post(address, "{\"command\":\"reset-pose\",").status, 400);
+    assert_eq!(refused(address, "not_found"), 2.0);
+    assert_eq!(refused(address, "command"), 1.0);
+    assert!(refused(address, "request") >= 3.0);
+    // A connection that was refused is closed and does not hang.
+    let mut stream = connect(address);
+    stream.write_all(b"nonsense\r\n\r\n").unwrap();
+    let mut rest = Vec::new();
+    drop(stream.read_to_end(&mut rest));
+    station.program.interrupt();
+}
+
+#[test]
+fn the_client_of_the_examples_gives_a_command_and_prints_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    Reader::open(station.address).until(has_estimate);
+    let mut client = Command::new("python3")
+        .arg(root().join("examples/dashboard_client.py"))
+        .args([&format!("http://{}", station.address), "freeze-calibration"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let printed = BufReader::new(client.stdout.take().unwrap()).lines();
+    let lines: Vec<String> = printed.take(3).map(Result::unwrap).collect();
+    client.kill().unwrap();
+    client.wait().unwrap();
+    assert_eq!(lines[0], "{'accepted': 'freeze-calibration'}");
+    assert!(
+        lines[1..].iter().all(|line| line.starts_with("0/1/1 x ")),
+        "{lines:?}"
+    );
+    station.program.interrupt();
+}
+
+#[test]
+fn an_address_that_was_chosen_and_is_in_use_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    let address = station.address.to_string();
+    let mut command = posebridge(folder.path());
+    let output = command
+        .args(["run", "--dashboard", &address, "--out", "other"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    let expected =
+        format!("starting the dashboard: {address} is in use, perhaps by another station; choose");
+    assert!(said.contains(&expected), "{said}");
+    station.program.interrupt();
+}
+
+#[test]
+fn without_a_dashboard_nobody_listens() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = posebridge(folder.path());
+    let mut program = Running::start(command.args([
+        "run",
+        "--no-dashboard",
+        "--listen",
+        "tcp://127.0.0.1:0",
+        "--out",
+        "run",
+        "--duration",
+        "0.2",
+    ]));
+    assert!(program.listening_address("").starts_with("127.0.0.1:"));
+    let (code, said) = program.interrupted();
+    assert_eq!(code, Some(0), "{said}");
+    assert!(!said.contains("dashboard"), "{said}");
+}

@@ -1,0 +1,187 @@
+// The page: stream in, session in the middle, panels out. One loop draws everything, with the screen.
+
+import { Session } from './model/session.js';
+import { PANELS } from './panels/index.js';
+import { Replay } from './replay.js';
+import { Station } from './station.js';
+import { Stream } from './stream.js';
+import { element, setText } from './view/dom.js';
+import { metres } from './view/format.js';
+import { readPalette } from './view/palette.js';
+import { followTheme } from './view/theme.js';
+
+const NOTICE_MS = 6000;
+// A clock that is known so badly says nothing about now.
+const MOST_AHEAD_S = 1;
+const CONNECTION_WORDS = { connecting: 'connecting', live: 'live', lost: 'connection lost, trying again' };
+
+const page = {
+  headline: document.getElementById('headline'),
+  connection: document.getElementById('connection'),
+  announcer: document.getElementById('announcer'),
+  robotChoice: document.getElementById('robot-choice'),
+  robotSelect: document.getElementById('robot'),
+};
+
+let session = new Session();
+let shownRobot = null;
+let isStale = true;
+let turn = 0;
+let noticeTimer = 0;
+
+const station = new Station({ announce, redraw: () => { isStale = true; }, replay: (name) => startReplay(name) });
+const replay = new Replay(document.getElementById('replay-bar'), () => { isStale = true; });
+const view = { session, robot: null, errors: null, until_s: 0, path: [] };
+
+readPalette();
+const panels = PANELS.map(buildPanel);
+followTheme(document.getElementById('theme'), () => {
+  readPalette();
+  for (const { panel } of panels) panel.recolour?.();
+  isStale = true;
+});
+page.robotSelect.addEventListener('change', () => {
+  shownRobot = page.robotSelect.value;
+  isStale = true;
+});
+hideToken();
+new Stream(streamAddress(), { onMessage: take, onState: showConnection }).open();
+requestAnimationFrame(frame);
+
+function buildPanel({ id, title, isAnimated, build }) {
+  const body = element('div', { class: 'body' });
+  const heading = element('h2', { id: `${id}-title`, text: title });
+  const section = element('section', { class: 'panel', id, 'aria-labelledby': `${id}-title` }, heading, body);
+  document.getElementById('panels').append(section);
+  const built = { section, isAnimated: Boolean(isAnimated), isVisible: true, isDue: true, panel: build(body, station) };
+  new IntersectionObserver((entries) => {
+    built.isVisible = entries[entries.length - 1].isIntersecting;
+    built.isDue = true;
+    isStale = true;
+  }).observe(section);
+  return built;
+}
+
+function take(message) {
+  if (message.type === 'hello') {
+    session = new Session();
+    station.greet(message);
+    session.begin(message.history);
+    session.apply({ now_s: message.now_s });
+  } else if (message.type === 'frame') {
+    session.apply(message);
+    station.apply(message);
+  }
+  isStale = true;
+}
+
+function frame(now_ms) {
+  requestAnimationFrame(frame);
+  if (replay.isOn) {
+    replay.advance(now_ms);
+    isStale = true;
+  }
+  if (isStale) {
+    isStale = false;
+    look();
+    for (const built of panels) {
+      built.isDue = true;
+      if (built.isAnimated && built.isVisible) draw(built);
+    }
+    showHeadline();
+    showRobots();
+  }
+  drawNext();
+}
+
+// What the panels are shown: the live session or the replayed one, at its time.
+function look() {
+  view.session = replay.isOn ? replay.session : session;
+  const robots = view.session.estimated();
+  view.robot = robots.find(({ id }) => id === shownRobot) ?? robots[0] ?? null;
+  view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
+  view.until_s = replay.isOn ? replay.until_s : liveTime();
+  view.path = station.path();
+}
+
+// Now, or the instant of the latest estimate when the robot's clock has that a little later.
+function liveTime() {
+  const { now_s } = view.session;
+  const estimates = view.robot?.estimates;
+  if (!estimates || estimates.length === 0) return now_s;
+  const last_s = estimates.columns.t_s[estimates.end - 1];
+  return last_s > now_s && last_s < now_s + MOST_AHEAD_S ? last_s : now_s;
+}
+
+// The panels that are not animated come one a frame, in turn: no frame of the screen has to wait for all of them.
+function drawNext() {
+  for (let tried = 0; tried < panels.length; tried += 1) {
+    turn = (turn + 1) % panels.length;
+    const built = panels[turn];
+    if (built.isAnimated || !built.isDue || !built.isVisible) continue;
+    draw(built);
+    return;
+  }
+}
+
+function draw(built) {
+  built.isDue = false;
+  built.panel.draw(view);
+}
+
+function showHeadline() {
+  const estimate_m = view.errors?.recent('estimate_m', view.until_s) ?? NaN;
+  const odometry_m = view.errors?.recent('odometry_m', view.until_s) ?? NaN;
+  if (Number.isFinite(estimate_m) && Number.isFinite(odometry_m)) {
+    setText(page.headline, `odometry ${metres(odometry_m)} off, estimate ${metres(estimate_m)} off`);
+  } else if (view.robot) {
+    setText(page.headline, `robot ${view.robot.id}`);
+  } else {
+    setText(page.headline, 'Waiting for a robot…');
+  }
+}
+
+function showRobots() {
+  const ids = view.session.estimated().map(({ id }) => id);
+  page.robotChoice.hidden = ids.length < 2;
+  if (page.robotSelect.dataset.ids === ids.join('\n')) return;
+  page.robotSelect.dataset.ids = ids.join('\n');
+  page.robotSelect.replaceChildren(...ids.map((id) => element('option', { value: id, text: id })));
+  if (view.robot) page.robotSelect.value = view.robot.id;
+}
+
+function showConnection(state) {
+  page.connection.dataset.state = state;
+  setText(page.connection, CONNECTION_WORDS[state]);
+}
+
+async function startReplay(name) {
+  announce(`Reading ${name}…`, false);
+  const history = await station.history(name);
+  if (!history) return;
+  if (replay.begin(name, history)) announce(`Replay of ${name}`, false);
+  else announce(`${name} holds no estimate.`, true);
+  isStale = true;
+}
+
+function announce(text, isError) {
+  clearTimeout(noticeTimer);
+  setText(page.announcer, text);
+  page.announcer.className = isError ? 'notice error' : 'notice';
+  noticeTimer = setTimeout(() => {
+    page.announcer.className = 'unseen';
+  }, NOTICE_MS);
+}
+
+function streamAddress() {
+  const address = new URL('v1/stream', location.href);
+  address.protocol = address.protocol === 'https:' ? 'wss:' : 'ws:';
+  address.search = '';
+  address.hash = '';
+  return address.href;
+}
+
+// The token is in a cookie by now; the address that people copy and photograph shall not hold it.
+function hideToken() {
+  if (location.search.includes('token=')) history.replaceState(null, '', location.pathname);
+}

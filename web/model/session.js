@@ -1,0 +1,129 @@
+// All that the page knows of a session, live or replayed: robots, truth, errors, links, log. Pure: messages in, state out, no DOM.
+
+import { Errors } from './errors.js';
+import { LIVE_CAPACITY, Robot, list } from './robot.js';
+import { Track } from './track.js';
+
+const MOST_ROBOTS = 64;
+const MOST_LOG_LINES = 300;
+const MOST_TEXT = 400;
+
+export class Session {
+  constructor(capacity = LIVE_CAPACITY) {
+    this.capacity = capacity;
+    this.now_s = 0;
+    this.robots = new Map();
+    this.truth = new Track(['x_m', 'y_m', 'heading_rad', 'odometry_x_m', 'odometry_y_m', 'odometry_heading_rad'], capacity);
+    this.errors = new Map();
+    this.links = [];
+    this.clock = null;
+    this.log = [];
+    this.logged = 0;
+    this.dropped = 0;
+    this.revision = 0;
+  }
+
+  /** Takes a history: errors are worked out here. */
+  begin(history) {
+    this.#take(history);
+    for (const id of this.robots.keys()) this.#score(id);
+  }
+
+  /** Takes a frame, which may tell the errors: the station knows them by the robot's own stamps. */
+  apply(frame) {
+    this.#take(frame);
+    if (!isRecord(frame)) return;
+    for (const part of list(frame.robots)) {
+      const id = idOf(part);
+      if (!this.robots.has(id)) continue;
+      if (isRecord(frame.errors)) this.#toldErrors(id, frame.errors);
+      else this.#score(id);
+    }
+  }
+
+  #take(frame) {
+    if (!isRecord(frame)) return;
+    if (Number.isFinite(frame.now_s)) this.now_s = Math.max(this.now_s, frame.now_s);
+    for (const sample of list(frame.truth)) this.#truth(sample);
+    for (const part of list(frame.robots)) this.#robot(part);
+    if (Array.isArray(frame.links)) this.links = frame.links.filter(isRecord).slice(0, 64);
+    if (isRecord(frame.clock)) this.clock = frame.clock;
+    for (const line of list(frame.log)) this.#line(line);
+    if (Number.isFinite(frame.dropped)) this.dropped = frame.dropped;
+    this.revision += 1;
+  }
+
+  /** Those with an estimate; a camera is heard as well but has none. Without any estimate all that are heard. */
+  estimated() {
+    const all = [...this.robots.values()];
+    const estimated = all.filter((robot) => robot.estimates.length > 0);
+    return estimated.length > 0 ? estimated : all;
+  }
+
+  /** First and last instant of any estimate or truth; null without any. */
+  span() {
+    let from_s = Infinity;
+    let to_s = -Infinity;
+    for (const track of [this.truth, ...[...this.robots.values()].map((robot) => robot.estimates)]) {
+      if (track.length === 0) continue;
+      from_s = Math.min(from_s, track.columns.t_s[track.begin]);
+      to_s = Math.max(to_s, track.columns.t_s[track.end - 1]);
+    }
+    return from_s <= to_s ? { from_s, to_s } : null;
+  }
+
+  #truth(sample) {
+    if (!isRecord(sample)) return;
+    const odometry = list(sample.odometry);
+    this.truth.append({
+      t_s: sample.t_s, x_m: sample.x_m, y_m: sample.y_m, heading_rad: sample.heading_rad,
+      odometry_x_m: odometry[0], odometry_y_m: odometry[1], odometry_heading_rad: odometry[2],
+    });
+  }
+
+  #robot(part) {
+    if (!isRecord(part)) return;
+    const id = idOf(part);
+    let robot = this.robots.get(id);
+    if (!robot) {
+      if (this.robots.size >= MOST_ROBOTS) return;
+      robot = new Robot(id, this.capacity);
+      this.robots.set(id, robot);
+      this.errors.set(id, new Errors(this.capacity));
+    }
+    robot.apply(part, this.now_s);
+  }
+
+  // Truth is that of the simulated brick, of which a station has one: with it there is one robot.
+  #score(id) {
+    if (this.truth.length > 0) this.errors.get(id).update(this.truth, this.robots.get(id).estimates);
+  }
+
+  #toldErrors(id, told) {
+    const { estimates } = this.robots.get(id);
+    const claim_m = estimates.length > 0 ? estimates.columns.major_m[estimates.end - 1] : NaN;
+    this.errors.get(id).track.append({ t_s: this.now_s, estimate_m: told.estimate_m, odometry_m: told.odometry_m, claim_m });
+  }
+
+  #line(line) {
+    if (!isRecord(line)) return;
+    this.logged += 1;
+    this.log.push({ t_s: line.t_s, severity: severityOf(line.severity), text: String(line.text).slice(0, MOST_TEXT) });
+    if (this.log.length > MOST_LOG_LINES) this.log.shift();
+  }
+}
+
+// MAVLink's MAV_SEVERITY, 0 to 7.
+const SEVERITIES = ['emergency', 'alert', 'critical', 'error', 'warning', 'notice', 'info', 'debug'];
+
+function severityOf(value) {
+  return SEVERITIES[value] ?? String(value ?? 'info').slice(0, 20);
+}
+
+function idOf(part) {
+  return String(part?.id).slice(0, 60);
+}
+
+export function isRecord(value) {
+  return typeof value === 'object' && value !== null && !Array.isArray(value);
+}

@@ -1,0 +1,267 @@
+// The arena from above: truth, brick odometry and estimate with their trails, ellipse and heading cone, and what the camera saw.
+
+import { MARKS, MARK_WORDS } from '../model/marks.js';
+import { ESTIMATE_COLUMNS } from '../model/robot.js';
+import { drawCone, drawEllipse, drawFixes, drawGrid, drawMark, drawPath, drawRobot, drawTrail } from '../view/arena_scene.js';
+import { Box, Camera } from '../view/camera.js';
+import { button, element, setText } from '../view/dom.js';
+import { degrees, fixed, metres, millimetres } from '../view/format.js';
+import { Lens, lensSize_px } from '../view/lens.js';
+import { listen } from '../view/map_input.js';
+import { DASHES, palette } from '../view/palette.js';
+
+const TRAIL_S = 60;
+const ZOOM_STEP = 1.25;
+// Height of the toolbar on the map, with the space around it.
+const TOOLBAR_PX = 34;
+
+const READINGS = [
+  ['x', 'x'], ['y', 'y'], ['heading', 'heading'], ['sigma', '95 % within'], ['speed', 'speed'], ['fix', 'last fix'], ['resets', 'resets'],
+];
+
+const ESTIMATE = ESTIMATE_COLUMNS.map((name) => [name, name]);
+const TRUTH = [['x_m', 'x_m'], ['y_m', 'y_m'], ['heading_rad', 'heading_rad']];
+const ODOMETRY = TRUTH.map(([name]) => [name, `odometry_${name}`]);
+
+export const arena = {
+  id: 'arena',
+  title: 'Arena',
+  isAnimated: true,
+  build: (body, station) => new ArenaPanel(body, station),
+};
+
+class ArenaPanel {
+  constructor(body, station) {
+    this.station = station;
+    this.camera = new Camera();
+    this.lens = new Lens();
+    this.box = new Box();
+    this.pose = pose();
+    this.truth = pose();
+    this.odometry = pose();
+    this.mode = 'fit';
+    this.session = null;
+    this.robot = null;
+    this.trails = [];
+    this.kept = { right_px: 0, top_px: 0 };
+    this.canvas = element('canvas', { tabindex: '0', role: 'img', 'aria-label': 'Map of the arena. Arrow keys move it, plus and minus zoom.' });
+    this.context = this.canvas.getContext('2d');
+    this.fitButton = button('Fit', () => this.#look('fit'), { 'aria-pressed': 'true', title: 'Show the whole drive (0)' });
+    this.followButton = button('Follow', () => this.#look('follow'), { 'aria-pressed': 'false', title: 'Keep the estimate in the middle (F)' });
+    this.lensButton = button('Lens', () => this.#toggleLens(), { 'aria-pressed': 'true', title: 'A close look at the estimate' });
+    this.readings = new Map(READINGS.map(([key]) => [key, element('dd')]));
+    this.output = element('dl', { class: 'readings', id: 'pose', 'aria-label': 'Latest estimate' },
+      ...READINGS.map(([key, label]) => element('div', {}, element('dt', { text: label }), this.readings.get(key))));
+    body.append(
+      element('div', { class: 'map' }, this.canvas, this.#toolbar()),
+      this.output,
+      this.#legend(),
+    );
+    listen(this.canvas, this.camera, () => this.#look('free'));
+    this.canvas.addEventListener('keydown', (event) => this.#key(event));
+    new ResizeObserver(() => this.#fitCanvas()).observe(this.canvas);
+  }
+
+  draw(view) {
+    this.#read(view);
+    this.#aim(view);
+    this.#paint(view);
+    this.#say(view);
+  }
+
+  #toolbar() {
+    return element('div', { class: 'toolbar', role: 'toolbar', 'aria-label': 'Map' },
+      this.fitButton, this.followButton, this.lensButton,
+      button('+', () => this.#zoom(ZOOM_STEP), { 'aria-label': 'Zoom in' }),
+      button('−', () => this.#zoom(1 / ZOOM_STEP), { 'aria-label': 'Zoom out' }));
+  }
+
+  #legend() {
+    const lines = [['truth', 'truth'], ['odometry', "brick's odometry"], ['estimate', 'estimate, 95 % ellipse, heading cone']];
+    this.swatches = lines.map(([name]) => ({ name, canvas: swatch() }));
+    this.markSwatches = [MARKS.accepted, MARKS.late, MARKS.gated, MARKS.tooOld, MARKS.resetTo].map((mark) => ({ mark, canvas: swatch(16) }));
+    this.legend = element('ul', { class: 'legend', 'aria-label': 'Legend' },
+      ...lines.map(([, text], index) => element('li', {}, this.swatches[index].canvas, text)),
+      ...this.markSwatches.map(({ mark, canvas }) => element('li', {}, canvas, `fix ${MARK_WORDS[mark]}`)));
+    return this.legend;
+  }
+
+  /** Draws what depends on colours only. */
+  recolour() {
+    for (const { name, canvas } of this.swatches) {
+      const context = sharp(canvas);
+      context.strokeStyle = palette[name];
+      context.lineWidth = 2.5;
+      context.setLineDash(DASHES[name]);
+      context.beginPath();
+      context.moveTo(0, 6);
+      context.lineTo(30, 6);
+      context.stroke();
+    }
+    for (const { mark, canvas } of this.markSwatches) drawMark(sharp(canvas), mark, 8, 6, 4.2);
+  }
+
+  #zoom(factor) {
+    this.camera.zoom(factor);
+    this.#look(this.mode === 'follow' ? 'follow' : 'free');
+  }
+
+  #look(mode) {
+    this.mode = mode;
+    this.fitButton.setAttribute('aria-pressed', String(mode === 'fit'));
+    this.followButton.setAttribute('aria-pressed', String(mode === 'follow'));
+    this.station.redraw();
+  }
+
+  #toggleLens() {
+    this.lensButton.setAttribute('aria-pressed', String(!this.#hasLens()));
+    this.station.redraw();
+  }
+
+  #key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === '0') this.#look('fit');
+    if (event.key === 'f' || event.key === 'F') this.#look('follow');
+  }
+
+  #fitCanvas() {
+    const scale = globalThis.devicePixelRatio || 1;
+    this.camera.width_px = this.canvas.clientWidth;
+    this.camera.height_px = this.canvas.clientHeight;
+    this.canvas.width = Math.round(this.camera.width_px * scale);
+    this.canvas.height = Math.round(this.camera.height_px * scale);
+    this.context.setTransform(scale, 0, 0, scale, 0, 0);
+    this.recolour();
+    this.station.redraw();
+  }
+
+  // The poses at the time that is shown.
+  #read(view) {
+    if (this.session !== view.session || this.robot !== view.robot) {
+      this.session = view.session;
+      this.robot = view.robot;
+      this.trails = trails(view);
+    }
+    this.pose.has = readRow(this.pose, view.robot?.estimates, view.until_s, ESTIMATE);
+    this.truth.has = readRow(this.truth, view.session.truth, view.until_s, TRUTH);
+    this.odometry.has = readRow(this.odometry, view.session.truth, view.until_s, ODOMETRY);
+  }
+
+  #aim(view) {
+    if (this.mode === 'follow' && this.pose.has) {
+      this.camera.x_m = this.pose.x_m;
+      this.camera.y_m = this.pose.y_m;
+    }
+    if (this.mode !== 'fit') return;
+    this.box.clear();
+    for (const [x_m, y_m] of view.path) this.box.add(x_m, y_m);
+    for (const trail of this.trails) {
+      const [from, to] = rows(trail.track, view);
+      const step = Math.max(1, Math.floor((to - from) / 200));
+      for (let row = from; row < to; row += step) this.box.add(trail.track.columns[trail.x][row], trail.track.columns[trail.y][row]);
+    }
+    for (const shown of [this.pose, this.truth, this.odometry]) if (shown.has) this.box.add(shown.x_m, shown.y_m);
+    if (this.box.isEmpty) this.box.add(0, 0);
+    this.camera.fit(this.box, this.#kept());
+  }
+
+  // What the drive shall not stand under: the toolbar, and the lens, at the right of a broad map and at the top of a narrow one.
+  #kept() {
+    const size_px = this.#hasLens() ? lensSize_px(this.camera) : 0;
+    const isBroad = this.camera.width_px - size_px > this.camera.height_px - TOOLBAR_PX;
+    this.kept.right_px = isBroad ? size_px : 0;
+    this.kept.top_px = isBroad ? TOOLBAR_PX : Math.max(TOOLBAR_PX, size_px);
+    return this.kept;
+  }
+
+  #hasLens() {
+    return this.lensButton.getAttribute('aria-pressed') === 'true';
+  }
+
+  #paint(view) {
+    const { context, camera } = this;
+    context.clearRect(0, 0, camera.width_px, camera.height_px);
+    drawGrid(context, camera);
+    drawPath(context, camera, view.path);
+    for (const trail of this.trails) drawTrail(context, camera, trail, ...rows(trail.track, view));
+    if (view.robot) drawFixes(context, camera, view.robot.fixes, view.until_s);
+    if (this.odometry.has) drawRobot(context, camera, this.odometry, { colour: 'odometry', width: 1.5, dash: DASHES.odometry });
+    if (this.truth.has) drawRobot(context, camera, this.truth, { colour: 'truth', width: 1.5 });
+    if (!this.pose.has) return;
+    drawEllipse(context, camera, this.pose);
+    drawCone(context, camera, this.pose);
+    drawRobot(context, camera, this.pose, { colour: 'estimate', width: 2, isFilled: true });
+    if (this.#hasLens()) {
+      this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s });
+    }
+  }
+
+  #say(view) {
+    const estimate = this.pose;
+    const shown = this.readings;
+    const known = (text) => (estimate.has ? text : '–');
+    setText(shown.get('x'), known(metres3(estimate.x_m)));
+    setText(shown.get('y'), known(metres3(estimate.y_m)));
+    setText(shown.get('heading'), known(degrees(estimate.heading_rad)));
+    setText(shown.get('sigma'), known(millimetres(estimate.major_m)));
+    setText(shown.get('speed'), known(fixed(estimate.forward_m_per_s, 2, 'm/s')));
+    setText(shown.get('fix'), known(estimate.is_dead_reckoning ? `none for ${fixed(estimate.fix_age_s, 1, 's')}` : fixed(estimate.fix_age_s, 1, 's')));
+    setText(shown.get('resets'), known(fixed(estimate.reset_counter, 0)));
+    const data = this.output.dataset;
+    data.robot = view.robot?.id ?? '';
+    if (!estimate.has) return;
+    data.t_s = estimate.t_s;
+    data.x_m = estimate.x_m;
+    data.y_m = estimate.y_m;
+    data.heading_rad = estimate.heading_rad;
+    data.major_m = estimate.major_m;
+    data.reset_counter = estimate.reset_counter;
+  }
+}
+
+function metres3(value_m) {
+  return Number.isFinite(value_m) ? `${value_m.toFixed(3)} m` : metres(value_m);
+}
+
+function pose() {
+  return { has: false, t_s: NaN, x_m: NaN, y_m: NaN, heading_rad: NaN };
+}
+
+// Fills a pose from a track's row at a time: pairs of the pose's and the track's names.
+function readRow(into, track, until_s, names) {
+  if (!track) return false;
+  const row = track.rowUntil(until_s);
+  if (row < 0) return false;
+  into.t_s = track.columns.t_s[row];
+  for (const [name, column] of names) into[name] = track.columns[column][row];
+  return !Number.isNaN(into.x_m + into.y_m);
+}
+
+function trails(view) {
+  const shown = [
+    { track: view.session.truth, x: 'x_m', y: 'y_m', colour: 'truth', width: 3 },
+    { track: view.session.truth, x: 'odometry_x_m', y: 'odometry_y_m', colour: 'odometry', width: 1.8 },
+  ];
+  if (view.robot) shown.push({ track: view.robot.estimates, x: 'x_m', y: 'y_m', colour: 'estimate', width: 1.6 });
+  return shown;
+}
+
+function rows(track, view) {
+  return [track.rowAt(view.until_s - TRAIL_S), track.rowAfter(view.until_s)];
+}
+
+function swatch(width = 30) {
+  const canvas = element('canvas', { class: 'swatch', 'aria-hidden': 'true' });
+  canvas.dataset.width = width;
+  canvas.classList.toggle('narrow', width < 30);
+  return canvas;
+}
+
+function sharp(canvas) {
+  const scale = globalThis.devicePixelRatio || 1;
+  canvas.width = Number(canvas.dataset.width) * scale;
+  canvas.height = 12 * scale;
+  const context = canvas.getContext('2d');
+  context.scale(scale, scale);
+  return context;
+}

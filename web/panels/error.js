@@ -1,0 +1,64 @@
+// How far odometry and estimate are from the truth of the simulated robot, over time, with what the estimate claims.
+
+import { Chart } from '../view/chart.js';
+import { element } from '../view/dom.js';
+import { DASHES } from '../view/palette.js';
+
+const WINDOW_S = 60;
+// Below a tenth of a millimetre nobody looks; a logarithm needs a floor.
+const FLOOR_M = 1e-4;
+
+export const error = {
+  id: 'error',
+  title: 'How far off',
+  build(body) {
+    const host = element('div', { hidden: true });
+    const none = element('p', { class: 'note', text: 'Nobody knows the truth of a real robot: this chart is for the simulated one.', hidden: true });
+    body.append(host, none, element('p', { class: 'note keys' },
+      key('odometry', "brick's odometry"), key('estimate', 'estimate'), key('ellipse', 'its claim: 95 % within')));
+    const chart = new Chart(host, {
+      label: 'Distance from the truth over time: odometry, estimate and its claim',
+      lines: [
+        { label: 'claim', colour: 'ellipse', width: 1 },
+        { label: 'odometry', colour: 'odometry', dash: DASHES.odometry, width: 1.8 },
+        { label: 'estimate', colour: 'estimate', width: 1.8 },
+      ],
+      y: { isLog: true, format: (value_m) => (value_m >= 1 ? `${value_m} m` : `${Number((1000 * value_m).toPrecision(2))} mm`) },
+      height: 190,
+    });
+    const data = [null, null, null, null];
+    return {
+      draw(view) {
+        const track = view.errors?.track;
+        host.hidden = !track || track.length === 0;
+        none.hidden = !host.hidden || !view.robot;
+        if (host.hidden) return;
+        const from_s = view.until_s - WINDOW_S;
+        const [from, to] = [track.rowAt(from_s), track.rowAfter(view.until_s)];
+        data[0] = track.part('t_s', from, to);
+        data[1] = track.part('claim_m', from, to);
+        data[2] = track.part('odometry_m', from, to);
+        data[3] = track.part('estimate_m', from, to);
+        chart.range = decadesOf(data.slice(1));
+        chart.draw(data, from_s, view.until_s);
+      },
+    };
+  },
+};
+
+function key(colour, text) {
+  return element('span', { class: `key ${colour}`, text });
+}
+
+// Whole decades that hold all values, from at least a millimetre to at least ten centimetres.
+function decadesOf(columns) {
+  let low = 1e-3;
+  let high = 0.1;
+  for (const values of columns) {
+    for (const value of values) {
+      if (value > high) high = value;
+      else if (value < low) low = value;
+    }
+  }
+  return [10 ** Math.floor(Math.log10(Math.max(FLOOR_M, low))), 10 ** Math.ceil(Math.log10(high))];
+}

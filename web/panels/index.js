@@ -1,0 +1,17 @@
+// The panels, in the order in which they stand on the page. To add one: a file beside this one and a line here.
+
+import { arena } from './arena.js';
+import { calibration } from './calibration.js';
+import { error } from './error.js';
+import { innovations } from './innovations.js';
+import { links } from './links.js';
+import { log } from './log.js';
+import { parameters } from './parameters.js';
+import { recordings } from './recordings.js';
+import { simulator } from './simulator.js';
+
+/**
+ * `build(body, station)` fills a panel and gives `{draw(view), recolour?()}`. `isAnimated` ones are drawn with every frame of the screen,
+ * the others in turn, one a frame.
+ */
+export const PANELS = [arena, simulator, error, innovations, calibration, parameters, links, log, recordings];

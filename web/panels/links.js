@@ -1,0 +1,73 @@
+// Health of every link, and how well the robot's clock is known.
+
+import { element, setText } from '../view/dom.js';
+import { bytes, count, fixed } from '../view/format.js';
+
+const FACTS = [
+  ['in', (link) => `${bytes(link.bytes_in_per_s)}/s, ${fixed(link.frames_in_per_s, 0)} frames/s`],
+  ['lost', (link) => count(link.lost)],
+  ['checksum errors', (link) => count(link.checksum_errors)],
+  ['garbage', (link) => bytes(link.garbage_bytes)],
+  ['stalls', (link) => count(link.stalls)],
+  ['waiting to go out', (link) => count(link.queued_frames)],
+  ['dropped on the way out', (link) => count(link.drops_out)],
+  ['round trip', (link) => fixed(link.round_trip_ms ?? NaN, 1, 'ms')],
+  ['clock known to', (link) => fixed(link.clock_uncertainty_ms ?? NaN, 2, 'ms')],
+];
+
+const CLOCK_FACTS = [
+  ['offset', (clock) => fixed(clock.offset_s, 4, 's')],
+  ['rate', (clock) => fixed(clock.skew_ppm, 1, 'ppm')],
+  ['uncertainty', (clock) => fixed(clock.uncertainty_ms, 2, 'ms')],
+  ['method', (clock) => String(clock.method ?? '–').slice(0, 60)],
+];
+
+export const links = {
+  id: 'links',
+  title: 'Links and clock',
+  build(body) {
+    const host = element('div', { class: 'cards' });
+    const clock = factList("Robot's clock", CLOCK_FACTS);
+    const empty = element('p', { class: 'note', text: 'No link has reported yet.' });
+    const cards = new Map();
+    clock.card.hidden = true;
+    body.append(empty, host, clock.card);
+    return {
+      draw(view) {
+        const known = view.session.links;
+        empty.hidden = known.length > 0;
+        for (const [id, card] of cards) {
+          if (known.some((link) => String(link.id) === id)) continue;
+          card.card.remove();
+          cards.delete(id);
+        }
+        for (const link of known) {
+          const id = String(link.id);
+          let card = cards.get(id);
+          if (!card) {
+            card = factList('', FACTS);
+            cards.set(id, card);
+            host.append(card.card);
+          }
+          setText(card.title, String(link.name ?? id).slice(0, 80));
+          setText(card.state, String(link.state ?? '').slice(0, 40));
+          card.card.dataset.state = String(link.state ?? '').slice(0, 40);
+          card.show(link);
+        }
+        clock.card.hidden = !view.session.clock;
+        if (view.session.clock) clock.show(view.session.clock);
+      },
+    };
+  },
+};
+
+function factList(name, facts) {
+  const title = element('h3', { text: name });
+  const state = element('span', { class: 'state' });
+  const values = facts.map(() => element('dd'));
+  const card = element('section', { class: 'card' },
+    element('header', {}, title, state),
+    element('dl', {}, ...facts.map(([label], index) => element('div', {}, element('dt', { text: label }), values[index]))));
+  const show = (record) => facts.forEach(([, text], index) => setText(values[index], text(record)));
+  return { card, title, state, show };
+}

@@ -1,0 +1,95 @@
+// What the panels know of the station besides a session's data: parameters, sources, recordings, simulator; and how to ask it for things.
+
+import { isRecord } from './model/session.js';
+import { list } from './model/robot.js';
+
+const MOST_PARAMETERS = 200;
+
+export class Station {
+  /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void}} page */
+  constructor(page) {
+    this.page = page;
+    this.isGreeted = false;
+    this.version = '';
+    this.simulator = null;
+    this.sources = new Map();
+    this.parameters = new Map();
+    this.recordings = [];
+    this.recording = null;
+  }
+
+  /** Takes what a connection begins with. */
+  greet(hello) {
+    this.isGreeted = true;
+    this.version = String(hello.version ?? '').slice(0, 40);
+    this.simulator = isRecord(hello.simulator) ? hello.simulator : null;
+    this.sources = new Map(list(hello.sources).filter(isRecord).map((source) => [String(source.name), source]));
+    this.parameters = new Map(list(hello.parameters).filter(isParameter).slice(0, MOST_PARAMETERS).map((parameter) => [parameter.name, parameter]));
+    this.recordings = list(hello.recordings).filter(isRecord);
+    this.recording = null;
+  }
+
+  /** Takes what a frame says besides a session's data. */
+  apply(frame) {
+    for (const { name, value } of list(frame.parameters).filter(isRecord)) {
+      const known = this.parameters.get(name);
+      if (known && Number.isFinite(value)) known.value = value;
+    }
+    if (frame.recording !== undefined) this.recording = isRecord(frame.recording) ? frame.recording : null;
+  }
+
+  /** The way-points of the simulated robot as pairs of metres. */
+  path() {
+    return list(this.simulator?.path).filter((point) => Array.isArray(point) && Number.isFinite(point[0]) && Number.isFinite(point[1]));
+  }
+
+  /** The number by which commands name a source; undefined where the station told none. */
+  idOf(sensor) {
+    return this.sources.get(sensor)?.id;
+  }
+
+  redraw() {
+    this.page.redraw();
+  }
+
+  replay(name) {
+    this.page.replay(name);
+  }
+
+  /** Sends a command and says what became of it. Never throws: what went wrong is shown. */
+  async command(command) {
+    const answer = await this.#ask('v1/commands', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(command) });
+    if (answer && command.command !== 'drive') this.page.announce(`${command.command}: sent`, false);
+  }
+
+  async renewRecordings() {
+    const answer = await this.#ask('v1/recordings');
+    const found = Array.isArray(answer) ? answer : answer?.recordings;
+    if (!found) return;
+    this.recordings = list(found).filter(isRecord);
+    this.redraw();
+  }
+
+  /** The tracks of a recording, or null when it cannot be had. */
+  history(name) {
+    return this.#ask(`v1/recordings/${encodeURIComponent(name)}/replay`);
+  }
+
+  // The answer as a value; null after an error, which is shown.
+  async #ask(path, options) {
+    try {
+      const response = await fetch(path, options);
+      const text = await response.text();
+      const answer = text === '' ? {} : JSON.parse(text);
+      if (response.ok) return answer;
+      this.page.announce(String(answer.error ?? `${response.status} ${response.statusText}`).slice(0, 400), true);
+    } catch (error) {
+      this.page.announce(`The station does not answer (${error.message}).`, true);
+    }
+    return null;
+  }
+}
+
+function isParameter(entry) {
+  return isRecord(entry) && typeof entry.name === 'string' && [entry.value, entry.default, entry.least, entry.most].every(Number.isFinite);
+}
