@@ -10,7 +10,9 @@ use crate::counts::Counts;
 use crate::feed::{Batch, TruthSample};
 use crate::latency::Latency;
 use crate::limits::{HISTORY, HISTORY_POINTS, SECOND};
-use crate::model::{Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State, seconds_of};
+use crate::model::{
+    Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State, seconds_of,
+};
 use crate::state::Latest;
 use crate::thread::Facts;
 use crate::views::{Keep, Pace, Setting, Told, VIEWS, View};

@@ -27,7 +27,7 @@ struct Played {
     feed: Feed,
     commands: mpsc::Receiver<Command>,
     millis: Arc<AtomicI64>,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 fn loopback() -> SocketAddr {
@@ -76,7 +76,7 @@ impl Played {
             feed,
             commands,
             millis,
-            _folder: folder,
+            folder: folder,
         }
     }
 
@@ -94,7 +94,7 @@ impl Played {
     }
 
     fn record(&self, name: &str, bytes: &[u8]) {
-        std::fs::write(self._folder.path().join("run").join(name), bytes).unwrap();
+        std::fs::write(self.folder.path().join("run").join(name), bytes).unwrap();
     }
 }
 
@@ -109,7 +109,11 @@ fn says(text: &str) -> Event {
 /// Whether a line of a message's log ends so.
 fn is_said(log: &serde_json::Value, text: &str) -> bool {
     let mut lines = log.as_array().into_iter().flatten();
-    lines.any(|line| line["text"].as_str().is_some_and(|line| line.ends_with(text)))
+    lines.any(|line| {
+        line["text"]
+            .as_str()
+            .is_some_and(|line| line.ends_with(text))
+    })
 }
 
 #[test]

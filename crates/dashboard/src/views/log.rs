@@ -44,10 +44,7 @@ impl Log {
             Event::RobotLost { robot, silence } => {
                 let silent_s = silence.as_secs_f64();
                 let robot = robot_name(*robot);
-                (
-                    WARNING,
-                    format!("lost {robot}, silent for {silent_s:.1} s"),
-                )
+                (WARNING, format!("lost {robot}, silent for {silent_s:.1} s"))
             }
             Event::BrickRestarted { robot } => {
                 let robot = robot_name(*robot);
