@@ -17,6 +17,8 @@ pub(crate) const MOST_CLIENTS: u64 = 64;
 pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
 /// Whoever needs longer for the body of a request is let go.
 pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
+/// A replay takes longer: a quarter of an hour of a usual brick in a debug build about half a minute.
+pub(crate) const REPLAY_TIMEOUT: Duration = Duration::from_secs(300);
 /// A reader that takes nothing for so long is let go: nobody looks at it.
 pub(crate) const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 /// A reader is asked so often whether it is there.

@@ -155,7 +155,7 @@ impl Dashboard {
             recordings: recordings.clone(),
             assets: Assets::new(sources.ui_dir),
             replay: sources.replay,
-            replaying: Semaphore::new(1),
+            replaying: Arc::new(Semaphore::new(1)),
             stop: stop.clone(),
         };
         let inlets = Inlets {

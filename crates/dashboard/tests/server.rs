@@ -27,7 +27,7 @@ struct Played {
     feed: Feed,
     commands: mpsc::Receiver<Command>,
     millis: Arc<AtomicI64>,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 fn loopback() -> SocketAddr {
@@ -76,7 +76,7 @@ impl Played {
             feed,
             commands,
             millis,
-            _folder: folder,
+            folder: folder,
         }
     }
 
@@ -94,7 +94,7 @@ impl Played {
     }
 
     fn record(&self, name: &str, bytes: &[u8]) {
-        std::fs::write(self._folder.path().join("run").join(name), bytes).unwrap();
+        std::fs::write(self.folder.path().join("run").join(name), bytes).unwrap();
     }
 }
 

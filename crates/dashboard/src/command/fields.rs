@@ -1,5 +1,6 @@
 //! The fields of a command, read and checked.
 
+use posebridge_telemetry::Switch;
 use posebridge_telemetry::simulator::{NUMBER_FIELDS, NumberField};
 use serde_json::{Map, Value};
 
@@ -153,8 +154,12 @@ impl<'a> Values<'a> {
         self.value(name).as_str().unwrap_or_default()
     }
 
-    pub(super) fn is_on(&self, name: &str) -> bool {
-        self.value(name).as_bool().unwrap_or(false)
+    pub(super) fn switch(&self, name: &str) -> Switch {
+        if self.value(name).as_bool().unwrap_or(false) {
+            Switch::On
+        } else {
+            Switch::Off
+        }
     }
 }
 

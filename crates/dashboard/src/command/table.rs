@@ -3,7 +3,7 @@
 use posebridge_telemetry::simulator::{ProfileName, SlippingWheel, SteeringSource};
 use posebridge_telemetry::{
     Command, Heading, Learning, Meters, ParameterName, ParameterStorage, Pose, SensorId,
-    SimulatorCommand, Span, Switch,
+    SimulatorCommand, Span,
 };
 
 use super::fields::{Field, Kind, Values};
@@ -49,10 +49,6 @@ const fn plain(
         fields: &[],
         make,
     }
-}
-
-const fn switch(is_on: bool) -> Switch {
-    if is_on { Switch::On } else { Switch::Off }
 }
 
 /// Every command. Adding one: a row here.
@@ -139,7 +135,7 @@ pub const COMMANDS: &[CommandRow] = &[
         ],
         make: |values| Command::SwitchSource {
             sensor: SensorId(values.whole("sensor") as u8),
-            to: switch(values.is_on("on")),
+            to: values.switch("on"),
         },
     },
     plain("start-recording", "begin a new recording", |_| {
@@ -184,7 +180,7 @@ pub const COMMANDS: &[CommandRow] = &[
         name: "camera",
         help: "the simulated camera sees, or is covered",
         fields: &[field("on", Kind::Switch)],
-        make: |values| Command::Simulator(SimulatorCommand::Camera(switch(values.is_on("on")))),
+        make: |values| Command::Simulator(SimulatorCommand::Camera(values.switch("on"))),
     },
     CommandRow {
         name: "camera-delay",

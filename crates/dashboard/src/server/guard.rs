@@ -22,7 +22,7 @@ use tokio::time::timeout;
 
 use super::App;
 use crate::counts::Count;
-use crate::limits::REQUEST_TIMEOUT;
+use crate::limits::{REPLAY_TIMEOUT, REQUEST_TIMEOUT};
 use crate::model::Refusal;
 use crate::token::Token;
 
@@ -61,7 +61,12 @@ pub(super) async fn admit(State(app): State<Arc<App>>, request: Request, next: N
     let admitted = app.guard.check(&request);
     let mut response = match admitted {
         Ok(admission) => {
-            let answer = timeout(REQUEST_TIMEOUT, next.run(request)).await;
+            let patience = if request.uri().path().ends_with("/replay") {
+                REPLAY_TIMEOUT
+            } else {
+                REQUEST_TIMEOUT
+            };
+            let answer = timeout(patience, next.run(request)).await;
             let mut response = answer.unwrap_or_else(|_too_slow| {
                 app.counts.one(Count::BadRequest);
                 let why = "the request took too long".to_owned();

@@ -40,7 +40,7 @@ pub(crate) struct App {
     pub(crate) assets: Assets,
     pub(crate) replay: Box<Replay>,
     /// One replay at a time: it takes a core.
-    pub(crate) replaying: Semaphore,
+    pub(crate) replaying: Arc<Semaphore>,
     pub(crate) stop: CancellationToken,
 }
 

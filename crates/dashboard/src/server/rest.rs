@@ -1,5 +1,6 @@
 //! What programs ask for now and then.
 
+use std::future::{Ready, ready};
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
@@ -46,8 +47,8 @@ pub(super) async fn metrics(State(app): Shared) -> Response {
     app.text(Subject::Metrics, METRICS_TYPE).await
 }
 
-pub(super) async fn schema() -> Response {
-    typed(JSON, include_str!("../../schema/v1.json").into())
+pub(super) fn schema() -> Ready<Response> {
+    ready(typed(JSON, include_str!("../../schema/v1.json").into()))
 }
 
 pub(super) async fn recordings(State(app): Shared) -> Response {
@@ -89,14 +90,16 @@ pub(super) async fn replay(State(app): Shared, Path(name): Path<String>) -> Resp
     let Some(path) = app.recording_path(&name).await else {
         return app.no_recording();
     };
-    let Ok(_permit) = app.replaying.try_acquire() else {
+    let Ok(permit) = Arc::clone(&app.replaying).try_acquire_owned() else {
         let why = "another recording is being replayed; try again when it is done".to_owned();
         return refusal(StatusCode::SERVICE_UNAVAILABLE, why);
     };
     let worker = Arc::clone(&app);
     let replayed = tokio::task::spawn_blocking(move || {
-        let history = (worker.replay)(&path)?;
-        serde_json::to_string(&history).map_err(|error| error.to_string())
+        let history = (worker.replay)(&path);
+        // Held until here, even if whoever asked has gone.
+        drop(permit);
+        serde_json::to_string(&history?).map_err(|error| error.to_string())
     });
     match replayed.await {
         Ok(Ok(text)) => typed(JSON, text.into()),
@@ -147,19 +150,19 @@ pub(super) async fn command(
 }
 
 /// A file of the page.
-pub(super) async fn asset(State(app): Shared, request: Request) -> Response {
-    if !matches!(*request.method(), Method::GET | Method::HEAD) {
-        return app.missing();
-    }
-    let answered = app.assets.answer(request.uri().path(), request.headers());
-    answered.unwrap_or_else(|| app.missing())
+pub(super) fn asset(State(app): Shared, request: Request) -> Ready<Response> {
+    let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
+    let answered = is_read
+        .then(|| app.assets.answer(request.uri().path(), request.headers()))
+        .flatten();
+    ready(answered.unwrap_or_else(|| app.missing()))
 }
 
-pub(super) async fn wrong_method(State(app): Shared) -> Response {
+pub(super) fn wrong_method(State(app): Shared) -> Ready<Response> {
     app.counts.one(Count::BadRequest);
     let why =
         "wrong method: commands are posted to /v1/commands, everything else is got".to_owned();
-    refusal(StatusCode::METHOD_NOT_ALLOWED, why)
+    ready(refusal(StatusCode::METHOD_NOT_ALLOWED, why))
 }
 
 impl App {

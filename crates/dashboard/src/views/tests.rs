@@ -201,26 +201,49 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
     assert!(news(&mut *calibration, Pace::News).is_empty());
 }
 
-fn truth(stamp_millis: i64) -> TruthSample {
+fn truth(stamp_millis: i64, x_m: f64) -> TruthSample {
     TruthSample {
-        now: at(1_000),
+        now: at(stamp_millis - 4_000),
         stamp: Stamp::from_millis(stamp_millis),
-        pose: Pose::<Arena>::new(Meters(1.5), Meters(-0.28), Heading::from_rad(0.6)),
-        odometry: Some(Pose::new(Meters(1.8), Meters(0.12), Heading::from_rad(0.4))),
+        pose: Pose::<Arena>::new(Meters(x_m), Meters(-0.28), Heading::from_rad(0.6)),
+        odometry: Some(Pose::new(
+            Meters(x_m + 0.3),
+            Meters(0.12),
+            Heading::from_rad(0.4),
+        )),
     }
 }
 
 #[test]
-fn errors_are_distances_from_the_truth_of_the_same_instant() {
-    let mut view = view("truth");
-    view.take(at(900), Told::Truth(&truth(4_000)));
-    view.take(at(1_000), Told::Event(&estimated(estimate())));
-    assert_eq!(news(&mut *view, Pace::News).errors, None, "a second apart");
-    view.take(at(1_000), Told::Truth(&truth(5_010)));
-    view.take(at(1_000), Told::Event(&estimated(estimate())));
-    let frame = news(&mut *view, Pace::News);
-    // 3 cm; 0.3 and 0.4 m.
-    assert_json_snapshot!("truth", (frame.errors, frame.truth));
+fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
+    // The robot was at 1.5 m when the estimate holds, between two samples; it is 3 cm beside it.
+    let samples = [truth(4_960, 1.46), truth(5_040, 1.54)];
+    let estimated = estimated(estimate());
+    let mut late = view("truth");
+    late.take(at(960), Told::Truth(&samples[0]));
+    late.take(at(1_000), Told::Event(&estimated));
+    let before = news(&mut *late, Pace::News).errors.unwrap();
+    assert_eq!(
+        before.estimate_m.get(),
+        None,
+        "the sample behind it has not come"
+    );
+    late.take(at(1_040), Told::Truth(&samples[1]));
+    let frame = news(&mut *late, Pace::News);
+    assert_json_snapshot!("truth", (&frame.errors, frame.truth));
+    let mut early = view("truth");
+    for sample in &samples {
+        early.take(at(1_040), Told::Truth(sample));
+    }
+    early.take(at(1_050), Told::Event(&estimated));
+    assert_eq!(history(&*early).errors, frame.errors);
+    let mut torn = view("truth");
+    for sample in [truth(3_000, 1.5), truth(5_040, 1.5)] {
+        torn.take(at(1_040), Told::Truth(&sample));
+    }
+    torn.take(at(1_050), Told::Event(&estimated));
+    let unknown = history(&*torn).errors.unwrap().estimate_m;
+    assert_eq!(unknown.get(), None, "nobody knows what was in two seconds");
 }
 
 #[test]
