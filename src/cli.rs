@@ -22,11 +22,21 @@ pub use lab::{LabAccuracyArgs, LabArgs, LabExperiment, LabLinksArgs};
 ///
 /// Without a subcommand it runs the station with a simulated brick on a pseudo-terminal.
 #[derive(Debug, Parser)]
-#[command(name = "posebridge", version, about, long_about, after_long_help = links_help())]
+#[command(
+    name = "posebridge",
+    version,
+    about,
+    long_about,
+    args_conflicts_with_subcommands = true,
+    after_long_help = links_help()
+)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
     pub command: Option<Command>,
+    /// Without a subcommand: the flags of `run`.
+    #[command(flatten, next_help_heading = "Without a command, the options of `run`")]
+    pub run: RunArgs,
 }
 
 /// The subcommands.
@@ -72,12 +82,6 @@ pub enum Command {
     Config(ConfigArgs),
     /// Print a completion script for a shell.
     Completions(CompletionsArgs),
-}
-
-impl Default for Command {
-    fn default() -> Self {
-        Self::Run(RunArgs::default())
-    }
 }
 
 /// Flags that change the configuration.

@@ -117,6 +117,9 @@ pub enum Seen<'a> {
     Event(&'a Event),
 }
 
+/// Who looks on: sees what happens, and at which instant.
+pub type Looker<'a> = dyn FnMut(Stamp<HostClock>, Seen<'_>) + 'a;
+
 /// What is done in a run, and who looks on.
 pub struct Deeds<'a> {
     /// What the pipeline is told to do at which world time, in the order of time. What it asks to be done to the brick is done.
@@ -124,7 +127,7 @@ pub struct Deeds<'a> {
     /// The run ends then, if not before.
     pub until: Span,
     /// Sees everything.
-    pub look: &'a mut dyn FnMut(Stamp<HostClock>, Seen<'_>),
+    pub look: &'a mut Looker<'a>,
 }
 
 /// Runs a scenario as [`run`] does, while somebody gives commands.
@@ -137,10 +140,14 @@ pub fn run_with(
     deeds: Deeds<'_>,
 ) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Stamp::ZERO);
-    let until = deeds.until;
+    let Deeds {
+        commands,
+        until,
+        look,
+    } = deeds;
     let mut session = Session::new(scenario, config, link)?;
-    session.commands = deeds.commands.iter().copied().collect();
-    session.look = Some(deeds.look);
+    session.commands = commands.iter().copied().collect();
+    session.look = Some(look);
     Ok(session.drive(until))
 }
 
@@ -170,7 +177,7 @@ struct Session<'a> {
     asked_of_link: VecDeque<SimulatorCommand>,
     /// Until when the cable is out.
     unplugged_until: Option<Span>,
-    look: Option<&'a mut dyn FnMut(Stamp<HostClock>, Seen<'_>)>,
+    look: Option<&'a mut Looker<'a>>,
 }
 
 /// How long what was offered in one direction was on its way.

@@ -1,8 +1,4 @@
 //! A run with a simulated brick goes on for ever, and leaves its tables when somebody ends it.
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
 
 mod support;
 

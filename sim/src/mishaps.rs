@@ -2,7 +2,7 @@
 //!
 //! # Model
 //! ```text
-//! carried    0.6 s along a straight line, turned evenly; the wheels spin in the air and count, the gyro feels the turn
+//! carried    0.1 s along a straight line, turned evenly; the wheels spin in the air and count, the gyro feels the turn
 //! no grip    of each step's rotation the share that is lost turns the shaft and moves nothing
 //! ```
 
@@ -11,9 +11,9 @@ use posebridge_telemetry::{Arena, Body, Heading, Meters, Pose, SlippingWheel, Sp
 use crate::wheels::Pair;
 use crate::world::STEP;
 
-/// A hand needs about that long; half a turn within it is 300 degrees per second, which the gyros of the bundled scenarios still
-/// measure (360 degrees per second).
-const CARRIED_STEPS: u32 = 600;
+/// A quick hand: so short that a camera of 10 images per second sees the robot in the air once at most. A turn of more than 36 degrees is
+/// then faster than the gyros of the bundled scenarios can tell (360 degrees per second), as it would be in a hand.
+const CARRIED_STEPS: u32 = 100;
 
 /// Where a robot is put down, relative to where it stood. A plain turn, because a half turn may go either way round.
 #[derive(Clone, Copy, Debug)]

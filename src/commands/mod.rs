@@ -77,7 +77,7 @@ impl<T, E: Into<anyhow::Error>> Stage<T> for Result<T, E> {
 /// # Errors
 /// As the subcommand says.
 pub fn execute(cli: Cli) -> Result<(), Failure> {
-    match cli.command.unwrap_or_default() {
+    match cli.command.unwrap_or(Command::Run(cli.run)) {
         Command::Run(args) => run::execute(&args),
         Command::Sim(args) => sim::execute(&args),
         Command::Play(args) => play::execute(&args),

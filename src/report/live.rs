@@ -141,7 +141,12 @@ impl LiveView {
             Event::Fused { record, .. } if record.kind == "fix" => {
                 self.last_fix = Some((record.verdict, record.lag));
             }
-            Event::Estimated { estimate, .. } => self.estimate = Some(*estimate),
+            Event::Estimated { estimate, .. } => {
+                self.estimate = Some(*estimate);
+                if let Some(off) = &mut self.off {
+                    off.note(estimate);
+                }
+            }
             Event::Temperature {
                 brick,
                 channel,
@@ -205,7 +210,7 @@ impl LiveView {
     }
 
     fn off_line(&mut self) -> Option<String> {
-        self.off.as_mut()?.line(self.estimate.as_ref())
+        self.off.as_mut()?.line()
     }
 
     /// Takes the block away.

@@ -16,7 +16,12 @@ const KEPT: Span = Span::from_millis(2_000);
 pub struct Off {
     tap: TruthTap,
     truth: VecDeque<TruthSample>,
+    /// Of the same time; some of them are ahead of the truth, which is told at its own instants.
+    estimates: VecDeque<TimedPose>,
 }
+
+/// So many estimates are kept at most: 2 s of a brick that is as fast as any.
+const MOST_ESTIMATES: usize = 1_024;
 
 impl Off {
     /// Of a brick that is watched.
@@ -25,32 +30,46 @@ impl Off {
         Self {
             tap,
             truth: VecDeque::new(),
+            estimates: VecDeque::new(),
         }
     }
 
     /// A line for people; `None` before anything is known.
-    pub fn line(&mut self, estimate: Option<&Estimate>) -> Option<String> {
+    pub fn line(&mut self) -> Option<String> {
         self.follow();
         let newest = self.truth.back()?;
         let odometry_m = newest.odometry.origin().distance(newest.pose.origin()).0;
-        let estimate_m = estimate
-            .filter(|estimate| estimate.validity.position)
-            .and_then(|estimate| self.distance_m(estimate));
-        let estimate = estimate_m.map_or_else(
+        let estimate = self.estimate_m().map_or_else(
             || "estimate not known".to_owned(),
             |off_m| format!("estimate {off_m:.3} m off"),
         );
         Some(format!("odometry {odometry_m:.2} m off, {estimate}"))
     }
 
-    /// How far an estimate was off at its own instant, in metres; `None` if the truth of that instant is not at hand.
-    fn distance_m(&self, estimate: &Estimate) -> Option<f64> {
+    /// Takes note of an estimate.
+    pub fn note(&mut self, estimate: &Estimate) {
+        if estimate.validity.position {
+            if self.estimates.len() >= MOST_ESTIMATES {
+                self.estimates.pop_front();
+            }
+            self.estimates.push_back(TimedPose {
+                stamp: estimate.stamp,
+                pose: estimate.pose,
+            });
+        }
+    }
+
+    /// How far the last estimate whose instant the truth has reached was off then, in metres.
+    fn estimate_m(&self) -> Option<f64> {
         let samples = self.truth.iter().map(|sample| TimedPose {
             stamp: sample.brick,
             pose: sample.pose,
         });
-        let really = Track::new(samples, LONGEST_GAP).at(estimate.stamp)?;
-        Some(really.origin().distance(estimate.pose.origin()).0)
+        let really = Track::new(samples, LONGEST_GAP);
+        self.estimates.iter().rev().find_map(|estimate| {
+            let pose = really.at(estimate.stamp)?;
+            Some(pose.origin().distance(estimate.pose.origin()).0)
+        })
     }
 
     fn follow(&mut self) {

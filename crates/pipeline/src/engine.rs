@@ -14,6 +14,7 @@ mod ground_station;
 mod intake;
 mod receive;
 mod requests;
+mod slip_watch;
 mod warmth;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -31,6 +32,7 @@ use self::commands::Standing;
 use self::fix_requests::FixRequests;
 use self::ground_station::LastRange;
 use self::intake::Arrival;
+use self::slip_watch::SlipWatch;
 use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
 use crate::interpret::Interpreter;
@@ -84,8 +86,7 @@ pub struct Pipeline {
     /// What was told of payloads without sense, once for each sender and message.
     told_payloads: BTreeSet<(LinkId, Address, u32)>,
     last_gyro_turn: Option<(Stamp<BrickClock>, Radians)>,
-    /// The instant of the last observation of motion that told of slip.
-    last_slip: Option<Stamp<BrickClock>>,
+    slip: SlipWatch,
     thermometers: Thermometers,
     /// Normalised innovation squared of the last fix over its gate; 0 before the first.
     fix_ratio: f64,
@@ -156,7 +157,7 @@ impl Pipeline {
             fix_requests: FixRequests::default(),
             told_payloads: BTreeSet::new(),
             last_gyro_turn: None,
-            last_slip: None,
+            slip: SlipWatch::default(),
             thermometers: Thermometers::default(),
             fix_ratio: 0.0,
             fix_gate: None,

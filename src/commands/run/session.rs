@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use posebridge_dashboard::Dashboard;
-use posebridge_link::HostTimer;
+use posebridge_link::{HostTimer, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{Span, Stamp};
 use tokio_util::sync::CancellationToken;
@@ -26,6 +26,7 @@ use crate::tasks::desk::Desk;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::{Kept, Recorder};
 use crate::tasks::shard::{Ending, Shard};
+use crate::tasks::sim_brick::CommandSender;
 use crate::tasks::tlog_recorder::{TlogRecorder, TlogWritten};
 use crate::tasks::truth_tap::TruthTap;
 
@@ -75,13 +76,7 @@ pub(super) async fn session(
         folder: &folder,
         laps,
     };
-    let opened = open_links(args, config, simulated, &stop).await;
-    if opened.is_err() {
-        // Only a folder that is still empty goes.
-        drop(std::fs::remove_dir(&folder));
-    }
-    let (ports, mut embedded) = opened.at_start()?;
-    warn_of_open_listeners(&ports, config);
+    let (ports, mut embedded) = open(args, config, simulated, &stop).await.at_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.recorded(config);
     let started = start_recorder(args, &for_recordings, &timer, &recording);
@@ -89,16 +84,8 @@ pub(super) async fn session(
     let tlog = start_tlog(args, config, &timer, &recording).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
-    let commands = embedded
-        .as_ref()
-        .map(|embedded| embedded.brick.hands.commands.clone());
-    let truth = embedded
-        .as_mut()
-        .and_then(|embedded| embedded.brick.truth.take());
-    let place = (timer, folder.as_path());
-    let (page, outlet) = page(args, config, place, embedded.as_ref())
-        .at_start()?
-        .unzip();
+    let (commands, truth) = simulated_brick(embedded.as_mut());
+    let (page, outlet) = page(args, config, (timer, &folder), embedded.as_ref()).at_start()?;
     let mut shard = Shard {
         pipeline,
         ports,
@@ -139,19 +126,43 @@ pub(super) async fn session(
     })
 }
 
-/// The dashboard, with what it shows of the simulated brick.
+/// Opens the links.
+async fn open(
+    args: &RunArgs,
+    config: &Config,
+    session: SimulatedSession<'_>,
+    stop: &CancellationToken,
+) -> Result<(PortSet, Option<Embedded>)> {
+    let opened = open_links(args, config, session, stop).await;
+    match &opened {
+        Ok((ports, _)) => warn_of_open_listeners(ports, config),
+        // Only a folder that is still empty goes.
+        Err(_) => drop(std::fs::remove_dir(session.folder)),
+    }
+    opened
+}
+
+/// What a desk hands to the simulated brick, and who hears where that is, if there is one.
+fn simulated_brick(embedded: Option<&mut Embedded>) -> (Option<CommandSender>, Option<TruthTap>) {
+    let brick = embedded.map(|embedded| &mut embedded.brick);
+    brick.map_or((None, None), |brick| {
+        (Some(brick.hands.commands.clone()), brick.truth.take())
+    })
+}
+
+/// The dashboard, with what it shows of the simulated brick, and the shard's end of it.
 fn page(
     args: &RunArgs,
     config: &Config,
     place: (HostTimer, &Path),
     embedded: Option<&Embedded>,
-) -> Result<Option<(Dashboard, Outlet)>> {
+) -> Result<(Option<Dashboard>, Option<Outlet>)> {
     let simulated = embedded.map(|embedded| Simulated {
         name: &embedded.name,
         scenario: &embedded.scenario,
         truth: TruthTap::new(&embedded.brick.hands.truth),
     });
-    dashboard::start(&args.page, config, place, simulated)
+    Ok(dashboard::start(&args.page, config, place, simulated)?.unzip())
 }
 
 /// Shows people what happens.

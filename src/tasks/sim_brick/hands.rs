@@ -21,11 +21,14 @@ pub struct LiveTruth {
     pub sample: TruthSample,
 }
 
+/// By this a command goes to the brick.
+pub type CommandSender = mpsc::Sender<SimulatorCommand>;
+
 /// The people's side.
 #[derive(Clone, Debug)]
 pub struct Hands {
     /// What is to be done to the brick.
-    pub commands: mpsc::Sender<SimulatorCommand>,
+    pub commands: CommandSender,
     /// Where the robot really is: whoever subscribes hears from then on. Lossy, and what is lost is counted by the receiver.
     pub truth: broadcast::Sender<LiveTruth>,
 }

@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 pub use self::cable::Cable;
 pub use self::embedded::EmbeddedBrick;
-pub use self::hands::{Hands, LiveTruth, Reach, WAITING_COMMANDS, hands};
+pub use self::hands::{CommandSender, Hands, LiveTruth, Reach, WAITING_COMMANDS, hands};
 
 /// The world is stepped in bites of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
 const BITE: Span = Span::from_millis(2);

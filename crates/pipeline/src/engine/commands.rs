@@ -16,7 +16,7 @@ use posebridge_protocol::dialect::commands::{CommandError, understood};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
     Command, Event, FusionRecord, Learning, LinkId, LinkState, Observation, Output, ParameterName,
-    ParameterStorage, Priority, Request, SensorId, Span, Switch, Verdict,
+    ParameterStorage, Priority, Request, SensorId, SimulatorCommand, Span, Switch, Verdict,
 };
 
 use super::{Pipeline, SEVERITY_WARNING};
@@ -33,6 +33,8 @@ pub(super) struct Standing {
     pub(super) learning: Learning,
     /// The link over which the program was asked for something last: there it is told what became of it.
     asked_on: Option<LinkId>,
+    /// The last command of the program.
+    last: Option<Command>,
 }
 
 impl Standing {
@@ -42,7 +44,15 @@ impl Standing {
             switched_off: BTreeSet::new(),
             learning: Learning::Free,
             asked_on: None,
+            last: None,
         }
+    }
+
+    /// Whether a held key says again what it said before.
+    fn is_held_key(&mut self, command: Command) -> bool {
+        let is_drive = matches!(command, Command::Simulator(SimulatorCommand::Drive { .. }));
+        let before = self.last.replace(command);
+        is_drive && before == Some(command)
     }
 }
 
@@ -51,8 +61,12 @@ type Outcome = Result<String, String>;
 
 impl Pipeline {
     pub(super) fn handle_command(&mut self, command: Command) {
+        let is_held_key = self.standing.is_held_key(command);
         let outcome = self.carry_out(command);
-        self.tell_outcome(&outcome);
+        // One line for a key that is held, not several each second.
+        if !(is_held_key && outcome.is_ok()) {
+            self.tell_outcome(&outcome);
+        }
     }
 
     /// What became of something that the program did.

@@ -17,8 +17,6 @@ use crate::interpret::{Reading, StampedBy};
 
 /// An integral of the gyro over a longer gap than this says nothing about the rate.
 const LONGEST_GYRO_GAP: Span = Span::from_millis(1_000);
-/// Wheels that have not slipped for longer than this begin anew: ten of the gyro's usual windows.
-const SLIP_GOES_ON: Span = Span::from_millis(2_000);
 /// The integral on the wire has 32 bits of microradians.
 const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
 
@@ -312,17 +310,7 @@ impl Pipeline {
         self.publish_record(&record);
         let slipped = (record.verdict == Verdict::Slip).then_some(record.stamp);
         self.tell(Event::Fused { robot, record });
-        if let Some(stamp) = slipped {
-            self.note_slip(stamp);
-        }
-    }
-
-    /// One line for each time that wheels begin to slip, not one for each window of the gyro in which they do.
-    fn note_slip(&mut self, stamp: Stamp<BrickClock>) {
-        let last = self.last_slip.replace(stamp);
-        let goes_on =
-            last.is_some_and(|last| (Span::ZERO..=SLIP_GOES_ON).contains(&(stamp - last)));
-        if !goes_on {
+        if slipped.is_some_and(|stamp| self.slip.begins(stamp)) {
             let text = "wheels slip: gyro and wheels disagree".to_owned();
             self.tell_own(SEVERITY_WARNING, text);
         }

@@ -307,12 +307,12 @@ impl<const N: usize> Filter for PoseFilter<N> {
         let latest = self.latest();
         let lag = intake::lag_of(observation, latest);
         let mut record = intake::bare_record(observation, lag, Verdict::Accepted);
-        match intake::refuse_outright(observation, latest, self.config.params.history_s) {
-            Some(verdict) => record.verdict = verdict,
-            None => {
-                self.take(observation, &mut record);
-                self.tell_slip(&mut record, &observation.observed);
-            }
+        let refused = intake::refuse_outright(observation, latest, self.config.params.history_s);
+        if let Some(verdict) = refused {
+            record.verdict = verdict;
+        } else {
+            self.take(observation, &mut record);
+            self.tell_slip(&mut record, &observation.observed);
         }
         record
     }
