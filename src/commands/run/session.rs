@@ -85,10 +85,7 @@ pub(super) async fn session(
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
     let (commands, truth) = simulated_brick(embedded.as_mut());
-    let place = (timer, folder.as_path());
-    let (page, outlet) = page(args, config, place, embedded.as_ref())
-        .at_start()?
-        .unzip();
+    let (page, outlet) = page(args, config, (timer, &folder), embedded.as_ref()).at_start()?;
     let mut shard = Shard {
         pipeline,
         ports,
@@ -153,19 +150,19 @@ fn simulated_brick(embedded: Option<&mut Embedded>) -> (Option<CommandSender>, O
     })
 }
 
-/// The dashboard, with what it shows of the simulated brick.
+/// The dashboard, with what it shows of the simulated brick, and the shard's end of it.
 fn page(
     args: &RunArgs,
     config: &Config,
     place: (HostTimer, &Path),
     embedded: Option<&Embedded>,
-) -> Result<Option<(Dashboard, Outlet)>> {
+) -> Result<(Option<Dashboard>, Option<Outlet>)> {
     let simulated = embedded.map(|embedded| Simulated {
         name: &embedded.name,
         scenario: &embedded.scenario,
         truth: TruthTap::new(&embedded.brick.hands.truth),
     });
-    dashboard::start(&args.page, config, place, simulated)
+    Ok(dashboard::start(&args.page, config, place, simulated)?.unzip())
 }
 
 /// Shows people what happens.
