@@ -76,7 +76,7 @@ impl Played {
             feed,
             commands,
             millis,
-            folder: folder,
+            folder,
         }
     }
 
