@@ -15,7 +15,7 @@ mod station;
 use brick::{BRICK, frame, messages};
 use ground::{GCS, GCS_LINK, Ground, OTHER_GCS_LINK, fix};
 use posebridge_estimator::PARAMS;
-use posebridge_pipeline::{Pipeline, PipelineConfig};
+use posebridge_pipeline::{Pipeline, PipelineConfig, Voices};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandLong, Message, TextPart};
@@ -253,6 +253,38 @@ fn tunables_go_back_to_what_was_saved_or_configured_or_to_their_defaults() {
         assert_eq!(ground.result(now_ms, PREFLIGHT_STORAGE, nonsense), DENIED);
     }
 }
+/// A ground station hears all that the station tells, and there the line that something was asked for comes just before what became
+/// of it.
+#[test]
+fn a_link_for_ground_stations_hears_what_became_of_each_request() {
+    let mut ground = Ground::new(|config| config.links[1].voices = Voices::OwnAndRobot);
+    let asked = [
+        (PREFLIGHT_STORAGE, 1.0, "saved parameters.toml in run1"),
+        (LOGGING_STOP, 0.0, "recorded recording.mcap in run1"),
+        (LOGGING_STOP, 0.0, "nothing is being recorded"),
+        (LOGGING_START, 0.0, "recording recording-2.mcap in run1"),
+    ];
+    for (millis, (command, first, became)) in (100..).step_by(50).zip(asked) {
+        let seen = ground.station.outputs.len();
+        assert_eq!(ground.result(millis, command, &[first]), ACCEPTED);
+        let (severity, text) = (6, became.to_owned());
+        let report = Input::Report { severity, text };
+        ground.station.give(at(millis), report);
+        let heard = ground.heard_since(seen, GCS_LINK);
+        let is_it =
+            |said: &Message| matches!(said, Message::StatusText { text, .. } if text == became);
+        assert!(heard.iter().any(is_it), "{became}: {heard:?}");
+    }
+    // Not without end: who asks again and again hears how often there was something to tell.
+    let seen = ground.station.outputs.len();
+    for millis in 300..320 {
+        let (severity, text) = (6, "recorded".to_owned());
+        let report = Input::Report { severity, text };
+        ground.station.give(at(millis), report);
+    }
+    assert_eq!(ground.heard_since(seen, GCS_LINK).len(), 4);
+}
+
 
 #[test]
 fn a_pose_is_set_and_forgotten_over_a_link() {
