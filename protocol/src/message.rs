@@ -205,6 +205,15 @@ pub enum Message {
         /// The new value.
         value: f32,
     },
+    /// PARAM_SET (23) of a type that has no place in 32 bits, or that there is not: whoever asked hears what stands.
+    ParamSetUnsupported {
+        /// Whose parameter.
+        target: Address,
+        /// Its name, at most 16 bytes.
+        name: String,
+        /// MAV_PARAM_TYPE of the value.
+        kind: u8,
+    },
     /// PARAM_VALUE (22), real-valued.
     ParamValue {
         /// Its name, at most 16 bytes.
@@ -259,6 +268,7 @@ impl Message {
             | Self::ParamRequestList { .. }
             | Self::ParamRequestRead { .. }
             | Self::ParamSet { .. }
+            | Self::ParamSetUnsupported { .. }
             | Self::ParamValue { .. } => None,
         }
     }

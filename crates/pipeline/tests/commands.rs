@@ -153,6 +153,31 @@ fn a_value_that_makes_no_sense_is_answered_with_the_one_that_stands_and_the_reas
 }
 
 #[test]
+fn a_value_of_a_type_that_cannot_be_read_is_answered_with_the_one_that_stands_and_the_reason() {
+    for kind in [0, 10, 255] {
+        for (index, row) in PARAMS.iter().enumerate() {
+            let mut ground = Ground::new(|_| {});
+            let set = Message::ParamSetUnsupported {
+                target: STATION,
+                name: row.key.to_uppercase(),
+                kind,
+            };
+            let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
+            let stands = value(index, row.default as f32);
+            assert_eq!(ground.say(100, &set), [stands, warning(&why)]);
+            assert_eq!(ground.texts(), [why]);
+        }
+    }
+    let mut ground = Ground::new(|_| {});
+    let set = Message::ParamSetUnsupported {
+        target: STATION,
+        name: "RATE_P".to_owned(),
+        kind: 10,
+    };
+    assert_eq!(ground.say(100, &set), [warning("no parameter `RATE_P`")]);
+}
+
+#[test]
 fn every_reason_fits_into_one_text() {
     for row in PARAMS {
         let mut ground = Ground::new(|_| {});

@@ -10,7 +10,7 @@ use posebridge_telemetry::Address;
 
 use super::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use super::payload::{Payload, Reader, Writer, millis32, read, somebody, text_from, text_to};
-use super::{Decoded, PayloadError, ids};
+use super::{Decoded, ids};
 use crate::framing::WireVersion;
 use crate::message::{
     CommandAck, CommandInt, CommandLong, Heartbeat, Message, SetMessageInterval, TextPart,
@@ -208,21 +208,20 @@ pub(super) fn param_request_read(payload: &[u8]) -> Decoded {
     }))
 }
 
-pub(super) fn param_set(payload: &[u8]) -> Decoded {
+pub(super) fn param_set(payload: &[u8]) -> Message {
     let mut reader = Reader::new(payload);
     let slot = reader.f32();
     let target = reader.address();
     let name = reader.text::<PARAM_NAME>();
-    let found = reader.u8();
-    let value = param_number(slot, found).ok_or(PayloadError::ParameterType {
-        message_id: ids::PARAM_SET,
-        found,
-    })?;
-    Ok(Some(Message::ParamSet {
-        target,
-        name,
-        value,
-    }))
+    let kind = reader.u8();
+    match param_number(slot, kind) {
+        Some(value) => Message::ParamSet {
+            target,
+            name,
+            value,
+        },
+        None => Message::ParamSetUnsupported { target, name, kind },
+    }
 }
 
 /// The number in the slot of a parameter, bytewise: the slot of an integer holds its bits, and taking these for a float would be a
@@ -319,6 +318,14 @@ fn write_parameter(version: WireVersion, message: &Message) -> Option<(u32, Payl
                 param_id: text_to::<PARAM_NAME>(name).into(),
             };
             (ids::PARAM_REQUEST_READ, Payload::of(version, &data))
+        }
+        Message::ParamSetUnsupported { target, name, kind } => {
+            let writer = Writer::new()
+                .f32(0.0)
+                .address(*target)
+                .text::<PARAM_NAME>(name)
+                .u8(*kind);
+            (ids::PARAM_SET, writer.finish(version))
         }
         Message::ParamSet {
             target,

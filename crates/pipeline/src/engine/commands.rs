@@ -88,6 +88,18 @@ impl Pipeline {
         }
     }
 
+    /// Somebody on a link sets a tunable by a type that cannot be read: without an answer he would ask until he gives up.
+    pub(super) fn handle_unsupported_type(&mut self, link: LinkId, index: usize, kind: u8) {
+        let Some(row) = PARAMS.get(index) else {
+            return;
+        };
+        // 9 is REAL32. Short, because it has to fit into a STATUSTEXT.
+        let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
+        self.announce_parameter(index);
+        self.answer_in_words(link, SEVERITY_WARNING, &why);
+        self.tell_own(SEVERITY_WARNING, why);
+    }
+
     /// Somebody on a link asks for a tunable that there is not.
     pub(super) fn handle_unknown_parameter(&mut self, link: LinkId, asked: &str) {
         let why = format!(
