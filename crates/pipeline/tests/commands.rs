@@ -253,31 +253,6 @@ fn tunables_are_saved_on_request_and_what_became_of_it_is_told_where_it_was_aske
     assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), []);
 }
 
-#[test]
-fn tunables_go_back_to_what_was_saved_or_configured_or_to_their_defaults() {
-    let mut ground = Ground::new(|config| config.filter_config.params.slip_nis = 20.0);
-    assert_eq!(ground.value_of(50, "slip_nis"), 20.0);
-    let mut now_ms = 100;
-    for (value, action, expected) in [
-        // Nothing was saved yet: what the run began with.
-        (30.0, 0.0, 20.0),
-        (40.0, 1.0, 40.0),
-        (50.0, 2.0, 10.83),
-        (60.0, 0.0, 40.0),
-        (70.0, 4.0, 10.83),
-    ] {
-        now_ms += 10;
-        ground.set(now_ms, "slip_nis", value);
-        let answer = ground.result(now_ms + 1, PREFLIGHT_STORAGE, &[action]);
-        assert_eq!(answer, ACCEPTED, "{action}");
-        assert_eq!(ground.value_of(now_ms + 2, "slip_nis"), expected);
-    }
-    // A log by this command, an action that there is not.
-    for nonsense in [&[0.0, 0.0, 1.0][..], &[5.0], &[f32::NAN]] {
-        now_ms += 10;
-        assert_eq!(ground.result(now_ms, PREFLIGHT_STORAGE, nonsense), DENIED);
-    }
-}
 /// A ground station hears all that the station tells, and there the line that something was asked for comes just before what became
 /// of it.
 #[test]
@@ -310,6 +285,31 @@ fn a_link_for_ground_stations_hears_what_became_of_each_request() {
     assert_eq!(ground.heard_since(seen, GCS_LINK).len(), 4);
 }
 
+#[test]
+fn tunables_go_back_to_what_was_saved_or_configured_or_to_their_defaults() {
+    let mut ground = Ground::new(|config| config.filter_config.params.slip_nis = 20.0);
+    assert_eq!(ground.value_of(50, "slip_nis"), 20.0);
+    let mut now_ms = 100;
+    for (value, action, expected) in [
+        // Nothing was saved yet: what the run began with.
+        (30.0, 0.0, 20.0),
+        (40.0, 1.0, 40.0),
+        (50.0, 2.0, 10.83),
+        (60.0, 0.0, 40.0),
+        (70.0, 4.0, 10.83),
+    ] {
+        now_ms += 10;
+        ground.set(now_ms, "slip_nis", value);
+        let answer = ground.result(now_ms + 1, PREFLIGHT_STORAGE, &[action]);
+        assert_eq!(answer, ACCEPTED, "{action}");
+        assert_eq!(ground.value_of(now_ms + 2, "slip_nis"), expected);
+    }
+    // A log by this command, an action that there is not.
+    for nonsense in [&[0.0, 0.0, 1.0][..], &[5.0], &[f32::NAN]] {
+        now_ms += 10;
+        assert_eq!(ground.result(now_ms, PREFLIGHT_STORAGE, nonsense), DENIED);
+    }
+}
 
 #[test]
 fn a_pose_is_set_and_forgotten_over_a_link() {
@@ -327,6 +327,8 @@ fn a_pose_is_set_and_forgotten_over_a_link() {
         &[f32::NAN, 2.0, 90.0, 0.1, 5.0],
         &[3.0, 2.0, 90.0, -0.1, 5.0],
         &[3.0, 2.0, 90.0, 0.1, f32::INFINITY],
+        &[3.0, 2.0, 1e30, 0.1, 5.0],
+        &[3.0, 2.0, -360.5, 0.1, 5.0],
     ] {
         assert_eq!(ground.result(1_020, SET_POSE, nonsense), DENIED);
     }
@@ -398,7 +400,10 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
         texts,
         ["source 3 (camera) is left out", "source 3 (camera) is used"]
     );
-    assert_eq!(ground.result(6_010, SOURCE, &[256.0, 0.0]), DENIED);
+    for unknown in [10.0, 31.0, 39.0, 250.0, 256.0] {
+        assert_eq!(ground.result(6_010, SOURCE, &[unknown, 0.0]), DENIED);
+    }
+    assert_eq!(ground.result(6_015, SOURCE, &[38.0, 0.0]), ACCEPTED);
     assert_eq!(ground.result(6_020, SOURCE, &[3.5, 0.0]), DENIED);
     assert_eq!(ground.result(6_030, SOURCE, &[3.0, 2.0]), DENIED);
 }

@@ -13,7 +13,7 @@ use super::payload::{Payload, Reader, Writer, millis32, read, somebody, text_fro
 use super::{Decoded, ids};
 use crate::framing::WireVersion;
 use crate::message::{
-    CommandAck, CommandInt, CommandLong, Heartbeat, Message, SetMessageInterval, TextPart,
+    CommandAck, CommandInt, CommandLong, Heartbeat, Message, STOP, SetMessageInterval, TextPart,
     TimeSync, WireStamp,
 };
 
@@ -143,7 +143,7 @@ fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
 fn write_interval(version: WireVersion, wanted: &SetMessageInterval) -> Payload {
     let micros = wanted
         .interval
-        .map_or(-1.0, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
+        .map_or(STOP, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
     let mut params = [0.0; 7];
     params[0] = wanted.message_id as f32;
     params[1] = micros;
