@@ -17,6 +17,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use posebridge::config::{AtInstant, Config, LinkSection, OutputSection};
+use posebridge::failures::Failures;
 use posebridge::report::live::LiveView;
 use posebridge::tasks::desk::Desk;
 use posebridge::tasks::observer::{Observer, ObserverConfig};
@@ -374,7 +375,7 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, Socke
         recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),
         tlog: None,
         observer: Observer::start(observed).expect("an observer"),
-        recording_failure: None,
+        failures: Failures::default(),
         given: 0,
         signing: None,
         desk: Desk::new(

@@ -19,6 +19,7 @@ use super::{Failure, Stage};
 use crate::cli::RunArgs;
 use crate::collect::Collector;
 use crate::config::{self, Config, LinkSection, Provenance, RobotProfile, Setting};
+use crate::failures::Failures;
 use crate::learned::{Learned, learned_table, save};
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::live::LiveView;
@@ -41,16 +42,18 @@ use crate::virtual_run;
 pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let config = configuration(args).at_start()?;
     let mut session = in_runtime(session(args, &config, RECORDING))?;
-    finish(
+    // What cannot be drawn or saved must not cost the rest.
+    let mut failures = Failures::default();
+    failures.note(finish(
         &config,
         &session.folder,
         &session.collector,
         session.driven.take(),
         &session.recorded,
-    )
-    .while_running()?;
-    report_learned(args, &config, &session).while_running()?;
-    session.whole().while_running()
+    ));
+    failures.note(report_learned(args, &config, &session));
+    failures.note(session.whole());
+    failures.told().while_running()
 }
 
 /// Records a robot without any report of its own: for those who evaluate the recording at once. It is recorded whatever the
@@ -175,22 +178,19 @@ struct Session {
     learned: Option<Learned>,
     /// Whether the stamps of signed links were kept.
     kept: Result<()>,
-    /// Why the recording ended before the session.
-    recording_failure: Option<anyhow::Error>,
+    /// What could not be written to its end.
+    failures: Failures,
 }
 
 impl Session {
     /// Whether everything was written that had to be.
     fn whole(self) -> Result<()> {
-        self.kept?;
-        let recorded = self
-            .recorded
-            .inputs
-            .iter()
-            .try_for_each(|(_, kept)| kept.whole());
-        self.recording_failure
-            .map_or(recorded, Err)
-            .context("the recording is not whole")
+        let mut failures = self.failures;
+        failures.note(self.kept);
+        for (_, kept) in &self.recorded.inputs {
+            failures.note(kept.whole().context("the recording is not whole"));
+        }
+        failures.told()
     }
 }
 
@@ -211,9 +211,10 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
     warn_of_open_listeners(&ports, config);
     let recording = folder.join(file_name);
     let for_recordings = signing.recorded(config);
-    let started = start_recorder(args, &for_recordings, &timer, &recording);
-    let (recorder, recording_failure) = unless_it_was_made(started, &recording).at_start()?;
-    let tlog = start_tlog(args, config, &timer, &recording).at_start()?;
+    let mut failures = Failures::default();
+    let recorder =
+        start_recorder(args, &for_recordings, &timer, &recording, &mut failures).at_start()?;
+    let tlog = start_tlog(args, config, &timer, &recording, &mut failures).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
     let mut shard = Shard {
@@ -224,7 +225,7 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
         given: 0,
         tlog,
         observer: observer(args, embedded.as_ref()).at_start()?,
-        recording_failure,
+        failures,
         signing: signing.keep().at_start()?,
         desk: Desk::new(folder.clone(), timer, configs, current),
     };
@@ -248,7 +249,7 @@ async fn session(args: &RunArgs, config: &Config, file_name: &str) -> Result<Ses
         driven,
         learned,
         kept,
-        recording_failure: closed.recording_failure,
+        failures: closed.failures,
     })
 }
 
@@ -331,7 +332,7 @@ struct Closed {
     collector: Collector,
     recorded: Vec<(PathBuf, Kept)>,
     tlog: Option<TlogWritten>,
-    recording_failure: Option<anyhow::Error>,
+    failures: Failures,
 }
 
 /// Closes the links, then lets recorder and observer finish what waits.
@@ -341,7 +342,7 @@ fn close(shard: Shard, driven: Option<&Driven>) -> Result<Closed> {
         tlog,
         observer,
         ports,
-        recording_failure,
+        mut failures,
         desk,
         ..
     } = shard;
@@ -356,16 +357,14 @@ fn close(shard: Shard, driven: Option<&Driven>) -> Result<Closed> {
         recorder.record_truth(driven.truth());
     }
     let last = desk.current().map(Path::to_owned);
-    let mut recorded = desk.finish()?;
-    // A disk that fails now must not cost the tables.
-    let last_failure = match recorder.map(Recorder::finish).transpose() {
-        Ok(kept) => {
-            recorded.extend(last.zip(kept));
-            None
-        }
-        Err(error) => Some(error),
-    };
-    let tlog = tlog.map(TlogRecorder::finish).transpose()?;
+    // A disk that fails now must not cost the tables, nor one file the others.
+    let mut recorded = desk.finish(&mut failures);
+    let kept = recorder.map(Recorder::finish).transpose();
+    let kept = failures.note(kept.context("the recording is not whole"));
+    recorded.extend(last.zip(kept.flatten()));
+    let tlog = tlog.map(TlogRecorder::finish).transpose();
+    let tlog = failures.note(tlog.context("the telemetry log is not whole"));
+    let tlog = tlog.flatten();
     if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
         say("the telemetry log has holes: the disk was too slow for it");
     }
@@ -380,7 +379,7 @@ fn close(shard: Shard, driven: Option<&Driven>) -> Result<Closed> {
         collector,
         recorded,
         tlog,
-        recording_failure: recording_failure.or(last_failure),
+        failures,
     })
 }
 
@@ -482,28 +481,31 @@ fn start_recorder(
     config: &Config,
     timer: &HostTimer,
     path: &Path,
+    failures: &mut Failures,
 ) -> Result<Option<Recorder>> {
     if args.no_record || !config.record.enabled {
         return Ok(None);
     }
-    Recorder::start_limited(path, &header(config, timer)?, config.record.limits()).map(Some)
+    let started = Recorder::start_limited(path, &header(config, timer)?, config.record.limits());
+    unless_it_was_made("recording", started, path, failures)
 }
 
-/// A recording that cannot be begun is told once and costs the exit code, not the run: a robot may steer by us. One that is there
+/// A file that cannot be begun is told once and costs the exit code, not the run: a robot may steer by us. One that is there
 /// already is a slip of who started the run, and cheap to mend before the robot drives.
-fn unless_it_was_made(
-    started: Result<Option<Recorder>>,
+fn unless_it_was_made<T>(
+    what: &str,
+    started: Result<T>,
     path: &Path,
-) -> Result<(Option<Recorder>, Option<anyhow::Error>)> {
+    failures: &mut Failures,
+) -> Result<Option<T>> {
     match started {
-        Ok(recorder) => Ok((recorder, None)),
+        Ok(started) => Ok(Some(started)),
         Err(error) if path.exists() => Err(error),
         Err(error) => {
-            tracing::error!(
-                error = format!("{error:#}"),
-                "there is no recording; the run goes on"
-            );
-            Ok((None, Some(error)))
+            let reason = format!("{error:#}");
+            tracing::error!(error = reason, "there is no {what}; the run goes on");
+            failures.note::<()>(Err(error.context(format!("the {what} is not whole"))));
+            Ok(None)
         }
     }
 }
@@ -514,13 +516,16 @@ fn start_tlog(
     config: &Config,
     timer: &HostTimer,
     recording: &Path,
+    failures: &mut Failures,
 ) -> Result<Option<TlogRecorder>> {
     if args.no_record || !(args.tlog || config.record.tlog) {
         return Ok(None);
     }
     let path = recording.with_extension("tlog");
     let links = config.pipeline()?.links;
-    TlogRecorder::start(&path, timer.utc_start(), &links).map(Some)
+    let floor_bytes = config.record.limits().floor_bytes;
+    let started = TlogRecorder::start(&path, timer.utc_start(), &links, floor_bytes);
+    unless_it_was_made("telemetry log", started, &path, failures)
 }
 
 /// Tables and pictures.
@@ -546,7 +551,8 @@ fn finish(
         text += &report::table(collector, truth, other.as_ref());
         text += "\n";
     }
-    for picture in report::draw(folder, &title, collector, truth.as_ref())? {
+    let drawn = report::draw(folder, &title, collector, truth.as_ref());
+    for picture in drawn.iter().flatten() {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "picture    {}", picture.display());
     }
@@ -563,7 +569,7 @@ fn finish(
         let _ = writeln!(text, "tlog       {path} ({frames} frames)");
     }
     stdout::print(&text)?;
-    Ok(())
+    drawn.map(drop).context("not all pictures are drawn")
 }
 
 /// The same world, steered by the brick's own odometry where the run steered by the estimate, and the other way round.

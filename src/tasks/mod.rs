@@ -9,6 +9,8 @@ mod gulps;
 pub mod observer;
 pub mod parts;
 pub mod recorder;
+mod saver;
 pub mod shard;
 pub mod sim_brick;
 pub mod tlog_recorder;
+pub mod watched;
