@@ -17,6 +17,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use posebridge::config::{AtInstant, Config, LinkSection, OutputSection};
+use posebridge::failures::Failures;
 use posebridge::report::live::LiveView;
 use posebridge::tasks::desk::Desk;
 use posebridge::tasks::observer::{Observer, ObserverConfig};
@@ -375,7 +376,7 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, Socke
         tlog: None,
         observer: Observer::start(observed).expect("an observer"),
         dashboard: None,
-        recording_failure: None,
+        failures: Failures::default(),
         given: 0,
         signing: None,
         desk: Desk::new(

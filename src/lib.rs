@@ -9,6 +9,7 @@ pub mod commands;
 pub mod config;
 pub mod data;
 pub mod drawn;
+pub mod failures;
 pub mod import;
 pub mod input_file;
 pub mod known;

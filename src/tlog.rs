@@ -8,7 +8,10 @@ use std::io::Write;
 
 use anyhow::Result;
 use posebridge_pipeline::{AcceptedVersions, LinkConfig};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, Verified, verify};
+use posebridge_protocol::framing::{
+    Scanned, Scanner, ScannerConfig, Verified, verified_before, verify,
+};
+use posebridge_protocol::routing::MOST_PEERS;
 use posebridge_recording::tlog::{Judged, LINK_BITS, Reader, Record, Writer};
 use posebridge_telemetry::{HostClock, LinkId, PeerId, Priority, Stamp};
 
@@ -62,12 +65,18 @@ fn judge(raw: &[u8]) -> Judged<()> {
     }
 }
 
+/// What one peer of a link has sent, up to the middle of a frame.
+struct Heard {
+    last: Stamp<HostClock>,
+    scanner: Scanner,
+}
+
 /// Writes frames with their times.
 pub struct TrafficLog<W: Write> {
     writer: Writer<W>,
     utc_start_micros: u64,
     links: BTreeMap<LinkId, ScannerConfig>,
-    scanners: BTreeMap<(LinkId, PeerId), Scanner>,
+    heard: BTreeMap<(LinkId, PeerId), Heard>,
     frames: u64,
 }
 
@@ -78,7 +87,7 @@ impl<W: Write> TrafficLog<W> {
             writer: Writer::new(out),
             utc_start_micros,
             links: links.iter().filter_map(scanner_config).collect(),
-            scanners: BTreeMap::new(),
+            heard: BTreeMap::new(),
             frames: 0,
         }
     }
@@ -97,11 +106,18 @@ impl<W: Write> TrafficLog<W> {
             return Ok(());
         };
         let micros = self.utc_micros(now, link);
-        let scanner = self.scanners.entry((link, peer));
-        let scanner = scanner.or_insert_with(|| Scanner::of_every_dialect(*config));
+        let key = (link, peer);
+        if self.heard.len() >= MOST_PEERS && !self.heard.contains_key(&key) {
+            forget_most_silent(&mut self.heard);
+        }
+        let heard = self.heard.entry(key).or_insert_with(|| Heard {
+            last: now,
+            scanner: Scanner::of_every_dialect(*config),
+        });
+        heard.last = now;
         let (writer, frames) = (&mut self.writer, &mut self.frames);
         let mut written = Ok(());
-        scanner.push(now, bytes, &mut |found| {
+        heard.scanner.push(now, bytes, &mut |found| {
             let (Scanned::Frame(frame) | Scanned::Unknown(frame)) = found else {
                 return;
             };
@@ -155,6 +171,15 @@ impl<W: Write> TrafficLog<W> {
     }
 }
 
+/// Makes room: what the most silent peer had begun to send is lost with him, and it is seldom anything.
+fn forget_most_silent(heard: &mut BTreeMap<(LinkId, PeerId), Heard>) {
+    let silent = heard.iter().min_by_key(|(_, heard)| heard.last);
+    let silent = silent.map(|(key, _)| *key);
+    if let Some(silent) = silent {
+        heard.remove(&silent);
+    }
+}
+
 /// How a link's bytes are scanned; `None` if they are no MAVLink.
 fn scanner_config(link: &LinkConfig) -> Option<(LinkId, ScannerConfig)> {
     link.brick.is_none().then(|| {
@@ -165,4 +190,41 @@ fn scanner_config(link: &LinkConfig) -> Option<(LinkId, ScannerConfig)> {
         };
         (link.id, config)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use posebridge_protocol::dialect::Encoder;
+    use posebridge_protocol::framing::WireVersion;
+    use posebridge_protocol::message::Message;
+    use posebridge_telemetry::Address;
+
+    /// Who calls again and again from another port is another peer each time.
+    #[test]
+    fn of_many_peers_the_most_silent_are_forgotten_and_no_whole_frame_is_lost() {
+        let target = Address::new(1, 197);
+        let mut frame = Vec::new();
+        let request = Message::ParamRequestList { target };
+        Encoder::new(WireVersion::V2).encode(Address::new(7, 1), &request, &mut frame);
+        let (begun, rest) = frame.split_at(5);
+        let links = Config::default().pipeline().unwrap().links;
+        let mut log = TrafficLog::new(Vec::new(), 0, &links);
+        let link = links[0].id;
+        let peers = 3 * MOST_PEERS as u32;
+        for number in 0..peers {
+            let now = Stamp::from_millis(i64::from(number));
+            log.received(now, (link, PeerId(number)), &frame).unwrap();
+            log.received(now, (link, PeerId(number)), begun).unwrap();
+            // One who goes on is not forgotten, however long ago he came.
+            log.received(now, (link, PeerId(0)), &frame).unwrap();
+            assert!(log.heard.len() <= MOST_PEERS);
+        }
+        let now = Stamp::from_millis(i64::from(peers));
+        let last = (link, PeerId(peers - 1));
+        log.received(now, last, rest).unwrap();
+        let (_, frames) = log.finish().unwrap();
+        assert_eq!(frames, u64::from(2 * peers + 1));
+    }
 }

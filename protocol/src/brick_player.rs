@@ -262,6 +262,7 @@ impl BrickPlayer {
                 | SessionOutput::IntervalRequested { .. }
                 // Of parameters it offers none.
                 | SessionOutput::ParameterWish { .. }
+                | SessionOutput::ParameterUnsupported { .. }
                 | SessionOutput::ParameterUnknown { .. } => {}
             }
         }

@@ -205,6 +205,15 @@ pub enum Message {
         /// The new value.
         value: f32,
     },
+    /// PARAM_SET (23) of a type that has no place in 32 bits, or that there is not: whoever asked hears what stands.
+    ParamSetUnsupported {
+        /// Whose parameter.
+        target: Address,
+        /// Its name, at most 16 bytes.
+        name: String,
+        /// MAV_PARAM_TYPE of the value.
+        kind: u8,
+    },
     /// PARAM_VALUE (22), real-valued.
     ParamValue {
         /// Its name, at most 16 bytes.
@@ -259,6 +268,7 @@ impl Message {
             | Self::ParamRequestList { .. }
             | Self::ParamRequestRead { .. }
             | Self::ParamSet { .. }
+            | Self::ParamSetUnsupported { .. }
             | Self::ParamValue { .. } => None,
         }
     }
@@ -288,6 +298,9 @@ pub struct TimeSync {
     pub target: Option<Address>,
 }
 
+/// The interval of MAV_CMD_SET_MESSAGE_INTERVAL that stops a message (common.xml).
+pub(crate) const STOP: f32 = -1.0;
+
 /// A request to send a message at an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SetMessageInterval {
@@ -300,17 +313,19 @@ pub struct SetMessageInterval {
 }
 
 impl SetMessageInterval {
-    /// The request that a command is; `None` if it is another one, or its parameters name no message or no interval.
+    /// The request that a command is; `None` if it is another one, or its parameters name no message or no interval. Of negative ones
+    /// only -1 has a meaning.
     #[must_use]
     pub fn of(command: &CommandLong) -> Option<Self> {
         let [_, interval_micros, ..] = command.params;
         let message_id = command.named_message()?;
         let is_request = command.command == COMMAND_SET_MESSAGE_INTERVAL;
-        (is_request && interval_micros.is_finite()).then(|| Self {
+        let stops = interval_micros.to_bits() == STOP.to_bits();
+        let is_interval = interval_micros.is_finite() && interval_micros >= 0.0;
+        (is_request && (stops || is_interval)).then(|| Self {
             target: command.target,
             message_id,
-            interval: (interval_micros >= 0.0)
-                .then(|| Span::from_micros(interval_micros.round() as i64)),
+            interval: is_interval.then(|| Span::from_micros(interval_micros.round() as i64)),
         })
     }
 }

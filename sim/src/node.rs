@@ -165,6 +165,7 @@ impl<C: Clock> Node<C> {
                 | SessionOutput::TimeExchanged { .. }
                 // Of these it offers none.
                 | SessionOutput::ParameterWish { .. }
+                | SessionOutput::ParameterUnsupported { .. }
                 | SessionOutput::ParameterUnknown { .. } => {}
             }
         }

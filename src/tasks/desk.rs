@@ -4,6 +4,9 @@
 //! What is saved is the whole configuration of the run with the tunables as they are set, as a file of its own in the run's folder:
 //! `--config` reads it back. A file that this run has not written is never touched. What became of a request goes back into the
 //! pipeline as a line for people, and so into the recording.
+//!
+//! It stands between a robot and what steers it: what may have to wait for a disk is done by threads ([`super::saver`], and the recorder
+//! makes its file itself). Here a new recording costs one look at a name.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,12 +16,14 @@ use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, Header};
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_telemetry::{
-    HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand, Stamp,
+    HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand, Span, Stamp,
 };
 use tokio::sync::mpsc;
 
 use super::recorder::{Kept, Recorder, Stopping};
+use super::saver::Saver;
 use crate::config::Config;
+use crate::failures::Failures;
 
 /// MAV_SEVERITY_WARNING.
 pub const WARNING: u8 = 4;
@@ -29,8 +34,9 @@ const MOST_NAMES: u32 = 10_000;
 
 /// The name of a run's first recording in its folder; those that follow have a number before the dot.
 pub const RECORDING: &str = "recording.mcap";
-/// The name of the saved configuration.
-const SAVED: &str = "parameters.toml";
+/// Recordings that are begun on request begin at least so far apart: each leaves a file, and a person who plays with a button wants no
+/// hundreds of them.
+const START_PERIOD: Span = Span::from_millis(1_000);
 
 /// Carries out what the pipeline asks for.
 pub struct Desk {
@@ -40,12 +46,16 @@ pub struct Desk {
     config: Config,
     /// As a recording needs it.
     recorded: Config,
-    /// What this run has saved.
-    saved: Option<PathBuf>,
+    /// What writes saved configurations, once somebody has asked for it.
+    saver: Option<Saver>,
     /// Which recording is being written, if any.
     current: Option<PathBuf>,
     /// Recordings that were ended while the run goes on.
     ended: Vec<(PathBuf, Stopping)>,
+    /// The number that the next recording tries first: those before it are taken, or will be as soon as the disk comes to it.
+    next_number: u32,
+    /// When the last one was begun on request.
+    started: Option<Stamp<HostClock>>,
     links: BTreeMap<LinkId, LinkState>,
     /// The simulated brick of this station, if it has one.
     brick: Option<mpsc::Sender<SimulatorCommand>>,
@@ -65,7 +75,9 @@ impl Desk {
             timer,
             config,
             recorded,
-            saved: None,
+            saver: None,
+            next_number: if current.is_some() { 2 } else { 1 },
+            started: None,
             current,
             ended: Vec::new(),
             links: BTreeMap::new(),
@@ -98,7 +110,8 @@ impl Desk {
         self.current = None;
     }
 
-    /// Does what is asked for now, after so many inputs; what became of it, for the pipeline. Nothing, if the pipeline has told it already.
+    /// Does what is asked for now, after so many inputs; what became of it, for the pipeline. Nothing, if the pipeline has told it
+    /// already. What takes longer comes by [`Self::reported`].
     pub fn carry_out(
         &mut self,
         now: (Stamp<HostClock>, u64),
@@ -106,7 +119,10 @@ impl Desk {
         recorder: &mut Option<Recorder>,
     ) -> Option<Input> {
         let outcome = match request {
-            Request::SaveParameters { values } => self.save(values),
+            Request::SaveParameters { values } => match self.save(values) {
+                Ok(()) => return None,
+                Err(error) => Err(error),
+            },
             Request::StartRecording { values } => self.start(now, values, recorder),
             Request::StopRecording => self.stop(recorder),
             Request::Simulator(command) => match self.pass_on(command) {
@@ -115,25 +131,29 @@ impl Desk {
                 Err(error) => Err(error),
             },
         };
-        Some(match outcome {
-            Ok(text) => Input::Report {
-                severity: INFO,
-                text,
-            },
-            Err(error) => Input::Report {
-                severity: WARNING,
-                text: format!("{error:#}"),
-            },
-        })
+        Some(report_of(outcome))
     }
 
-    /// Waits for the recordings that were ended; which there are, with the number of their inputs.
-    ///
-    /// # Errors
-    /// One of them could not be written to its end.
-    pub fn finish(self) -> Result<Vec<(PathBuf, Kept)>> {
+    /// What became of something that took longer; never, while nothing of the kind is being done. Nothing is lost when it is not waited
+    /// for any longer.
+    pub async fn reported(&mut self) -> Input {
+        match &mut self.saver {
+            Some(saver) => saver.reported().await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Waits for what is being saved, and for the recordings that were ended; which there are, with what they hold. One that could not
+    /// be written to its end does not keep the others from being told.
+    pub fn finish(self, failures: &mut Failures) -> Vec<(PathBuf, Kept)> {
+        if let Some(saver) = self.saver {
+            saver.finish();
+        }
         let ended = self.ended.into_iter();
-        let finished = ended.map(|(path, stopping)| Ok((path, stopping.wait()?)));
+        let finished = ended.filter_map(|(path, stopping)| {
+            let kept = stopping.wait().context("the recording is not whole");
+            Some((path, failures.note(kept)?))
+        });
         finished.collect()
     }
 
@@ -152,24 +172,13 @@ impl Desk {
         })
     }
 
-    fn save(&mut self, values: &[(ParameterName, f64)]) -> Result<String> {
-        let path = match &self.saved {
-            Some(path) => path.clone(),
-            None => self.free_name(SAVED)?,
-        };
+    fn save(&mut self, values: &[(ParameterName, f64)]) -> Result<()> {
         let config = with_tunables(&self.config, values);
-        let text = format!(
-            "# The configuration of a run with the parameters that were saved in it: posebridge run --config {SAVED}\n\n{}",
-            toml::to_string(&config).context("writing the configuration")?
-        );
-        // In one step: whoever looks finds the old file or the new one.
-        let beside = path.with_extension("toml.new");
-        std::fs::write(&beside, text)
-            .and_then(|()| std::fs::rename(&beside, &path))
-            .with_context(|| done("not saved", &path))?;
-        let told = done("saved", &path);
-        self.saved = Some(path);
-        Ok(told)
+        let saver = match self.saver.take() {
+            Some(saver) => saver,
+            None => Saver::start(self.folder.clone())?,
+        };
+        self.saver.insert(saver).save(config)
     }
 
     fn start(
@@ -181,7 +190,12 @@ impl Desk {
         if let Some(path) = &self.current {
             return Err(anyhow!(done("already recording", path)));
         }
-        let path = self.free_name(RECORDING)?;
+        ensure!(
+            self.started.is_none_or(|last| now - last >= START_PERIOD),
+            "not recording: the last one began less than {} s ago",
+            START_PERIOD.as_secs_f64()
+        );
+        let (path, number) = free_name(&self.folder, RECORDING, self.next_number)?;
         let config = with_tunables(&self.recorded, values);
         ensure!(
             self.folder.is_dir(),
@@ -197,24 +211,11 @@ impl Desk {
             begun.record(now, Input::Link { link, state })?;
         }
         *recorder = Some(begun);
+        self.next_number = number + 1;
+        self.started = Some(now);
         let told = done("recording", &path);
         self.current = Some(path);
         Ok(told)
-    }
-
-    /// This name in the folder, with a number before its dot if there is such a file already or if one will be as soon as the disk
-    /// comes to it.
-    fn free_name(&self, name: &str) -> Result<PathBuf> {
-        let folder = &self.folder;
-        let (stem, ending) = name.split_once('.').unwrap_or((name, ""));
-        let names = (2..MOST_NAMES).map(|number| format!("{stem}-{number}.{ending}"));
-        let is_free =
-            |path: &PathBuf| !path.exists() && self.ended.iter().all(|(ended, _)| ended != path);
-        std::iter::once(name.to_owned())
-            .chain(names)
-            .map(|name| folder.join(name))
-            .find(is_free)
-            .with_context(|| format!("no free name for {name} in {}", folder.display()))
     }
 
     fn stop(&mut self, recorder: &mut Option<Recorder>) -> Result<String> {
@@ -225,6 +226,34 @@ impl Desk {
         // The disk may be behind: nobody who steers by us waits for it.
         self.ended.push((path, recorder.stop()));
         Ok(told)
+    }
+}
+
+/// This name in the folder if there is no such file and 1 is the first number; else with the first number before its dot that is free.
+/// Gives the number as well.
+pub(super) fn free_name(folder: &Path, name: &str, first: u32) -> Result<(PathBuf, u32)> {
+    let (stem, ending) = name.split_once('.').unwrap_or((name, ""));
+    let numbers = first..first.saturating_add(MOST_NAMES);
+    let mut numbered = numbers.map(|number| match number {
+        ..=1 => (folder.join(name), number),
+        _ => (folder.join(format!("{stem}-{number}.{ending}")), number),
+    });
+    numbered
+        .find(|(path, _)| !path.exists())
+        .with_context(|| format!("no free name for {name} in {}", folder.display()))
+}
+
+/// What became of something, as the pipeline is told.
+pub(super) fn report_of(outcome: Result<String>) -> Input {
+    match outcome {
+        Ok(text) => Input::Report {
+            severity: INFO,
+            text,
+        },
+        Err(error) => Input::Report {
+            severity: WARNING,
+            text: format!("{error:#}"),
+        },
     }
 }
 
@@ -244,7 +273,7 @@ pub fn header(config: &Config, timer: &HostTimer) -> Result<Header> {
 }
 
 /// What was done with which file: its name first, because the end of a long text is cut on its way to a ground station.
-fn done(what: &str, path: &Path) -> String {
+pub(super) fn done(what: &str, path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().display();
     let folder = path.parent().unwrap_or(path).display();
     format!("{what} {name} in {folder}")
@@ -283,7 +312,9 @@ mod tests {
         std::fs::write(&own, "# mine\n").unwrap();
         let mut desk = desk(folder.path());
         for value in [20.0, 30.0] {
-            let report = desk.carry_out((Stamp::ZERO, 0), &tuned(value), &mut None);
+            let now = (Stamp::ZERO, 0);
+            assert_eq!(desk.carry_out(now, &tuned(value), &mut None), None);
+            let report = desk.saver.as_mut().unwrap().wait();
             let Some(Input::Report { severity: 6, text }) = report else {
                 panic!("{report:?}");
             };
@@ -311,6 +342,7 @@ mod tests {
             (Request::StopRecording, "nothing is being recorded"),
         ] {
             let report = desk.carry_out((Stamp::ZERO, 0), &request, &mut None);
+            let report = report.or_else(|| desk.saver.as_mut()?.wait());
             let Some(Input::Report { severity: 4, text }) = report else {
                 panic!("{report:?}");
             };
@@ -368,26 +400,88 @@ mod tests {
             state: LinkState::Up,
         };
         desk.note(&up);
-        for name in ["recording.mcap", "recording-2.mcap"] {
+        for (now_s, name) in (0..).zip(["recording.mcap", "recording-2.mcap"]) {
             for (request, what) in [
                 (&start, "recording"),
                 (&start, "already recording"),
                 (&Request::StopRecording, "recorded"),
             ] {
                 let told = done(what, &folder.path().join(name));
-                let report = desk.carry_out((Stamp::ZERO, 0), request, &mut recorder);
+                let now = Stamp::from_millis(1_000 * now_s);
+                let report = desk.carry_out((now, 0), request, &mut recorder);
                 let Some(Input::Report { text, .. }) = report else {
                     panic!("{report:?}");
                 };
                 assert_eq!(text, told);
             }
         }
-        let inputs: Vec<u64> = desk
-            .finish()
-            .unwrap()
-            .iter()
-            .map(|ended| ended.1.inputs)
-            .collect();
+        let mut failures = Failures::default();
+        let ended = desk.finish(&mut failures);
+        let inputs: Vec<u64> = ended.iter().map(|ended| ended.1.inputs).collect();
         assert_eq!(inputs, [1, 1], "the link that was up");
+        failures.told().unwrap();
+    }
+
+    #[test]
+    fn a_recording_that_could_not_be_written_does_not_cost_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut desk = desk(folder.path());
+        let start = Request::StartRecording { values: vec![] };
+        let mut recorder = None;
+        // Gone between the look at the folder and the file: the recorder's thread cannot make it.
+        let gone = folder.path().join("gone/recording.mcap");
+        let lost = Recorder::start_in_session(
+            &gone,
+            &header(&Config::default(), &HostTimer::start()).unwrap(),
+            Config::default().record.limits(),
+            0,
+        );
+        desk.ended.push((gone, lost.unwrap().stop()));
+        desk.carry_out((Stamp::ZERO, 0), &start, &mut recorder);
+        desk.carry_out((Stamp::ZERO, 0), &Request::StopRecording, &mut recorder);
+        let mut failures = Failures::default();
+        let ended = desk.finish(&mut failures);
+        let names: Vec<_> = ended.iter().map(|(path, _)| path.file_name()).collect();
+        assert_eq!(names, [Some("recording.mcap".as_ref())]);
+        let told = format!("{:#}", failures.told().unwrap_err());
+        assert!(told.contains("gone/recording.mcap"), "{told}");
+    }
+
+    /// Each would leave a file.
+    #[test]
+    fn who_asks_for_recordings_without_end_gets_one_a_second() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut desk = desk(folder.path());
+        let start = Request::StartRecording { values: vec![] };
+        let mut recorder = None;
+        for now_ms in (0..3_000).step_by(10) {
+            let now = (Stamp::from_millis(now_ms), 0);
+            for request in [&start, &Request::StopRecording] {
+                desk.carry_out(now, request, &mut recorder);
+            }
+        }
+        let mut failures = Failures::default();
+        let ended = desk.finish(&mut failures);
+        let names: Vec<_> = ended
+            .iter()
+            .filter_map(|(path, _)| path.file_name())
+            .collect();
+        let expected = ["recording.mcap", "recording-2.mcap", "recording-3.mcap"];
+        assert_eq!(names, expected);
+    }
+
+    #[test]
+    fn files_that_are_there_already_keep_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.toml", "a-2.toml", "a-4.toml"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        for (first, expected) in [(1, 3), (2, 3), (3, 3), (4, 5), (9, 9)] {
+            let (path, number) = free_name(folder.path(), "a.toml", first).unwrap();
+            assert_eq!(number, expected);
+            assert_eq!(path, folder.path().join(format!("a-{expected}.toml")));
+        }
+        let first = free_name(folder.path(), "b.toml", 1).unwrap();
+        assert_eq!(first, (folder.path().join("b.toml"), 1));
     }
 }

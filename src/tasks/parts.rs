@@ -4,13 +4,13 @@
 //! a second looks whether the file is still there, whether the disk has room, and whether the part is large or old enough.
 
 use std::fs::File;
-use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
-use nix::sys::statvfs::statvfs;
+use anyhow::{Context, Result, ensure};
 use posebridge_recording::container::{Beginning, Gap, Header, TruthSample, Writer};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
+
+use super::watched::Watched;
 
 /// What was recorded reaches the system at least this often, so that a killed program loses less than a second. Each time a chunk ends, and what
 /// the file's index needs of it stays in memory until the part ends: more often would let a long recording's memory grow.
@@ -80,25 +80,18 @@ pub struct Parts {
 
 /// The file that is open.
 struct Part {
-    path: PathBuf,
+    file: Watched,
     writer: Writer<File>,
-    /// Device and number by which the system knows it.
-    identity: (u64, u64),
     begun: Option<Stamp<HostClock>>,
 }
 
 impl Part {
-    fn create(path: PathBuf, header: &Header, begins: &Beginning, spacing: Span) -> Result<Self> {
-        let name = path.display().to_string();
-        let file =
-            File::create_new(&path).with_context(|| format!("creating the recording `{name}`"))?;
-        let identity = file.metadata().map(|found| (found.dev(), found.ino()));
-        let mut writer = Writer::create_part(file, header, begins)
-            .with_context(|| format!("recording `{name}`"))?;
+    fn create(path: &Path, header: &Header, begins: &Beginning, spacing: Span) -> Result<Self> {
+        let (out, file) = Watched::create("recording", path)?;
+        let mut writer = Writer::create_part(out, header, begins).with_context(|| file.name())?;
         writer.space_outputs(spacing);
         Ok(Self {
-            identity: identity.with_context(|| format!("looking at `{name}`"))?,
-            path,
+            file,
             writer,
             begun: None,
         })
@@ -115,7 +108,7 @@ impl Parts {
             inputs_before,
             ..Beginning::default()
         };
-        let part = Part::create(path.to_owned(), &header, &begins, limits.output_spacing)?;
+        let part = Part::create(path, &header, &begins, limits.output_spacing)?;
         Ok(Self {
             first: path.to_owned(),
             header,
@@ -220,7 +213,7 @@ impl Parts {
 
     /// What is said of an error.
     fn name(&self) -> String {
-        format!("recording `{}`", self.part.path.display())
+        self.part.file.name()
     }
 
     fn note_gap(&mut self, now: Stamp<HostClock>, number: u64) -> Result<()> {
@@ -252,8 +245,8 @@ impl Parts {
             return Ok(());
         }
         self.looked = now;
-        let bytes = self.bytes_there()?;
-        self.look_at_the_disk()?;
+        let bytes = self.part.file.bytes_there()?;
+        self.part.file.look_at_the_disk(self.limits.floor_bytes)?;
         let age = self.part.begun.map_or(Span::ZERO, |begun| now - begun);
         let is_full = self.limits.part_bytes.is_some_and(|most| bytes >= most)
             || self.limits.part_span.is_some_and(|most| age >= most);
@@ -264,38 +257,9 @@ impl Parts {
         }
     }
 
-    /// How large the file is; who has deleted or moved it is told, because what is written goes nowhere.
-    fn bytes_there(&self) -> Result<u64> {
-        let found = std::fs::metadata(&self.part.path).ok();
-        match found.filter(|found| (found.dev(), found.ino()) == self.part.identity) {
-            Some(found) => Ok(found.len()),
-            None => bail!(
-                "{}: the file or its folder has been deleted or moved",
-                self.name()
-            ),
-        }
-    }
-
-    fn look_at_the_disk(&self) -> Result<()> {
-        // A file system that cannot be asked may well have room.
-        let Ok(disk) = statvfs(&self.part.path) else {
-            return Ok(());
-        };
-        let free_bytes = disk.blocks_available().saturating_mul(disk.fragment_size());
-        if free_bytes >= self.limits.floor_bytes {
-            return Ok(());
-        }
-        bail!(
-            "{}: the disk has {} MB left, less than `record.min_free_mb` = {}; what was written is whole",
-            self.name(),
-            free_bytes / 1_000_000,
-            self.limits.floor_bytes / 1_000_000
-        )
-    }
-
     fn begin_next_part(&mut self) -> Result<()> {
         let number = self.kept.parts + 1;
-        let name = self.part.path.file_name();
+        let name = self.part.file.path().file_name();
         let begins = Beginning {
             part: number,
             inputs_before: self.next,
@@ -303,14 +267,11 @@ impl Parts {
         };
         let path = part_path(&self.first, number);
         let spacing = self.limits.output_spacing;
-        let mut next = Part::create(path, &self.header, &begins, spacing)?;
+        let mut next = Part::create(&path, &self.header, &begins, spacing)?;
         next.writer.take_over(&mut self.part.writer);
         let ended = std::mem::replace(&mut self.part, next);
-        let name = ended.path.display().to_string();
-        ended
-            .writer
-            .finish()
-            .with_context(|| format!("recording `{name}`"))?;
+        let name = ended.file.name();
+        ended.writer.finish().context(name)?;
         self.kept.parts = number;
         Ok(())
     }

@@ -17,6 +17,7 @@ use super::observer::Observer;
 use super::recorder::Recorder;
 use super::tlog_recorder::TlogRecorder;
 use super::truth_tap::TruthTap;
+use crate::failures::Failures;
 use crate::signing::Keeper;
 
 /// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
@@ -55,8 +56,8 @@ pub struct Shard {
     pub observer: Observer,
     /// The dashboard, if there is one.
     pub dashboard: Option<Outlet>,
-    /// Why the recording ended before the run.
-    pub recording_failure: Option<anyhow::Error>,
+    /// What ended before the run, a recording or the telemetry log, and why.
+    pub failures: Failures,
     /// What keeps the stamps of signed links, if there are any.
     pub signing: Option<Keeper>,
     /// What carries out the pipeline's requests.
@@ -100,6 +101,7 @@ impl Shard {
                     (at, input)
                 }
                 command = next_command(&mut self.dashboard) => (self.timer.now(), Input::Command(command)),
+                report = self.desk.reported() => (self.timer.now(), report),
                 () = alarm.reached(deadline) => (self.timer.now(), Input::Tick),
                 () = &mut stopped => return,
             };
@@ -231,28 +233,25 @@ impl Shard {
             dashboard.tell(now, &events);
         }
         let is_command = matches!(input, Input::Command(_));
-        self.log_traffic(now, &input, &sent);
+        let logged = self.log_traffic(now, &input, &sent);
         self.desk.note(&input);
-        let is_lost = self.record(now, input, &events).is_err();
+        let recorded = self.record(now, input, &events);
         for event in events {
             self.observer.show(now, event);
         }
         if let Some(keeper) = &mut self.signing {
             keeper.offer(now, &self.pipeline);
         }
-        if is_lost && let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
-            let text = format!("no longer recording: {error:#}");
-            tracing::error!(error = format!("{error:#}"), "the recording ends here");
-            self.recording_failure = Some(error);
-            self.desk.lose_recording();
-            let severity = WARNING;
-            self.take(now, Input::Report { severity, text });
+        if let Some(report) = recorded {
+            self.take(now, report);
+        }
+        if let Some(report) = logged {
+            self.take(now, report);
         }
         // After the input that led to it: a recording that it ends holds it.
         for request in requests {
-            let report = self
-                .desk
-                .carry_out((now, self.given), &request, &mut self.recorder);
+            let moment = (now, self.given);
+            let report = self.desk.carry_out(moment, &request, &mut self.recorder);
             if let Some(report) = report {
                 self.take(now, report);
             }
@@ -262,44 +261,57 @@ impl Shard {
         }
     }
 
-    /// Hands the recorder what came in and what came out.
-    fn record(
-        &mut self,
-        now: Stamp<HostClock>,
-        input: Input,
-        events: &[Event],
-    ) -> anyhow::Result<()> {
-        let Some(recorder) = &mut self.recorder else {
-            return Ok(());
+    /// Hands the recorder what came in and what came out. One that has failed is put away; then gives what is to be said.
+    fn record(&mut self, now: Stamp<HostClock>, input: Input, events: &[Event]) -> Option<Input> {
+        let recorder = self.recorder.as_mut()?;
+        if recorder.record(now, input).is_ok() {
+            let wanted = events.iter().filter(|event| Recorder::wants(event));
+            recorder.show(now, wanted.cloned().collect());
+            return None;
+        }
+        let ended = self.recorder.take().map(Recorder::finish);
+        self.desk.lose_recording();
+        let Some(Err(error)) = ended else {
+            return None;
         };
-        recorder.record(now, input)?;
-        let wanted = events.iter().filter(|event| Recorder::wants(event));
-        recorder.show(now, wanted.cloned().collect());
-        Ok(())
+        tracing::error!(error = format!("{error:#}"), "the recording ends here");
+        let report = warning(format!("no longer recording: {error:#}"));
+        self.failures
+            .note::<()>(Err(error.context("the recording is not whole")));
+        Some(report)
     }
-}
 
-impl Shard {
-    /// Gives the telemetry log what came and what was sent for it. One that fails is put away, as a recorder is.
+    /// Gives the telemetry log what came and what was sent for it. One that fails is put away, as a recorder is; then gives what is to
+    /// be said.
     fn log_traffic(
         &mut self,
         now: Stamp<HostClock>,
         input: &Input,
         sent: &[(LinkId, Priority, Vec<u8>)],
-    ) {
-        let Some(tlog) = &mut self.tlog else {
-            return;
-        };
+    ) -> Option<Input> {
+        let tlog = self.tlog.as_mut()?;
         let mut taken = tlog.received(now, input);
         for (link, priority, frame) in sent {
             taken = taken.and_then(|()| tlog.sent(now, *link, *priority, frame));
         }
-        if taken.is_err()
-            && let Some(Err(error)) = self.tlog.take().map(TlogRecorder::finish)
-        {
-            tracing::error!(error = format!("{error:#}"), "the telemetry log ends here");
+        if taken.is_ok() {
+            return None;
         }
+        let Some(Err(error)) = self.tlog.take().map(TlogRecorder::finish) else {
+            return None;
+        };
+        tracing::error!(error = format!("{error:#}"), "the telemetry log ends here");
+        let report = warning(format!("no more telemetry log: {error:#}"));
+        self.failures
+            .note::<()>(Err(error.context("the telemetry log is not whole")));
+        Some(report)
     }
+}
+
+/// What the pipeline is told of something that failed.
+fn warning(text: String) -> Input {
+    let severity = WARNING;
+    Input::Report { severity, text }
 }
 
 /// Whether an input about a link's state tells anything new: a port tells each new reason of one loss.

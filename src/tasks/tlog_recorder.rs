@@ -2,6 +2,9 @@
 //!
 //! It hangs off the same place as the recorder but never makes the shard wait: what does not fit into its queue is dropped and counted,
 //! because the recording is whole without it. The frames are found here and not in the shard.
+//!
+//! It is one file, however long the run, because its readers know no parts. Once a second it is looked at as a recording is: one that was
+//! taken away, and one on a disk without room, ends with a reason.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -15,11 +18,12 @@ use posebridge_pipeline::LinkConfig;
 use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, Span, Stamp};
 
 use super::gulps::Gulps;
+use super::watched::Watched;
 use crate::tlog::TrafficLog;
 
 /// So many chunks and frames wait for the disk before they are dropped.
 const WAITING: usize = 16_384;
-/// What was written reaches the system at least this often.
+/// What was written reaches the system at least this often; then file and disk are looked at.
 const FLUSH_PERIOD: Span = Span::from_millis(1_000);
 
 /// Bytes on their way to the file.
@@ -60,21 +64,22 @@ pub struct TlogWritten {
 
 impl TlogRecorder {
     /// Creates the file and starts the thread. `utc_start_micros` is the date at the host clock's zero; of links whose bricks speak no
-    /// MAVLink nothing is written.
+    /// MAVLink nothing is written. The log ends when the disk has less room than `floor_bytes`.
     ///
     /// # Errors
     /// The file cannot be created; one that is there already is never overwritten.
-    pub fn start(path: &Path, utc_start_micros: u64, links: &[LinkConfig]) -> Result<Self> {
-        let name = path.display().to_string();
-        let file = File::create_new(path)
-            .with_context(|| format!("creating the telemetry log `{name}`"))?;
+    pub fn start(
+        path: &Path,
+        utc_start_micros: u64,
+        links: &[LinkConfig],
+        floor_bytes: u64,
+    ) -> Result<Self> {
+        let (out, file) = Watched::create("telemetry log", path)?;
         let (sender, receiver) = sync_channel(WAITING);
-        let log = TrafficLog::new(BufWriter::new(file), utc_start_micros, links);
+        let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, links);
         let thread = std::thread::Builder::new()
             .name("tlog".to_owned())
-            .spawn(move || {
-                write(log, Gulps::new(receiver)).with_context(|| format!("telemetry log `{name}`"))
-            })
+            .spawn(move || write(log, Gulps::new(receiver), &file, floor_bytes))
             .context("starting the telemetry log's thread")?;
         Ok(Self {
             path: path.to_owned(),
@@ -149,26 +154,39 @@ impl TlogRecorder {
 }
 
 /// Writes until nobody can send any more, and says how many frames there are.
-fn write(mut log: TrafficLog<BufWriter<File>>, mut traffic: Gulps<Traffic>) -> Result<u64> {
+fn write(
+    mut log: TrafficLog<BufWriter<File>>,
+    mut traffic: Gulps<Traffic>,
+    file: &Watched,
+    floor_bytes: u64,
+) -> Result<u64> {
     let mut flushed = Stamp::<HostClock>::ZERO;
     let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
     loop {
-        match traffic.next(patience) {
+        let is_due = match traffic.next(patience) {
             Ok(one) => {
-                match one.direction {
-                    Direction::In(peer) => log.received(one.now, (one.link, peer), &one.bytes)?,
-                    Direction::Out(priority) => {
-                        log.sent(one.now, (one.link, priority), &one.bytes)?;
-                    }
-                }
-                if one.now - flushed >= FLUSH_PERIOD {
-                    log.flush()?;
+                let written = match one.direction {
+                    Direction::In(peer) => log.received(one.now, (one.link, peer), &one.bytes),
+                    Direction::Out(priority) => log.sent(one.now, (one.link, priority), &one.bytes),
+                };
+                written.with_context(|| file.name())?;
+                let is_due = one.now - flushed >= FLUSH_PERIOD;
+                if is_due {
                     flushed = one.now;
                 }
+                is_due
             }
-            Err(RecvTimeoutError::Timeout) => log.flush()?,
+            Err(RecvTimeoutError::Timeout) => true,
             Err(RecvTimeoutError::Disconnected) => break,
+        };
+        if is_due {
+            log.flush().with_context(|| file.name())?;
+            file.bytes_there()?;
+            file.look_at_the_disk(floor_bytes)?;
         }
     }
-    Ok(log.finish()?.1)
+    let (_, frames) = log.finish().with_context(|| file.name())?;
+    // What nobody can find was not written.
+    file.bytes_there()?;
+    Ok(frames)
 }

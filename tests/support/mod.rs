@@ -111,15 +111,28 @@ impl Running {
     }
 
     /// Asks it to end, as Ctrl-C does, and returns its exit code and what it said since it was last listened to.
-    pub(crate) fn interrupted(mut self) -> (Option<i32>, String) {
+    pub(crate) fn interrupted(self) -> (Option<i32>, String) {
+        let (code, _, said) = self.interrupted_with_output();
+        (code, said)
+    }
+
+    /// The same, with its standard output before what it said.
+    pub(crate) fn interrupted_with_output(mut self) -> (Option<i32>, String, String) {
         use std::io::Read as _;
         self.ask_to_end();
-        let mut said = String::new();
-        self.lines
-            .read_to_string(&mut said)
-            .expect("stderr is text");
+        let mut stdout = self.child.stdout.take().expect("stdout is piped");
+        let (mut printed, mut said) = (String::new(), String::new());
+        // Neither may fill up while the other one is read.
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                self.lines
+                    .read_to_string(&mut said)
+                    .expect("stderr is text")
+            });
+            stdout.read_to_string(&mut printed).expect("stdout is text");
+        });
         let status = self.child.wait().expect("it can be waited for");
-        (status.code(), said)
+        (status.code(), printed, said)
     }
 
     fn ask_to_end(&self) {

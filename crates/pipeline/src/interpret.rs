@@ -93,6 +93,7 @@ impl Interpreter {
             | Message::ParamRequestList { .. }
             | Message::ParamRequestRead { .. }
             | Message::ParamSet { .. }
+            | Message::ParamSetUnsupported { .. }
             | Message::ParamValue { .. } => [None, None],
         }
     }

@@ -2,8 +2,8 @@
 
 use posebridge_estimator::PARAMS;
 use posebridge_protocol::bricks::BrickCodec;
-use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::dialect::commands::UNDERSTOOD;
+use posebridge_protocol::dialect::{Encoder, ids};
 use posebridge_protocol::framing::{ScannerConfig, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::routing::Limiter;
@@ -26,6 +26,23 @@ const ACTIVE: u8 = 4;
 const HEARTBEAT_PERIOD: Span = Span::from_millis(1_000);
 /// Five missed heartbeats: the usual limit of ground stations.
 pub(crate) const PEER_TIMEOUT: Span = Span::from_millis(5_000);
+
+/// Commands that are taken also when they are for all components: what people ask of the station, and questions about messages,
+/// which whoever can may answer.
+const SERVED: [u16; UNDERSTOOD.len() + 2] = {
+    let [storage, start, stop, pose, reset, calibration, source] = UNDERSTOOD;
+    [
+        ids::COMMAND_GET_MESSAGE_INTERVAL,
+        ids::COMMAND_REQUEST_MESSAGE,
+        storage,
+        start,
+        stop,
+        pose,
+        reset,
+        calibration,
+        source,
+    ]
+};
 
 /// As whom something is said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -187,7 +204,7 @@ fn session(
             // In capitals, as MAVLink's parameters are: MAVProxy asks for no others.
             .map(|row| (row.key.to_ascii_uppercase(), (row.read)(params) as f32)),
     );
-    session.serve_commands(&UNDERSTOOD);
+    session.serve_commands(&SERVED);
     session
 }
 

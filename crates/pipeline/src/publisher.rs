@@ -51,12 +51,29 @@ pub(crate) fn priority_of_record(kind: OutputKind, sensor: SensorId) -> Priority
     }
 }
 
-/// When a stream was sent last.
+/// When a stream was sent last, and when it is due.
 #[derive(Clone, Copy, Debug)]
 struct Sent {
     last: Stamp<HostClock>,
     /// Time between the last two.
     gap: Option<Span>,
+    due: Stamp<HostClock>,
+}
+
+impl Sent {
+    /// When a stream that was due and is sent now is due again.
+    ///
+    /// There is something to send only now and then, and never at the very instant. Counted from what was due, and not from what was
+    /// sent, such delays do not add up: one of each interval leaves in the mean. One that had nothing to send may be made up for; after
+    /// a longer silence the count begins anew, or a burst would follow it.
+    fn due_after(due: Stamp<HostClock>, interval: Span, now: Stamp<HostClock>) -> Stamp<HostClock> {
+        let next = due + interval;
+        if now - next < interval {
+            next
+        } else {
+            now + interval
+        }
+    }
 }
 
 /// Keeps the intervals of one link's outputs.
@@ -171,11 +188,16 @@ impl Publisher {
         now: Stamp<HostClock>,
     ) -> bool {
         let key = (stream.kind, sensor);
-        let gap = self.sent.get(&key).map(|sent| now - sent.last);
-        if gap.is_some_and(|gap| gap < stream.interval) {
-            return false;
-        }
-        self.sent.insert(key, Sent { last: now, gap });
+        let (gap, due) = match self.sent.get(&key) {
+            Some(sent) if now < sent.due => return false,
+            Some(sent) => (
+                Some(now - sent.last),
+                Sent::due_after(sent.due, stream.interval, now),
+            ),
+            None => (None, now + stream.interval),
+        };
+        let last = now;
+        self.sent.insert(key, Sent { last, gap, due });
         true
     }
 }
@@ -224,9 +246,52 @@ mod tests {
         assert_eq!(OUTPUTS.len(), SETTABLE.len());
     }
 
+    fn at(millis: i64) -> Stamp<HostClock> {
+        Stamp::from_millis(millis)
+    }
+
+    /// Estimates come at the instants of telemetry, which are no multiples of what a peer asks for, and with the delays of a link.
+    #[test]
+    fn an_interval_is_kept_in_the_mean_whatever_the_instants_of_estimates() {
+        /// Milliseconds by which each of ten in a row is late.
+        const LATE: [i64; 10] = [0, 9, 3, 18, 1, 7, 0, 12, 5, 2];
+        for period in [20, 50] {
+            for wanted in [50, 100, 250, 333, 1_000] {
+                let stream = OutputStream {
+                    kind: OutputKind::Odometry,
+                    interval: Span::from_millis(wanted),
+                    instant: OutputInstant::Observed,
+                };
+                let mut publisher = Publisher::new(&[stream]);
+                let estimates = (0..60_000 / period).map(|n| n * period + LATE[n as usize % 10]);
+                let sent = estimates.filter(|now| publisher.due(at(*now)).len() == 1);
+                let (sent, expected) = (sent.count() as i64, 60_000 / wanted);
+                assert!(
+                    (sent - expected).abs() <= 1,
+                    "{sent} of {expected} in a minute, asked for each {wanted} ms, estimates each {period} ms"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_silence_is_not_made_up_for() {
+        let stream = OutputStream {
+            kind: OutputKind::Odometry,
+            interval: Span::from_millis(100),
+            instant: OutputInstant::Observed,
+        };
+        let mut publisher = Publisher::new(&[stream]);
+        let silent_until = (0..500).step_by(50).chain((10_000..11_000).step_by(50));
+        let sent: Vec<i64> = silent_until
+            .filter(|now| publisher.due(at(*now)).len() == 1)
+            .collect();
+        let expected = (0..500).step_by(100).chain((10_000..11_000).step_by(100));
+        assert_eq!(sent, expected.collect::<Vec<_>>());
+    }
+
     #[test]
     fn an_interval_is_told_as_it_is_kept() {
-        let at = |millis| Stamp::<HostClock>::from_millis(millis);
         let stream = OutputStream {
             kind: OutputKind::Odometry,
             interval: Span::ZERO,

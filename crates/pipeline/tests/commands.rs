@@ -15,7 +15,7 @@ mod station;
 use brick::{BRICK, frame, messages};
 use ground::{GCS, GCS_LINK, Ground, OTHER_GCS_LINK, fix};
 use posebridge_estimator::PARAMS;
-use posebridge_pipeline::{Pipeline, PipelineConfig};
+use posebridge_pipeline::{Pipeline, PipelineConfig, Voices};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandLong, Message, TextPart};
@@ -153,6 +153,31 @@ fn a_value_that_makes_no_sense_is_answered_with_the_one_that_stands_and_the_reas
 }
 
 #[test]
+fn a_value_of_a_type_that_cannot_be_read_is_answered_with_the_one_that_stands_and_the_reason() {
+    for kind in [0, 10, 255] {
+        for (index, row) in PARAMS.iter().enumerate() {
+            let mut ground = Ground::new(|_| {});
+            let set = Message::ParamSetUnsupported {
+                target: STATION,
+                name: row.key.to_uppercase(),
+                kind,
+            };
+            let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
+            let stands = value(index, row.default as f32);
+            assert_eq!(ground.say(100, &set), [stands, warning(&why)]);
+            assert_eq!(ground.texts(), [why]);
+        }
+    }
+    let mut ground = Ground::new(|_| {});
+    let set = Message::ParamSetUnsupported {
+        target: STATION,
+        name: "RATE_P".to_owned(),
+        kind: 10,
+    };
+    assert_eq!(ground.say(100, &set), [warning("no parameter `RATE_P`")]);
+}
+
+#[test]
 fn every_reason_fits_into_one_text() {
     for row in PARAMS {
         let mut ground = Ground::new(|_| {});
@@ -228,6 +253,38 @@ fn tunables_are_saved_on_request_and_what_became_of_it_is_told_where_it_was_aske
     assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), []);
 }
 
+/// A ground station hears all that the station tells, and there the line that something was asked for comes just before what became
+/// of it.
+#[test]
+fn a_link_for_ground_stations_hears_what_became_of_each_request() {
+    let mut ground = Ground::new(|config| config.links[1].voices = Voices::OwnAndRobot);
+    let asked = [
+        (PREFLIGHT_STORAGE, 1.0, "saved parameters.toml in run1"),
+        (LOGGING_STOP, 0.0, "recorded recording.mcap in run1"),
+        (LOGGING_STOP, 0.0, "nothing is being recorded"),
+        (LOGGING_START, 0.0, "recording recording-2.mcap in run1"),
+    ];
+    for (millis, (command, first, became)) in (100..).step_by(50).zip(asked) {
+        let seen = ground.station.outputs.len();
+        assert_eq!(ground.result(millis, command, &[first]), ACCEPTED);
+        let (severity, text) = (6, became.to_owned());
+        let report = Input::Report { severity, text };
+        ground.station.give(at(millis), report);
+        let heard = ground.heard_since(seen, GCS_LINK);
+        let is_it =
+            |said: &Message| matches!(said, Message::StatusText { text, .. } if text == became);
+        assert!(heard.iter().any(is_it), "{became}: {heard:?}");
+    }
+    // Not without end: who asks again and again hears how often there was something to tell.
+    let seen = ground.station.outputs.len();
+    for millis in 300..320 {
+        let (severity, text) = (6, "recorded".to_owned());
+        let report = Input::Report { severity, text };
+        ground.station.give(at(millis), report);
+    }
+    assert_eq!(ground.heard_since(seen, GCS_LINK).len(), 4);
+}
+
 #[test]
 fn tunables_go_back_to_what_was_saved_or_configured_or_to_their_defaults() {
     let mut ground = Ground::new(|config| config.filter_config.params.slip_nis = 20.0);
@@ -270,6 +327,8 @@ fn a_pose_is_set_and_forgotten_over_a_link() {
         &[f32::NAN, 2.0, 90.0, 0.1, 5.0],
         &[3.0, 2.0, 90.0, -0.1, 5.0],
         &[3.0, 2.0, 90.0, 0.1, f32::INFINITY],
+        &[3.0, 2.0, 1e30, 0.1, 5.0],
+        &[3.0, 2.0, -360.5, 0.1, 5.0],
     ] {
         assert_eq!(ground.result(1_020, SET_POSE, nonsense), DENIED);
     }
@@ -341,7 +400,10 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
         texts,
         ["source 3 (camera) is left out", "source 3 (camera) is used"]
     );
-    assert_eq!(ground.result(6_010, SOURCE, &[256.0, 0.0]), DENIED);
+    for unknown in [10.0, 31.0, 39.0, 250.0, 256.0] {
+        assert_eq!(ground.result(6_010, SOURCE, &[unknown, 0.0]), DENIED);
+    }
+    assert_eq!(ground.result(6_015, SOURCE, &[38.0, 0.0]), ACCEPTED);
     assert_eq!(ground.result(6_020, SOURCE, &[3.5, 0.0]), DENIED);
     assert_eq!(ground.result(6_030, SOURCE, &[3.0, 2.0]), DENIED);
 }

@@ -75,6 +75,15 @@ impl SensorId {
         }
     }
 
+    /// What a sensor is called that has no name of its own.
+    const UNNAMED: &'static str = "sensor";
+
+    /// Whether it is one of those above: others never observe anything live.
+    #[must_use]
+    pub fn is_known(self) -> bool {
+        self.name() != Self::UNNAMED
+    }
+
     /// The name under which people see this sensor.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -93,7 +102,7 @@ impl SensorId {
                 .checked_sub(Self::SECOND_CAMERA)
                 .and_then(|place| Self::FURTHER_CAMERAS.get(usize::from(place)))
                 .copied()
-                .unwrap_or("sensor"),
+                .unwrap_or(Self::UNNAMED),
         }
     }
 }
@@ -198,6 +207,10 @@ mod tests {
         assert_eq!(names[..3], ["camera", "camera 2", "camera 3"]);
         assert_eq!(names[7..], ["camera 8"; 3]);
         assert_eq!(SensorId(31).name(), "sensor");
+        let known: Vec<u8> = (0..=u8::MAX)
+            .filter(|id| SensorId(*id).is_known())
+            .collect();
+        assert_eq!(known, (0..=9).chain(32..=38).collect::<Vec<u8>>());
     }
 
     #[test]

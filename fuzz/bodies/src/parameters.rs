@@ -163,6 +163,11 @@ impl Owner {
                     let stands = self.session.parameter_stands(index, self.values[index]);
                     assert!(stands.is_some(), "who sets has asked");
                 }
+                SessionOutput::ParameterUnsupported { by, index, .. } => {
+                    assert!(by == GCS && index < self.values.len());
+                    let stands = self.session.parameter_stands(index, self.values[index]);
+                    assert!(stands.is_some(), "who sets has asked");
+                }
                 SessionOutput::ParameterUnknown { by, .. } => assert_eq!(by, GCS),
                 SessionOutput::Send(_) => {}
                 SessionOutput::PeerSeen { .. }

@@ -41,7 +41,9 @@ pub(crate) fn check(data: &[u8]) {
                 SessionOutput::Send(_)
                 | SessionOutput::TimeExchanged { .. }
                 | SessionOutput::IntervalRequested { .. } => {}
-                SessionOutput::ParameterWish { .. } | SessionOutput::ParameterUnknown { .. } => {
+                SessionOutput::ParameterWish { .. }
+                | SessionOutput::ParameterUnsupported { .. }
+                | SessionOutput::ParameterUnknown { .. } => {
                     panic!("nothing was offered")
                 }
             }

@@ -5,8 +5,8 @@
 //!   245  MAV_CMD_PREFLIGHT_STORAGE  1: 0 reload the saved tunables, 1 save, 2 or 4 defaults, 3 forget the calibration
 //!  2510  MAV_CMD_LOGGING_START      begin a new recording (nothing is streamed back)
 //!  2511  MAV_CMD_LOGGING_STOP       end the recording
-//! 31010  MAV_CMD_USER_1             set the pose: 1, 2: north and east, m; 3: yaw clockwise from north, degrees; 4, 5: their sigmas, m
-//!                                   and degrees
+//! 31010  MAV_CMD_USER_1             set the pose: 1, 2: north and east, m; 3: yaw clockwise from north, degrees, at most a turn; 4, 5:
+//!                                   their sigmas, m and degrees
 //! 31011  MAV_CMD_USER_2             forget the pose
 //! 31012  MAV_CMD_USER_3             1: 0 freeze what is learned, 1 learn on, 2 forget what was learned
 //! 31013  MAV_CMD_USER_4             1: number of a sensor; 2: 0 off, 1 on
@@ -35,6 +35,10 @@ pub const UNDERSTOOD: [u16; 7] = [
     ids::COMMAND_CALIBRATION,
     ids::COMMAND_SOURCE,
 ];
+
+/// Largest yaw that somebody means, degrees: a whole turn either way. What is far beyond is damage, and where in a turn it lies is an
+/// accident of rounding.
+const LARGEST_YAW_DEG: f32 = 360.0;
 
 /// Why a command says nothing that could be done.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -84,7 +88,11 @@ pub fn understood(command: &CommandLong) -> Result<Command, CommandError> {
             _ => Err(nonsense(command, 1, "0, 1 or 2")),
         },
         ids::COMMAND_SOURCE => {
-            let sensor = SensorId(choice(command, 1, "0 to 255")?);
+            let wanted = "0 to 9 or 32 to 38";
+            let sensor = SensorId(choice(command, 1, wanted)?);
+            if !sensor.is_known() {
+                return Err(nonsense(command, 1, wanted));
+            }
             match choice(command, 2, "0 or 1")? {
                 0 => Ok(Command::SwitchSource {
                     sensor,
@@ -121,6 +129,9 @@ fn set_pose(command: &CommandLong) -> Result<Command, CommandError> {
         if !value.is_finite() {
             return Err(nonsense(command, index, "a number"));
         }
+    }
+    if yaw_deg.abs() > LARGEST_YAW_DEG {
+        return Err(nonsense(command, 3, "-360 to 360"));
     }
     let [position_sigma_m, yaw_sigma_deg] = [4, 5].map(|index| parameter(command, index));
     for (index, value) in [(4, position_sigma_m), (5, yaw_sigma_deg)] {

@@ -10,10 +10,10 @@ use posebridge_telemetry::Address;
 
 use super::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use super::payload::{Payload, Reader, Writer, millis32, read, somebody, text_from, text_to};
-use super::{Decoded, PayloadError, ids};
+use super::{Decoded, ids};
 use crate::framing::WireVersion;
 use crate::message::{
-    CommandAck, CommandInt, CommandLong, Heartbeat, Message, SetMessageInterval, TextPart,
+    CommandAck, CommandInt, CommandLong, Heartbeat, Message, STOP, SetMessageInterval, TextPart,
     TimeSync, WireStamp,
 };
 
@@ -143,7 +143,7 @@ fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
 fn write_interval(version: WireVersion, wanted: &SetMessageInterval) -> Payload {
     let micros = wanted
         .interval
-        .map_or(-1.0, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
+        .map_or(STOP, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
     let mut params = [0.0; 7];
     params[0] = wanted.message_id as f32;
     params[1] = micros;
@@ -208,21 +208,20 @@ pub(super) fn param_request_read(payload: &[u8]) -> Decoded {
     }))
 }
 
-pub(super) fn param_set(payload: &[u8]) -> Decoded {
+pub(super) fn param_set(payload: &[u8]) -> Message {
     let mut reader = Reader::new(payload);
     let slot = reader.f32();
     let target = reader.address();
     let name = reader.text::<PARAM_NAME>();
-    let found = reader.u8();
-    let value = param_number(slot, found).ok_or(PayloadError::ParameterType {
-        message_id: ids::PARAM_SET,
-        found,
-    })?;
-    Ok(Some(Message::ParamSet {
-        target,
-        name,
-        value,
-    }))
+    let kind = reader.u8();
+    match param_number(slot, kind) {
+        Some(value) => Message::ParamSet {
+            target,
+            name,
+            value,
+        },
+        None => Message::ParamSetUnsupported { target, name, kind },
+    }
 }
 
 /// The number in the slot of a parameter, bytewise: the slot of an integer holds its bits, and taking these for a float would be a
@@ -319,6 +318,14 @@ fn write_parameter(version: WireVersion, message: &Message) -> Option<(u32, Payl
                 param_id: text_to::<PARAM_NAME>(name).into(),
             };
             (ids::PARAM_REQUEST_READ, Payload::of(version, &data))
+        }
+        Message::ParamSetUnsupported { target, name, kind } => {
+            let writer = Writer::new()
+                .f32(0.0)
+                .address(*target)
+                .text::<PARAM_NAME>(name)
+                .u8(*kind);
+            (ids::PARAM_SET, writer.finish(version))
         }
         Message::ParamSet {
             target,

@@ -213,6 +213,7 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
         | Message::ParamRequestList { .. }
         | Message::ParamRequestRead { .. }
         | Message::ParamSet { .. }
+        | Message::ParamSetUnsupported { .. }
         | Message::ParamValue { .. } => return conversation::write(version, message),
         Message::WheelDistance { .. }
         | Message::ScaledImu(_)

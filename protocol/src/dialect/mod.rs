@@ -80,14 +80,6 @@ pub enum PayloadError {
         /// How many wheels it has.
         count: u8,
     },
-    /// A parameter that is not a 32-bit float.
-    #[error("message {message_id}: MAV_PARAM_TYPE {found}, only 9 (REAL32) is supported")]
-    ParameterType {
-        /// The message's id.
-        message_id: u32,
-        /// MAV_PARAM_TYPE of the value.
-        found: u8,
-    },
     /// The generated type cannot be read from the payload.
     #[error("message {message_id}: the payload does not fit its definition")]
     Layout {
@@ -108,7 +100,6 @@ impl PayloadError {
             | Self::Space { message_id, .. }
             | Self::Failed { message_id }
             | Self::TooFewWheels { message_id, .. }
-            | Self::ParameterType { message_id, .. }
             | Self::Layout { message_id, .. } => message_id,
         }
     }
@@ -132,7 +123,7 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::PARAM_REQUEST_READ => conversation::param_request_read(payload),
         ids::PARAM_REQUEST_LIST => conversation::param_request_list(payload),
         ids::PARAM_VALUE => Ok(conversation::param_value(payload)),
-        ids::PARAM_SET => conversation::param_set(payload),
+        ids::PARAM_SET => Ok(Some(conversation::param_set(payload))),
         ids::COMMAND_INT => Ok(Some(conversation::command_int(payload))),
         ids::COMMAND_LONG => Ok(Some(conversation::command_long(payload))),
         ids::COMMAND_ACK => Ok(Some(conversation::command_ack(payload))),

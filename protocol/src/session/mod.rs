@@ -117,6 +117,15 @@ pub enum SessionOutput<C: Clock> {
         /// The value, any bits.
         value: f32,
     },
+    /// Somebody wants one of our parameters to have a value of a type that cannot be read; what stands must be told as after a wish.
+    ParameterUnsupported {
+        /// Who asks.
+        by: Address,
+        /// Which of those that were offered.
+        index: usize,
+        /// MAV_PARAM_TYPE of the value.
+        kind: u8,
+    },
     /// Somebody asks us alone for a parameter that we do not have; nothing is answered.
     ParameterUnknown {
         /// Who asks.
@@ -200,7 +209,8 @@ impl<C: Clock> Session<C> {
             Message::CommandAck(ack) => self.on_ack(now, from, *ack),
             Message::ParamRequestList { .. }
             | Message::ParamRequestRead { .. }
-            | Message::ParamSet { .. } => {
+            | Message::ParamSet { .. }
+            | Message::ParamSetUnsupported { .. } => {
                 let own = self.config.own;
                 let output = self.parameters.handle(now, (own, from), message);
                 self.outputs.extend(output);

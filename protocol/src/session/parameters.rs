@@ -112,6 +112,17 @@ impl<C: Clock> Parameters<C> {
                     None => unknown(own, (by, *target), name, -1),
                 }
             }
+            Message::ParamSetUnsupported { target, name, kind } if is_for(own, *target) => {
+                self.is_asked = true;
+                match self.position(name, -1) {
+                    Some(index) => Some(SessionOutput::ParameterUnsupported {
+                        by,
+                        index,
+                        kind: *kind,
+                    }),
+                    None => unknown(own, (by, *target), name, -1),
+                }
+            }
             _ => None,
         }
     }

@@ -174,6 +174,10 @@ fn texts() -> impl Strategy<Value = Message> {
             value: f32::from(value),
         }
     });
+    // 7, 8 and 10 are types of 64 bits, the others are none.
+    let kind = prop_oneof![Just(0_u8), 7..=8_u8, 10..=u8::MAX];
+    let unsupported = (address(), "[A-Z_]{0,16}", kind)
+        .prop_map(|(target, name, kind)| Message::ParamSetUnsupported { target, name, kind });
     let value =
         ("[A-Z_]{0,16}", any::<(i16, u16, u16)>()).prop_map(|(name, (value, count, index))| {
             Message::ParamValue {
@@ -183,5 +187,5 @@ fn texts() -> impl Strategy<Value = Message> {
                 index,
             }
         });
-    prop_oneof![text, list, read, set, value]
+    prop_oneof![text, list, read, set, unsupported, value]
 }

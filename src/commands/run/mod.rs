@@ -20,6 +20,7 @@ pub(crate) use self::signals::Signals;
 use super::{Failure, Stage};
 use crate::cli::RunArgs;
 use crate::config::{self, Config, LinkSection, RobotProfile, Setting};
+use crate::failures::Failures;
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::run as report;
 use crate::tasks::desk::RECORDING;
@@ -32,16 +33,18 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let config = configuration(args).at_start()?;
     let laps = args.laps.map_or(Laps::Endless, Laps::Counted);
     let mut session = in_runtime(session(args, &config, (RECORDING, laps)))?;
-    finish(
+    // What cannot be drawn or saved must not cost the rest.
+    let mut failures = Failures::default();
+    failures.note(finish(
         &config,
         &session.folder,
         &session.collector,
         session.driven.take(),
         &session.recorded,
-    )
-    .while_running()?;
-    report_learned(args, &config, &session).while_running()?;
-    session.whole().while_running()
+    ));
+    failures.note(report_learned(args, &config, &session));
+    failures.note(session.whole());
+    failures.told().while_running()
 }
 
 /// Records a robot without any report of its own: for those who evaluate the recording at once. It is recorded whatever the

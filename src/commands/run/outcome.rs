@@ -46,7 +46,8 @@ pub(super) fn finish(
         text += &report::table(collector, truth, other.as_ref());
         text += "\n";
     }
-    for picture in report::draw(folder, &title, collector, truth.as_ref())? {
+    let drawn = report::draw(folder, &title, collector, truth.as_ref());
+    for picture in drawn.iter().flatten() {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "picture    {}", picture.display());
     }
@@ -67,7 +68,7 @@ pub(super) fn finish(
         let _ = writeln!(text, "report     posebridge report {recording}");
     }
     stdout::print(&text)?;
-    Ok(())
+    drawn.map(drop).context("not all pictures are drawn")
 }
 
 /// Prints and saves what the filter has learned about the robot.

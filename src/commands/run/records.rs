@@ -7,6 +7,7 @@ use posebridge_link::HostTimer;
 
 use crate::cli::RunArgs;
 use crate::config::Config;
+use crate::failures::Failures;
 use crate::tasks::desk::header;
 use crate::tasks::recorder::{Kept, Recorder};
 use crate::tasks::tlog_recorder::{TlogRecorder, TlogWritten};
@@ -37,28 +38,31 @@ pub(super) fn start_recorder(
     config: &Config,
     timer: &HostTimer,
     path: &Path,
+    failures: &mut Failures,
 ) -> Result<Option<Recorder>> {
     if args.no_record || !config.record.enabled {
         return Ok(None);
     }
-    Recorder::start_limited(path, &header(config, timer)?, config.record.limits()).map(Some)
+    let started = Recorder::start_limited(path, &header(config, timer)?, config.record.limits());
+    unless_it_was_made("recording", started, path, failures)
 }
 
-/// A recording that cannot be begun is told once and costs the exit code, not the run: a robot may steer by us. One that is there
+/// A file that cannot be begun is told once and costs the exit code, not the run: a robot may steer by us. One that is there
 /// already is a slip of who started the run, and cheap to mend before the robot drives.
-pub(super) fn unless_it_was_made(
-    started: Result<Option<Recorder>>,
+fn unless_it_was_made<T>(
+    what: &str,
+    started: Result<T>,
     path: &Path,
-) -> Result<(Option<Recorder>, Option<anyhow::Error>)> {
+    failures: &mut Failures,
+) -> Result<Option<T>> {
     match started {
-        Ok(recorder) => Ok((recorder, None)),
+        Ok(started) => Ok(Some(started)),
         Err(error) if path.exists() => Err(error),
         Err(error) => {
-            tracing::error!(
-                error = format!("{error:#}"),
-                "there is no recording; the run goes on"
-            );
-            Ok((None, Some(error)))
+            let reason = format!("{error:#}");
+            tracing::error!(error = reason, "there is no {what}; the run goes on");
+            failures.note::<()>(Err(error.context(format!("the {what} is not whole"))));
+            Ok(None)
         }
     }
 }
@@ -69,11 +73,14 @@ pub(super) fn start_tlog(
     config: &Config,
     timer: &HostTimer,
     recording: &Path,
+    failures: &mut Failures,
 ) -> Result<Option<TlogRecorder>> {
     if args.no_record || !(args.tlog || config.record.tlog) {
         return Ok(None);
     }
     let path = recording.with_extension("tlog");
     let links = config.pipeline()?.links;
-    TlogRecorder::start(&path, timer.utc_start(), &links).map(Some)
+    let floor_bytes = config.record.limits().floor_bytes;
+    let started = TlogRecorder::start(&path, timer.utc_start(), &links, floor_bytes);
+    unless_it_was_made("telemetry log", started, &path, failures)
 }

@@ -10,12 +10,13 @@ use posebridge_telemetry::{Span, Stamp};
 use tokio_util::sync::CancellationToken;
 
 use super::links::{Driven, Embedded, Laps, SimulatedSession, open_links, stop_brick};
-use super::records::{Recorded, output_folder, start_recorder, start_tlog, unless_it_was_made};
+use super::records::{Recorded, output_folder, start_recorder, start_tlog};
 use super::signals::Signals;
 use crate::cli::RunArgs;
 use crate::collect::Collector;
 use crate::commands::{Failure, Stage};
 use crate::config::Config;
+use crate::failures::Failures;
 use crate::learned::Learned;
 use crate::report::live::LiveView;
 use crate::report::off::Off;
@@ -40,22 +41,19 @@ pub(super) struct Session {
     pub(super) learned: Option<Learned>,
     /// Whether the stamps of signed links were kept.
     pub(super) kept: Result<()>,
-    /// Why the recording ended before the session.
-    pub(super) recording_failure: Option<anyhow::Error>,
+    /// What could not be written to its end.
+    pub(super) failures: Failures,
 }
 
 impl Session {
     /// Whether everything was written that had to be.
     pub(super) fn whole(self) -> Result<()> {
-        self.kept?;
-        let recorded = self
-            .recorded
-            .inputs
-            .iter()
-            .try_for_each(|(_, kept)| kept.whole());
-        self.recording_failure
-            .map_or(recorded, Err)
-            .context("the recording is not whole")
+        let mut failures = self.failures;
+        failures.note(self.kept);
+        for (_, kept) in &self.recorded.inputs {
+            failures.note(kept.whole().context("the recording is not whole"));
+        }
+        failures.told()
     }
 }
 
@@ -79,9 +77,10 @@ pub(super) async fn session(
     let (ports, mut embedded) = open(args, config, simulated, &stop).await.at_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.recorded(config);
-    let started = start_recorder(args, &for_recordings, &timer, &recording);
-    let (recorder, recording_failure) = unless_it_was_made(started, &recording).at_start()?;
-    let tlog = start_tlog(args, config, &timer, &recording).at_start()?;
+    let mut failures = Failures::default();
+    let recorder =
+        start_recorder(args, &for_recordings, &timer, &recording, &mut failures).at_start()?;
+    let tlog = start_tlog(args, config, &timer, &recording, &mut failures).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
     let (commands, truth) = simulated_brick(embedded.as_mut());
@@ -94,7 +93,7 @@ pub(super) async fn session(
         given: 0,
         tlog,
         observer: observer(args, embedded.as_ref()).at_start()?,
-        recording_failure,
+        failures,
         signing: signing.keep().at_start()?,
         desk: Desk::new(folder.clone(), timer, configs, current).with_brick(commands),
         truth,
@@ -122,7 +121,7 @@ pub(super) async fn session(
         driven,
         learned,
         kept,
-        recording_failure: closed.recording_failure,
+        failures: closed.failures,
     })
 }
 
@@ -208,7 +207,7 @@ struct Closed {
     collector: Collector,
     recorded: Vec<(PathBuf, Kept)>,
     tlog: Option<TlogWritten>,
-    recording_failure: Option<anyhow::Error>,
+    failures: Failures,
 }
 
 /// Closes the links, then lets recorder and observer finish what waits.
@@ -218,7 +217,7 @@ fn close(shard: Shard) -> Result<Closed> {
         tlog,
         observer,
         ports,
-        recording_failure,
+        mut failures,
         desk,
         ..
     } = shard;
@@ -230,16 +229,14 @@ fn close(shard: Shard) -> Result<Closed> {
     }
     drop(ports);
     let last = desk.current().map(Path::to_owned);
-    let mut recorded = desk.finish()?;
-    // A disk that fails now must not cost the tables.
-    let last_failure = match recorder.map(Recorder::finish).transpose() {
-        Ok(kept) => {
-            recorded.extend(last.zip(kept));
-            None
-        }
-        Err(error) => Some(error),
-    };
-    let tlog = tlog.map(TlogRecorder::finish).transpose()?;
+    // A disk that fails now must not cost the tables, nor one file the others.
+    let mut recorded = desk.finish(&mut failures);
+    let kept = recorder.map(Recorder::finish).transpose();
+    let kept = failures.note(kept.context("the recording is not whole"));
+    recorded.extend(last.zip(kept.flatten()));
+    let tlog = tlog.map(TlogRecorder::finish).transpose();
+    let tlog = failures.note(tlog.context("the telemetry log is not whole"));
+    let tlog = tlog.flatten();
     if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
         say("the telemetry log has holes: the disk was too slow for it");
     }
@@ -254,6 +251,6 @@ fn close(shard: Shard) -> Result<Closed> {
         collector,
         recorded,
         tlog,
-        recording_failure: recording_failure.or(last_failure),
+        failures,
     })
 }

@@ -28,6 +28,9 @@ const SEVERITY_INFO: u8 = 6;
 const QUIET: Span = Span::from_millis(5_000);
 /// The same for words of the station or of the robot, of which no two need be alike.
 const QUIET_WORDS: Span = Span::from_millis(500);
+/// So many reports of the program are told in [`QUIET`]: each answers somebody who asked for it, and the line that it was asked comes just
+/// before. Two hands on buttons ask for less.
+const REPORTS: u32 = 8;
 /// Bytes of a part.
 const PART: usize = 50;
 /// Most bytes of a text; the rest is cut off.
@@ -44,12 +47,31 @@ enum Topic {
     Reset,
     Refused(SensorId),
     Words(Speaker),
+    Report,
 }
 
-/// When a topic was told last, and how often it came up since.
+impl Topic {
+    /// How many texts of it are said in how long a time.
+    const fn most(self) -> (u32, Span) {
+        match self {
+            Self::Words(_) => (1, QUIET_WORDS),
+            Self::Report => (REPORTS, QUIET),
+            Self::LinkUp(_)
+            | Self::LinkDown(_)
+            | Self::RobotSeen
+            | Self::RobotLost
+            | Self::Restart
+            | Self::Reset
+            | Self::Refused(_) => (1, QUIET),
+        }
+    }
+}
+
+/// Since when a topic is counted, how often it was told since then, and how often it was not.
 #[derive(Clone, Copy, Debug)]
 struct Told {
-    last: Stamp<HostClock>,
+    since: Stamp<HostClock>,
+    said: u32,
     left_out: u32,
 }
 
@@ -74,28 +96,24 @@ pub(super) struct Announcer {
 
 impl Announcer {
     fn tell(&mut self, now: Stamp<HostClock>, topic: Topic, mut text: Text) {
-        let quiet = if matches!(topic, Topic::Words(_)) {
-            QUIET_WORDS
-        } else {
-            QUIET
+        let (most, quiet) = topic.most();
+        let fresh = Told {
+            since: now,
+            said: 0,
+            left_out: 0,
         };
-        if let Some(told) = self.told.get_mut(&topic) {
-            if now - told.last < quiet {
-                told.left_out += 1;
-                return;
-            }
+        let told = self.told.entry(topic).or_insert(fresh);
+        if now - told.since >= quiet {
             if told.left_out > 0 {
                 text.words = format!("{} ({} more)", text.words, told.left_out);
             }
+            *told = fresh;
         }
-        let left_out = 0;
-        self.told.insert(
-            topic,
-            Told {
-                last: now,
-                left_out,
-            },
-        );
+        if told.said >= most {
+            told.left_out += 1;
+            return;
+        }
+        told.said += 1;
         self.waiting.push(text);
     }
 
@@ -157,6 +175,19 @@ impl Pipeline {
             words,
         };
         self.announcer.tell(self.now, topic, text);
+    }
+
+    /// Keeps what became of something that the program was asked for.
+    pub(super) fn announce_report(&mut self, severity: u8, words: &str) {
+        if self.links.values().all(|link| link.voice.is_none()) {
+            return;
+        }
+        let text = Text {
+            speaker: Speaker::Station,
+            severity,
+            words: words.to_owned(),
+        };
+        self.announcer.tell(self.now, Topic::Report, text);
     }
 
     /// Says what waits, on every link for ground stations.

@@ -71,7 +71,12 @@ impl Pipeline {
 
     /// What became of something that the program did.
     pub(super) fn handle_report(&mut self, severity: u8, text: &str) {
-        self.tell_own(severity, text.to_owned());
+        self.announce_report(severity, text);
+        self.outputs.push_back(Output::Event(Event::Text {
+            source: self.config.own,
+            severity,
+            text: text.to_owned(),
+        }));
         if let Some(link) = self.standing.asked_on {
             self.answer_in_words(link, severity, text);
         }
@@ -95,6 +100,18 @@ impl Pipeline {
         if let Err(why) = &outcome {
             self.answer_in_words(link, SEVERITY_WARNING, why);
         }
+    }
+
+    /// Somebody on a link sets a tunable by a type that cannot be read: without an answer he would ask until he gives up.
+    pub(super) fn handle_unsupported_type(&mut self, link: LinkId, index: usize, kind: u8) {
+        let Some(row) = PARAMS.get(index) else {
+            return;
+        };
+        // 9 is REAL32. Short, because it has to fit into a STATUSTEXT.
+        let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
+        self.announce_parameter(index);
+        self.answer_in_words(link, SEVERITY_WARNING, &why);
+        self.tell_own(SEVERITY_WARNING, why);
     }
 
     /// Somebody on a link asks for a tunable that there is not.

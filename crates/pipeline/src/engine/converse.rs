@@ -107,6 +107,9 @@ impl Pipeline {
                 SessionOutput::ParameterWish { index, value, .. } => {
                     self.handle_wish(id, index, value);
                 }
+                SessionOutput::ParameterUnsupported { index, kind, .. } => {
+                    self.handle_unsupported_type(id, index, kind);
+                }
                 SessionOutput::ParameterUnknown { asked, .. } => {
                     self.handle_unknown_parameter(id, &asked);
                 }
@@ -225,6 +228,7 @@ const fn is_request(message: &Message) -> bool {
             | Message::ParamRequestList { .. }
             | Message::ParamRequestRead { .. }
             | Message::ParamSet { .. }
+            | Message::ParamSetUnsupported { .. }
     )
 }
 

@@ -5,14 +5,14 @@
 //! Sources: MAVLink guide, "Command Protocol"; common.xml, MAV_CMD_REQUEST_MESSAGE and MAV_CMD_GET_MESSAGE_INTERVAL.
 
 use posebridge_protocol::dialect::ids::{
-    self, COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE,
+    self, COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL,
 };
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
     AutopilotVersion, CommandLong, CommandResult, ComponentInformation, Message, MessageInterval,
     ProtocolVersion,
 };
-use posebridge_telemetry::{Address, LinkId, Span};
+use posebridge_telemetry::{Address, ComponentId, LinkId, Span};
 
 use super::Pipeline;
 use super::ground_station::LastRange;
@@ -51,9 +51,20 @@ impl Pipeline {
                 Some(message_id) => self.interval_told(id, message_id),
                 None => (CommandResult::Denied, Vec::new()),
             },
+            // It names no message, or an interval that is none.
+            COMMAND_SET_MESSAGE_INTERVAL => (CommandResult::Denied, Vec::new()),
             _ if speaker == Speaker::Station => (self.obey(id, command), Vec::new()),
             _ => (CommandResult::Unsupported, Vec::new()),
         };
+        // A question to all components is for whoever can answer it; another one may be the one that is meant.
+        let is_question = matches!(
+            command.command,
+            COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL
+        );
+        let is_for_all = command.target.component == ComponentId(0);
+        if is_question && is_for_all && result != CommandResult::Accepted {
+            return;
+        }
         let link = self.links.get_mut(&id);
         if let Some(session) = link.and_then(|link| link.conversation(speaker)) {
             session.answer(by, command.command, result);

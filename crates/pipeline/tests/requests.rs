@@ -1,0 +1,112 @@
+//! Questions about messages: to the station alone they are always answered, to all components of its system only with what it has.
+#![expect(
+    clippy::expect_used,
+    reason = "helpers outside #[test] stop when something is missing"
+)]
+#![expect(clippy::wildcard_enum_match_arm, reason = "helpers of tests")]
+#![expect(
+    dead_code,
+    reason = "the helpers are shared with tests that need others of them"
+)]
+
+#[path = "support/brick.rs"]
+mod brick;
+#[path = "support/ground.rs"]
+mod ground;
+#[path = "support/station.rs"]
+mod station;
+
+use ground::{GCS_LINK, Ground};
+use posebridge_protocol::dialect::ids::{
+    self, COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL,
+};
+use posebridge_protocol::message::{CommandLong, Message};
+use posebridge_telemetry::Address;
+use station::STATION;
+
+const ALL_OF_OURS: Address = Address::new(255, 0);
+const EVERYBODY: Address = Address::new(0, 0);
+
+const ACCEPTED: u8 = 0;
+const DENIED: u8 = 2;
+const UNSUPPORTED: u8 = 3;
+
+/// Asks about a message; gives the results of the answers, and how much more was said.
+fn ask(ground: &mut Ground, target: Address, command: u16, params: [f32; 2]) -> (Vec<u8>, usize) {
+    let mut seven = [0.0; 7];
+    seven[..2].copy_from_slice(&params);
+    let params = seven;
+    let said = ground.say(
+        100,
+        &Message::Command(CommandLong {
+            target,
+            command,
+            params,
+        }),
+    );
+    let results: Vec<u8> = said
+        .iter()
+        .filter_map(|message| match message {
+            Message::CommandAck(ack) => Some(ack.result),
+            _ => None,
+        })
+        .collect();
+    let others = said.len() - results.len();
+    (results, others)
+}
+
+#[test]
+fn a_question_to_all_components_is_answered_with_what_the_station_has() {
+    let mut ground = Ground::new(|_| {});
+    for (command, about) in [
+        (COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION),
+        (COMMAND_GET_MESSAGE_INTERVAL, ids::ODOMETRY),
+    ] {
+        for target in [STATION, ALL_OF_OURS] {
+            let answer = ask(&mut ground, target, command, [about as f32, 0.0]);
+            assert_eq!(answer, (vec![ACCEPTED], 1), "{command} to {target}");
+        }
+        // A whole class would answer.
+        let answer = ask(&mut ground, EVERYBODY, command, [about as f32, 0.0]);
+        assert_eq!(answer, (vec![], 0), "{command}");
+    }
+    // GPS_RAW_INT, or a message that is none: another component may have it.
+    for (command, about, alone) in [
+        (COMMAND_REQUEST_MESSAGE, 24.0, UNSUPPORTED),
+        (COMMAND_REQUEST_MESSAGE, -1.0, DENIED),
+        (COMMAND_GET_MESSAGE_INTERVAL, -1.0, DENIED),
+    ] {
+        let answer = ask(&mut ground, STATION, command, [about, 0.0]);
+        assert_eq!(answer, (vec![alone], 0), "{command} {about}");
+        let answer = ask(&mut ground, ALL_OF_OURS, command, [about, 0.0]);
+        assert_eq!(answer, (vec![], 0), "{command} {about}");
+    }
+}
+
+#[test]
+fn an_interval_that_is_none_is_denied_and_changes_nothing() {
+    let mut ground = Ground::new(|_| {});
+    let mut set = |micros: f32| {
+        let pose = ids::PB_PLANAR_POSE as f32;
+        let command = COMMAND_SET_MESSAGE_INTERVAL;
+        let (results, _) = ask(&mut ground, STATION, command, [pose, micros]);
+        let seen = ground.station.outputs.len();
+        ask(
+            &mut ground,
+            STATION,
+            COMMAND_GET_MESSAGE_INTERVAL,
+            [pose, 0.0],
+        );
+        let told = ground.heard_since(seen, GCS_LINK);
+        let told = told.iter().find_map(|message| match message {
+            Message::MessageInterval(told) => Some(told.interval_micros),
+            _ => None,
+        });
+        (results, told.expect("an interval"))
+    };
+    assert_eq!(set(200_000.0), (vec![ACCEPTED], 200_000));
+    for nonsense in [-2.0, -0.5, -1e30, f32::NAN, f32::INFINITY] {
+        assert_eq!(set(nonsense), (vec![DENIED], 200_000), "{nonsense}");
+    }
+    assert_eq!(set(-1.0), (vec![ACCEPTED], -1));
+}
