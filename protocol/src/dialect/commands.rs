@@ -88,7 +88,7 @@ pub fn understood(command: &CommandLong) -> Result<Command, CommandError> {
             _ => Err(nonsense(command, 1, "0, 1 or 2")),
         },
         ids::COMMAND_SOURCE => {
-            let wanted = "0 to 9 or 32 to 38";
+            let wanted = "0 to 9, 32 to 38";
             let sensor = SensorId(choice(command, 1, wanted)?);
             if !sensor.is_known() {
                 return Err(nonsense(command, 1, wanted));
