@@ -28,6 +28,9 @@ const SEVERITY_INFO: u8 = 6;
 const QUIET: Span = Span::from_millis(5_000);
 /// The same for words of the station or of the robot, of which no two need be alike.
 const QUIET_WORDS: Span = Span::from_millis(500);
+/// So many results of what people asked for are told at once; each may be told again after [`QUIET`]. Who saves, stops and starts within
+/// a second has three of them.
+const REPORTS_AT_ONCE: u8 = 8;
 /// Bytes of a part.
 const PART: usize = 50;
 /// Most bytes of a text; the rest is cut off.
@@ -44,6 +47,8 @@ enum Topic {
     Reset,
     Refused(SensorId),
     Words(Speaker),
+    /// What became of something that was asked for: a place of its own for each of the last few.
+    Report(u8),
 }
 
 /// When a topic was told last, and how often it came up since.
@@ -97,6 +102,17 @@ impl Announcer {
             },
         );
         self.waiting.push(text);
+    }
+
+    /// What became of something that was asked for: each is told, whatever was told just before, as far as there is a place.
+    fn tell_report(&mut self, now: Stamp<HostClock>, text: Text) {
+        let is_free = |index: &u8| {
+            let told = self.told.get(&Topic::Report(*index));
+            told.is_none_or(|told| now - told.last >= QUIET)
+        };
+        let free = (0..REPORTS_AT_ONCE).find(is_free);
+        // Where none is free it is counted, and told with the next one of that place.
+        self.tell(now, Topic::Report(free.unwrap_or(0)), text);
     }
 
     /// The messages of a text.
@@ -157,6 +173,18 @@ impl Pipeline {
             words,
         };
         self.announcer.tell(self.now, topic, text);
+    }
+
+    /// Keeps what became of something that was asked for.
+    pub(super) fn announce_report(&mut self, severity: u8, words: &str) {
+        if self.links.values().any(|link| link.voice.is_some()) {
+            let text = Text {
+                speaker: Speaker::Station,
+                severity,
+                words: words.to_owned(),
+            };
+            self.announcer.tell_report(self.now, text);
+        }
     }
 
     /// Says what waits, on every link for ground stations.

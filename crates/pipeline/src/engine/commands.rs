@@ -57,7 +57,13 @@ impl Pipeline {
 
     /// What became of something that the program did.
     pub(super) fn handle_report(&mut self, severity: u8, text: &str) {
-        self.tell_own(severity, text.to_owned());
+        self.announce_report(severity, text);
+        // It is announced already: it must not be left out because something else was said just before.
+        self.outputs.push_back(Output::Event(Event::Text {
+            source: self.config.own,
+            severity,
+            text: text.to_owned(),
+        }));
         if let Some(link) = self.standing.asked_on {
             self.answer_in_words(link, severity, text);
         }
