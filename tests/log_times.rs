@@ -140,10 +140,10 @@ fn damaged_times_change_no_estimate_wherever_they_stand() {
     let ten: Vec<usize> = (500..510).collect();
     for (at, micros) in [
         (&[0][..], u64::MAX),
-        (&[0], 0),
-        (&[500], ahead),
-        (&[500, 501], ahead),
-        (&ten, 1 << 63),
+        (&[0][..], 0),
+        (&[500][..], ahead),
+        (&[500, 501][..], ahead),
+        (&ten[..], 1 << 63),
     ] {
         let note = format!("{} times that are damaged", at.len());
         estimates_as(folder.path(), &records, &damage(at, micros), &note);

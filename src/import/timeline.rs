@@ -31,6 +31,8 @@ pub(super) struct Told {
     pub(super) micros: i64,
     /// After how many microseconds it begins anew, if its messages have no room for more.
     pub(super) wraps_micros: Option<i64>,
+    /// Whether it is the host's own clock, which tells exactly: of the others some delay lies between stamp and time.
+    pub(super) is_hosts: bool,
 }
 
 impl Told {
@@ -275,13 +277,26 @@ impl Timeline {
         let following = of_run
             .take_while(|(before, after)| agree(before.micros, after.micros))
             .map(|(_, after)| after);
-        std::iter::once(base).chain(following).find_map(|record| {
-            let told = record.told?;
-            let clock = self.clocks.get(&told.clock)?;
-            let (then_micros, said_micros) = clock.is_going().then_some(clock.last)?;
-            let passed = self.shifted(record.micros) as i64 - then_micros as i64;
-            Some(passed - told.advanced_since(said_micros)?)
-        })
+        let mut of_another = None;
+        for record in std::iter::once(base).chain(following) {
+            let Some((is_hosts, wrong)) = self.told_wrong(record) else {
+                continue;
+            };
+            if is_hosts {
+                return Some(wrong);
+            }
+            of_another = of_another.or(Some(wrong));
+        }
+        of_another
+    }
+
+    /// The same by one record's clock, and whether that is the host's.
+    fn told_wrong(&self, record: &Timed) -> Option<(bool, i64)> {
+        let told = record.told?;
+        let clock = self.clocks.get(&told.clock)?;
+        let (then_micros, said_micros) = clock.is_going().then_some(clock.last)?;
+        let passed = self.shifted(record.micros) as i64 - then_micros as i64;
+        Some((told.is_hosts, passed - told.advanced_since(said_micros)?))
     }
 
     /// Whole numbers of links: the two lowest bits of a time stay what they are.
@@ -316,12 +331,13 @@ mod tests {
         let mut timeline = Timeline::new(records[0].0 * SECOND);
         let mut times = Vec::new();
         let zero = records[0].0;
-        let mut take = |micros: u64, _frame| times.push(micros / SECOND - zero);
+        let mut take = |micros: u64, _frame: Vec<u8>| times.push(micros / SECOND - zero);
         for (at_s, said_s) in records {
             let told = said_s.map(|said_s| Told {
                 clock: (Address::new(1, 1), 30),
                 micros: (said_s * SECOND) as i64,
                 wraps_micros: Some(WRAPS_S as i64 * SECOND as i64),
+                is_hosts: false,
             });
             let record = Timed {
                 micros: at_s.saturating_mul(SECOND),

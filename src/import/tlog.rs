@@ -150,7 +150,8 @@ fn timed(record: &Record<'_, ()>, own: Address) -> Timed {
 }
 
 fn told(frame: &FrameRef<'_>, own: Address) -> Option<Told> {
-    let (micros, wraps_micros) = if let Some(asked) = own_request(frame, own) {
+    let asked = own_request(frame, own);
+    let (micros, wraps_micros) = if let Some(asked) = asked {
         (asked.as_micros(), None)
     } else {
         let stamp = dialect::stamp_of(frame)?;
@@ -166,6 +167,7 @@ fn told(frame: &FrameRef<'_>, own: Address) -> Option<Told> {
         clock: (frame.source, frame.message_id),
         micros,
         wraps_micros,
+        is_hosts: asked.is_some(),
     })
 }
 
