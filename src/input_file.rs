@@ -2,11 +2,13 @@
 
 use std::ffi::OsStr;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use flate2::read::MultiGzDecoder;
+
+use crate::stderr::say;
 
 /// What is read at once.
 const CHUNK: usize = 256 * 1024;
@@ -38,6 +40,9 @@ pub struct InputFile {
     pub name: String,
     /// Its size on the disk, in bytes; packed, if it is.
     pub size: u64,
+    /// A packed file that ends in the middle: everything before was given.
+    pub is_cut: bool,
+    is_packed: bool,
     reader: Box<dyn BufRead>,
 }
 
@@ -65,6 +70,8 @@ impl InputFile {
             kind,
             name,
             size,
+            is_cut: false,
+            is_packed,
             reader,
         })
     }
@@ -80,13 +87,20 @@ impl InputFile {
         })
     }
 
-    /// Gives the bytes in chunks for as long as more are wanted, at most to the end of the file.
+    /// Gives the bytes in chunks for as long as more are wanted, at most to the end of the file. A packed file that was cut ends where
+    /// it was cut ([`Self::is_cut`]).
     ///
     /// # Errors
     /// As [`Self::chunks`].
     pub fn chunks_while(&mut self, mut wants_more: impl FnMut(&[u8]) -> bool) -> Result<()> {
         loop {
-            let chunk = beginning(&mut self.reader, &self.name)?;
+            let chunk = match self.reader.fill_buf() {
+                Err(error) if is_cut(self.is_packed, &error) => {
+                    self.is_cut = true;
+                    return Ok(());
+                }
+                chunk => chunk.with_context(|| format!("reading `{}`", self.name))?,
+            };
             let length = chunk.len();
             if length == 0 || !wants_more(chunk) {
                 return Ok(());
@@ -95,16 +109,32 @@ impl InputFile {
         }
     }
 
-    /// All bytes, at most `most` of them.
+    /// Says on stderr that the file was cut, if it was.
+    pub fn tell_if_cut(&self) {
+        if self.is_cut {
+            say(&format!(
+                "`{}`: the packed bytes end in the middle; everything before is used",
+                self.name
+            ));
+        }
+    }
+
+    /// All bytes, at most `most` of them; of a packed file that was cut those before, and it is said.
     ///
     /// # Errors
     /// It cannot be read or unpacked, or is longer.
     pub fn whole(mut self, most: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        (&mut self.reader)
-            .take(most + 1)
-            .read_to_end(&mut bytes)
-            .with_context(|| format!("reading `{}`", self.name))?;
+        let read = (&mut self.reader).take(most + 1).read_to_end(&mut bytes);
+        match read {
+            Err(error) if is_cut(self.is_packed, &error) => {
+                self.is_cut = true;
+                self.tell_if_cut();
+            }
+            read => {
+                read.with_context(|| format!("reading `{}`", self.name))?;
+            }
+        }
         anyhow::ensure!(
             bytes.len() as u64 <= most,
             "`{}` holds more than {} MiB: cut it into parts",
@@ -113,6 +143,11 @@ impl InputFile {
         );
         Ok(bytes)
     }
+}
+
+/// Whether reading ended because a packed file was cut: it has an end of its own, so that this is known.
+fn is_cut(is_packed: bool, error: &std::io::Error) -> bool {
+    is_packed && error.kind() == ErrorKind::UnexpectedEof
 }
 
 /// What lies ready to be read; nothing at the end.

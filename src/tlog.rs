@@ -31,6 +31,7 @@ pub fn records(mut file: InputFile, mut take: impl FnMut(Record<'_, ()>)) -> Res
     })?;
     reader.finish(&mut judge, &mut take);
     bar.finish_and_clear();
+    file.tell_if_cut();
     Ok(reader)
 }
 

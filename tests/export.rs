@@ -5,6 +5,8 @@
 )]
 
 mod support;
+#[path = "support/trajectory.rs"]
+mod trajectory;
 #[path = "support/virtual_drive.rs"]
 mod virtual_drive;
 
@@ -14,6 +16,7 @@ use posebridge_sim::Scenario;
 use posebridge_telemetry::Span;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
+use trajectory::{trajectory, worst_distance};
 use virtual_drive::{record_drive, record_drive_and_truth};
 
 /// A short drive with a camera.
@@ -38,20 +41,6 @@ fn run(folder: &Path, args: &[&str]) -> String {
 
 fn json(folder: &Path, args: &[&str]) -> Value {
     serde_json::from_str(&run(folder, args)).unwrap()
-}
-
-/// Stamp, x and y of each line.
-fn trajectory(path: &Path) -> Vec<(f64, f64, f64)> {
-    let text = std::fs::read_to_string(path).unwrap();
-    let poses = text.lines().map(|line| {
-        let fields: Vec<f64> = line
-            .split(' ')
-            .map(|field| field.parse().unwrap())
-            .collect();
-        assert_eq!(fields.len(), 8, "{line}");
-        (fields[0], fields[1], fields[2])
-    });
-    poses.collect()
 }
 
 /// The header and the number of lines behind it.
@@ -177,17 +166,7 @@ fn a_log_replays_as_close_to_the_drive_as_its_times_allow() {
     );
     let live = trajectory(&folder.path().join("out/estimate.tum"));
     let again = trajectory(&folder.path().join("again/estimate.tum"));
-    let (mut compared, mut worst_m) = (0, 0.0_f64);
-    for (stamp, x, y) in &again {
-        if let Ok(index) = live.binary_search_by(|(other, ..)| other.total_cmp(stamp)) {
-            let (_, live_x, live_y) = live[index];
-            // At first a fix may come before the clocks are aligned in one of the two.
-            if compared > 100 {
-                worst_m = worst_m.max((x - live_x).hypot(y - live_y));
-            }
-            compared += 1;
-        }
-    }
+    let (compared, worst_m) = worst_distance(&live, &again);
     assert!(compared > live.len() / 2, "{compared} of {}", live.len());
     assert!(worst_m < 0.005, "{worst_m} m");
 }
@@ -316,7 +295,7 @@ fn what_cannot_be_exported_is_refused_with_the_reason() {
         ),
         (
             vec!["export", "empty.tlog", "--format", "tum"],
-            "no valid estimate",
+            "holds no MAVLink frame",
         ),
         (
             vec!["export", "nowhere.tlog", "--format", "csv"],

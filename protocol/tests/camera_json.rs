@@ -230,6 +230,36 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
 }
 
 #[test]
+fn a_number_out_of_range_is_answered_with_the_range_in_its_own_unit() {
+    for (rest, said) in [
+        (
+            "\"sigma_m\": 1e-300",
+            "`sigma_m` is 1e-300, must lie between 1e-6 and 1000.0",
+        ),
+        ("\"sigma_m\": 0.0000009", "must lie between 1e-6 and 1000.0"),
+        (
+            "\"sigma_m\": 0.01, \"heading_deg\": 0, \"sigma_heading_deg\": 0.00005",
+            "must lie between 5.7295779",
+        ),
+        (
+            "\"sigma_m\": 0.01, \"heading_rad\": 0, \"sigma_heading_rad\": 1e-200",
+            "must lie between 1e-6 and 1000.0",
+        ),
+        ("\"heading_deg\": -1e8", "must lie between -57295779.5"),
+    ] {
+        let mut codec = codec(Framing::Datagram);
+        let line = format!("{{\"x_m\": 1, \"y_m\": 2, {rest}}}\n");
+        let heard = heard_of(&mut *codec, Stamp::ZERO, 7, &line);
+        assert_eq!(heard[0], "no sense", "{line}");
+        assert!(heard[1].contains(said), "{line}: {heard:?}");
+    }
+    let mut codec = codec(Framing::Datagram);
+    let far = "{\"x_m\": 1, \"y_m\": 2, \"heading_deg\": -2e6, \"sigma_m\": 1e-6, \"sigma_heading_rad\": 1e-6}\n";
+    let heard = heard_of(&mut *codec, Stamp::ZERO, 7, far);
+    assert!(!heard.contains(&"no sense".to_owned()), "{heard:?}");
+}
+
+#[test]
 fn a_line_without_end_fills_no_memory_and_costs_only_itself() {
     let mut codec = codec(Framing::Stream);
     let mut heard = Vec::new();

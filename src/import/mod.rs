@@ -4,7 +4,8 @@
 //! docs/import.md says what is kept and what is lost.
 
 mod descriptor;
-mod parts;
+pub(crate) mod parts;
+mod timeline;
 mod tlog;
 
 use std::io::{Cursor, Seek, Write};
@@ -12,7 +13,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use posebridge_recording::container::{FORMAT, Header, Reader, Writer};
-use posebridge_telemetry::{HostClock, Input, Stamp};
+use posebridge_telemetry::{Address, HostClock, Input, Stamp};
 
 use crate::cli::DataFlags;
 use crate::config::{self, Config, RobotProfile, Setting};
@@ -84,6 +85,20 @@ impl LoggedInputs {
     pub fn give(&self, sink: &mut Sink<'_>) -> Result<Vec<String>> {
         self.0.inputs(sink)
     }
+}
+
+/// Gives the frames of a telemetry log with their times, microseconds since 1970, cleared of damage and of steps of the date, so that they never
+/// fall; says in words what was wrong with them.
+///
+/// # Errors
+/// The file cannot be read to its end or holds no frame, or its times make no sense.
+pub fn logged_frames(
+    path: &Path,
+    station: Station<'_>,
+    take: &mut dyn FnMut(u64, Vec<u8>),
+) -> Result<Vec<String>> {
+    let own = station.config()?.station;
+    tlog::frames_in_time(path, Address::new(own.system, own.component), take)
 }
 
 /// Writes a telemetry log or a descriptor's run as a recording of ours.

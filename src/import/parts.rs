@@ -6,9 +6,11 @@
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use posebridge_recording::container::{self, Ending, Reader, Writer};
 
+use super::MOST_BYTES;
+use crate::input_file::InputFile;
 use crate::tasks::parts::part_path;
 
 /// The recording in `first`, the content of the file at `path`, with all parts that continue it; and what they lack, in words. As it is
@@ -17,16 +19,23 @@ use crate::tasks::parts::part_path;
 /// # Errors
 /// A part that continues it cannot be read. A `first` that is no recording comes back as it is: whoever opens it says so.
 pub(super) fn joined(path: &Path, first: Vec<u8>) -> Result<(Vec<u8>, Vec<String>)> {
+    joined_within(path, first, MOST_BYTES)
+}
+
+/// The same; all parts together may hold so many bytes.
+fn joined_within(path: &Path, first: Vec<u8>, most: u64) -> Result<(Vec<u8>, Vec<String>)> {
     let Ok(reader) = Reader::open(&first) else {
         return Ok((first, Vec::new()));
     };
     let number = reader.beginning().part;
-    let Some((next_path, next)) = continuation(path, number)? else {
+    let mut left = most.saturating_sub(first.len() as u64);
+    let Some((next_path, next)) = continuation((path, number), &mut left)? else {
         return Ok((first, Vec::new()));
     };
     let out = Cursor::new(Vec::with_capacity(first.len() + next.len()));
     let mut writer = Writer::create_part(out, reader.header(), reader.beginning())?;
     let mut notes = Vec::new();
+    let first_number = number;
     let mut part = (number, path.to_owned(), first);
     let mut following = Some((number + 1, next_path, next));
     let mut truth = Vec::new();
@@ -37,22 +46,58 @@ pub(super) fn joined(path: &Path, first: Vec<u8>) -> Result<(Vec<u8>, Vec<String
         truth.extend(container::truth(bytes).with_context(|| name_of(path))?);
         let Some(next) = following.take() else {
             writer.record_truth(posebridge_telemetry::Stamp::ZERO, &truth)?;
-            notes.insert(0, format!("{number} parts were joined"));
+            let count = number - first_number + 1;
+            notes.insert(0, format!("{count} parts were joined"));
             break;
         };
-        following = continuation(&next.1, next.0)?.map(|(path, bytes)| (next.0 + 1, path, bytes));
+        let behind = continuation((&next.1, next.0), &mut left)?;
+        following = behind.map(|(path, bytes)| (next.0 + 1, path, bytes));
         part = next;
     }
     Ok((writer.finish()?.into_inner(), notes))
 }
 
-/// The part behind part `number`, which is the file at `path`.
-fn continuation(path: &Path, number: u32) -> Result<Option<(PathBuf, Vec<u8>)>> {
+/// The names of the parts that continue the one whose content is `first`, in the file at `path`.
+///
+/// # Errors
+/// As [`joined`].
+pub(crate) fn names_behind(path: &Path, first: &[u8]) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    let Ok(reader) = Reader::open(first) else {
+        return Ok(names);
+    };
+    let (mut path, mut number) = (path.to_owned(), reader.beginning().part);
+    loop {
+        // One at a time lies in memory.
+        let mut left = MOST_BYTES;
+        let Some((next, _)) = continuation((&path, number), &mut left)? else {
+            return Ok(names);
+        };
+        names.push(name_of(&next));
+        (path, number) = (next, number + 1);
+    }
+}
+
+/// The part behind part `number`, which is the file at `path`; takes its bytes from those that are left.
+fn continuation(
+    (path, number): (&Path, u32),
+    left: &mut u64,
+) -> Result<Option<(PathBuf, Vec<u8>)>> {
     let next = part_path(&first_path(path, number), number + 1);
     if !next.is_file() {
         return Ok(None);
     }
-    let bytes = std::fs::read(&next).with_context(|| format!("reading `{}`", next.display()))?;
+    let name = next.display();
+    let size = std::fs::metadata(&next)
+        .with_context(|| format!("looking at `{name}`"))?
+        .len();
+    ensure!(
+        size <= *left,
+        "`{name}` and the parts before it hold more than {} MiB: begin with a later part",
+        MOST_BYTES >> 20
+    );
+    let bytes = InputFile::open(&next)?.whole(*left)?;
+    *left = left.saturating_sub(bytes.len() as u64);
     let continues = Reader::open(&bytes).ok().is_some_and(|reader| {
         let beginning = reader.beginning();
         let before = path.file_name().unwrap_or_default().to_string_lossy();
@@ -146,8 +191,7 @@ mod tests {
         let (whole, notes) = joined(&path, std::fs::read(&path).unwrap()).unwrap();
         let expected: Vec<i64> = (0..28).map(|number| 250 * number).collect();
         assert_eq!(instants(&whole), expected);
-        assert_eq!(notes.len(), 1, "{notes:?}");
-        assert!(notes[0].ends_with("parts were joined"), "{notes:?}");
+        assert_eq!(notes, ["4 parts were joined"]);
     }
 
     #[test]
@@ -157,12 +201,27 @@ mod tests {
         let second = folder.path().join("recording.2.mcap");
         let bytes = std::fs::read(&second).unwrap();
         let begins_ms = instants(&bytes)[0];
-        let (rest, _) = joined(&second, bytes).unwrap();
+        let names = names_behind(&second, &bytes).unwrap();
+        assert_eq!(names, ["recording.3.mcap", "recording.4.mcap"]);
+        let (rest, notes) = joined(&second, bytes).unwrap();
+        assert_eq!(notes, ["3 parts were joined"]);
         let found = instants(&rest);
         assert_eq!((found[0], found[found.len() - 1]), (begins_ms, 6_750));
         let reader = Reader::open(&rest).unwrap();
         assert!(reader.beginning().inputs_before > 0);
         assert_eq!(reader.beginning().part, 2);
+    }
+
+    #[test]
+    fn parts_that_are_too_much_together_are_refused_before_they_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = record(folder.path());
+        let first = std::fs::read(&path).unwrap();
+        let second = std::fs::metadata(folder.path().join("recording.2.mcap")).unwrap();
+        let most = first.len() as u64 + second.len();
+        let refused = joined_within(&path, first, most).unwrap_err().to_string();
+        assert!(refused.contains("recording.3.mcap"), "{refused}");
+        assert!(refused.contains("begin with a later part"), "{refused}");
     }
 
     #[test]

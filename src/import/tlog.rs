@@ -3,22 +3,24 @@
 //! # Model
 //! ```text
 //! host time = time of the record - zero
-//! zero      = time - stamp of the station's own first time request, which is by the host's clock; else the time of the first record
+//! zero      = time - stamp of the station's own first time request, which is by the host's clock; else the first time that counts
 //! ```
+//! Only times of verified frames with which the time before or behind them agrees say where zero is.
 //! The station's frames are left out, because the pipeline makes its own. Its time requests are kept as instants: a pipeline that is
 //! woken at them asks at them, and so the answers in the file are answers to it. What the file cannot tell, when links came and went
 //! and how chunks were cut, is lost: such a replay is close to what was live, not the same bit for bit.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use posebridge_protocol::dialect;
-use posebridge_protocol::framing::verified_before;
-use posebridge_protocol::message::Message;
-use posebridge_recording::tlog::Record;
+use posebridge_protocol::framing::{FrameRef, verified_before};
+use posebridge_protocol::message::{Message, WireStamp};
+use posebridge_recording::tlog::{Judged, OLDEST_MICROS, Record};
 use posebridge_telemetry::{Address, HostClock, Input, LinkId, LinkState, PeerId, Span, Stamp};
 
 use super::Sink;
+use super::timeline::{Found, Take, Timed, Timeline, Told, agree, is_possible};
 use crate::config::{Config, LinkSection};
 use crate::input_file::InputFile;
 use crate::tlog::{first_records, records};
@@ -27,8 +29,6 @@ use crate::tlog::{first_records, records};
 const LINK: LinkId = LinkId(0);
 /// The station is sought in so many records.
 const SOUGHT: usize = 20_000;
-/// A time that lies so far ahead of the record behind it is damaged; a fall by less than that is the disorder of a writer.
-const LEAP_MICROS: u64 = 60_000_000;
 /// In a silence the pipeline is woken so often, to find out that a robot was lost.
 const TICK: Span = Span::from_millis(1_000);
 /// No silence is longer than this many ticks to a pipeline: it has found out by then.
@@ -40,6 +40,7 @@ pub(super) struct Source {
     pub(super) config: Config,
     /// The host clock's zero, microseconds since 1970.
     pub(super) epoch_micros: u64,
+    first_micros: u64,
     path: PathBuf,
     own: Address,
 }
@@ -48,7 +49,7 @@ impl Source {
     /// Looks for the zero of the host's clock.
     ///
     /// # Errors
-    /// The file cannot be read.
+    /// The file cannot be read or holds no frame, or its times make no sense.
     pub(super) fn open(path: &Path, station: Config) -> Result<Self> {
         let own = Address::new(station.station.system, station.station.component);
         let config = Config {
@@ -59,8 +60,10 @@ impl Source {
             }],
             ..station
         };
+        let beginning = beginning_of(path, own)?;
         Ok(Self {
-            epoch_micros: epoch_of(path, own)?,
+            epoch_micros: beginning.zero_micros,
+            first_micros: beginning.first_micros,
             config,
             path: path.to_owned(),
             own,
@@ -74,8 +77,7 @@ impl Source {
     pub(super) fn inputs(&self, sink: &mut Sink<'_>) -> Result<Vec<String>> {
         let mut inputs = Inputs {
             own: self.own,
-            timeline: Timeline::new(self.epoch_micros),
-            waiting: None,
+            epoch_micros: self.epoch_micros,
             latest: Stamp::ZERO,
             of_station: 0,
             failure: None,
@@ -88,38 +90,93 @@ impl Source {
                 state: LinkState::Up,
             },
         );
-        let reader = records(InputFile::open(&self.path)?, |record| inputs.take(&record))?;
-        inputs.hand_on(None);
+        let (bytes_outside, found) = in_time(
+            &self.path,
+            (self.own, self.first_micros),
+            &mut |micros, frame| inputs.hand_on(micros, frame),
+        )?;
         inputs.failure.map_or(Ok(()), Err)?;
-        let notes = [
+        let counts = [
             (
                 inputs.of_station,
                 format!("frames of the station {} itself", self.own),
             ),
-            (
-                reader.counts().bytes_outside,
-                "bytes outside frames".to_owned(),
-            ),
-            (
-                inputs.timeline.damaged,
-                "times that leap ahead, taken for damage".to_owned(),
-            ),
-            (
-                inputs.timeline.steps,
-                "steps back of the computer's date, taken out".to_owned(),
-            ),
+            (bytes_outside, "bytes outside frames".to_owned()),
         ];
-        let notes = notes.into_iter().filter(|(count, _)| *count > 0);
-        Ok(notes
+        let counts = counts.into_iter().filter(|(count, _)| *count > 0);
+        let mut notes: Vec<String> = counts
             .map(|(count, what)| format!("{count} {what}"))
-            .collect())
+            .collect();
+        notes.extend(found.notes());
+        Ok(notes)
     }
 }
 
+/// Gives the frames of a log with the times that count, microseconds since 1970, which never fall; says in words what was wrong with those
+/// in the file.
+///
+/// # Errors
+/// The file cannot be read to its end, or holds no frame, or its times make no sense.
+pub(super) fn frames_in_time(
+    path: &Path,
+    own: Address,
+    take: &mut Take<'_>,
+) -> Result<Vec<String>> {
+    let first_micros = beginning_of(path, own)?.first_micros;
+    let (_, found) = in_time(path, (own, first_micros), take)?;
+    Ok(found.notes())
+}
+
+/// Also says how many bytes lie outside of frames.
+fn in_time(
+    path: &Path,
+    (own, first_micros): (Address, u64),
+    take: &mut Take<'_>,
+) -> Result<(u64, Found)> {
+    let mut timeline = Timeline::new(first_micros);
+    let reader = records(InputFile::open(path)?, |record| {
+        timeline.push(timed(&record, own), take);
+    })?;
+    Ok((reader.counts().bytes_outside, timeline.finish(take)))
+}
+
+/// A record with what its sender's clock said.
+fn timed(record: &Record<'_, ()>, own: Address) -> Timed {
+    Timed {
+        micros: record.micros,
+        told: verified_before(record.frame).and_then(|frame| told(&frame, own)),
+        frame: record.frame.to_vec(),
+    }
+}
+
+fn told(frame: &FrameRef<'_>, own: Address) -> Option<Told> {
+    let asked = own_request(frame, own);
+    let (micros, wraps_micros) = if let Some(asked) = asked {
+        (asked.as_micros(), None)
+    } else {
+        let stamp = dialect::stamp_of(frame)?;
+        let wraps_micros = match stamp {
+            WireStamp::Micros32(_) => Some(1 << 32),
+            WireStamp::Millis32(_) => Some(1_000 << 32),
+            WireStamp::Micros64(_) | WireStamp::Asked { .. } => None,
+        };
+        (i64::try_from(stamp.as_micros()).ok()?, wraps_micros)
+    };
+    // A date is no clock of its own: it may be set with the computer's.
+    (micros < OLDEST_MICROS as i64).then_some(Told {
+        clock: (frame.source, frame.message_id),
+        micros,
+        wraps_micros,
+        is_hosts: asked.is_some(),
+    })
+}
+
 /// The host instant of a time request, if a frame is one of the station's own.
-fn own_request(frame: &[u8], own: Address) -> Option<Stamp<HostClock>> {
-    let frame = verified_before(frame).filter(|frame| frame.source == own)?;
-    match dialect::decode(&frame) {
+fn own_request(frame: &FrameRef<'_>, own: Address) -> Option<Stamp<HostClock>> {
+    if frame.source != own {
+        return None;
+    }
+    match dialect::decode(frame) {
         Ok(Some(Message::TimeSync(sync))) if sync.answer_nanos == 0 && sync.request_nanos >= 0 => {
             Some(Stamp::from_nanos(sync.request_nanos))
         }
@@ -127,74 +184,80 @@ fn own_request(frame: &[u8], own: Address) -> Option<Stamp<HostClock>> {
     }
 }
 
-fn epoch_of(path: &Path, own: Address) -> Result<u64> {
-    let (mut first, mut asked, mut seen) = (None, None, 0);
+/// Where the times of a log begin, microseconds since 1970.
+struct Beginning {
+    /// Zero of the host's clock.
+    zero_micros: u64,
+    /// The first time with which another agrees.
+    first_micros: u64,
+}
+
+/// What is known of a log's beginning while it is sought.
+#[derive(Default)]
+struct Sought {
+    seen: usize,
+    /// Offset and time of the first verified record.
+    lone: Option<(u64, u64)>,
+    /// Time of the verified record before, and the zero that it tells.
+    before: Option<(u64, Option<u64>)>,
+    first: Option<u64>,
+    zero: Option<u64>,
+}
+
+impl Sought {
+    fn take(&mut self, record: &Record<'_, ()>, own: Address) {
+        self.seen += 1;
+        let micros = record.micros;
+        if record.judged != Judged::Whole(()) {
+            return;
+        }
+        self.lone.get_or_insert((record.offset, micros));
+        let zero = verified_before(record.frame)
+            .and_then(|frame| own_request(&frame, own))
+            .and_then(|at| micros.checked_sub(u64::try_from(at.as_micros()).ok()?));
+        let before = self.before.replace((micros, zero));
+        let Some((before, zero_before)) = before.filter(|(before, _)| agree(*before, micros))
+        else {
+            return;
+        };
+        let first = *self.first.get_or_insert(before);
+        // A zero behind the first record would make times negative: then the stamps are by another clock.
+        self.zero = zero_before.or(zero).filter(|zero| *zero <= first);
+    }
+
+    fn found(self, path: &Path) -> Result<Beginning> {
+        let name = path.display();
+        let Some((offset, lone)) = self.lone else {
+            bail!(
+                "`{name}` holds no MAVLink frame that can be verified: is it a telemetry log? `posebridge inspect {name}` says what it holds"
+            );
+        };
+        let first = self.first.or(is_possible(lone).then_some(lone));
+        let Some(first_micros) = first else {
+            bail!(
+                "`{name}`: the time at byte {offset} is {lone} us after 1970, beyond the year 2100, and no two times behind it agree: the times are damaged"
+            );
+        };
+        Ok(Beginning {
+            zero_micros: self.zero.unwrap_or(first_micros),
+            first_micros,
+        })
+    }
+}
+
+fn beginning_of(path: &Path, own: Address) -> Result<Beginning> {
+    let mut sought = Sought::default();
     first_records(InputFile::open(path)?, |record| {
-        seen += 1;
-        let first = *first.get_or_insert(record.micros);
-        asked = own_request(record.frame, own).and_then(|at| {
-            let since_zero = u64::try_from(at.as_micros()).ok()?;
-            // A zero behind the first record would make times negative: then the stamps are by another clock.
-            let zero = record.micros.checked_sub(since_zero);
-            zero.filter(|zero| *zero <= first)
-        });
-        asked.is_none() && seen < SOUGHT
+        sought.take(&record, own);
+        sought.zero.is_none() && sought.seen < SOUGHT
     })?;
-    Ok(asked.or(first).unwrap_or_default())
-}
-
-/// Makes host instants of a file's times: they never fall.
-struct Timeline {
-    epoch_micros: u64,
-    /// The computer's date was set back by so much since the beginning.
-    shift_micros: u64,
-    latest_micros: u64,
-    damaged: u64,
-    steps: u64,
-}
-
-impl Timeline {
-    const fn new(epoch_micros: u64) -> Self {
-        Self {
-            epoch_micros,
-            shift_micros: 0,
-            latest_micros: epoch_micros,
-            damaged: 0,
-            steps: 0,
-        }
-    }
-
-    /// The instant of a record, given the time of the one behind it.
-    fn stamp(&mut self, micros: u64, next_micros: Option<u64>) -> Stamp<HostClock> {
-        let mut micros = micros.saturating_add(self.shift_micros);
-        let next = next_micros.map(|next| next.saturating_add(self.shift_micros));
-        let leaps = micros.saturating_sub(self.latest_micros) > LEAP_MICROS;
-        if leaps && next.is_some_and(|next| micros.saturating_sub(next) > LEAP_MICROS) {
-            self.damaged += 1;
-            micros = self.latest_micros;
-        }
-        let fall = self.latest_micros.saturating_sub(micros);
-        if fall > LEAP_MICROS {
-            self.steps += 1;
-            self.shift_micros = self.shift_micros.saturating_add(fall);
-        }
-        self.latest_micros = self.latest_micros.max(micros);
-        let since_zero = self.latest_micros - self.epoch_micros;
-        Stamp::from_micros(i64::try_from(since_zero).unwrap_or(i64::MAX))
-    }
-}
-
-/// A record that waits for the time of the next one.
-struct Waiting {
-    micros: u64,
-    frame: Vec<u8>,
+    sought.found(path)
 }
 
 /// Turns records into inputs.
 struct Inputs<'a, 's> {
     own: Address,
-    timeline: Timeline,
-    waiting: Option<Waiting>,
+    epoch_micros: u64,
     latest: Stamp<HostClock>,
     of_station: u64,
     failure: Option<anyhow::Error>,
@@ -202,24 +265,14 @@ struct Inputs<'a, 's> {
 }
 
 impl Inputs<'_, '_> {
-    fn take(&mut self, record: &Record<'_, ()>) {
-        self.hand_on(Some(record.micros));
-        self.waiting = Some(Waiting {
-            micros: record.micros,
-            frame: record.frame.to_vec(),
-        });
-    }
-
-    /// Gives the record that waited, if there is one.
-    fn hand_on(&mut self, next_micros: Option<u64>) {
-        let Some(Waiting { micros, frame }) = self.waiting.take() else {
-            return;
-        };
-        let mut at = self.timeline.stamp(micros, next_micros);
-        let is_own = verified_before(&frame).is_some_and(|frame| frame.source == self.own);
-        let input = if is_own {
+    /// Takes a frame with the time that counts.
+    fn hand_on(&mut self, micros: u64, frame: Vec<u8>) {
+        let since_zero = micros.saturating_sub(self.epoch_micros);
+        let mut at = Stamp::from_micros(i64::try_from(since_zero).unwrap_or(i64::MAX));
+        let of_station = verified_before(&frame).filter(|frame| frame.source == self.own);
+        let input = if let Some(of_station) = of_station {
             self.of_station += 1;
-            let Some(asked) = own_request(&frame, self.own) else {
+            let Some(asked) = own_request(&of_station, self.own) else {
                 return;
             };
             // The stamp has nanoseconds, the record's time has not.
@@ -255,40 +308,5 @@ impl Inputs<'_, '_> {
         if self.failure.is_none() {
             self.failure = (self.sink)(self.latest, input).err();
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The instants of times in seconds, in milliseconds.
-    fn stamps(times_s: &[u64]) -> (Vec<i64>, u64, u64) {
-        let zero = times_s.first().copied().unwrap_or_default() * 1_000_000;
-        let mut timeline = Timeline::new(zero);
-        let mut next = times_s.iter().skip(1).map(|time| time * 1_000_000);
-        let stamps = times_s.iter().map(|time| {
-            let stamp = timeline.stamp(time * 1_000_000, next.next());
-            stamp.as_micros() / 1_000_000
-        });
-        (stamps.collect(), timeline.damaged, timeline.steps)
-    }
-
-    #[test]
-    fn a_time_that_leaps_alone_is_damage_and_a_long_silence_is_none() {
-        assert_eq!(stamps(&[10, 11, 99_999, 12]), (vec![0, 1, 1, 2], 1, 0));
-        assert_eq!(
-            stamps(&[10, 11, 5_000, 5_001]),
-            (vec![0, 1, 4_990, 4_991], 0, 0)
-        );
-    }
-
-    #[test]
-    fn a_date_that_is_set_back_goes_on_where_it_was_and_disorder_waits() {
-        assert_eq!(
-            stamps(&[5_000, 5_001, 1_401, 1_402]),
-            (vec![0, 1, 1, 2], 0, 1)
-        );
-        assert_eq!(stamps(&[10, 12, 11, 13]), (vec![0, 2, 2, 3], 0, 0));
     }
 }

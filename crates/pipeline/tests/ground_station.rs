@@ -28,7 +28,8 @@ use posebridge_protocol::message::{
 };
 use posebridge_protocol::signing::{Key, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned};
 use posebridge_telemetry::{
-    Address, Audience, HostClock, LinkId, Meters, Output, Priority, Span, Stamp,
+    Address, Audience, Command, HostClock, Input, LinkId, Meters, Output, ParameterStorage,
+    Priority, Span, Stamp,
 };
 use station::{LINK, STATION, Station, at, config, link, stream};
 
@@ -119,6 +120,16 @@ impl Heard {
         said.map(|(now, _, _)| now.as_micros() / 1_000).collect()
     }
 
+    /// The lines for people.
+    fn texts(&self) -> Vec<&str> {
+        let said = self.said.iter();
+        let texts = said.filter_map(|(_, _, message)| match message {
+            Message::StatusText { text, .. } => Some(text.as_str()),
+            _ => None,
+        });
+        texts.collect()
+    }
+
     fn lost(&self, who: Address) -> u32 {
         self.senders[&who].2
     }
@@ -206,14 +217,7 @@ fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
         assert!(beats.iter().any(|at| *at < 5_100) && beats.iter().any(|at| *at >= 20_000));
         assert_eq!(heard.lost(who), 0, "{who}");
     }
-    let texts: Vec<&str> = heard
-        .said
-        .iter()
-        .filter_map(|(_, _, message)| match message {
-            Message::StatusText { text, .. } => Some(text.as_str()),
-            _ => None,
-        })
-        .collect();
+    let texts = heard.texts();
     assert!(
         texts.contains(&"robot 1/25 is lost: silent for 5.0 s"),
         "{texts:?}"
@@ -221,6 +225,37 @@ fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
     assert!(texts.contains(&"robot 1/25 is heard again"), "{texts:?}");
     // On the robot's own link the station is there all the time: somebody may wait for it.
     assert!(Heard::on(&station, LINK).times(STATION, is_beat).len() >= 22);
+}
+
+#[test]
+fn what_became_of_a_request_is_told_whatever_was_said_just_before() {
+    let report = |text: &str| Input::Report {
+        severity: 6,
+        text: text.to_owned(),
+    };
+    let mut station = Station::new(&two_links());
+    let results = [
+        (Command::StopRecording, "recorded run/recording.mcap"),
+        (Command::StopRecording, "nothing is being recorded"),
+        (
+            Command::Parameters(ParameterStorage::Save),
+            "saved parameters.toml in run",
+        ),
+    ];
+    for (command, result) in results {
+        station.give(at(2_001), Input::Command(command));
+        station.give(at(2_001), report(result));
+    }
+    for _ in 0..100 {
+        station.give(at(2_002), report("again"));
+    }
+    let heard = Heard::on(&station, GCS_LINK);
+    let texts = heard.texts();
+    for (_, result) in results {
+        assert!(texts.contains(&result), "{result}: {texts:?}");
+    }
+    let again = texts.iter().filter(|text| **text == "again").count();
+    assert_eq!(again, 5, "who asks without end is not answered without end");
 }
 
 #[test]

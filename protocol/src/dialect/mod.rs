@@ -156,7 +156,8 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
 }
 
 /// The instant of its sender's clock of which a verified frame speaks; `None` if it speaks of none or makes no sense.
-pub(crate) fn stamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
+#[must_use]
+pub fn stamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
     match frame.message_id {
         // The commonest without one need not be decoded for it.
         ids::HEARTBEAT

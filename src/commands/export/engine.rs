@@ -11,13 +11,14 @@ use posebridge_recording::container::{Ending, Reader};
 use posebridge_recording::csv::Streams;
 use posebridge_telemetry::{Event, HostClock, Input, Output, Stamp};
 
-use super::{ExportArgs, Format, create_new, station, tell};
+use super::fresh::Fresh;
+use super::{ExportArgs, Format, create_new, station, tell, tell_all};
 use crate::config::Config;
 use crate::data::DataSet;
 use crate::import;
 use crate::input_file::Kind;
 use crate::known::Known;
-use crate::own_recording::{Overlay, laid_over};
+use crate::own_recording::{Overlay, lack_of, laid_over};
 use crate::score::{Pair, Scorer};
 use crate::signing;
 use crate::stderr::say;
@@ -68,6 +69,11 @@ impl Session {
             (bytes, None)
         };
         let reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
+        if let Some(lack) = lack_of(reader.beginning()) {
+            say(&format!(
+                "{name}: {lack}; the estimates are not those of the live run"
+            ));
+        }
         // A descriptor's settings are in what was made of it already: their keys are those of its robot.
         let overlay = match kind {
             Kind::Descriptor => Overlay::default(),
@@ -106,7 +112,7 @@ impl Session {
         let tlog = wanted
             .contains(&Format::Tlog)
             .then(|| create_new(args, "tlog"));
-        let (tlog, tlog_path) = tlog.transpose()?.unzip();
+        let (tlog, fresh) = tlog.transpose()?.unzip();
         let mut files = Files {
             csv: wanted.contains(&Format::Csv).then(|| streams(&args.out)),
             tlog: tlog.map(|file| {
@@ -139,18 +145,12 @@ impl Session {
         if let Some(scorer) = &mut scorer {
             scorer.finish(&pipeline);
         }
-        files.finish(args, tlog_path.as_deref())?;
+        files.finish(args, fresh)?;
         Ok(Made {
             estimates,
             truth: self.truth,
             pairs: scorer.map(|scorer| scorer.pairs),
         })
-    }
-}
-
-fn tell_all(notes: &[String]) {
-    for note in notes {
-        say(note);
     }
 }
 
@@ -221,15 +221,16 @@ impl Files {
         Ok(())
     }
 
-    fn finish(self, args: &ExportArgs, tlog_path: Option<&Path>) -> Result<()> {
+    fn finish(self, args: &ExportArgs, fresh: Option<Fresh>) -> Result<()> {
         if let Some(csv) = self.csv {
             for (name, lines) in csv.finish().context("writing CSV")? {
                 tell(&args.out.join(format!("{name}.csv")), lines, "lines");
             }
         }
-        if let (Some(tlog), Some(path)) = (self.tlog, tlog_path) {
+        if let (Some(tlog), Some(fresh)) = (self.tlog, fresh) {
             let (_, frames) = tlog.finish().context("writing the telemetry log")?;
-            tell(path, frames, "frames");
+            tell(fresh.path(), frames, "frames");
+            fresh.finish()?;
         }
         Ok(())
     }

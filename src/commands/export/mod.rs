@@ -3,6 +3,7 @@
 //! Reads recordings of ours, telemetry logs and descriptors; the engine is that of a live run. docs/export.md describes the files.
 
 mod engine;
+mod fresh;
 mod tum;
 
 use std::fs::File;
@@ -18,7 +19,8 @@ use crate::cli::DataFlags;
 use crate::import::{self, Station};
 use crate::input_file::{InputFile, Kind};
 use crate::stderr::say;
-use crate::tlog::records;
+
+use fresh::Fresh;
 
 /// Flags of `export`.
 #[derive(Args, Clone, Debug)]
@@ -128,36 +130,35 @@ fn station(args: &ExportArgs) -> Station<'_> {
 }
 
 fn write_mcap(args: &ExportArgs) -> Result<()> {
-    let (file, path) = create_new(args, "mcap")?;
+    let (file, fresh) = create_new(args, "mcap")?;
     let (_, account) = import::import(&args.recording, &args.data, station(args), file)?;
-    tell(&path, account.inputs, "inputs");
-    Ok(())
+    tell_all(&account.notes);
+    tell(fresh.path(), account.inputs, "inputs");
+    fresh.finish()
 }
 
 /// The whole frames of a telemetry log, with their times the right way round and never stepping back.
 fn copy_tlog(args: &ExportArgs) -> Result<()> {
-    let (out, path) = create_new(args, "tlog")?;
+    let (out, fresh) = create_new(args, "tlog")?;
     let mut writer = Writer::new(BufWriter::new(out));
     let mut written = Ok(0);
-    records(InputFile::open(&args.recording)?, |record| {
+    let notes = import::logged_frames(&args.recording, station(args), &mut |micros, frame| {
         if let Ok(count) = written {
-            let done = writer.record(record.micros, record.frame);
+            let done = writer.record(micros, &frame);
             written = done.map(|()| count + 1);
         }
     })?;
-    let written = written.with_context(|| format!("writing `{}`", path.display()))?;
+    let written = written.with_context(|| format!("writing `{}`", fresh.path().display()))?;
     writer.finish()?;
-    tell(&path, written, "frames");
-    Ok(())
+    tell_all(&notes);
+    tell(fresh.path(), written, "frames");
+    fresh.finish()
 }
 
-/// Creates the file of this name in the folder, with the recording's own name; what is there already is not touched.
-fn create_new(args: &ExportArgs, extension: &str) -> Result<(File, PathBuf)> {
-    let path = args
-        .out
-        .join(format!("{}.{extension}", stem(&args.recording)));
-    let file = File::create_new(&path).with_context(|| format!("creating `{}`", path.display()))?;
-    Ok((file, path))
+/// Begins the file of this extension in the folder, with the recording's own name; what is there already is not touched.
+fn create_new(args: &ExportArgs, extension: &str) -> Result<(File, Fresh)> {
+    let name = format!("{}.{extension}", stem(&args.recording));
+    Fresh::create(args.out.join(name))
 }
 
 /// The name of a file without folder and extensions.
@@ -171,6 +172,12 @@ fn stem(path: &Path) -> String {
 /// Says what was written.
 fn tell(path: &Path, count: u64, what: &str) {
     say(&format!("wrote `{}`: {count} {what}", path.display()));
+}
+
+fn tell_all(notes: &[String]) {
+    for note in notes {
+        say(note);
+    }
 }
 
 #[cfg(test)]

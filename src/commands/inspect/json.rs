@@ -95,9 +95,10 @@ fn utc_micros(framed: &Framed, at: Option<Stamp<HostClock>>) -> Value {
     json!(utc.and_then(|utc| u64::try_from(utc).ok()))
 }
 
-/// From the first to the last, s; nothing without times.
+/// From the first to the last, s; nothing without times, or where the last lies before the first: such times tell no duration.
 pub(super) fn duration_s(all: &Tally) -> Option<f64> {
-    Some((all.last? - all.first?).as_secs_f64())
+    let duration_s = (all.last? - all.first?).as_secs_f64();
+    (duration_s >= 0.0).then_some(duration_s)
 }
 
 fn gap_of(gap: &Gap, all: &Tally) -> Value {
@@ -175,7 +176,10 @@ fn own_of(facts: &OwnFacts) -> Value {
         "format": facts.header.format,
         "program_version": facts.header.program_version,
         "utc_start_micros": facts.header.utc_start_micros,
-        "duration_s": (facts.last - Stamp::ZERO).as_secs_f64(),
+        "duration_s": facts.duration_s(),
+        "part": facts.part,
+        "continued_by": facts.continued_by,
+        "lack": facts.lack,
         "inputs": facts.inputs,
         "observations": facts.observations,
         "commands": facts.commands,

@@ -93,7 +93,9 @@ pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
     let found = match kind {
         Kind::Tlog => framed::tlog(file).map(Found::framed).while_running()?,
         Kind::Bytes => framed::bytes(file).map(Found::framed).while_running()?,
-        Kind::Own => own::inspect(file).map(Found::framed).at_start()?,
+        Kind::Own => own::inspect(file, &args.file)
+            .map(Found::framed)
+            .at_start()?,
         Kind::Descriptor => Found::Runs(descriptor::inspect(&args.file, &args.data).at_start()?),
     };
     let text = if args.json {

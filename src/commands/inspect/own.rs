@@ -1,6 +1,7 @@
 //! Recordings of ours: the bytes of each MAVLink link are scanned as they were live; of the others only the amount is told.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use anyhow::{Context, Result};
 use posebridge_protocol::framing::Scanner;
@@ -10,7 +11,9 @@ use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, PeerId, Stamp};
 use super::Framed;
 use super::framed::{inspecting_scanner, take_scanned};
 use crate::config;
+use crate::import::parts::names_behind;
 use crate::input_file::InputFile;
+use crate::own_recording::lack_of;
 
 /// A recording lies in memory while it is inspected; more than that is not read.
 const MOST_BYTES: u64 = 4 << 30;
@@ -28,12 +31,28 @@ pub(super) struct OwnFacts {
     pub(super) commands: u64,
     /// Links by number.
     pub(super) links: BTreeMap<LinkId, LinkFacts>,
+    /// When the first input was given; a later part of a session begins late.
+    pub(super) first: Option<Stamp<HostClock>>,
+    /// Which part of its session this is; the first is 1.
+    pub(super) part: u32,
+    /// What it lacks of its session's beginning, in words.
+    pub(super) lack: Option<String>,
+    /// The names of the parts that continue it; they are not counted.
+    pub(super) continued_by: Vec<String>,
     /// When the last input was given.
     pub(super) last: Stamp<HostClock>,
     /// Where and why it ends early.
     pub(super) torn: Option<String>,
     /// What is damaged within it.
     pub(super) damages: Vec<String>,
+}
+
+impl OwnFacts {
+    /// From its first input to its last, s.
+    pub(super) fn duration_s(&self) -> f64 {
+        let first = self.first.unwrap_or(self.last);
+        (self.last - first).as_secs_f64()
+    }
 }
 
 /// One link.
@@ -60,7 +79,7 @@ const MOST_DAMAGES: usize = 20;
 ///
 /// # Errors
 /// It cannot be read or is none.
-pub(super) fn inspect(file: InputFile) -> Result<Framed> {
+pub(super) fn inspect(file: InputFile, path: &Path) -> Result<Framed> {
     let name = file.name.clone();
     let bytes = file.whole(MOST_BYTES)?;
     let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
@@ -68,7 +87,12 @@ pub(super) fn inspect(file: InputFile) -> Result<Framed> {
         epoch_micros: Some(reader.header().utc_start_micros),
         ..Framed::default()
     };
-    let mut facts = facts_of(reader.header());
+    let mut facts = OwnFacts {
+        part: reader.beginning().part,
+        lack: lack_of(reader.beginning()),
+        continued_by: names_behind(path, &bytes)?,
+        ..facts_of(reader.header())
+    };
     let mut scanners: BTreeMap<(LinkId, PeerId), Scanner> = BTreeMap::new();
     for item in &mut reader {
         match item {
@@ -115,6 +139,10 @@ fn facts_of(header: &Header) -> OwnFacts {
         observations: 0,
         commands: 0,
         links: links.collect(),
+        first: None,
+        part: 1,
+        lack: None,
+        continued_by: Vec::new(),
         last: Stamp::ZERO,
         torn: None,
         damages: Vec::new(),
@@ -128,6 +156,7 @@ fn take(
     (now, input): (Stamp<HostClock>, &Input),
 ) {
     facts.inputs += 1;
+    facts.first.get_or_insert(now);
     facts.last = now;
     match input {
         Input::Bytes { link, peer, bytes } => {

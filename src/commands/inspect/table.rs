@@ -91,6 +91,17 @@ fn own_text(facts: &OwnFacts) -> String {
         "written by posebridge {}, {} inputs\n",
         facts.header.program_version, facts.inputs
     );
+    if let Some(lack) = &facts.lack {
+        let _ = writeln!(text, "{lack}");
+    }
+    if let Some(next) = facts.continued_by.first() {
+        let count = facts.continued_by.len();
+        let _ = writeln!(
+            text,
+            "this is part {}; {count} more continue it, from `{next}` on, and are not counted here: replay, report and export join them",
+            facts.part
+        );
+    }
     for (id, link) in &facts.links {
         let brick = link.brick.as_deref().unwrap_or("mavlink");
         let _ = writeln!(

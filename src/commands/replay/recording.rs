@@ -137,7 +137,7 @@ impl OwnRecording {
     /// Gives every lane what the pipeline was given live, at the same instants.
     ///
     /// # Errors
-    /// As the watchers say; or a telemetry log cannot be read any further.
+    /// As the watchers say; or a telemetry log cannot be read any further, or nothing lies within the window.
     pub fn run(
         &self,
         lanes: &mut [Lane<'_>],
@@ -152,6 +152,7 @@ impl OwnRecording {
             pace,
             first: None,
             recorded: Span::ZERO,
+            has_given: false,
             is_over: false,
         };
         match &self.inputs {
@@ -164,6 +165,12 @@ impl OwnRecording {
             }
         }
         let recorded = course.recorded;
+        ensure!(
+            course.has_given || window.is_whole(),
+            "`{}`: nothing lies between --from and --to: its inputs lie between 0 and {:.3} s",
+            self.name,
+            recorded.as_secs_f64()
+        );
         let notes = notes.finish();
         Ok(Passage { recorded, notes })
     }
@@ -177,6 +184,8 @@ struct Course<'c, 'l> {
     /// When the first input was given.
     first: Option<Stamp<HostClock>>,
     recorded: Span,
+    /// Something lay within the window.
+    has_given: bool,
     /// All that is wanted was given.
     is_over: bool,
 }
@@ -189,6 +198,7 @@ impl Course<'_, '_> {
         if self.is_over {
             return Ok(());
         }
+        self.has_given |= place == Place::Within;
         if let Some(pace) = self.pace {
             pace.wait(elapsed);
         }

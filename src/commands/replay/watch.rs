@@ -65,6 +65,11 @@ impl Window {
         })
     }
 
+    /// Whether everything counts.
+    pub fn is_whole(self) -> bool {
+        self == Self::default()
+    }
+
     /// Where an instant lies, by the time since the first input.
     pub fn place(self, elapsed: Span) -> Place {
         if self.to.is_some_and(|to| elapsed > to) {

@@ -31,9 +31,9 @@ pub const TIME_BYTES: usize = 8;
 pub const LINK_BITS: u64 = 0b11;
 
 /// 1 January 2000, microseconds since 1970: nobody kept a telemetry log before.
-const OLDEST_MICROS: u64 = 946_684_800_000_000;
-/// 1 January 2100, microseconds since 1970.
-const NEWEST_MICROS: u64 = 4_102_444_800_000_000;
+pub const OLDEST_MICROS: u64 = 946_684_800_000_000;
+/// 1 January 2100, microseconds since 1970: no log of today holds later times.
+pub const NEWEST_MICROS: u64 = 4_102_444_800_000_000;
 
 /// In which order the bytes of the times stand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -10,6 +10,8 @@
 //! # Sources
 //! docs/protocols/camera-json.md; RFC 8259 (JSON).
 
+use std::ops::RangeInclusive;
+
 use posebridge_telemetry::{ChannelName, Heading, Meters};
 use serde_json::{Map, Value};
 
@@ -41,6 +43,9 @@ pub(super) const KEYS: &[&str] = &[
 const UNNAMED: &[u8] = b"camera";
 /// No arena is larger: 100 km.
 const FURTHEST_M: f64 = 1e5;
+/// A smaller sigma, m or rad, is a mistake: no camera knows a place to a micrometre, and its square must not vanish among numbers of 64
+/// bits.
+const SMALLEST_SIGMA: f64 = 1e-6;
 /// A sigma of more says nothing.
 const LARGEST_SIGMA: f64 = 1e3;
 /// So many turns are taken for an angle that was never wrapped, and no more.
@@ -204,15 +209,16 @@ impl Keys<'_> {
     }
 
     fn heading_rad(&self) -> Result<Option<f64>, Flaw> {
-        self.angle(("heading_rad", "heading_deg"), LARGEST_ANGLE_RAD, f64::MIN)
+        let range = -LARGEST_ANGLE_RAD..=LARGEST_ANGLE_RAD;
+        self.angle(("heading_rad", "heading_deg"), range)
     }
 
     /// Variances from the sigmas. Both or none where there is a heading: a sigma of the position alone would leave the heading without
     /// any, and the station cannot guess it.
     fn covariance(&self, heading: Option<Heading>) -> Result<Option<[f64; 4]>, Flaw> {
-        let position = self.positive("sigma_m", LARGEST_SIGMA)?;
+        let position = self.bounded("sigma_m", SMALLEST_SIGMA, LARGEST_SIGMA)?;
         let names = ("sigma_heading_rad", "sigma_heading_deg");
-        let turn = self.angle(names, LARGEST_SIGMA, f64::MIN_POSITIVE)?;
+        let turn = self.angle(names, SMALLEST_SIGMA..=LARGEST_SIGMA)?;
         let Some(sigma_m) = position else {
             return match turn {
                 None => Ok(None),
@@ -262,24 +268,19 @@ impl Keys<'_> {
         }
     }
 
-    /// An angle in radians under one name or in degrees under the other, at least `least` and at most `most` radians.
+    /// An angle in radians under one name or in degrees under the other, within a range of radians.
     fn angle(
         &self,
         (radians, degrees): (&'static str, &'static str),
-        most: f64,
-        least: f64,
+        range_rad: RangeInclusive<f64>,
     ) -> Result<Option<f64>, Flaw> {
-        let least = least.max(-most);
+        let (least, most) = range_rad.into_inner();
         let in_radians = self.bounded(radians, least, most)?;
-        let in_degrees = self.bounded(degrees, least, most.to_degrees())?;
+        let in_degrees = self.bounded(degrees, least.to_degrees(), most.to_degrees())?;
         match (in_radians, in_degrees) {
             (Some(_), Some(_)) => Err(Flaw::of(degrees, "says the same as the one in radians")),
             (in_radians, in_degrees) => Ok(in_radians.or(in_degrees.map(f64::to_radians))),
         }
-    }
-
-    fn positive(&self, key: &'static str, most: f64) -> Result<Option<f64>, Flaw> {
-        self.bounded(key, f64::MIN_POSITIVE, most)
     }
 
     fn bounded(&self, key: &'static str, least: f64, most: f64) -> Result<Option<f64>, Flaw> {
@@ -292,11 +293,7 @@ impl Keys<'_> {
         if (least..=most).contains(&number) {
             return Ok(Some(number));
         }
-        let range = if least == f64::MIN_POSITIVE {
-            format!("is {number}, must be more than 0 and at most {most}")
-        } else {
-            format!("is {number}, must lie between {least} and {most}")
-        };
+        let range = format!("is {number:?}, must lie between {least:?} and {most:?}");
         Err(Flaw::of(key, &range))
     }
 
