@@ -391,7 +391,7 @@ mod tests {
 {"y_m": 0}                                                  | x_m               | is missing
 {"x_m": "1", "y_m": 0}                                      | x_m               | a number
 {"x_m": 1e9, "y_m": 0}                                      | x_m               | 100000
-{"x_m": 0, "y_m": 0, "sigma_m": 0}                          | sigma_m           | more than 0
+{"x_m": 0, "y_m": 0, "sigma_m": 0}                          | sigma_m           | between 1e-6
 {"x_m": 0, "y_m": 0, "sigma_m": 1, "heading_rad": 0}        | sigma_heading_rad | both sigmas
 {"x_m": 0, "y_m": 0, "sigma_heading_rad": 1}                | sigma_m           | is missing
 {"x_m": 0, "y_m": 0, "exposed_s": -1}                       | exposed_s         | between 0
