@@ -28,8 +28,6 @@ pub mod identification;
 mod markup;
 pub mod metrics;
 pub mod noise_identification;
-#[cfg(feature = "png")]
-pub mod raster;
 pub mod recorded_drive;
 pub mod report;
 pub mod smoothed;

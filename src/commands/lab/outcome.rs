@@ -18,10 +18,6 @@ pub struct OutputArgs {
     /// Print one JSON object instead of tables.
     #[arg(long)]
     pub json: bool,
-    /// Write every picture as PNG as well.
-    #[cfg(feature = "png")]
-    #[arg(long)]
-    pub png: bool,
 }
 
 /// The result of an experiment.
@@ -56,16 +52,21 @@ impl OutputArgs {
     /// # Errors
     /// Something cannot be written.
     pub fn deliver(&self, folder: &Path, outcome: &Outcome) -> Result<(), Failure> {
-        let pictures = outcome.pictures();
-        for (name, svg) in &pictures {
-            write(&folder.join(format!("{name}.svg")), svg.as_bytes())?;
+        let pictures: Vec<&String> = outcome.page.parts.iter().filter_map(picture).collect();
+        for (index, svg) in pictures.iter().enumerate() {
+            let number = if pictures.len() > 1 {
+                format!("-{}", index + 1)
+            } else {
+                String::new()
+            };
+            write(&folder.join(format!("{}{number}.svg", outcome.name)), svg)?;
         }
-        #[cfg(feature = "png")]
-        if self.png {
-            write_as_png(folder, &pictures)?;
+        for picture in outcome.page.parts.iter().flat_map(pictures_of) {
+            let name = format!("{}-{}.svg", outcome.name, picture.name);
+            write(&folder.join(name), &picture.svg)?;
         }
         let page = folder.join(format!("{}.html", outcome.name));
-        write(&page, outcome.page.html().as_bytes())?;
+        write(&page, &outcome.page.html())?;
         let text = if self.json {
             format!("{}\n", outcome.json)
         } else {
@@ -75,40 +76,6 @@ impl OutputArgs {
         say(&format!("page: {}", page.display()));
         Ok(())
     }
-}
-
-impl Outcome {
-    /// The pictures, each with the name of its file without the ending.
-    fn pictures(&self) -> Vec<(String, &String)> {
-        let parts = &self.page.parts;
-        let numbered: Vec<&String> = parts.iter().filter_map(picture).collect();
-        let is_alone = numbered.len() == 1;
-        let numbered = numbered.into_iter().enumerate().map(|(index, svg)| {
-            let name = if is_alone {
-                self.name.to_owned()
-            } else {
-                format!("{}-{}", self.name, index + 1)
-            };
-            (name, svg)
-        });
-        let named = parts.iter().flat_map(pictures_of);
-        let named = named.map(|one| (format!("{}-{}", self.name, one.name), &one.svg));
-        numbered.chain(named).collect()
-    }
-}
-
-#[cfg(feature = "png")]
-fn write_as_png(folder: &Path, pictures: &[(String, &String)]) -> Result<(), Failure> {
-    let rasteriser = posebridge_analysis::raster::Rasteriser::default();
-    for (name, svg) in pictures {
-        let path = folder.join(format!("{name}.png"));
-        let png = rasteriser
-            .png(svg)
-            .with_context(|| format!("drawing `{}`", path.display()))
-            .while_running()?;
-        write(&path, &png)?;
-    }
-    Ok(())
 }
 
 /// Those that are elements of the page.
@@ -126,8 +93,8 @@ const fn picture(part: &Part) -> Option<&String> {
     Some(svg)
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, bytes)
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(path, text)
         .with_context(|| format!("writing `{}`", path.display()))
         .while_running()
 }
