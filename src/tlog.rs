@@ -8,9 +8,7 @@ use std::io::Write;
 
 use anyhow::Result;
 use posebridge_pipeline::{AcceptedVersions, LinkConfig};
-use posebridge_protocol::framing::{
-    Scanned, Scanner, ScannerConfig, Verified, verified_before, verify,
-};
+use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, Verified, verify};
 use posebridge_protocol::routing::MOST_PEERS;
 use posebridge_recording::tlog::{Judged, LINK_BITS, Reader, Record, Writer};
 use posebridge_telemetry::{HostClock, LinkId, PeerId, Priority, Stamp};
