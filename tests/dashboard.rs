@@ -132,6 +132,8 @@ fn a_command_is_done_told_and_recorded() {
         })
     };
     reader.until(|message| says(message, "gate_prob 7.0 not in 0.5..0.999999"));
+    // A second of estimates behind the first.
+    reader.until(|message| message["now_s"].as_f64().is_some_and(|now_s| now_s > 3.0));
     reader.send(r#"{"command":"stop-recording"}"#);
     reader.until(|message| says(message, "recorded recording.mcap"));
     let rows: Vec<RecordingRow> = typed(address, "/v1/recordings");

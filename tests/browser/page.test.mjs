@@ -139,7 +139,7 @@ test('every fault of the simulated brick is one command', async () => {
       assert.deepEqual(command, expected);
     };
     await press('Kidnap', { command: 'kidnap', forward_m: 0.3, left_m: 0.2, turn_rad: 1.047198 });
-    await press('Slip', { command: 'slip', wheel: 'both', factor: 0.8, seconds: 1 });
+    await press('Slip', { command: 'slip', wheel: 'left', factor: 0.8, seconds: 1 });
     await press('Camera off', { command: 'camera', on: false });
     await press('Camera on', { command: 'camera', on: true });
     await press('Camera late', { command: 'camera-delay', delay_ms: 300 });

@@ -44,7 +44,7 @@ class SimulatorPanel {
   }
 
   #slip() {
-    const wheel = choice('wheel', [['both', 'both'], ['left', 'left'], ['right', 'right']]);
+    const wheel = choice('wheel', [['left', 'left'], ['right', 'right'], ['both', 'both']]);
     const factor = number('loses %', 80, 0, 100);
     const seconds = number('for s', 1, 0.1, 60);
     return row('Slip', () => ({ command: 'slip', wheel: wheel.read(), factor: factor.read() / 100, seconds: seconds.read() }),
