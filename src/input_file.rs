@@ -95,7 +95,7 @@ impl InputFile {
     pub fn chunks_while(&mut self, mut wants_more: impl FnMut(&[u8]) -> bool) -> Result<()> {
         loop {
             let chunk = match self.reader.fill_buf() {
-                Err(error) if is_cut(self.is_packed, &error) => {
+                Err(error) if self.is_packed && ends_early(&error) => {
                     self.is_cut = true;
                     return Ok(());
                 }
@@ -127,7 +127,7 @@ impl InputFile {
         let mut bytes = Vec::new();
         let read = (&mut self.reader).take(most + 1).read_to_end(&mut bytes);
         match read {
-            Err(error) if is_cut(self.is_packed, &error) => {
+            Err(error) if self.is_packed && ends_early(&error) => {
                 self.is_cut = true;
                 self.tell_if_cut();
             }
@@ -146,8 +146,8 @@ impl InputFile {
 }
 
 /// Whether reading ended because a packed file was cut: it has an end of its own, so that this is known.
-fn is_cut(is_packed: bool, error: &std::io::Error) -> bool {
-    is_packed && error.kind() == ErrorKind::UnexpectedEof
+fn ends_early(error: &std::io::Error) -> bool {
+    error.kind() == ErrorKind::UnexpectedEof
 }
 
 /// What lies ready to be read; nothing at the end.

@@ -71,7 +71,7 @@ pub enum Inputs {
     /// In a recording of ours, in memory.
     Recorded(Vec<u8>),
     /// In a telemetry log, from which they are made one by one.
-    Logged(LoggedInputs),
+    Logged(Box<LoggedInputs>),
 }
 
 /// The inputs that a telemetry log stands for.
@@ -157,7 +157,7 @@ pub fn session(path: &Path, station: Station<'_>) -> Result<Session> {
         return Ok(Session {
             header: header_of(&source.config, source.epoch_micros)?,
             notes: Vec::new(),
-            inputs: Inputs::Logged(LoggedInputs(source)),
+            inputs: Inputs::Logged(Box::new(LoggedInputs(source))),
         });
     }
     let (bytes, notes) = recording_bytes(path, station)?;

@@ -78,7 +78,7 @@ impl Shard {
         tokio::pin!(stopped);
         let mut alarm = Alarm::new(self.timer);
         let mut calendar = CalendarWatch::default();
-        while !ending.stop.is_cancelled() {
+        while !ending.stop.is_cancelled() && finished.len() < self.ports.iter().len() {
             let silent_at = ending
                 .silence
                 .and_then(|span| last_byte.map(|last| last + span));
@@ -116,9 +116,6 @@ impl Shard {
                 self.show_calibration(now);
                 self.show_standing(now);
                 self.show_truth();
-            }
-            if finished.len() == self.ports.iter().len() {
-                return;
             }
         }
     }

@@ -15,6 +15,7 @@ use crate::model::{
 };
 use crate::state::Latest;
 use crate::thread::Facts;
+use crate::token::Token;
 use crate::views::{Keep, Pace, Setting, Told, VIEWS, View};
 
 /// So many kinds of records are counted apart; a robot has about a dozen.
@@ -39,7 +40,8 @@ pub(crate) struct Hub {
 }
 
 impl Hub {
-    pub(crate) fn new(facts: Facts, needs_token: bool) -> Self {
+    /// With a token, readers need it.
+    pub(crate) fn new(facts: Facts, token: Option<&Token>) -> Self {
         let setting = Setting {
             links: facts.links.clone(),
             keep: Keep::Latest {
@@ -50,7 +52,7 @@ impl Hub {
         Self {
             views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(),
             facts,
-            needs_token,
+            needs_token: token.is_some(),
             latest: Latest::default(),
             sources: BTreeSet::new(),
             recording: None,

@@ -30,7 +30,7 @@ impl Latency {
         }
         self.last.push_back(took);
         self.count += 1;
-        self.sum = self.sum + took;
+        self.sum += took;
         for (bucket, end) in self.buckets.iter_mut().zip(BUCKETS_MICROS) {
             *bucket += u64::from(took <= Span::from_micros(end));
         }

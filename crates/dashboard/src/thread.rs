@@ -146,7 +146,7 @@ impl Dashboard {
         let (commands, given) = mpsc::channel(WAITING_COMMANDS);
         let stop = CancellationToken::new();
         let recordings = Recordings::new(sources.recordings);
-        let hub = Hub::new(facts, token.is_some());
+        let hub = Hub::new(facts, token.as_ref());
         let app = App {
             guard: Guard::new(address, token.clone()),
             counts: Arc::clone(&counts),

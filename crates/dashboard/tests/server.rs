@@ -306,16 +306,15 @@ fn recordings_are_listed_sent_and_replayed_and_nothing_else_is() {
 }
 
 #[test]
-fn a_reader_that_hangs_misses_messages_is_told_so_and_slows_nobody() {
+fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
     let played = Played::start(TokenPolicy::Elsewhere);
     let mut slow = Reader::open(played.address());
     let mut quick = Reader::open(played.address());
     quick.next();
-    let mut told = 0_u64;
-    while http::metric(played.address(), "posebridge_dashboard_frames_missed_total") == 0.0 {
-        // A quarter of a megabyte a message: the slow one's buffers are full soon.
+    // A quarter of a megabyte a message: what the system keeps for the slow one, some 11 MB, is full after a third of them, and the server
+    // keeps 64 messages more.
+    for _ in 0..150 {
         played.tell(vec![says(&"x".repeat(990)); 250]);
-        told += 250;
         let mut lines = 0;
         while lines < 250 {
             let message = quick.next();
@@ -323,9 +322,10 @@ fn a_reader_that_hangs_misses_messages_is_told_so_and_slows_nobody() {
             lines += message["log"].as_array().map_or(0, Vec::len);
         }
     }
-    assert!(told > 250 * 64, "it may be so many messages behind: {told}");
     let late = slow.until(|message| message["dropped"].as_u64().is_some_and(|n| n > 0));
     assert_eq!(late["type"], "frame");
+    let missed = http::metric(played.address(), "posebridge_dashboard_frames_missed_total");
+    assert!(missed > 0.0);
     assert_eq!(
         http::metric(
             played.address(),

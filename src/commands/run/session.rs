@@ -25,7 +25,7 @@ use crate::stderr::say;
 use crate::tasks::dashboard::{self, Outlet, Simulated};
 use crate::tasks::desk::Desk;
 use crate::tasks::observer::{Observer, ObserverConfig};
-use crate::tasks::recorder::{Kept, Recorder};
+use crate::tasks::recorder::Recorder;
 use crate::tasks::shard::{Ending, Shard};
 use crate::tasks::sim_brick::CommandSender;
 use crate::tasks::tlog_recorder::{TlogRecorder, TlogWritten};
@@ -114,10 +114,7 @@ pub(super) async fn session(
         timer,
         folder,
         collector: closed.collector,
-        recorded: Recorded {
-            inputs: closed.recorded,
-            tlog: closed.tlog,
-        },
+        recorded: closed.recorded,
         driven,
         learned,
         kept,
@@ -205,8 +202,7 @@ fn learned_of(pipeline: &Pipeline, config: &Config) -> Result<Option<Learned>> {
 /// What recorder and observer leave.
 struct Closed {
     collector: Collector,
-    recorded: Vec<(PathBuf, Kept)>,
-    tlog: Option<TlogWritten>,
+    recorded: Recorded,
     failures: Failures,
 }
 
@@ -249,8 +245,10 @@ fn close(shard: Shard) -> Result<Closed> {
     }
     Ok(Closed {
         collector,
-        recorded,
-        tlog,
+        recorded: Recorded {
+            inputs: recorded,
+            tlog,
+        },
         failures,
     })
 }

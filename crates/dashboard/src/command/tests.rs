@@ -138,11 +138,12 @@ fn commands_are_what_their_fields_say() {
             delay: Span::from_millis(5_000)
         })
     );
-    let profile = |text: &str| match read(text) {
-        Command::Simulator(SimulatorCommand::LinkProfile(profile)) => {
-            profile.map(|name| name.to_string())
-        }
-        other => panic!("{other:?}"),
+    let profile = |text: &str| {
+        let command = read(text);
+        let Command::Simulator(SimulatorCommand::LinkProfile(profile)) = command else {
+            panic!("{command:?}");
+        };
+        profile.map(|name| name.to_string())
     };
     assert_eq!(
         profile(r#"{"command":"link-profile","profile":"bluetooth-spp"}"#).as_deref(),

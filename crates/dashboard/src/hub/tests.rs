@@ -15,7 +15,7 @@ fn hub() -> Hub {
         }],
         ..Facts::default()
     };
-    Hub::new(facts, false)
+    Hub::new(facts, None)
 }
 
 fn batch(millis: i64, events: Vec<Event>) -> Batch {

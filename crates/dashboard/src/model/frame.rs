@@ -53,13 +53,11 @@ where
 impl Frame {
     /// The part of one robot, made if there is none yet.
     pub fn robot(&mut self, id: &str) -> &mut RobotFrame {
-        let index = match self.robots.iter().position(|robot| robot.id == id) {
-            Some(index) => index,
-            None => {
-                self.robots.push(RobotFrame::of(id));
-                self.robots.len() - 1
-            }
-        };
+        let known = self.robots.iter().position(|robot| robot.id == id);
+        let index = known.unwrap_or_else(|| {
+            self.robots.push(RobotFrame::of(id));
+            self.robots.len() - 1
+        });
         &mut self.robots[index]
     }
 

@@ -151,9 +151,10 @@ pub(super) async fn command(
 
 /// A file of the page.
 pub(super) fn asset(State(app): Shared, request: Request) -> Ready<Response> {
-    let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
+    let (head, _body) = request.into_parts();
+    let is_read = matches!(head.method, Method::GET | Method::HEAD);
     let answered = is_read
-        .then(|| app.assets.answer(request.uri().path(), request.headers()))
+        .then(|| app.assets.answer(head.uri.path(), &head.headers))
         .flatten();
     ready(answered.unwrap_or_else(|| app.missing()))
 }

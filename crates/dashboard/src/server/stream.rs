@@ -174,11 +174,10 @@ fn with_missed(frame: Utf8Bytes, missed: u64) -> Utf8Bytes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::Frame;
 
     #[test]
     fn a_reader_is_told_how_many_messages_it_has_missed() {
-        let frame = Message::Frame(Box::new(Frame::default()));
+        let frame = Message::Frame(Box::default());
         let text: Utf8Bytes = serde_json::to_string(&frame).unwrap().into();
         assert_eq!(with_missed(text.clone(), 0), text);
         let told: Message = serde_json::from_str(&with_missed(text, 17)).unwrap();

@@ -4,7 +4,9 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Event, Fix, HostClock, Observed, RobotId, SensorId, Stamp, Verdict};
+use posebridge_telemetry::{
+    Event, Fix, Heading, HostClock, Observed, RobotId, SensorId, Stamp, Verdict,
+};
 
 use super::trail::{MOST_ROBOTS, Trails, Weight};
 use super::{Pace, Setting, Told, View, robot_name};
@@ -52,7 +54,7 @@ impl View for Fixes {
                 let Some(fix) = self.close(*robot, record.sensor) else {
                     return;
                 };
-                let heading_rad = fix.heading.map_or(f64::NAN, |heading| heading.rad());
+                let heading_rad = fix.heading.map_or(f64::NAN, Heading::rad);
                 let point = FixPoint {
                     t_s: seconds_of(now),
                     x_m: fix.position.x.0.into(),

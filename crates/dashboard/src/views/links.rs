@@ -13,7 +13,7 @@ const MOST_LINKS: usize = 256;
 /// All links.
 pub(super) struct Links {
     setting: Setting,
-    links: BTreeMap<LinkId, Link>,
+    known: BTreeMap<LinkId, Link>,
     has_news: bool,
 }
 
@@ -67,16 +67,16 @@ impl Links {
     pub(super) fn new(setting: &Setting) -> Self {
         Self {
             setting: setting.clone(),
-            links: BTreeMap::new(),
+            known: BTreeMap::new(),
             has_news: false,
         }
     }
 
     fn link(&mut self, id: LinkId) -> Option<&mut Link> {
-        if !self.links.contains_key(&id) && self.links.len() >= MOST_LINKS {
+        if !self.known.contains_key(&id) && self.known.len() >= MOST_LINKS {
             return None;
         }
-        Some(self.links.entry(id).or_insert(Link {
+        Some(self.known.entry(id).or_insert(Link {
             state: LinkState::Down,
             health: LinkHealth::default(),
             heard: None,
@@ -111,7 +111,7 @@ impl View for Links {
     }
 
     fn add_history(&self, history: &mut Frame) {
-        let rows = self.links.iter();
+        let rows = self.known.iter();
         let rows = rows.map(|(id, link)| link.row(*id, self.setting.link_name(*id)));
         history.links = Some(rows.collect());
     }

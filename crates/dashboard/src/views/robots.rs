@@ -8,7 +8,7 @@ use crate::model::Frame;
 
 /// The robots in the order in which they were heard.
 pub(super) struct Robots {
-    robots: Vec<RobotId>,
+    heard: Vec<RobotId>,
     ignored: u64,
     has_news: bool,
 }
@@ -16,7 +16,7 @@ pub(super) struct Robots {
 impl Robots {
     pub(super) const fn new(_setting: &Setting) -> Self {
         Self {
-            robots: Vec::new(),
+            heard: Vec::new(),
             ignored: 0,
             has_news: false,
         }
@@ -29,14 +29,14 @@ impl View for Robots {
         let Told::Event(Event::Estimated { robot, .. }) = told else {
             return;
         };
-        if self.robots.contains(robot) {
+        if self.heard.contains(robot) {
             return;
         }
-        if self.robots.len() >= MOST_ROBOTS {
+        if self.heard.len() >= MOST_ROBOTS {
             self.ignored += 1;
             return;
         }
-        self.robots.push(*robot);
+        self.heard.push(*robot);
         self.has_news = true;
     }
 
@@ -47,7 +47,7 @@ impl View for Robots {
     }
 
     fn add_history(&self, history: &mut Frame) {
-        for robot in &self.robots {
+        for robot in &self.heard {
             history.robot(&robot_name(*robot));
         }
     }

@@ -68,9 +68,11 @@ pub(crate) fn estimate() -> Estimate {
     }
 }
 
-fn estimated(estimate: Estimate) -> Event {
-    let robot = robot();
-    Event::Estimated { robot, estimate }
+fn estimated(estimate: &Estimate) -> Event {
+    Event::Estimated {
+        robot: robot(),
+        estimate: *estimate,
+    }
 }
 
 fn seen() -> Event {
@@ -114,7 +116,7 @@ fn fused(verdict: Verdict, used: u8) -> Event {
 #[test]
 fn an_estimate_has_the_ellipse_of_95_per_cent() {
     let mut view = view("estimates");
-    view.take(at(1_000), Told::Event(&estimated(estimate())));
+    view.take(at(1_000), Told::Event(&estimated(&estimate())));
     let frame = news(&mut *view, Pace::News);
     assert_json_snapshot!("estimate", frame.robots);
     assert!(news(&mut *view, Pace::News).robots.is_empty());
@@ -128,7 +130,7 @@ fn an_estimate_whose_place_is_unknown_is_not_drawn() {
         validity: Validity::default(),
         ..estimate()
     };
-    view.take(at(1_000), Told::Event(&estimated(lost)));
+    view.take(at(1_000), Told::Event(&estimated(&lost)));
     assert!(news(&mut *view, Pace::News).is_empty());
 }
 
@@ -138,7 +140,7 @@ fn numbers_that_are_none_are_null() {
     let mut broken = estimate();
     broken.covariance[0][0] = f64::INFINITY;
     broken.fix_age = None;
-    view.take(at(1_000), Told::Event(&estimated(broken)));
+    view.take(at(1_000), Told::Event(&estimated(&broken)));
     let frame = news(&mut *view, Pace::News);
     let point = &frame.robots[0].estimates[0];
     assert_eq!(point.major_m.get(), None);
@@ -195,7 +197,7 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
     assert_eq!(told(&mut *parameters, Pace::Second), values);
     let mut calibration = view("calibration");
     calibration.take(at(0), Told::Standing(&standing));
-    calibration.take(at(0), Told::Event(&estimated(estimate())));
+    calibration.take(at(0), Told::Event(&estimated(&estimate())));
     let frame = news(&mut *calibration, Pace::News);
     assert_eq!(frame.robots[0].calibration, Some(standing.calibration));
     assert!(news(&mut *calibration, Pace::News).is_empty());
@@ -218,7 +220,7 @@ fn truth(stamp_millis: i64, x_m: f64) -> TruthSample {
 fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     // The robot was at 1.5 m when the estimate holds, between two samples; it is 3 cm beside it.
     let samples = [truth(4_960, 1.46), truth(5_040, 1.54)];
-    let estimated = estimated(estimate());
+    let estimated = estimated(&estimate());
     let mut late = view("truth");
     late.take(at(960), Told::Truth(&samples[0]));
     late.take(at(1_000), Told::Event(&estimated));
@@ -310,7 +312,7 @@ fn the_log_tells_of_robots_links_and_texts_and_cuts_what_is_endless() {
             state: LinkState::Down,
         },
         text("gate_prob set to 0.9 (was 0.999)".to_owned()),
-        estimated(estimate()),
+        estimated(&estimate()),
     ];
     for event in &events {
         view.take(at(1_500), Told::Event(event));

@@ -130,7 +130,7 @@ impl<T: Clone> Trail<T> {
 #[derive(Clone, Debug)]
 pub(super) struct Trails<K, T> {
     keep: Keep,
-    trails: BTreeMap<(RobotId, K), Trail<T>>,
+    kept_by_key: BTreeMap<(RobotId, K), Trail<T>>,
     most: usize,
     ignored: u64,
 }
@@ -140,7 +140,7 @@ impl<K: Ord + Copy, T: Clone> Trails<K, T> {
     pub(super) const fn new(keep: Keep, most: usize) -> Self {
         Self {
             keep,
-            trails: BTreeMap::new(),
+            kept_by_key: BTreeMap::new(),
             most,
             ignored: 0,
         }
@@ -152,32 +152,35 @@ impl<K: Ord + Copy, T: Clone> Trails<K, T> {
         key: (RobotId, K),
         (point, weight): (T, Weight),
     ) {
-        if !self.trails.contains_key(&key) && self.trails.len() >= self.most {
+        if !self.kept_by_key.contains_key(&key) && self.kept_by_key.len() >= self.most {
             self.ignored += 1;
             return;
         }
         let keep = self.keep;
-        let trail = self.trails.entry(key).or_insert_with(|| Trail::new(keep));
+        let trail = self
+            .kept_by_key
+            .entry(key)
+            .or_insert_with(|| Trail::new(keep));
         trail.push(now, point, weight);
     }
 
     /// What came since the last time, for each robot that has news.
     pub(super) fn take_news(&mut self) -> Vec<(RobotId, Vec<T>)> {
-        let trails = self.trails.iter_mut();
+        let trails = self.kept_by_key.iter_mut();
         let news = trails.map(|((robot, _), trail)| (*robot, trail.take_news()));
         news.filter(|(_, news)| !news.is_empty()).collect()
     }
 
     /// What is kept of each robot.
     pub(super) fn kept(&self) -> Vec<(RobotId, Vec<T>)> {
-        let trails = self.trails.iter();
+        let trails = self.kept_by_key.iter();
         trails
             .map(|((robot, _), trail)| (*robot, trail.kept()))
             .collect()
     }
 
     pub(super) fn dropped(&self) -> u64 {
-        let dropped: u64 = self.trails.values().map(Trail::dropped).sum();
+        let dropped: u64 = self.kept_by_key.values().map(Trail::dropped).sum();
         dropped + self.ignored
     }
 }

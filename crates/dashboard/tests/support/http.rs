@@ -146,7 +146,9 @@ impl Reader {
                     return serde_json::from_str(&text).expect("a message is JSON");
                 }
                 Message::Ping(_) | Message::Pong(_) => {}
-                other => panic!("{other:?}"),
+                other @ (Message::Binary(_) | Message::Close(_) | Message::Frame(_)) => {
+                    panic!("{other:?}")
+                }
             }
         }
     }
