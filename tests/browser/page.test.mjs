@@ -99,7 +99,7 @@ test('nonsense on the stream leaves the page alive', async () => {
       '', 'null', '3', '"text"', '[]', '{', '{"type":"frame"}', '{"type":"frame","robots":null,"truth":3,"log":{},"links":[null,1],"parameters":[null]}', '{"type":"unheard"}',
       { type: 'frame', now_s: null, robots: [{ id: '0/1/1', estimates: [{ t_s: 0.3, x_m: null, y_m: 'east', heading_rad: 1e308, major_m: -1 }, { t_s: 1e300 }], fixes: [{ t_s: 0.3 }], fusion: [{ t_s: 0.3, sensor: 'camera', dof: 99, nis: -1, innovation: [null], sigma: 'wide' }] }] },
       { type: 'frame', now_s: 0.4, log: [{ t_s: 0.4, severity: 'info', text: 'long '.repeat(100_000) }] },
-      { type: 'frame', now_s: 0.5, robots: Array.from({ length: 300 }, (_, index) => ({ id: `robot ${index}` })) },
+      { type: 'frame', now_s: 0.5, robots: Array.from({ length: 300 }, (_, index) => ({ id: `robot ${index}`, estimates: [{ t_s: 0.5, x_m: index, y_m: 0, heading_rad: 0 }] })) },
     ];
     for (const message of nonsense) station.send(message);
     await page.waitForFunction(() => document.querySelectorAll('#robot option').length > 10);

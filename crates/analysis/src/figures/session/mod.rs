@@ -1,6 +1,6 @@
 //! The figures of a report: one session, or one run, over its time.
 //!
-//! Each is a pure function from samples to a narrow SVG document ([`strip`](super::strip)). Times are seconds since the session began,
+//! Each is a pure function from samples to a narrow SVG document (`strip`). Times are seconds since the session began,
 //! by the host's clock, so that all figures of a page and its list of events agree; units are SI and become millimetres and degrees
 //! on the axes.
 
