@@ -196,6 +196,7 @@ test('a recording is looked at with a scrubber and left again', async () => {
     await scrubber.press('ArrowRight');
     await page.waitForFunction(() => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5.2) < 0.03);
     await page.getByRole('button', { name: 'Back to live' }).click();
+    await page.locator('#pose').scrollIntoViewIfNeeded();
     await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
   });
 });

@@ -71,12 +71,12 @@ export class Program {
   }
 }
 
-/** Runs it to its end; gives what it printed, and fails when it fails. */
+/** Runs it to its end; gives what it said and printed, and fails when it fails. */
 export async function run(args, folder) {
   const program = Program.start(args, folder);
   const code = await within(program.ended, `the end of ${args[0]}`, () => program.text);
   assert.equal(code, 0, program.text);
-  return program.printed;
+  return program.text;
 }
 
 function within(promise, what, text) {
