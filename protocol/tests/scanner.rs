@@ -177,6 +177,71 @@ fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
 }
 
 #[test]
+fn a_frame_that_goes_on_in_pieces_after_seconds_is_completed() {
+    let frame = &four_message_mix(4)[3];
+    for split in 1..frame.len() - 1 {
+        for second in [split + 1, (split + frame.len()) / 2, frame.len() - 1] {
+            let mut scanner = Scanner::new(ScannerConfig::default());
+            let mut found = Vec::new();
+            let pieces = [
+                (0, &frame[..split]),
+                (9_000, &frame[split..second]),
+                (9_001, &frame[second..]),
+            ];
+            for (millis, piece) in pieces {
+                scanner.push(Stamp::from_millis(millis), piece, &mut |item| {
+                    found.push(owned(item));
+                });
+            }
+            assert_eq!(
+                frames(&found),
+                [Found::Frame(frame.clone())],
+                "split at {split} and {second}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_frame_that_stops_behind_a_torn_one_and_a_whole_one_is_completed() {
+    let mix = four_message_mix(4);
+    let torn = &mix[3][..12];
+    let frame = &mix[1];
+    for split in 1..frame.len() {
+        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut found = Vec::new();
+        let first = [torn, &heartbeat(), &frame[..split]].concat();
+        scanner.push(Stamp::ZERO, &first, &mut |item| found.push(owned(item)));
+        let deadline = scanner.deadline().unwrap();
+        scanner.tick(deadline, &mut |item| found.push(owned(item)));
+        assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
+        assert_eq!(scanner.deadline(), None, "it is told once");
+        scanner.push(deadline, &frame[split..], &mut |item| {
+            found.push(owned(item));
+        });
+        let expected = [Found::Frame(heartbeat()), Found::Frame(frame.clone())];
+        assert_eq!(frames(&found), expected, "split at {split}");
+        assert_eq!(scanner.counters().stalls, 1, "one silence, one stall");
+        assert_eq!(scanner.counters().garbage_bytes, 12);
+    }
+}
+
+#[test]
+fn a_frame_in_pieces_after_a_torn_one_and_seconds_does_not_wait_for_the_gap() {
+    let torn = &four_message_mix(4)[3][..12];
+    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut found = Vec::new();
+    let whole = heartbeat();
+    let pieces = [(0, torn), (9_000, &whole[..9]), (9_001, &whole[9..])];
+    for (millis, piece) in pieces {
+        scanner.push(Stamp::from_millis(millis), piece, &mut |item| {
+            found.push(owned(item));
+        });
+    }
+    assert_eq!(frames(&found), [Found::Frame(whole.clone())]);
+}
+
+#[test]
 fn an_unknown_frame_that_stops_for_seconds_is_completed_too() {
     let unknown = stranger(b"who am I");
     let (first, rest) = unknown.split_at(15);

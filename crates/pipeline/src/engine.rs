@@ -31,7 +31,7 @@ use self::announce::Announcer;
 use self::commands::Standing;
 use self::fix_requests::FixRequests;
 use self::ground_station::LastRange;
-use self::intake::Arrival;
+use self::intake::{Arrival, Came};
 use self::slip_watch::SlipWatch;
 use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
@@ -191,7 +191,7 @@ impl Pipeline {
         self.now = now;
         match input {
             Input::Bytes { link, peer, bytes } => {
-                self.handle_bytes(arrival, (*link, *peer), Some(bytes));
+                self.handle_bytes(arrival, (*link, *peer), Came::Bytes(bytes));
             }
             Input::Link { link, state } => self.handle_link(*link, *state),
             Input::Port { link, counts } => {
@@ -314,10 +314,18 @@ impl Pipeline {
     }
 
     fn handle_link(&mut self, id: LinkId, state: LinkState) {
-        let Some(link) = self.links.get_mut(&id) else {
+        let Some(link) = self.links.get(&id) else {
             return;
         };
-        link.turn(self.now, state);
+        if state == LinkState::Down {
+            // Before the link's turn: a torn beginning may have hidden whole frames, which came while it was up.
+            for peer in link.peers.present() {
+                self.handle_bytes(self.now, (id, peer), Came::End);
+            }
+        }
+        if let Some(link) = self.links.get_mut(&id) {
+            link.turn(self.now, state);
+        }
         if state == LinkState::Down {
             self.router.forget_link(id);
         }
@@ -335,7 +343,7 @@ impl Pipeline {
                 .map_or_else(Vec::new, |link| link.peers.stalled(now));
             for peer in stalled {
                 // Before the session's turn: what comes to light may give it something to do at once.
-                self.handle_bytes(now, (*id, peer), None);
+                self.handle_bytes(now, (*id, peer), Came::Gap);
             }
             self.wake_brick(now, *id);
             if let Some(link) = self.links.get_mut(id) {

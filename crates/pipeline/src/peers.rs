@@ -97,14 +97,12 @@ impl Peers {
             last_heard: now,
         });
         peer.last_heard = now;
-        let waited = peer.scanner.deadline();
-        let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
-        peer.scanner.push(now, bytes, &mut |scanned| {
-            let verdict = judge(signing.as_mut(), now, sequences, &scanned);
-            sink(scanned, verdict);
-        });
-        let waits = peer.scanner.deadline();
-        self.wait(id, waited, waits);
+        self.feed(
+            now,
+            id,
+            |scanner, found| scanner.push(now, bytes, found),
+            sink,
+        );
     }
 
     /// Whether anybody but this peer is there, as far as was heard of late. `told` is how many peers the port has told of; zero if
@@ -126,11 +124,37 @@ impl Peers {
         due.map(|(_, id)| *id).collect()
     }
 
-    /// Gives up what waits of a peer.
+    /// A peer was silent for as long as its frames are waited for: what hides behind a torn one comes to light.
     pub(crate) fn give_up(
         &mut self,
         now: Stamp<HostClock>,
         id: PeerId,
+        sink: &mut impl FnMut(Scanned<'_>, Result<Believed, Refusal>),
+    ) {
+        self.feed(now, id, |scanner, found| scanner.tick(now, found), sink);
+    }
+
+    /// The line to a peer broke: whole frames that hide behind a torn one come to light, the rest is dropped.
+    pub(crate) fn end(
+        &mut self,
+        now: Stamp<HostClock>,
+        id: PeerId,
+        sink: &mut impl FnMut(Scanned<'_>, Result<Believed, Refusal>),
+    ) {
+        self.feed(now, id, |scanner, found| scanner.break_off(found), sink);
+    }
+
+    /// Those that are there.
+    pub(crate) fn present(&self) -> Vec<PeerId> {
+        self.present.keys().copied().collect()
+    }
+
+    /// Lets the scanner of a peer that is there do something; what it finds is judged and handed on.
+    fn feed(
+        &mut self,
+        now: Stamp<HostClock>,
+        id: PeerId,
+        work: impl FnOnce(&mut Scanner, &mut dyn FnMut(Scanned<'_>)),
         sink: &mut impl FnMut(Scanned<'_>, Result<Believed, Refusal>),
     ) {
         let Some(peer) = self.present.get_mut(&id) else {
@@ -138,7 +162,7 @@ impl Peers {
         };
         let waited = peer.scanner.deadline();
         let (signing, sequences) = (&mut self.signing, &mut peer.sequences);
-        peer.scanner.tick(now, &mut |scanned| {
+        work(&mut peer.scanner, &mut |scanned| {
             let verdict = judge(signing.as_mut(), now, sequences, &scanned);
             sink(scanned, verdict);
         });

@@ -12,8 +12,8 @@
 //! A candidate that fails costs one byte, never its claimed length: a real frame may begin inside it.
 //!
 //! A frame may stop in its middle for longer than the gap, where a link stalls between two reads. If whole frames hide behind its
-//! beginning, the beginning was torn and is given up. If none do, it costs nothing to keep it: it is `overdue`, and what comes next
-//! completes it or gives it up.
+//! beginning, the beginning was torn and is given up; a frame that stops behind them is kept. If none do, it costs nothing to keep it:
+//! it is `overdue`, and what comes next, in however many pieces, completes it or brings frames behind it to light and so gives it up.
 
 use posebridge_telemetry::{Defect, HostClock, Stamp};
 
@@ -55,6 +55,9 @@ pub struct Scanner {
     last_byte: Stamp<HostClock>,
     /// The gap has passed over what waits, and nothing hides behind it.
     is_overdue: bool,
+    /// Over the candidates that begin before this offset of `tail` the gap has passed once: they may still be completed, but are given
+    /// up when whole frames hide behind them.
+    doubted: usize,
     counters: ScanCounters,
 }
 
@@ -63,6 +66,8 @@ pub struct Scanner {
 struct Progress {
     cursor: usize,
     settled: usize,
+    /// Where the last frame ends that was handed out of the buffer.
+    frames_end: usize,
     claims: Claims,
 }
 
@@ -95,6 +100,7 @@ impl Scanner {
             progress: Progress::default(),
             last_byte: Stamp::ZERO,
             is_overdue: false,
+            doubted: 0,
             counters: ScanCounters::default(),
         }
     }
@@ -116,19 +122,18 @@ impl Scanner {
         if bytes.is_empty() {
             return;
         }
-        let waited = !self.tail.is_empty() && now - self.last_byte >= self.config.gap;
+        if !self.tail.is_empty() && now - self.last_byte >= self.config.gap {
+            self.doubted = self.tail.len();
+        }
         self.last_byte = now;
-        let patience = match self.config.transport {
-            Framing::Datagram => Patience::Over,
-            Framing::Stream if waited => Patience::NotBefore(self.tail.len()),
-            Framing::Stream => Patience::NotBefore(0),
-        };
         if self.tail.is_empty() {
+            let patience = self.patience(bytes);
             self.run(bytes, patience, sink);
             self.keep(&bytes[self.progress.settled..]);
         } else {
             let mut joined = std::mem::take(&mut self.tail);
             joined.extend_from_slice(bytes);
+            let patience = self.patience(&joined);
             self.run(&joined, patience, sink);
             joined.drain(..self.progress.settled);
             self.tail = joined;
@@ -150,8 +155,18 @@ impl Scanner {
         if self.deadline().is_none_or(|deadline| now < deadline) {
             return;
         }
-        if self.hides_frames() {
+        let hidden = self.hidden(&self.tail, Patience::Over);
+        if hidden == Some(self.tail.len()) {
             self.finish(sink);
+            return;
+        }
+        if let Some(end) = hidden {
+            let mut tail = std::mem::take(&mut self.tail);
+            self.run(&tail, Patience::NotBefore(end), sink);
+            tail.drain(..self.progress.settled);
+            self.tail = tail;
+            self.rebase();
+            self.is_overdue = true;
             return;
         }
         self.is_overdue = true;
@@ -168,6 +183,19 @@ impl Scanner {
         self.run(&tail, Patience::Over, sink);
         self.progress = Progress::default();
         self.is_overdue = false;
+        self.doubted = 0;
+    }
+
+    /// The line broke: hands out the whole frames that hide behind a torn one. What is left was neither sent badly nor stalled, so it is
+    /// dropped without a word.
+    pub fn break_off(&mut self, sink: &mut Sink<'_>) {
+        if self.hidden(&self.tail, Patience::Over).is_some() {
+            self.finish(sink);
+        }
+        self.tail.clear();
+        self.progress = Progress::default();
+        self.is_overdue = false;
+        self.doubted = 0;
     }
 
     /// What this scanner has counted.
@@ -185,22 +213,39 @@ impl Scanner {
         self.progress.claims.rebase(gone);
         self.progress.cursor -= gone;
         self.progress.settled = 0;
+        self.progress.frames_end = 0;
+        self.doubted = self.doubted.saturating_sub(gone);
     }
 
-    /// Whether giving up what waits would bring a frame to light.
-    fn hides_frames(&self) -> bool {
-        let mut is_found = false;
+    /// Which candidates need not be waited for in `buffer`, of which the last bytes have just come.
+    fn patience(&self, buffer: &[u8]) -> Patience {
+        match self.config.transport {
+            Framing::Datagram => Patience::Over,
+            Framing::Stream => {
+                let without_doubted = Patience::NotBefore(self.doubted);
+                if self.doubted > 0 && self.hidden(buffer, without_doubted).is_some() {
+                    without_doubted
+                } else {
+                    Patience::NotBefore(0)
+                }
+            }
+        }
+    }
+
+    /// Where the last of the frames ends that a run over `buffer` would bring to light; `None` if it would bring none.
+    fn hidden(&self, buffer: &[u8], patience: Patience) -> Option<usize> {
+        let mut progress = self.progress.clone();
         Pass {
-            buffer: &self.tail,
+            buffer,
             accept_v1: self.config.accept_v1,
             catalogue: self.catalogue,
-            progress: &mut self.progress.clone(),
+            progress: &mut progress,
             counters: &mut self.counters.clone(),
-            sink: &mut |found| is_found |= !matches!(found, Scanned::Defect(_)),
+            sink: &mut |_| {},
             has_stalled: true,
         }
-        .run(Patience::Over);
-        is_found
+        .run(patience);
+        (progress.frames_end > 0).then_some(progress.frames_end)
     }
 
     fn run(&mut self, buffer: &[u8], patience: Patience, sink: &mut Sink<'_>) {
@@ -293,6 +338,7 @@ impl Pass<'_, '_, '_> {
             (self.sink)(Scanned::Frame(header.frame(raw)));
             self.progress.cursor += header.total;
             self.progress.settled = self.progress.cursor;
+            self.progress.frames_end = self.progress.cursor;
         } else {
             self.counters.checksum_errors += 1;
             (self.sink)(Scanned::Defect(Defect::Checksum {
@@ -335,6 +381,7 @@ impl Pass<'_, '_, '_> {
             self.counters.unknown_ids += 1;
             (self.sink)(Scanned::Unknown(header.frame(raw)));
             self.progress.settled = claim.end;
+            self.progress.frames_end = claim.end;
         }
     }
 

@@ -25,6 +25,17 @@ pub(super) struct Arrival {
     pub(super) at: Stamp<HostClock>,
 }
 
+/// What a peer's scanner is told.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Came<'a> {
+    /// Bytes.
+    Bytes(&'a [u8]),
+    /// Nothing, for as long as a frame is waited for.
+    Gap,
+    /// The end of the link: what waits is never completed.
+    End,
+}
+
 /// A message that came, with its sender.
 pub(super) struct Arrived {
     pub(super) source: Address,
@@ -47,22 +58,22 @@ struct Intake<'a> {
 const MOST_COMPLAINTS: usize = 64;
 
 impl Pipeline {
-    /// Bytes of one peer of a link that came at `at`; `None` gives up what waits of it.
+    /// What came of one peer of a link at `at`.
     pub(super) fn handle_bytes(
         &mut self,
         at: Stamp<HostClock>,
         (id, peer): (LinkId, PeerId),
-        bytes: Option<&[u8]>,
+        came: Came<'_>,
     ) {
         let now = self.now;
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        if let Some(bytes) = bytes {
+        if let Came::Bytes(bytes) = came {
             link.health.bytes_in += bytes.len() as u64;
         }
         if let Some(codec) = &mut link.codec {
-            if let Some(bytes) = bytes {
+            if let Came::Bytes(bytes) = came {
                 let mut noted = Noted::default();
                 codec.push_from(now, peer, bytes, &mut |heard| noted.take(heard));
                 self.hear_brick(
@@ -88,9 +99,10 @@ impl Pipeline {
         };
         let mut sink =
             |scanned: Scanned<'_>, verdict: Result<_, Refusal>| intake.take(scanned, verdict);
-        match bytes {
-            Some(bytes) => link.peers.push(now, peer, bytes, &mut sink),
-            None => link.peers.give_up(now, peer, &mut sink),
+        match came {
+            Came::Bytes(bytes) => link.peers.push(now, peer, bytes, &mut sink),
+            Came::Gap => link.peers.give_up(now, peer, &mut sink),
+            Came::End => link.peers.end(now, peer, &mut sink),
         }
         link.health.refused_frames += intake.refused_frames;
         let (arrived, events, complaints) = (intake.arrived, intake.events, intake.complaints);

@@ -87,6 +87,22 @@ fn what_comes_to_light_behind_a_torn_frame_is_acted_upon_at_once() {
 }
 
 #[test]
+fn a_whole_frame_behind_a_torn_one_survives_the_loss_of_its_link() {
+    let mut station = Station::new(&config());
+    // The header of an ODOMETRY (331) of 232 bytes: much more must come until it is refused.
+    let torn = [0xFD, 232, 0, 0, 7, 1, 1, 0x4B, 0x01, 0];
+    let whole = frame(BRICK, &ticks(5_100, 3, 3));
+    station.bytes(at(150), &[&torn[..], &whole].concat());
+    station.link(at(160), LINK, LinkState::Down);
+    station.pass_until(at(2_000));
+    let health = station.events().filter_map(|event| match event {
+        Event::Health { health, .. } => Some(health.frames_in),
+        _ => None,
+    });
+    assert_eq!(health.last(), Some(1));
+}
+
+#[test]
 fn a_link_that_is_down_gets_nothing_and_begins_anew_when_it_is_up() {
     let mut station = Station::new(&config());
     station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
