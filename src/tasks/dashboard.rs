@@ -255,7 +255,7 @@ pub fn standing_of(pipeline: &Pipeline, recording: Option<&Path>) -> Standing {
 impl Outlet {
     /// Tells what an input has led to; drops it if the dashboard is behind.
     pub fn tell(&self, now: Stamp<HostClock>, events: &[Event]) {
-        let wanted = events.iter().filter(|event| Feed::wants(event));
+        let wanted = events.iter().filter(|event| event.is_for_viewers());
         self.feed.tell(Batch {
             now,
             took: self.timer.now() - now,

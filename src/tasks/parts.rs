@@ -1,6 +1,6 @@
 //! The files of a recording: one after another, each readable by itself.
 //!
-//! Knows no thread and no queue, so that tests drive it as they like. It flushes 400 ms after the last flush, and once
+//! Knows no thread and no queue, so that tests drive it as they like. It flushes 700 ms after the last flush, and once
 //! a second looks whether the file is still there, whether the disk has room, and whether the part is large or old enough.
 
 use std::fs::File;
@@ -12,9 +12,10 @@ use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
 
 use super::watched::Watched;
 
-/// What was recorded reaches the system at least this often, so that a killed program loses less than a second. Each time a chunk ends, and what
-/// the file's index needs of it stays in memory until the part ends: more often would let a long recording's memory grow.
-pub const FLUSH_PERIOD: Span = Span::from_millis(400);
+/// What was recorded reaches the system at least this often, so that a killed program loses less than a second, 300 ms of a late thread
+/// included. Each time a chunk ends, and what the file's index needs of it stays in memory until the part ends: more often would let a long
+/// recording's memory grow.
+pub const FLUSH_PERIOD: Span = Span::from_millis(700);
 /// File and disk are looked at this often.
 const LOOK_PERIOD: Span = Span::from_millis(1_000);
 

@@ -130,12 +130,6 @@ impl Recorder {
         }
     }
 
-    /// Whether an event is worth [`Self::show`].
-    #[must_use]
-    pub const fn wants(event: &Event) -> bool {
-        Outputs::wants(event)
-    }
-
     /// Records what the filter has learned, as [`Self::show`].
     pub fn show_calibration(&mut self, now: Stamp<HostClock>, calibration: Calibration) {
         self.offer(Item::Calibration(now, Box::new(calibration)));

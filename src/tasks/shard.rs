@@ -262,7 +262,7 @@ impl Shard {
     fn record(&mut self, now: Stamp<HostClock>, input: Input, events: &[Event]) -> Option<Input> {
         let recorder = self.recorder.as_mut()?;
         if recorder.record(now, input).is_ok() {
-            let wanted = events.iter().filter(|event| Recorder::wants(event));
+            let wanted = events.iter().filter(|event| event.is_for_viewers());
             recorder.show(now, wanted.cloned().collect());
             return None;
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Observed, Pose, Span, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, Span, Stamp};
 
 use crate::counts::{Count, Counts};
 use crate::model::{CalibrationRow, ParameterValue};
@@ -63,30 +63,6 @@ impl Feed {
     pub(crate) fn pair(counts: Arc<Counts>) -> (Self, Receiver<Batch>) {
         let (sender, receiver) = sync_channel(WAITING);
         (Self { sender, counts }, receiver)
-    }
-
-    /// Whether the dashboard shows anything of this event. Of observations only fixes are shown by themselves; what became of
-    /// the others stands in their records.
-    #[must_use]
-    pub const fn wants(event: &Event) -> bool {
-        match event {
-            Event::Observed { observation, .. } => {
-                matches!(observation.observed, Observed::Fix(_))
-            }
-            // Each is counted in the health of its link.
-            Event::Defect { .. } => false,
-            Event::RobotSeen { .. }
-            | Event::RobotLost { .. }
-            | Event::BrickRestarted { .. }
-            | Event::Fused { .. }
-            | Event::Estimated { .. }
-            | Event::Temperature { .. }
-            | Event::BrickClockAligned { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Link { .. }
-            | Event::Health { .. }
-            | Event::Text { .. } => true,
-        }
     }
 
     /// Tells what an input has led to. Whoever reads looks by itself: this only stores and wakes nobody.

@@ -5,7 +5,7 @@ use crate::estimate::{Estimate, ScalarEstimate};
 use crate::fusion::{FusionRecord, Verdict};
 use crate::ids::{Address, ChannelName, LinkId, RobotId};
 use crate::link_health::{LinkHealth, SourceHealth};
-use crate::observation::Observation;
+use crate::observation::{Observation, Observed};
 use crate::quantities::Celsius;
 
 /// One thing that happened.
@@ -132,6 +132,31 @@ pub enum Event {
         /// The line.
         text: String,
     },
+}
+
+impl Event {
+    /// Whether it is shown beside the estimates, by a dashboard or in a recording. Of observations only fixes are shown by themselves;
+    /// what became of the others stands in their records. Each defect is counted in the health of its link.
+    #[must_use]
+    pub const fn is_for_viewers(&self) -> bool {
+        match self {
+            Self::Observed { observation, .. } => {
+                matches!(observation.observed, Observed::Fix(_))
+            }
+            Self::Defect { .. } => false,
+            Self::RobotSeen { .. }
+            | Self::RobotLost { .. }
+            | Self::BrickRestarted { .. }
+            | Self::Fused { .. }
+            | Self::Estimated { .. }
+            | Self::Temperature { .. }
+            | Self::BrickClockAligned { .. }
+            | Self::CameraClockAligned { .. }
+            | Self::Link { .. }
+            | Self::Health { .. }
+            | Self::Text { .. } => true,
+        }
+    }
 }
 
 /// The state of a link.

@@ -79,28 +79,6 @@ impl Outputs {
         self.spacing = spacing;
     }
 
-    /// Whether an event makes a message at all: the rest need not be handed over.
-    #[must_use]
-    pub const fn wants(event: &Event) -> bool {
-        match event {
-            Event::Observed { observation, .. } => {
-                matches!(observation.observed, Observed::Fix(_))
-            }
-            Event::Defect { .. } => false,
-            Event::RobotSeen { .. }
-            | Event::RobotLost { .. }
-            | Event::BrickRestarted { .. }
-            | Event::Fused { .. }
-            | Event::Estimated { .. }
-            | Event::Temperature { .. }
-            | Event::BrickClockAligned { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Link { .. }
-            | Event::Health { .. }
-            | Event::Text { .. } => true,
-        }
-    }
-
     /// The messages of an event that came at `now`.
     pub(crate) fn take(&mut self, now: Stamp<HostClock>, event: &Event) -> Vec<Message> {
         match event {
