@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use http::{Reader, exchange, get, post, refused, request};
 use posebridge_dashboard::model::{Frame, Message, RobotFrame, State};
 use posebridge_dashboard::{
-    Batch, Dashboard, Facts, Feed, Listen, Sources, StartError, TokenPolicy,
+    Batch, Dashboard, Facts, Feed, Listen, Sources, StartError, Taps, TokenPolicy,
 };
 use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
 use tokio::sync::mpsc;
@@ -55,6 +55,7 @@ fn sources(folder: &Path, millis: &Arc<AtomicI64>) -> Sources {
             })
         }),
         ui_dir: None,
+        taps: Taps::default(),
     }
 }
 
@@ -81,7 +82,7 @@ impl Played {
     }
 
     fn address(&self) -> SocketAddr {
-        self.dashboard.address()
+        self.dashboard.address().unwrap()
     }
 
     fn tell(&self, events: Vec<Event>) {
@@ -234,7 +235,7 @@ fn foreign_hosts_and_origins_are_refused_and_counted() {
 fn a_token_opens_the_station_and_a_wrong_one_does_not() {
     let played = Played::start(TokenPolicy::Always);
     let address = played.address();
-    let url = played.dashboard.url();
+    let url = played.dashboard.url().unwrap();
     let token = url.split_once("?token=").unwrap().1;
     assert_eq!(get(address, "/v1/state").status, 401);
     assert_eq!(get(address, "/?token=0123").status, 401);
@@ -355,7 +356,7 @@ fn a_default_port_that_is_taken_moves_on_and_a_chosen_one_does_not() {
             .contains("is in use, perhaps by another station")
     );
     let (next, _feed, _commands) = start(Listen::OrNext(taken)).unwrap();
-    let steps = next.address().port() - taken.port();
+    let steps = next.address().unwrap().port() - taken.port();
     assert!((1..=20).contains(&steps), "{steps}");
 }
 
