@@ -15,22 +15,18 @@ use support::{Running, posebridge};
 
 /// The fields of a message, as the page names them, with their values: all of them must be numbers.
 fn fields_of(prefix: &str, value: &Value, found: &mut Vec<(String, f64)>) {
-    match value {
-        Value::Object(fields) => {
-            for (name, value) in fields {
-                let name = match prefix {
-                    "" => name.clone(),
-                    prefix => format!("{prefix}/{name}"),
-                };
-                fields_of(&name, value, found);
-            }
-        }
-        other => found.push((
-            prefix.to_owned(),
-            other
-                .as_f64()
-                .unwrap_or_else(|| panic!("{prefix} is {other}")),
-        )),
+    let Value::Object(fields) = value else {
+        let number = value.as_f64();
+        let number = number.unwrap_or_else(|| panic!("{prefix} is {value}"));
+        found.push((prefix.to_owned(), number));
+        return;
+    };
+    for (name, value) in fields {
+        let name = match prefix {
+            "" => name.clone(),
+            prefix => format!("{prefix}/{name}"),
+        };
+        fields_of(&name, value, found);
     }
 }
 
@@ -95,7 +91,7 @@ fn what_is_sent_is_what_the_page_says() {
     assert_eq!(code, Some(0), "{said}");
     let sent = said.lines().find(|line| line.starts_with("plotjuggler: "));
     assert!(
-        sent.is_some_and(|line| line.ends_with(" datagrams sent")),
+        sent.is_some_and(|line| line.contains(" datagrams sent")),
         "{said}"
     );
 }

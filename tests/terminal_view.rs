@@ -1,8 +1,4 @@
 //! `--tui`: the terminal view of the real program on a pseudo-terminal, with a person who sees and presses keys.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
 
 mod support;
 
@@ -142,11 +138,7 @@ fn it_ends_with_the_run_and_with_ctrl_c() {
 #[test]
 fn the_window_may_get_smaller_and_larger() {
     let folder = tempfile::tempdir().unwrap();
-    let mut person = watched(
-        folder.path(),
-        &["--set", "plotjuggler.enabled=false"],
-        (80, 24),
-    );
+    let mut person = watched(folder.path(), &[], (80, 24));
     person.until("the view", |text| {
         text.contains("Arena") && text.contains("Events")
     });

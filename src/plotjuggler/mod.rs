@@ -11,6 +11,7 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_dashboard::FrameTap;
+use posebridge_dashboard::model::Frame;
 
 pub use fields::{FIELDS, Field, pattern_of};
 pub use messages::messages;
@@ -75,31 +76,54 @@ fn socket_for(address: SocketAddr) -> std::io::Result<UdpSocket> {
 fn send_all(socket: &UdpSocket, address: SocketAddr, frames: &FrameTap) -> Sent {
     let mut sent = Sent::default();
     while let Some(frame) = frames.wait() {
-        for message in messages(&frame) {
-            // Not connected, so that nobody who listens is no error.
-            match socket.send_to(message.as_bytes(), address) {
-                Ok(_) => sent.datagrams += 1,
-                Err(_full_or_unreachable) => sent.dropped += 1,
-            }
-        }
+        send(socket, address, &frame, &mut sent);
     }
     sent.missed = frames.missed();
     sent
 }
 
+fn send(socket: &UdpSocket, address: SocketAddr, frame: &Frame, sent: &mut Sent) {
+    for message in messages(frame) {
+        // Not connected, so that nobody who listens is no error.
+        match socket.send_to(message.as_bytes(), address) {
+            Ok(_) => sent.datagrams += 1,
+            Err(_full_or_unreachable) => sent.dropped += 1,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use posebridge_dashboard::model::ClockRow;
+
     use super::*;
 
     #[test]
-    fn what_cannot_be_sent_is_counted() {
-        let nowhere: SocketAddr = "127.0.0.1:0".parse().unwrap();
+    fn what_cannot_be_sent_is_counted_and_what_can_comes() {
+        let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let here = receiver.local_addr().unwrap();
+        let socket = socket_for(here).unwrap();
+        assert!(socket.local_addr().unwrap().ip().is_loopback());
+        let frame = Frame {
+            clock: Some(ClockRow::default()),
+            ..Frame::default()
+        };
+        let mut sent = Sent::default();
+        send(&socket, here, &frame, &mut sent);
+        // No system sends to port 0.
+        send(&socket, "127.0.0.1:0".parse().unwrap(), &frame, &mut sent);
+        assert_eq!((sent.datagrams, sent.dropped), (1, 1));
+        let mut bytes = [0; 1_000];
+        let read = receiver.recv(&mut bytes).unwrap();
+        assert_eq!(&bytes[..read], messages(&frame)[0].as_bytes());
+    }
+
+    #[test]
+    fn it_ends_when_nothing_more_can_come() {
         let mut taps = posebridge_dashboard::Taps::default();
         let frames = taps.add(1);
+        let sender = PlotJuggler::start("127.0.0.1:9".parse().unwrap(), frames).unwrap();
         drop(taps);
-        let sender = PlotJuggler::start(nowhere, frames).unwrap();
         assert_eq!(sender.finish().unwrap(), Sent::default());
-        let socket = socket_for(nowhere).unwrap();
-        assert!(socket.local_addr().unwrap().ip().is_loopback());
     }
 }

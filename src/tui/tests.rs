@@ -8,7 +8,7 @@ use posebridge_dashboard::model::{
 };
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
-use ratatui::buffer::Buffer;
+use ratatui::buffer::{Buffer, Cell};
 use ratatui::style::{Color, Modifier};
 
 use super::keys::{KEYS, Stroke};
@@ -204,7 +204,7 @@ fn drawn(model: &Model, look: Look, (width, height): (u16, u16)) -> Buffer {
 fn text_of(buffer: &Buffer) -> String {
     let width = usize::from(buffer.area.width);
     let rows = buffer.content.chunks(width);
-    let rows = rows.map(|row| row.iter().map(|cell| cell.symbol()).collect::<String>());
+    let rows = rows.map(|row| row.iter().map(Cell::symbol).collect::<String>());
     let rows: Vec<String> = rows.map(|row| row.trim_end().to_owned()).collect();
     rows.join("\n")
 }
@@ -291,8 +291,7 @@ fn without_colours_the_same_cells_are_drawn() {
             .iter()
             .any(|cell| cell.fg == Color::LightBlue)
     );
-    let has_colour =
-        |cell: &&ratatui::buffer::Cell| cell.fg != Color::Reset || cell.bg != Color::Reset;
+    let has_colour = |cell: &&Cell| cell.fg != Color::Reset || cell.bg != Color::Reset;
     assert_eq!(plain.content.iter().find(has_colour), None);
     assert!(
         plain

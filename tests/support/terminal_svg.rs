@@ -159,14 +159,16 @@ fn colour(cell: &Cell) -> &'static str {
 }
 
 /// The terminal's colours that the view uses, on a dark ground.
-const fn hexadecimal(colour: Color) -> &'static str {
-    match colour {
-        Color::DarkGray => "#7f8894",
-        Color::Red => "#e8704f",
-        Color::LightBlue => "#62b2ff",
-        Color::Green => "#58c884",
-        Color::Yellow => "#e6c35c",
-        Color::Magenta => "#d78ee4",
-        _ => FOREGROUND,
-    }
+const COLOURS: [(Color, &str); 6] = [
+    (Color::DarkGray, "#7f8894"),
+    (Color::Red, "#e8704f"),
+    (Color::LightBlue, "#62b2ff"),
+    (Color::Green, "#58c884"),
+    (Color::Yellow, "#e6c35c"),
+    (Color::Magenta, "#d78ee4"),
+];
+
+fn hexadecimal(colour: Color) -> &'static str {
+    let known = COLOURS.iter().find(|(known, _)| *known == colour);
+    known.map_or(FOREGROUND, |(_, hexadecimal)| hexadecimal)
 }

@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use http::{Reader, exchange, get, post, refused, request};
 use posebridge_dashboard::model::{Frame, Message, RobotFrame, State};
 use posebridge_dashboard::{
-    Batch, Dashboard, Facts, Feed, Listen, Sources, StartError, Taps, TokenPolicy,
+    Batch, Dashboard, Facts, Feed, Found, Listen, Sources, StartError, Taps, TokenPolicy,
 };
 use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
 use tokio::sync::mpsc;
@@ -368,4 +368,35 @@ fn it_ends_when_the_shard_is_gone() {
     drop(played.feed);
     reader.drain();
     played.dashboard.finish();
+}
+
+#[test]
+fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
+    let folder = tempfile::tempdir().unwrap();
+    let millis = Arc::new(AtomicI64::new(0));
+    let mut taps = Taps::default();
+    let tap = taps.add(64);
+    let sources = Sources {
+        taps,
+        ..sources(folder.path(), &millis)
+    };
+    let started = Dashboard::start_on(None, Facts::default(), sources);
+    let (dashboard, feed, mut commands) = started.unwrap();
+    assert_eq!((dashboard.address(), dashboard.url()), (None, None));
+    feed.tell(Batch {
+        now: Stamp::from_millis(5),
+        took: Span::ZERO,
+        events: vec![says("hello")],
+        standing: None,
+    });
+    let heard = std::iter::from_fn(|| tap.wait()).find(|frame| !frame.log.is_empty());
+    assert_eq!(heard.unwrap().log[0].text, "1/1: hello");
+    assert!(dashboard.commander().give(Command::ResetPose));
+    assert_eq!(commands.try_recv().unwrap(), Command::ResetPose);
+    drop(commands);
+    assert!(!dashboard.commander().give(Command::ResetPose));
+    dashboard.finish();
+    // What waits is still told, then comes the end.
+    while tap.wait().is_some() {}
+    assert_eq!(tap.look(), Found::End);
 }
