@@ -2,6 +2,7 @@
 
 mod dashboard;
 mod lab;
+mod views;
 
 use std::path::PathBuf;
 
@@ -17,6 +18,7 @@ use crate::link_flags::LinkFlags;
 
 pub use dashboard::DashboardFlags;
 pub use lab::{LabAccuracyArgs, LabArgs, LabExperiment, LabLinksArgs};
+pub use views::ViewFlags;
 
 /// Ground station for robots that are too weak to filter for themselves.
 ///
@@ -138,6 +140,9 @@ pub struct RunArgs {
     /// The dashboard.
     #[command(flatten)]
     pub page: DashboardFlags,
+    /// What is shown besides.
+    #[command(flatten)]
+    pub views: ViewFlags,
     /// At the end write the robot with what was learned about it, as a profile for --robot.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,

@@ -6,13 +6,13 @@ use std::process::ExitCode;
 use clap::Parser;
 use posebridge::cli::Cli;
 use posebridge::commands;
-use posebridge::stderr::say;
+use posebridge::stderr::{LogWriter, say};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
     tracing_subscriber::fmt()
         .with_env_filter(log_filter())
-        .with_writer(std::io::stderr)
+        .with_writer(|| LogWriter)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     match commands::execute(cli) {

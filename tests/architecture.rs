@@ -96,6 +96,9 @@ const IO_CRATES: &[&str] = &[
     "hyper",
     "hyper-util",
     "mio",
+    "rustix",
+    "ratatui",
+    "crossterm",
 ];
 
 /// Crates that need a system library or a C tool chain; none may be in the default build.

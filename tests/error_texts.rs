@@ -68,6 +68,11 @@ fn wrong_configuration() {
         with_config("[dashboard]\nlisten = \"localhost\"\n")
     );
     insta::assert_snapshot!(
+        "plotjuggler_address",
+        with_config("[plotjuggler]\naddress = \"localhost:9870\"\n")
+    );
+    insta::assert_snapshot!("no_terminal", with_args(&["run", "--tui"]));
+    insta::assert_snapshot!(
         "wrong_setting",
         with_args(&["run", "--set", "robot.track=1"])
     );

@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::bricks::{FixSection, brick_link};
 use super::dashboard::DashboardSection;
 use super::filter::{FilterSection, filter_config};
+use super::plotjuggler::PlotJugglerSection;
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection, RoutingSection, rules_of};
 use super::signing::SigningSection;
@@ -51,6 +52,8 @@ pub struct Config {
     pub record: RecordSection,
     /// The page of the station.
     pub dashboard: DashboardSection,
+    /// What happens, for PlotJuggler.
+    pub plotjuggler: PlotJugglerSection,
 }
 
 /// Who the station is on its links.
@@ -240,6 +243,7 @@ impl Default for Config {
             routing: RoutingSection::default(),
             record: RecordSection::default(),
             dashboard: DashboardSection::default(),
+            plotjuggler: PlotJugglerSection::default(),
         }
     }
 }

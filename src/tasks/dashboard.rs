@@ -9,7 +9,8 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use posebridge_dashboard::model::{CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts};
 use posebridge_dashboard::{
-    Batch, Dashboard, Facts, Feed, Listen, Sources, Standing, StartError, TokenPolicy, TruthSample,
+    Batch, Dashboard, Facts, Feed, Listen, Listener, Sources, Standing, StartError, Taps,
+    TokenPolicy, TruthSample,
 };
 use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
@@ -47,7 +48,7 @@ pub struct Simulated<'a> {
     pub truth: TruthTap,
 }
 
-/// Starts the dashboard, if there is to be one, and says where it is.
+/// Starts the dashboard, if there is to be one or somebody in this process wants to hear the same, and says where it is.
 ///
 /// # Errors
 /// It cannot listen where it was told to. That all ports behind the default are taken is no error: a robot may wait.
@@ -55,11 +56,13 @@ pub fn start(
     flags: &DashboardFlags,
     config: &Config,
     (timer, folder): (HostTimer, &Path),
-    simulated: Option<Simulated<'_>>,
+    (simulated, taps): (Option<Simulated<'_>>, Taps),
 ) -> Result<Option<(Dashboard, Outlet)>> {
-    let Some(listen) = wanted(flags, config)? else {
+    let listen = wanted(flags, config)?;
+    let listener = listen.map(listen_at).transpose()?.flatten();
+    if listener.is_none() && taps.is_empty() {
         return Ok(None);
-    };
+    }
     if let Some(folder) = &flags.ui_dir {
         let page = folder.join("index.html");
         ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
@@ -72,18 +75,13 @@ pub fn start(
         recordings: folder.to_owned(),
         replay: Box::new(|path| trails::of(path).map_err(|error| format!("{error:#}"))),
         ui_dir: flags.ui_dir.clone(),
+        taps,
     };
-    let (dashboard, feed, commands) = match Dashboard::start(listen, facts, sources) {
-        Ok(started) => started,
-        Err(error @ StartError::AllTaken { .. }) => {
-            tracing::warn!("there is no dashboard: {error}");
-            return Ok(None);
-        }
-        Err(error) => return Err(error).context("starting the dashboard"),
-    };
+    let started = Dashboard::start_on(listener, facts, sources);
+    let (dashboard, feed, commands) = started.context("starting the dashboard")?;
     tell(&dashboard, listen);
-    if flags.open {
-        open_in_browser(dashboard.url())?;
+    if let (true, Some(url)) = (flags.open, dashboard.url()) {
+        open_in_browser(url)?;
     }
     let outlet = Outlet {
         feed,
@@ -103,16 +101,30 @@ fn wanted(flags: &DashboardFlags, config: &Config) -> Result<Option<Listen>> {
     Ok(is_wanted.then_some(configured))
 }
 
-fn tell(dashboard: &Dashboard, listen: Listen) {
-    let address = dashboard.address();
-    if let Listen::OrNext(first) = listen
+/// Begins to listen. That all ports behind the default are taken is said and no error: a robot may wait.
+fn listen_at(listen: Listen) -> Result<Option<Listener>> {
+    match Listener::bind(listen) {
+        Ok(listener) => Ok(Some(listener)),
+        Err(error @ StartError::AllTaken { .. }) => {
+            tracing::warn!("there is no dashboard: {error}");
+            Ok(None)
+        }
+        Err(error) => Err(error).context("starting the dashboard"),
+    }
+}
+
+fn tell(dashboard: &Dashboard, listen: Option<Listen>) {
+    let (Some(address), Some(url)) = (dashboard.address(), dashboard.url()) else {
+        return;
+    };
+    if let Some(Listen::OrNext(first)) = listen
         && first != address
     {
         say(&format!(
             "{first} is in use, perhaps by another station: the dashboard takes the next free port"
         ));
     }
-    say(&format!("dashboard: {}", dashboard.url()));
+    say(&format!("dashboard: {url}"));
     if !address.ip().is_loopback() {
         say(
             "the address holds a token that lets anybody command this station, and it travels unencrypted",
@@ -178,7 +190,9 @@ fn facts_of(config: &Config, simulated: Option<&Simulated<'_>>) -> Result<Facts>
     })
 }
 
-fn simulator_facts(simulated: &Simulated<'_>) -> SimulatorFacts {
+/// What the page tells of a simulated brick.
+#[must_use]
+pub fn simulator_facts(simulated: &Simulated<'_>) -> SimulatorFacts {
     // One lap: the others are driven on the same path.
     let world = Simulation::new(simulated.scenario.clone().with_laps(1));
     SimulatorFacts {

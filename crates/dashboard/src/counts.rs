@@ -17,6 +17,8 @@ pub(crate) enum Count {
     FramesSent,
     /// Messages that readers have missed because they were slow.
     FramesMissed,
+    /// The same of readers in this process.
+    TapFramesMissed,
     /// Commands handed to the engine.
     Commands,
     /// Refused: too many connections.
@@ -70,6 +72,11 @@ pub(crate) const COUNTS: &[Row] = &[
         Count::FramesMissed,
         "frames_missed_total",
         "Messages that readers have missed because they were slow.",
+    ),
+    total(
+        Count::TapFramesMissed,
+        "tap_frames_missed_total",
+        "Messages that the terminal view or PlotJuggler's sender has missed because it was slow.",
     ),
     total(
         Count::Commands,

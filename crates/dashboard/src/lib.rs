@@ -2,7 +2,8 @@
 //!
 //! Gets what the shard tells through a bounded channel that drops and counts ([`Feed`]), turns it into messages for browsers and
 //! programs with views that are pure functions of events ([`views`]), and serves them over HTTP and WebSocket on a thread with a
-//! runtime of its own ([`Dashboard`]). What people ask for goes back through a second bounded channel, as
+//! runtime of its own ([`Dashboard`]). Readers in this process, such as the terminal view, get the same messages as values
+//! ([`Taps`]), also when nobody listens for browsers. What people ask for goes back through a second bounded channel, as
 //! [`Command`](posebridge_telemetry::Command)s, and so into the recording. Nothing here is waited for by whoever steers a robot.
 //!
 //! JSON for browsers is known here and nowhere else. The shapes stand in [`model`], in `schema/v1.json` and in docs/dashboard.md;
@@ -10,24 +11,30 @@
 
 mod assets;
 pub mod command;
+mod commander;
 mod counts;
 mod feed;
 pub mod gather;
 mod hub;
 mod latency;
 mod limits;
+mod listener;
 mod metrics;
 pub mod model;
 mod recordings;
 mod schema;
 mod server;
 mod state;
+mod taps;
 mod thread;
 mod token;
 pub mod views;
 
+pub use commander::Commander;
 pub use feed::{Batch, Feed, Standing, TruthSample};
 pub use gather::{Gatherer, Keep};
+pub use listener::{Listen, Listener};
 pub use schema::schema;
-pub use thread::{Dashboard, Facts, Listen, Sources, StartError, TokenPolicy};
+pub use taps::{Found, FrameTap, Taps};
+pub use thread::{Dashboard, Facts, Sources, StartError, TokenPolicy};
 pub use token::Token;

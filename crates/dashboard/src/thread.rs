@@ -11,26 +11,17 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
 use crate::assets::Assets;
+use crate::commander::Commander;
 use crate::counts::Counts;
 use crate::feed::{Feed, TruthSample};
 use crate::hub::Hub;
 use crate::limits::{WAITING_COMMANDS, WAITING_QUESTIONS};
+use crate::listener::{Listen, Listener, PORTS_TRIED};
 use crate::model::{ParameterRow, SimulatorFacts};
 use crate::recordings::Recordings;
 use crate::server::{App, Guard, Inlets, Replay, router, run_hub, serve};
+use crate::taps::Taps;
 use crate::token::Token;
-
-/// The next free port is looked for among so many.
-const PORTS_TRIED: u16 = 20;
-
-/// Where to listen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Listen {
-    /// There and nowhere else; port 0 takes a free one.
-    Exactly(SocketAddr),
-    /// There, or at the next free port.
-    OrNext(SocketAddr),
-}
 
 /// Who needs the token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -69,6 +60,8 @@ pub struct Sources {
     pub replay: Box<Replay>,
     /// Serves the page from there instead of from the program.
     pub ui_dir: Option<PathBuf>,
+    /// Readers in this process.
+    pub taps: Taps,
 }
 
 /// Why there is no dashboard.
@@ -116,8 +109,9 @@ pub enum StartError {
 /// A running dashboard. It ends when [`Self::finish`] is called or it is dropped.
 #[derive(Debug)]
 pub struct Dashboard {
-    address: SocketAddr,
+    address: Option<SocketAddr>,
     token: Option<Token>,
+    commander: Commander,
     stop: CancellationToken,
     thread: Option<JoinHandle<()>>,
 }
@@ -133,13 +127,20 @@ impl Dashboard {
         facts: Facts,
         sources: Sources,
     ) -> Result<(Self, Feed, mpsc::Receiver<Command>), StartError> {
-        let (listener, address) = bind(listen)?;
-        let is_open = address.ip().is_loopback() && facts.token == TokenPolicy::Elsewhere;
-        let token = if is_open {
-            None
-        } else {
-            Some(Token::random().map_err(|source| StartError::Token { source })?)
-        };
+        Self::start_on(Some(Listener::bind(listen)?), facts, sources)
+    }
+
+    /// The same at a place that was bound, or for readers in this process only.
+    ///
+    /// # Errors
+    /// The thread cannot be started, or there are no random bytes for a token.
+    pub fn start_on(
+        listener: Option<Listener>,
+        facts: Facts,
+        sources: Sources,
+    ) -> Result<(Self, Feed, mpsc::Receiver<Command>), StartError> {
+        let address = listener.as_ref().map(|listener| listener.address);
+        let token = token_for(address, facts.token)?;
         let counts = Arc::new(Counts::default());
         let (feed, batches) = Feed::pair(Arc::clone(&counts));
         let (questions, asked) = mpsc::channel(WAITING_QUESTIONS);
@@ -147,56 +148,65 @@ impl Dashboard {
         let stop = CancellationToken::new();
         let recordings = Recordings::new(sources.recordings);
         let hub = Hub::new(facts, token.as_ref());
-        let app = App {
-            guard: Guard::new(address, token.clone()),
-            counts: Arc::clone(&counts),
-            questions,
-            commands,
-            recordings: recordings.clone(),
-            assets: Assets::new(sources.ui_dir),
-            replay: sources.replay,
-            replaying: Arc::new(Semaphore::new(1)),
-            stop: stop.clone(),
-        };
+        let served = listener.map(|listener| {
+            let app = App {
+                guard: Guard::new(listener.address, token.clone()),
+                counts: Arc::clone(&counts),
+                questions: questions.clone(),
+                commands: commands.clone(),
+                recordings: recordings.clone(),
+                assets: Assets::new(sources.ui_dir),
+                replay: sources.replay,
+                replaying: Arc::new(Semaphore::new(1)),
+                stop: stop.clone(),
+            };
+            (listener.socket, app)
+        });
         let inlets = Inlets {
             batches,
             truth: sources.truth,
             clock: sources.clock,
             questions: asked,
             recordings,
-            counts,
+            counts: Arc::clone(&counts),
+            taps: sources.taps,
         };
         let work = Work {
-            listener,
-            app,
+            served,
             hub,
             inlets,
+            stop: stop.clone(),
         };
-        let thread = std::thread::Builder::new()
-            .name("dashboard".to_owned())
-            .spawn(move || work.run())
-            .map_err(|source| StartError::Thread { source })?;
         let dashboard = Self {
             address,
             token,
+            commander: Commander { commands, counts },
             stop,
-            thread: Some(thread),
+            thread: Some(work.start()?),
         };
         Ok((dashboard, feed, given))
     }
 
-    /// Where it listens.
+    /// Where it listens, if it does.
     #[must_use]
-    pub const fn address(&self) -> SocketAddr {
+    pub const fn address(&self) -> Option<SocketAddr> {
         self.address
     }
 
-    /// What to open in a browser: with the token, if one is needed, so it is to be shown once and to nobody else.
+    /// What to open in a browser: with the token, if one is needed, so it is to be shown once and to nobody else. `None` if it does
+    /// not listen.
     #[must_use]
-    pub fn url(&self) -> String {
+    pub fn url(&self) -> Option<String> {
         let token = self.token.as_ref();
         let query = token.map_or_else(String::new, |token| format!("?token={}", token.expose()));
-        format!("http://{}/{query}", self.address)
+        let address = self.address?;
+        Some(format!("http://{address}/{query}"))
+    }
+
+    /// Gives commands for somebody in this process.
+    #[must_use]
+    pub fn commander(&self) -> Commander {
+        self.commander.clone()
     }
 
     /// Ends it and waits for its thread.
@@ -218,15 +228,37 @@ impl Drop for Dashboard {
     }
 }
 
+/// The token that is needed there, if one is.
+fn token_for(
+    address: Option<SocketAddr>,
+    policy: TokenPolicy,
+) -> Result<Option<Token>, StartError> {
+    let is_open =
+        |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::Elsewhere;
+    if address.is_none_or(is_open) {
+        return Ok(None);
+    }
+    let token = Token::random().map_err(|source| StartError::Token { source })?;
+    Ok(Some(token))
+}
+
 /// What the thread does.
 struct Work {
-    listener: TcpListener,
-    app: App,
+    /// What it serves and where; without it, it has readers in this process only.
+    served: Option<(TcpListener, App)>,
     hub: Hub,
     inlets: Inlets,
+    stop: CancellationToken,
 }
 
 impl Work {
+    fn start(self) -> Result<JoinHandle<()>, StartError> {
+        std::thread::Builder::new()
+            .name("dashboard".to_owned())
+            .spawn(move || self.run())
+            .map_err(|source| StartError::Thread { source })
+    }
+
     fn run(self) {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -240,19 +272,12 @@ impl Work {
                 return;
             }
         };
+        let stop = self.stop;
         runtime.block_on(async {
-            let listener = match tokio::net::TcpListener::from_std(self.listener) {
-                Ok(listener) => listener,
-                Err(error) => {
-                    tracing::error!(%error, "the dashboard cannot listen");
-                    return;
-                }
-            };
-            let (counts, stop) = (Arc::clone(&self.app.counts), self.app.stop.clone());
-            let router = router(Arc::new(self.app));
+            let serving = serve_if_wanted(self.served, stop.clone());
             tokio::select! {
                 () = run_hub(self.hub, self.inlets) => {}
-                () = serve(listener, router, counts, stop) => {}
+                () = serving => {}
             }
         });
         // A replay that still runs must not keep the station alive.
@@ -260,29 +285,18 @@ impl Work {
     }
 }
 
-fn bind(listen: Listen) -> Result<(TcpListener, SocketAddr), StartError> {
-    let (first, tries) = match listen {
-        Listen::Exactly(address) => (address, 0),
-        Listen::OrNext(address) => (address, PORTS_TRIED),
+/// Serves until it is told to stop.
+async fn serve_if_wanted(served: Option<(TcpListener, App)>, stop: CancellationToken) {
+    let Some((socket, app)) = served else {
+        return stop.cancelled().await;
     };
-    for step in 0..=tries {
-        let mut address = first;
-        address.set_port(first.port().saturating_add(step));
-        match bind_one(address) {
-            Ok(bound) => return Ok(bound),
-            Err(source) if source.kind() == io::ErrorKind::AddrInUse => {}
-            Err(source) => return Err(StartError::Bind { address, source }),
+    let listener = match tokio::net::TcpListener::from_std(socket) {
+        Ok(listener) => listener,
+        Err(error) => {
+            tracing::error!(%error, "the dashboard cannot listen");
+            return;
         }
-    }
-    Err(match listen {
-        Listen::Exactly(address) => StartError::Taken { address },
-        Listen::OrNext(address) => StartError::AllTaken { address },
-    })
-}
-
-fn bind_one(address: SocketAddr) -> io::Result<(TcpListener, SocketAddr)> {
-    let listener = TcpListener::bind(address)?;
-    listener.set_nonblocking(true)?;
-    let address = listener.local_addr()?;
-    Ok((listener, address))
+    };
+    let counts = Arc::clone(&app.counts);
+    serve(listener, router(Arc::new(app)), counts, stop).await;
 }

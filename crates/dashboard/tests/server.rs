@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use http::{Reader, exchange, get, post, refused, request};
 use posebridge_dashboard::model::{Frame, Message, RobotFrame, State};
 use posebridge_dashboard::{
-    Batch, Dashboard, Facts, Feed, Listen, Sources, StartError, TokenPolicy,
+    Batch, Dashboard, Facts, Feed, Found, Listen, Sources, StartError, Taps, TokenPolicy,
 };
 use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
 use tokio::sync::mpsc;
@@ -55,6 +55,7 @@ fn sources(folder: &Path, millis: &Arc<AtomicI64>) -> Sources {
             })
         }),
         ui_dir: None,
+        taps: Taps::default(),
     }
 }
 
@@ -81,7 +82,7 @@ impl Played {
     }
 
     fn address(&self) -> SocketAddr {
-        self.dashboard.address()
+        self.dashboard.address().unwrap()
     }
 
     fn tell(&self, events: Vec<Event>) {
@@ -234,7 +235,7 @@ fn foreign_hosts_and_origins_are_refused_and_counted() {
 fn a_token_opens_the_station_and_a_wrong_one_does_not() {
     let played = Played::start(TokenPolicy::Always);
     let address = played.address();
-    let url = played.dashboard.url();
+    let url = played.dashboard.url().unwrap();
     let token = url.split_once("?token=").unwrap().1;
     assert_eq!(get(address, "/v1/state").status, 401);
     assert_eq!(get(address, "/?token=0123").status, 401);
@@ -355,7 +356,7 @@ fn a_default_port_that_is_taken_moves_on_and_a_chosen_one_does_not() {
             .contains("is in use, perhaps by another station")
     );
     let (next, _feed, _commands) = start(Listen::OrNext(taken)).unwrap();
-    let steps = next.address().port() - taken.port();
+    let steps = next.address().unwrap().port() - taken.port();
     assert!((1..=20).contains(&steps), "{steps}");
 }
 
@@ -367,4 +368,35 @@ fn it_ends_when_the_shard_is_gone() {
     drop(played.feed);
     reader.drain();
     played.dashboard.finish();
+}
+
+#[test]
+fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
+    let folder = tempfile::tempdir().unwrap();
+    let millis = Arc::new(AtomicI64::new(0));
+    let mut taps = Taps::default();
+    let tap = taps.add(64);
+    let sources = Sources {
+        taps,
+        ..sources(folder.path(), &millis)
+    };
+    let started = Dashboard::start_on(None, Facts::default(), sources);
+    let (dashboard, feed, mut commands) = started.unwrap();
+    assert_eq!((dashboard.address(), dashboard.url()), (None, None));
+    feed.tell(Batch {
+        now: Stamp::from_millis(5),
+        took: Span::ZERO,
+        events: vec![says("hello")],
+        standing: None,
+    });
+    let heard = std::iter::from_fn(|| tap.wait()).find(|frame| !frame.log.is_empty());
+    assert_eq!(heard.unwrap().log[0].text, "1/1: hello");
+    assert!(dashboard.commander().give(Command::ResetPose));
+    assert_eq!(commands.try_recv().unwrap(), Command::ResetPose);
+    drop(commands);
+    assert!(!dashboard.commander().give(Command::ResetPose));
+    dashboard.finish();
+    // What waits is still told, then comes the end.
+    while tap.wait().is_some() {}
+    assert_eq!(tap.look(), Found::End);
 }

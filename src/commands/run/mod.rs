@@ -2,9 +2,10 @@
 //!
 //! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records everything that came in, and shows one
 //! status block, until Ctrl-C, `--duration` or `--until-silent`. A simulated brick of its own drives its path again and again; with `--laps` the
-//! run ends with the last of them. In the end stand tables and two pictures, with a simulated brick also who was how far off.
+//! run ends with the last of them. With `--tui` a terminal view has the screen meanwhile. In the end stand tables and two pictures, with a simulated brick also who was how far off.
 
 mod links;
+mod onlookers;
 mod outcome;
 mod records;
 mod session;
@@ -24,6 +25,7 @@ use crate::failures::Failures;
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::run as report;
 use crate::tasks::desk::RECORDING;
+use crate::tui::tty::ensure_terminal;
 
 /// Runs the station.
 ///
@@ -31,6 +33,9 @@ use crate::tasks::desk::RECORDING;
 /// The configuration makes no sense, a link cannot be opened for good, or the recording cannot be written.
 pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let config = configuration(args).at_start()?;
+    if args.views.tui {
+        ensure_terminal().at_start()?;
+    }
     let laps = args.laps.map_or(Laps::Endless, Laps::Counted);
     let mut session = in_runtime(session(args, &config, (RECORDING, laps)))?;
     // What cannot be drawn or saved must not cost the rest.
@@ -120,6 +125,7 @@ fn configuration(args: &RunArgs) -> Result<Config> {
     }
     config.pipeline()?;
     config.dashboard.checked()?;
+    config.plotjuggler.checked()?;
     Ok(config)
 }
 

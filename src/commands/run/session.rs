@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use posebridge_dashboard::Dashboard;
 use posebridge_link::{HostTimer, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{Span, Stamp};
 use tokio_util::sync::CancellationToken;
 
 use super::links::{Driven, Embedded, Laps, SimulatedSession, open_links, stop_brick};
+use super::onlookers::Onlookers;
 use super::records::{Recorded, output_folder, start_recorder, start_tlog};
 use super::signals::Signals;
 use crate::cli::RunArgs;
@@ -22,7 +22,6 @@ use crate::report::live::LiveView;
 use crate::report::off::Off;
 use crate::signing::{SigningSession, warn_of_open_listeners};
 use crate::stderr::say;
-use crate::tasks::dashboard::{self, Outlet, Simulated};
 use crate::tasks::desk::Desk;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::Recorder;
@@ -84,7 +83,8 @@ pub(super) async fn session(
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
     let (commands, truth) = simulated_brick(embedded.as_mut());
-    let (page, outlet) = page(args, config, (timer, &folder), embedded.as_ref()).at_start()?;
+    let started = Onlookers::start(args, config, (timer, &folder), embedded.as_ref());
+    let (mut onlookers, outlet) = started.at_start()?;
     let mut shard = Shard {
         pipeline,
         ports,
@@ -103,13 +103,15 @@ pub(super) async fn session(
     tokio::select! {
         () = shard.run(&ending) => {}
         () = signals.received() => {}
+        () = onlookers.quit() => {}
     }
+    onlookers.leave_terminal();
     let driven = stop_brick(embedded, &stop).while_running()?;
     let kept = shard.keep_last_stamps();
     let learned = learned_of(&shard.pipeline, config).at_start()?;
     shard.show_truth();
     let closed = close(shard).while_running()?;
-    drop(page);
+    onlookers.finish().while_running()?;
     Ok(Session {
         timer,
         folder,
@@ -146,29 +148,24 @@ fn simulated_brick(embedded: Option<&mut Embedded>) -> (Option<CommandSender>, O
     })
 }
 
-/// The dashboard, with what it shows of the simulated brick, and the shard's end of it.
-fn page(
-    args: &RunArgs,
-    config: &Config,
-    place: (HostTimer, &Path),
-    embedded: Option<&Embedded>,
-) -> Result<(Option<Dashboard>, Option<Outlet>)> {
-    let simulated = embedded.map(|embedded| Simulated {
-        name: &embedded.name,
-        scenario: &embedded.scenario,
-        truth: TruthTap::new(&embedded.brick.hands.truth),
-    });
-    Ok(dashboard::start(&args.page, config, place, simulated)?.unzip())
-}
-
 /// Shows people what happens.
 fn observer(args: &RunArgs, embedded: Option<&Embedded>) -> Result<Observer> {
-    let progress = embedded.map(|embedded| embedded.brick.progress.clone());
-    let off = embedded.map(|embedded| Off::new(TruthTap::new(&embedded.brick.hands.truth)));
+    let view = if args.views.tui {
+        // The terminal view shows all that and more.
+        LiveView::silent()
+    } else {
+        live_view(embedded)
+    };
     Observer::start(ObserverConfig {
         events: args.events.as_deref(),
-        view: LiveView::new(progress).with_truth(off),
+        view,
     })
+}
+
+fn live_view(embedded: Option<&Embedded>) -> LiveView {
+    let progress = embedded.map(|embedded| embedded.brick.progress.clone());
+    let off = embedded.map(|embedded| Off::new(TruthTap::new(&embedded.brick.hands.truth)));
+    LiveView::new(progress).with_truth(off)
 }
 
 /// When the run ends by itself: at the latest with its simulated brick.

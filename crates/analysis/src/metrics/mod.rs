@@ -13,6 +13,7 @@ pub mod innovations;
 pub mod nis;
 pub mod path;
 pub mod position;
+pub mod recent;
 mod root_mean_square;
 pub mod summary;
 
@@ -22,6 +23,7 @@ pub use error::{PoseError, errors_of_estimates, errors_of_track};
 pub use innovations::{Finding, InnovationTest, Judgement, Tone};
 pub use nis::{SourceTally, count_in, tally};
 pub use path::{PathError, deviations_from_path, path_error};
+pub use recent::RecentNis;
 pub use summary::{ErrorSummary, mean_over_runs, summarise};
 
 /// What one run left behind for the metrics; any part may be empty.

@@ -15,6 +15,7 @@ use crate::limits::{TICK, WAITING_FRAMES};
 use crate::metrics;
 use crate::model::{Message, RecordingRow};
 use crate::recordings::Recordings;
+use crate::taps::Taps;
 
 /// So many batches are taken between two messages; with more the reader of the next one waits no longer than the others.
 const MOST_BATCHES: usize = 6_000;
@@ -55,6 +56,8 @@ pub(crate) struct Inlets {
     pub(crate) questions: mpsc::Receiver<Question>,
     pub(crate) recordings: Recordings,
     pub(crate) counts: Arc<Counts>,
+    /// Readers in this process.
+    pub(crate) taps: Taps,
 }
 
 /// Runs until the shard is gone.
@@ -68,7 +71,7 @@ pub(crate) async fn run_hub(mut hub: Hub, mut inlets: Inlets) {
                 if !take_all(&mut hub, &mut inlets) {
                     return;
                 }
-                send_news(&mut hub, &inlets, &frames);
+                send_news(&mut hub, &mut inlets, &frames);
             }
             Some(question) = inlets.questions.recv() => answer(&hub, &inlets.counts, question, &frames),
         }
@@ -93,11 +96,15 @@ fn take_all(hub: &mut Hub, inlets: &mut Inlets) -> bool {
 }
 
 /// Writes what is new once, for all readers.
-fn send_news(hub: &mut Hub, inlets: &Inlets, frames: &broadcast::Sender<Utf8Bytes>) {
+fn send_news(hub: &mut Hub, inlets: &mut Inlets, frames: &broadcast::Sender<Utf8Bytes>) {
     let now = (inlets.clock)();
     let Some(frame) = hub.news(now, |name| inlets.recordings.now(name)) else {
         return;
     };
+    if !inlets.taps.is_empty() {
+        let missed = inlets.taps.tell(&Arc::new(frame.clone()));
+        inlets.counts.add(Count::TapFramesMissed, missed);
+    }
     if frames.receiver_count() > 0 {
         // Nobody left in the meantime is as good.
         drop(frames.send(text(&Message::Frame(Box::new(frame))).into()));

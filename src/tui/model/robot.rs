@@ -1,0 +1,83 @@
+//! What is known of one robot.
+
+use std::collections::BTreeMap;
+
+use posebridge_analysis::RecentNis;
+use posebridge_dashboard::model::{
+    CalibrationRow, EstimatePoint, FixPoint, FusionPoint, RobotFrame,
+};
+
+use super::Recent;
+
+/// A robot has a handful of sensors; more than this is not a robot but nonsense.
+const MOST_SOURCES: usize = 32;
+
+/// One robot.
+#[derive(Clone, Debug, Default)]
+pub struct Robot {
+    /// Link, system and component.
+    pub id: String,
+    /// Its estimates.
+    pub estimates: Recent<EstimatePoint>,
+    /// Fixes of it.
+    pub fixes: Recent<FixPoint>,
+    /// Its sensors, by their names.
+    pub sources: BTreeMap<String, Source>,
+    /// What was learned about it.
+    pub calibration: Vec<CalibrationRow>,
+}
+
+/// One of its sensors.
+#[derive(Clone, Debug, Default)]
+pub struct Source {
+    /// So many observations came.
+    pub seen: u64,
+    /// So many were further from what was expected than the gate allows.
+    pub gated: u64,
+    /// The NIS of those that were used.
+    pub nis: RecentNis,
+    /// What became of the last one.
+    pub last_verdict: String,
+}
+
+impl Robot {
+    pub(super) fn of(id: &str) -> Self {
+        Self {
+            id: id.to_owned(),
+            ..Self::default()
+        }
+    }
+
+    pub(super) fn take(&mut self, part: &RobotFrame) {
+        for estimate in &part.estimates {
+            self.estimates.push(estimate.t_s, estimate.clone());
+        }
+        for fix in &part.fixes {
+            self.fixes.push(fix.t_s, fix.clone());
+        }
+        for record in &part.fusion {
+            self.take_record(record);
+        }
+        if let Some(calibration) = &part.calibration {
+            self.calibration.clone_from(calibration);
+        }
+    }
+
+    fn take_record(&mut self, record: &FusionPoint) {
+        let is_known = self.sources.contains_key(&record.sensor);
+        if !is_known && self.sources.len() >= MOST_SOURCES {
+            return;
+        }
+        let source = self.sources.entry(record.sensor.clone()).or_default();
+        source.seen += 1;
+        source.last_verdict.clone_from(&record.verdict);
+        match record.verdict.as_str() {
+            "gated" => source.gated += 1,
+            "accepted" | "slip" => {
+                let nis = record.nis.get().unwrap_or(f64::NAN);
+                source.nis.push(nis, u64::from(record.dof));
+            }
+            _ => {}
+        }
+    }
+}

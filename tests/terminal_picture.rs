@@ -1,0 +1,93 @@
+//! The picture of the terminal view in docs/terminal.md: a lap of the simulated brick in virtual time, drawn as `--tui` draws it.
+//! `POSEBRIDGE_WRITE_PICTURES=1 cargo test --test terminal_picture` draws it anew.
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers outside #[test] stop where the set-up is broken"
+)]
+
+mod support;
+
+#[path = "support/terminal_svg.rs"]
+mod terminal_svg;
+#[path = "support/virtual_drive.rs"]
+mod virtual_drive;
+
+use posebridge::trails;
+use posebridge::tui::look::Look;
+use posebridge::tui::model::Model;
+use posebridge::tui::panels::PANELS;
+use posebridge::tui::render::render;
+use posebridge_dashboard::model::{LogLine, RecordingNow, SimulatorFacts};
+use posebridge_sim::{Scenario, Simulation};
+use posebridge_telemetry::Span;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use support::root;
+use virtual_drive::record_drive_and_truth;
+
+/// As the page of a student's terminal, a bit larger than the usual 80 by 24.
+const SIZE: Rect = Rect::new(0, 0, 112, 34);
+
+fn model() -> Model {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("recording.mcap");
+    let scenario = Scenario::default();
+    record_drive_and_truth(&path, scenario.clone(), Span::from_millis(100));
+    let history = trails::of(&path).unwrap();
+    let driven = Simulation::new(scenario.with_laps(1));
+    let mut model = Model::new(Some(SimulatorFacts {
+        scenario: "square".to_owned(),
+        path: driven.path().iter().map(|at| [at.x.0, at.y.0]).collect(),
+        ..SimulatorFacts::default()
+    }));
+    model.take(&history);
+    // Which a recording does not hold of itself.
+    model.recording = Some(RecordingNow {
+        name: "recording.mcap".to_owned(),
+        bytes: std::fs::metadata(&path).unwrap().len(),
+    });
+    model.log.push_front(LogLine {
+        t_s: 0.0,
+        severity: 5,
+        text: "the page listens at 127.0.0.1:4680".to_owned(),
+    });
+    model
+}
+
+#[test]
+fn the_picture_shows_a_lap_with_every_panel() {
+    let mut buffer = Buffer::empty(SIZE);
+    render(&model(), Look::Coloured, SIZE, &mut buffer);
+    let picture = terminal_svg::svg(&buffer);
+    let path = root().join("docs/images/terminal.svg");
+    if std::env::var_os("POSEBRIDGE_WRITE_PICTURES").is_some() {
+        std::fs::write(&path, &picture).unwrap();
+    }
+    let kept = std::fs::read_to_string(&path).unwrap();
+    let head = |picture: &str| picture.lines().next().map(str::to_owned);
+    assert_eq!(
+        head(&kept),
+        head(&picture),
+        "draw it anew: POSEBRIDGE_WRITE_PICTURES=1"
+    );
+    for (name, picture) in [("drawn", &picture), ("kept", &kept)] {
+        for panel in PANELS {
+            for word in panel.title.split(' ') {
+                assert!(
+                    picture.contains(&format!(">{word}<")),
+                    "{word} in the one {name}"
+                );
+            }
+        }
+        assert!(
+            picture.matches("h0").count() > 500,
+            "the map in the one {name}"
+        );
+        for word in ["wheels", "camera", "kidnap", "gyro_bias_rad_per_s"] {
+            assert!(
+                picture.contains(&format!(">{word}<")),
+                "{word} in the one {name}"
+            );
+        }
+    }
+}
