@@ -211,6 +211,29 @@ test('a slider changes a parameter of the filter', async () => {
   await tap.until('the default', (frame) => frame.parameters?.find(({ name, value }) => name === 'gate_prob' && value === 0.999));
 });
 
+test('after a reload the page shows what was switched and set', async () => {
+  await page.locator('#innovations').scrollIntoViewIfNeeded();
+  const from_s = tap.now_s;
+  await page.getByLabel('Use accelerometer').uncheck();
+  await tap.until('a source that is left out', logs(/accelerometer.* is left out/), from_s);
+  await page.locator('#simulator').scrollIntoViewIfNeeded();
+  await page.getByLabel('as bad as').selectOption('usb');
+  await press('Link', /link-profile: usb/, { what: 'what became of it', find: logs(/link-profile/) });
+  await page.reload();
+  await waitForState(page, 'live');
+  await page.locator('#simulator').scrollIntoViewIfNeeded();
+  await page.waitForFunction(() => [...document.querySelectorAll('#simulator select')].some((select) => select.value === 'usb'));
+  assert.equal(await page.getByLabel('as bad as').inputValue(), 'usb');
+  await page.locator('#innovations').scrollIntoViewIfNeeded();
+  const box = page.getByLabel('Use accelerometer');
+  await box.waitFor();
+  assert.equal(await box.isChecked(), false);
+  assert.equal(await page.getByLabel('Use camera').isChecked(), true);
+  const back_s = tap.now_s;
+  await box.check();
+  await tap.until('a source that is used', logs(/accelerometer.* is used/), back_s);
+});
+
 test('the recording so far is looked at again, beside the drive that goes on', async () => {
   const [seen] = tap.frames.filter((frame) => estimatesOf(frame).length > 0);
   const [estimate] = estimatesOf(seen);

@@ -153,6 +153,49 @@ test('every fault of the simulated brick is one command', async () => {
   });
 });
 
+test('what is switched and set shows what the station says, after a reload and when others change it', async () => {
+  await withStation({}, async (page, station) => {
+    station.switchedOff = [3];
+    station.simulator = { steering: 'odometry', link_profile: 'bluetooth-spp' };
+    await page.reload();
+    await waitForState(page, 'live');
+    station.advance(5);
+    const camera = page.getByLabel('Use camera');
+    await camera.scrollIntoViewIfNeeded();
+    await page.waitForFunction(() => document.querySelector('[aria-label="Use camera"]')?.checked === false);
+    assert.equal(await page.getByLabel('Use wheels').isChecked(), true);
+    const profile = page.getByLabel('as bad as');
+    await profile.scrollIntoViewIfNeeded();
+    assert.equal(await profile.inputValue(), 'bluetooth-spp');
+    assert.equal(await page.getByLabel('odometry', { exact: true }).isChecked(), true);
+    // A choice that was not yet asked for is not taken back by what is told once a second.
+    await profile.selectOption('usb');
+    station.advance(100);
+    await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    assert.equal(await profile.inputValue(), 'usb');
+    station.send({ type: 'frame', now_s: station.now_s, switched_off: [0], simulator: { steering: 'estimate', link_profile: null } });
+    await page.waitForFunction(() => document.querySelector('input[name="steering"][value="estimate"]').checked);
+    assert.equal(await profile.inputValue(), '');
+    await camera.scrollIntoViewIfNeeded();
+    await page.waitForFunction(() => document.querySelector('[aria-label="Use camera"]').checked && !document.querySelector('[aria-label="Use wheels"]').checked);
+  });
+});
+
+test('a source that is heard later can be switched as well', async () => {
+  await withStation({}, async (page, station) => {
+    const heard = station.sources;
+    station.sources = [];
+    await page.reload();
+    await waitForState(page, 'live');
+    station.sources = heard;
+    station.advance(5);
+    const camera = page.getByLabel('Use camera');
+    await camera.scrollIntoViewIfNeeded();
+    await camera.uncheck();
+    assert.deepEqual(await lastOf(station, 1), { command: 'switch-source', sensor: 3, on: false });
+  });
+});
+
 test('keys drive only while armed, and letting go stops the robot', async () => {
   await withStation({}, async (page, station) => {
     await page.locator('body').press('w');

@@ -40,6 +40,7 @@ class InnovationsPanel {
   constructor(body, station) {
     this.station = station;
     this.rows = new Map();
+    this.switchesShown = 0;
     this.chosen = null;
     this.shape = '';
     this.charts = [];
@@ -59,6 +60,7 @@ class InnovationsPanel {
     const sources = view.robot?.sources ?? new Map();
     this.empty.hidden = sources.size > 0;
     this.#rowsFor(sources, view);
+    this.#showSwitches();
     const source = sources.get(this.chosen) ?? firstWithNis(sources);
     if (!source) return;
     this.chosen = source.sensor;
@@ -89,20 +91,31 @@ class InnovationsPanel {
 
   #newRow(source) {
     const name = source.sensor;
+    if (this.station.idOf(name) === undefined) this.station.renewSources();
     const radio = element('input', { type: 'radio', name: 'source', on: { change: () => this.#choose(source.sensor) } });
     const use = element('input', {
       type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.station.command({ command: 'switch-source', sensor: this.station.idOf(name), on: use.checked }) },
       disabled: this.station.idOf(name) === undefined,
     });
-    use.checked = true;
+    use.checked = this.station.isUsed(name);
     const cells = { seen: cell(), gated: cell(), late: cell(), inside: cell(), last: element('td') };
     const line = element('tr', {},
       element('th', { scope: 'row' }, element('label', {}, radio, ` ${name}`)),
       cells.seen, cells.gated, cells.late, cells.inside, cells.last, element('td', {}, use));
     this.table.append(line);
-    const row = { line, radio, ...cells };
+    const row = { line, radio, use, ...cells };
     this.rows.set(source.sensor, row);
     return row;
+  }
+
+  // A source may be switched from elsewhere as well. Only what is news moves a box: one that was just clicked keeps its state meanwhile.
+  #showSwitches() {
+    if (this.switchesShown === this.station.switchesTold) return;
+    this.switchesShown = this.station.switchesTold;
+    for (const [sensor, { use }] of this.rows) {
+      use.checked = this.station.isUsed(sensor);
+      use.disabled = this.station.idOf(sensor) === undefined;
+    }
   }
 
   #choose(sensor) {
