@@ -14,9 +14,11 @@ mod merge;
 mod noise;
 mod profile;
 mod robot;
+mod robots;
 mod routing;
 mod signing;
 mod station;
+mod template;
 mod thermometer;
 mod world;
 
@@ -33,12 +35,14 @@ pub use merge::{Origin, Setting, print};
 pub use noise::RobotNoise;
 pub use profile::{ProfileFilter, RobotProfile};
 pub use robot::{RobotFile, RobotStart};
+pub use robots::{BundledRobot, ROBOTS, UnknownRobot, list as list_of_robots};
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{
     AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
     StationConfig,
 };
+pub use template::{TemplateLink, template};
 pub use thermometer::RobotThermometer;
 pub use world::{NumberedPlace, PointPlace, WallPlace, WorldConfig};
 
