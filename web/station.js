@@ -80,10 +80,11 @@ export class Station {
     this.page.replay(name);
   }
 
-  /** Sends a command and says what became of it. Never throws: what went wrong is shown. */
+  /** Sends a command and says what became of it; gives whether it was taken. Never throws: what went wrong is shown. */
   async command(command) {
     const answer = await this.#ask('v1/commands', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(command) });
     if (answer && command.command !== 'drive') this.page.announce(`${command.command}: sent`, false);
+    return answer !== null;
   }
 
   /** Asks for the sources again: one was heard that was not known when the connection began. */

@@ -94,27 +94,36 @@ class InnovationsPanel {
     if (this.station.idOf(name) === undefined) this.station.renewSources();
     const radio = element('input', { type: 'radio', name: 'source', on: { change: () => this.#choose(source.sensor) } });
     const use = element('input', {
-      type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.station.command({ command: 'switch-source', sensor: this.station.idOf(name), on: use.checked }) },
+      type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.#switch(name, use.checked) },
       disabled: this.station.idOf(name) === undefined,
     });
-    use.checked = this.station.isUsed(name);
+    const isUsed = this.station.isUsed(name);
+    use.checked = isUsed;
     const cells = { seen: cell(), gated: cell(), late: cell(), inside: cell(), last: element('td') };
     const line = element('tr', {},
       element('th', { scope: 'row' }, element('label', {}, radio, ` ${name}`)),
       cells.seen, cells.gated, cells.late, cells.inside, cells.last, element('td', {}, use));
     this.table.append(line);
-    const row = { line, radio, use, ...cells };
+    const row = { line, radio, use, isUsed, ...cells };
     this.rows.set(source.sensor, row);
     return row;
   }
 
-  // A source may be switched from elsewhere as well. Only what is news moves a box: one that was just clicked keeps its state meanwhile.
+  async #switch(sensor, on) {
+    const isTaken = await this.station.command({ command: 'switch-source', sensor: this.station.idOf(sensor), on });
+    const row = this.rows.get(sensor);
+    if (!isTaken && row) row.use.checked = row.isUsed;
+  }
+
+  // A source may be switched from elsewhere as well. Only what is news moves a box: what is told once a second may be older than a click.
   #showSwitches() {
     if (this.switchesShown === this.station.switchesTold) return;
     this.switchesShown = this.station.switchesTold;
-    for (const [sensor, { use }] of this.rows) {
-      use.checked = this.station.isUsed(sensor);
-      use.disabled = this.station.idOf(sensor) === undefined;
+    for (const [sensor, row] of this.rows) {
+      const isUsed = this.station.isUsed(sensor);
+      if (isUsed !== row.isUsed) row.use.checked = isUsed;
+      row.isUsed = isUsed;
+      row.use.disabled = this.station.idOf(sensor) === undefined;
     }
   }
 

@@ -22,6 +22,7 @@ export class FakeStation {
     this.history = { robots: [] };
     this.switchedOff = [];
     this.sources = SOURCES;
+    this.recordings = RECORDINGS;
     this.simulator = { steering: 'estimate', link_profile: null };
     this.replay = null;
     this.refusal = null;
@@ -55,7 +56,7 @@ export class FakeStation {
       sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
       robots: this.robots,
-      recordings: [{ name: 'square-1.mcap', bytes: 123456, begun: 1767225600, is_current: false }],
+      recordings: this.recordings,
       history: { switched_off: this.switchedOff, simulator: this.simulator, ...this.history },
     };
   }
@@ -174,6 +175,10 @@ function learned(t_s) {
   ];
 }
 
+const RECORDINGS = [
+  { name: 'now.mcap', bytes: 0, begun: 1767229200, is_current: true },
+  { name: 'square-1.mcap', bytes: 123456, begun: 1767225600, is_current: false },
+];
 const SOURCES = [{ id: 0, name: 'wheels', kind: 'wheels' }, { id: 1, name: 'gyro', kind: 'gyro' }, { id: 3, name: 'camera', kind: 'camera' }];
 const PARAMETERS = [
   { name: 'gate_prob', value: 0.999, default: 0.999, least: 0.5, most: 0.999999, unit: '', help: 'a fix is used if its normalised innovation is below this quantile of chi-square', mavlink_name: 'gate_prob' },
