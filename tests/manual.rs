@@ -1,8 +1,4 @@
 //! Manual pages and completions: they name what the program has.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
 
 mod support;
 
