@@ -1,6 +1,7 @@
 //! Every flag of the program, and nothing else.
 
 mod dashboard;
+mod init;
 mod lab;
 mod views;
 
@@ -17,6 +18,7 @@ use crate::config::Setting;
 use crate::link_flags::LinkFlags;
 
 pub use dashboard::DashboardFlags;
+pub use init::{InitArgs, ManArgs};
 pub use lab::{LabAccuracyArgs, LabArgs, LabExperiment, LabLinksArgs};
 pub use views::ViewFlags;
 
@@ -80,10 +82,15 @@ pub enum Command {
     Key(KeyArgs),
     /// Find out why a robot cannot be heard: ports, permissions, programs in the way, what a link carries.
     Doctor(DoctorArgs),
+    /// Write a commented configuration for a robot (docs/quick-start-robot.md).
+    #[command(after_long_help = init::robots_help())]
+    Init(InitArgs),
     /// Print, check or describe the configuration.
     Config(ConfigArgs),
-    /// Print a completion script for a shell.
+    /// Print a completion script for a shell (docs/install.md).
     Completions(CompletionsArgs),
+    /// Print the manual page, or write the pages of all subcommands (docs/install.md).
+    Man(ManArgs),
 }
 
 /// Flags that change the configuration.

@@ -30,6 +30,7 @@ impl Station {
     fn start(folder: &Path) -> Self {
         let mut command = posebridge(folder);
         command.args(["run", "--dashboard", "127.0.0.1:0", "--out", "run"]);
+        command.args(["--events", "live.txt"]);
         let mut program = Running::start(&mut command);
         let line = program.wait_for("dashboard: http://");
         let (_, rest) = line.split_once("http://").unwrap();
@@ -41,6 +42,13 @@ impl Station {
 fn has_estimate(message: &serde_json::Value) -> bool {
     let estimates = message["robots"][0]["estimates"].as_array();
     estimates.is_some_and(|estimates| !estimates.is_empty())
+}
+
+/// Whether a line of the log holds this.
+fn says(message: &serde_json::Value, what: &str) -> bool {
+    let lines = message["log"].as_array().into_iter().flatten();
+    let texts = lines.filter_map(|line| line["text"].as_str());
+    texts.into_iter().any(|text| text.contains(what))
 }
 
 /// What is at a path, as the type that its schema is made from.
@@ -123,14 +131,6 @@ fn a_command_is_done_told_and_recorded() {
     };
     reader.until(is_set);
     reader.send(r#"{"command":"set-parameter","name":"gate_prob","value":7}"#);
-    let says = |message: &serde_json::Value, what: &str| {
-        let lines = message["log"].as_array().into_iter().flatten();
-        lines.into_iter().any(|line| {
-            line["text"]
-                .as_str()
-                .is_some_and(|text| text.contains(what))
-        })
-    };
     reader.until(|message| says(message, "gate_prob 7.0 not in 0.5..0.999999"));
     // A second of estimates behind the first.
     reader.until(|message| message["now_s"].as_f64().is_some_and(|now_s| now_s > 3.0));
@@ -152,6 +152,94 @@ fn a_command_is_done_told_and_recorded() {
         std::fs::read(folder.path().join("run/recording.mcap")).unwrap(),
         sent
     );
+}
+
+/// What the page's buttons send, and what the log says of each.
+const HANDS: [(&str, &str); 12] = [
+    (
+        r#"{"command":"kidnap","forward_m":0.1,"left_m":0.1,"turn_rad":0.5}"#,
+        "kidnap: ",
+    ),
+    (
+        r#"{"command":"slip","wheel":"left","factor":0.8,"seconds":0.5}"#,
+        "slip: ",
+    ),
+    (r#"{"command":"camera","on":false}"#, "camera: off"),
+    (
+        r#"{"command":"camera-delay","delay_ms":200}"#,
+        "camera-delay: ",
+    ),
+    (
+        r#"{"command":"gyro-bias-step","rad_per_s":0.05}"#,
+        "gyro-bias-step: ",
+    ),
+    (r#"{"command":"camera","on":true}"#, "camera: on"),
+    (
+        r#"{"command":"steering","by":"odometry"}"#,
+        "steering: by odometry",
+    ),
+    (
+        r#"{"command":"link-profile","profile":"bluetooth-spp"}"#,
+        "link-profile: bluetooth-spp",
+    ),
+    (
+        r#"{"command":"drive","forward_m_per_s":0.1,"turn_rad_per_s":1.0}"#,
+        "drive: ",
+    ),
+    (
+        r#"{"command":"set-parameter","name":"gate_prob","value":0.95}"#,
+        "gate_prob set to 0.95",
+    ),
+    (
+        r#"{"command":"switch-source","sensor":1,"on":false}"#,
+        "source 1 (gyro) is left out",
+    ),
+    (r#"{"command":"pull-cable","seconds":0.3}"#, " is down"),
+];
+
+/// Over the pseudo-terminal, as the page does it.
+#[test]
+fn a_session_with_every_command_of_the_page_replays_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = Station::start(folder.path());
+    let address = station.address;
+    let mut reader = Reader::open(address);
+    reader.until(has_estimate);
+    for (command, told) in HANDS {
+        // Some of the drive lies between two commands.
+        for _ in 0..5 {
+            reader.until(has_estimate);
+        }
+        assert_eq!(post(address, command).status, 202, "{command}");
+        reader.until(|message| says(message, told));
+    }
+    reader.until(|message| says(message, " is up"));
+    reader.until(has_estimate);
+    // Whoever comes now is told what holds.
+    let hello = Reader::open(address).next();
+    assert_eq!(hello["simulator"]["steering"], "odometry");
+    assert_eq!(hello["simulator"]["link_profile"], "bluetooth-spp");
+    assert_eq!(hello["history"]["switched_off"], serde_json::json!([1]));
+    let sources: Vec<SourceRow> = typed(address, "/v1/sources");
+    assert!(
+        sources
+            .iter()
+            .all(|source| source.is_used == (source.id != 1)),
+        "{sources:?}"
+    );
+    station.program.interrupt();
+    let replay = ["replay", "run/recording.mcap", "--events", "replayed.txt"];
+    stdout_of(posebridge(folder.path()).args(replay));
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let (live, replayed) = (read("live.txt"), read("replayed.txt"));
+    let mut pairs = live.lines().zip(replayed.lines()).enumerate();
+    let different = pairs.find(|(_, (live, replayed))| live != replayed);
+    assert_eq!(different, None);
+    assert_eq!(live.lines().count(), replayed.lines().count());
+    for (_, told) in HANDS {
+        // The state of a link is an event and no text.
+        assert!(told == " is down" || replayed.contains(told), "{told}");
+    }
 }
 
 /// Lets this process have as many connections as the system allows; tests share it.

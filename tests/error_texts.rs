@@ -283,3 +283,25 @@ const NOBODY: u32 = 65_534;
 fn open_to_all(folder: &Path) {
     std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o777)).unwrap();
 }
+
+#[test]
+fn a_configuration_or_a_manual_that_cannot_be_made() {
+    insta::assert_snapshot!("init_without_a_robot", with_args(&["init"]));
+    insta::assert_snapshot!("init_unknown_robot", with_args(&["init", "nxt"]));
+    insta::assert_snapshot!(
+        "init_wrong_link",
+        with_args(&["init", "sim", "--link", "telnet://here"])
+    );
+    insta::assert_snapshot!(
+        "init_without_a_folder",
+        with_args(&["init", "sim", "--out", "gone/posebridge.toml"])
+    );
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("posebridge.toml"), "").unwrap();
+    let refused_here = |args: &[&str]| refused(posebridge(folder.path()).args(args));
+    insta::assert_snapshot!("init_there_already", refused_here(&["init", "sim"]));
+    insta::assert_snapshot!(
+        "man_where_a_file_is",
+        refused_here(&["man", "--out", "posebridge.toml"])
+    );
+}

@@ -4,6 +4,7 @@ import { isRecord } from './model/session.js';
 import { list } from './model/robot.js';
 
 const MOST_PARAMETERS = 200;
+const MOST_SWITCHES = 256;
 
 export class Station {
   /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void}} page */
@@ -16,6 +17,9 @@ export class Station {
     this.parameters = new Map();
     this.recordings = [];
     this.recording = null;
+    this.switchedOff = new Set();
+    // Counts what was told of switches: who shows them looks whether there is anything new.
+    this.switchesTold = 0;
   }
 
   /** Takes what a connection begins with. */
@@ -23,10 +27,12 @@ export class Station {
     this.isGreeted = true;
     this.version = String(hello.version ?? '').slice(0, 40);
     this.simulator = isRecord(hello.simulator) ? hello.simulator : null;
-    this.sources = new Map(list(hello.sources).filter(isRecord).map((source) => [String(source.name), source]));
+    this.#takeSources(hello.sources);
     this.parameters = new Map(list(hello.parameters).filter(isParameter).slice(0, MOST_PARAMETERS).map((parameter) => [parameter.name, parameter]));
     this.recordings = list(hello.recordings).filter(isRecord);
     this.recording = null;
+    this.switchedOff = new Set();
+    this.#takeStanding(isRecord(hello.history) ? hello.history : {});
   }
 
   /** Takes what a frame says besides a session's data. */
@@ -36,6 +42,24 @@ export class Station {
       if (known && Number.isFinite(value)) known.value = value;
     }
     if (frame.recording !== undefined) this.recording = isRecord(frame.recording) ? frame.recording : null;
+    this.#takeStanding(frame);
+  }
+
+  /** Whether the filter uses a source, as far as the station told. */
+  isUsed(sensor) {
+    return !this.switchedOff.has(this.idOf(sensor));
+  }
+
+  // What holds until somebody commands something else, here or elsewhere.
+  #takeStanding(frame) {
+    if (Array.isArray(frame.switched_off)) {
+      this.switchedOff = new Set(frame.switched_off.slice(0, MOST_SWITCHES));
+      this.switchesTold += 1;
+    }
+    if (this.simulator && isRecord(frame.simulator)) {
+      this.simulator.steering = frame.simulator.steering;
+      this.simulator.link_profile = frame.simulator.link_profile;
+    }
   }
 
   /** The way-points of the simulated robot as pairs of metres. */
@@ -56,10 +80,24 @@ export class Station {
     this.page.replay(name);
   }
 
-  /** Sends a command and says what became of it. Never throws: what went wrong is shown. */
+  /** Sends a command and says what became of it; gives whether it was taken. Never throws: what went wrong is shown. */
   async command(command) {
     const answer = await this.#ask('v1/commands', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(command) });
     if (answer && command.command !== 'drive') this.page.announce(`${command.command}: sent`, false);
+    return answer !== null;
+  }
+
+  /** Asks for the sources again: one was heard that was not known when the connection began. */
+  async renewSources() {
+    const found = await this.#ask('v1/sources');
+    if (!Array.isArray(found)) return;
+    this.#takeSources(found);
+    this.switchesTold += 1;
+    this.redraw();
+  }
+
+  #takeSources(rows) {
+    this.sources = new Map(list(rows).filter(isRecord).map((source) => [String(source.name), source]));
   }
 
   async renewRecordings() {

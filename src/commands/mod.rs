@@ -7,9 +7,11 @@ pub mod doctor;
 pub mod export;
 pub mod identify;
 pub mod import;
+pub mod init;
 pub mod inspect;
 pub mod key;
 pub mod lab;
+pub mod man;
 pub mod play;
 pub mod relay;
 pub mod replay;
@@ -93,7 +95,9 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Tune(args) => tune::execute(&args),
         Command::Key(args) => key::execute(&args),
         Command::Doctor(args) => doctor::execute(&args),
+        Command::Init(args) => init::execute(&args),
         Command::Config(args) => config::execute(&args),
         Command::Completions(args) => completions::execute(&args),
+        Command::Man(args) => man::execute(&args),
     }
 }

@@ -15,9 +15,11 @@ mod noise;
 mod plotjuggler;
 mod profile;
 mod robot;
+mod robots;
 mod routing;
 mod signing;
 mod station;
+mod template;
 mod thermometer;
 mod world;
 
@@ -35,12 +37,14 @@ pub use noise::RobotNoise;
 pub use plotjuggler::{PLOTJUGGLER_ADDRESS, PlotJugglerSection};
 pub use profile::{ProfileFilter, RobotProfile};
 pub use robot::{RobotFile, RobotStart};
+pub use robots::{BundledRobot, ROBOTS, UnknownRobot, list as list_of_robots};
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{
     AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
     StationConfig,
 };
+pub use template::{TemplateLink, template};
 pub use thermometer::RobotThermometer;
 pub use world::{NumberedPlace, PointPlace, WallPlace, WorldConfig};
 

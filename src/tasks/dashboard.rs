@@ -7,7 +7,9 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use posebridge_dashboard::model::{CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts};
+use posebridge_dashboard::model::{
+    CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts, SimulatorNow,
+};
 use posebridge_dashboard::{
     Batch, Dashboard, Facts, Feed, Listen, Listener, Sources, Standing, StartError, Taps,
     TokenPolicy, TruthSample,
@@ -17,11 +19,10 @@ use posebridge_link::HostTimer;
 use posebridge_pipeline::Pipeline;
 use posebridge_sim::impairment::PROFILES;
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::{
-    Calibration, Command, Event, HostClock, SimulatorCommand, Span, Stamp, SteeringSource,
-};
+use posebridge_telemetry::{Calibration, Command, Event, HostClock, Span, Stamp};
 use tokio::sync::mpsc;
 
+use super::desk::BrickOrders;
 use super::sim_brick::LiveTruth;
 use super::truth_tap::TruthTap;
 use crate::cli::DashboardFlags;
@@ -34,8 +35,8 @@ pub struct Outlet {
     feed: Feed,
     commands: mpsc::Receiver<Command>,
     timer: HostTimer,
-    /// By what the simulated brick was told to steer last.
-    steering: Option<SteeringSource>,
+    /// How the simulated brick was set when the run began, if there is one.
+    simulator: Option<SimulatorNow>,
 }
 
 /// The simulated brick of a run, as the page shows it.
@@ -68,6 +69,10 @@ pub fn start(
         ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
     }
     let facts = facts_of(config, simulated.as_ref())?;
+    let simulator = facts.simulator.as_ref().map(|simulator| SimulatorNow {
+        steering: simulator.steering.clone(),
+        link_profile: simulator.link_profile.clone(),
+    });
     let truth = simulated.map(|simulated| truth_of(simulated.truth));
     let sources = Sources {
         clock: Box::new(move || timer.now()),
@@ -87,7 +92,7 @@ pub fn start(
         feed,
         commands,
         timer,
-        steering: None,
+        simulator,
     };
     Ok(Some((dashboard, outlet)))
 }
@@ -206,6 +211,8 @@ pub fn simulator_facts(simulated: &Simulated<'_>) -> SimulatorFacts {
             Steering::Odometry => "odometry".to_owned(),
             Steering::Estimate => "estimate".to_owned(),
         },
+        // Where nobody has asked for another one, the brick is at a cable.
+        link_profile: None,
     }
 }
 
@@ -262,7 +269,8 @@ pub fn standing_of(pipeline: &Pipeline, recording: Option<&Path>) -> Standing {
         calibration: learned.map_or_else(Vec::new, |learned| calibration_rows(&learned)),
         parameters: parameter_values(pipeline.params()),
         recording: name.map(|name| name.to_string_lossy().into_owned()),
-        steering: None,
+        switched_off: pipeline.switched_off().map(|sensor| sensor.0).collect(),
+        simulator: None,
     }
 }
 
@@ -278,10 +286,16 @@ impl Outlet {
         });
     }
 
-    /// Tells what stands.
-    pub fn tell_standing(&self, now: Stamp<HostClock>, standing: Standing) {
+    /// Tells what stands, and how the simulated brick was set since the run began.
+    pub fn tell_standing(&self, now: Stamp<HostClock>, standing: Standing, orders: BrickOrders) {
+        let simulator = self.simulator.as_ref().map(|begun| SimulatorNow {
+            steering: orders
+                .steering
+                .map_or_else(|| begun.steering.clone(), |by| by.word().to_owned()),
+            link_profile: orders.link_profile.map(|name| name.as_str().to_owned()),
+        });
         let standing = Standing {
-            steering: self.steering.map(|by| by.word().to_owned()),
+            simulator,
             ..standing
         };
         self.feed.tell(Batch {
@@ -298,9 +312,6 @@ pub async fn next_command(outlet: &mut Option<Outlet>) -> Command {
     if let Some(outlet) = outlet
         && let Some(command) = outlet.commands.recv().await
     {
-        if let Command::Simulator(SimulatorCommand::Steering(by)) = command {
-            outlet.steering = Some(by);
-        }
         return command;
     }
     std::future::pending().await

@@ -16,7 +16,8 @@ use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, Header};
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_telemetry::{
-    HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand, Span, Stamp,
+    ChannelName, HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand,
+    Span, Stamp, SteeringSource,
 };
 use tokio::sync::mpsc;
 
@@ -59,6 +60,34 @@ pub struct Desk {
     links: BTreeMap<LinkId, LinkState>,
     /// The simulated brick of this station, if it has one.
     brick: Option<mpsc::Sender<SimulatorCommand>>,
+    orders: BrickOrders,
+}
+
+/// How the simulated brick was set last; nothing as long as nobody has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BrickOrders {
+    /// By what it steers.
+    pub steering: Option<SteeringSource>,
+    /// The profile that its link is as bad as.
+    pub link_profile: Option<ChannelName>,
+}
+
+impl BrickOrders {
+    fn note(&mut self, command: &SimulatorCommand) {
+        match command {
+            SimulatorCommand::Steering(by) => self.steering = Some(*by),
+            SimulatorCommand::LinkProfile(profile) => self.link_profile = *profile,
+            // These pass by themselves, or are seen in what the brick sends.
+            SimulatorCommand::Kidnap { .. }
+            | SimulatorCommand::Slip { .. }
+            | SimulatorCommand::Camera(_)
+            | SimulatorCommand::CameraDelay { .. }
+            | SimulatorCommand::GyroBiasStep { .. }
+            | SimulatorCommand::PullCable { .. }
+            | SimulatorCommand::Drive { .. }
+            | SimulatorCommand::Path => {}
+        }
+    }
 }
 
 impl Desk {
@@ -82,6 +111,7 @@ impl Desk {
             ended: Vec::new(),
             links: BTreeMap::new(),
             brick: None,
+            orders: BrickOrders::default(),
         }
     }
 
@@ -103,6 +133,12 @@ impl Desk {
     #[must_use]
     pub fn current(&self) -> Option<&Path> {
         self.current.as_deref()
+    }
+
+    /// How the simulated brick was set last.
+    #[must_use]
+    pub const fn orders(&self) -> BrickOrders {
+        self.orders
     }
 
     /// The recorder has failed and is gone.
@@ -158,7 +194,7 @@ impl Desk {
     }
 
     /// Hands a command to the simulated brick; never waits.
-    fn pass_on(&self, command: &SimulatorCommand) -> Result<()> {
+    fn pass_on(&mut self, command: &SimulatorCommand) -> Result<()> {
         let name = command.name();
         let brick = self.brick.as_ref();
         let brick = brick
@@ -169,7 +205,9 @@ impl Desk {
         brick.try_send(*command).map_err(|error| match error {
             mpsc::error::TrySendError::Full(_) => anyhow!("{name}: too many at a time"),
             mpsc::error::TrySendError::Closed(_) => anyhow!("{name}: the brick has stopped"),
-        })
+        })?;
+        self.orders.note(command);
+        Ok(())
     }
 
     fn save(&mut self, values: &[(ParameterName, f64)]) -> Result<()> {
@@ -384,7 +422,14 @@ mod tests {
             unknown.contains("string") && unknown.contains("usb"),
             "{unknown}"
         );
+        assert_eq!(
+            with.orders(),
+            BrickOrders::default(),
+            "what was refused does not hold"
+        );
         assert_eq!(told(&mut with, profile(b"usb")), "done");
+        let usb = ChannelName::from_bytes(b"usb");
+        assert_eq!(with.orders().link_profile, Some(usb));
         drop(receiver);
         assert_eq!(told(&mut with, kidnap), "kidnap: the brick has stopped");
     }

@@ -12,7 +12,6 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_recording::container::{Header, TruthSample};
-use posebridge_recording::foxglove::Outputs;
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, Stamp};
 
 use super::gulps::Gulps;

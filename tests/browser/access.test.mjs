@@ -21,14 +21,28 @@ before(async () => {
   await waitForState(page, 'live');
   station.advance(120);
   await page.getByRole('button', { name: 'Drive with the keys' }).click();
-  // A panel is drawn when it is seen first.
-  for (const id of await page.locator('.panel').evaluateAll((panels) => panels.map((panel) => panel.id))) {
-    await page.locator(`#${id}`).scrollIntoViewIfNeeded();
+  // A panel is drawn when it is seen first, and panels take turns: one a frame of the screen.
+  const ids = await page.locator('.panel').evaluateAll((panels) => panels.map((panel) => panel.id));
+  for (const id of ids) {
     station.advance(1);
-    await page.evaluate(() => new Promise((done) => { requestAnimationFrame(() => requestAnimationFrame(done)); }));
+    await page.evaluate(seeForFrames, [id, ids.length + 3]);
   }
   await page.waitForFunction(() => document.querySelectorAll('#calibration tbody tr').length === 2 && document.querySelectorAll('.parameter').length === 3);
 });
+
+// Runs in the page: keeps a panel in sight for some frames of the screen.
+function seeForFrames([id, frames]) {
+  return new Promise((done) => {
+    let left = frames;
+    const step = () => {
+      document.getElementById(id).scrollIntoView({ block: 'nearest' });
+      left -= 1;
+      if (left > 0) requestAnimationFrame(step);
+      else done();
+    };
+    step();
+  });
+}
 
 after(async () => {
   await page.close();

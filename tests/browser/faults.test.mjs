@@ -6,7 +6,7 @@ import { readFile } from 'node:fs/promises';
 import path from 'node:path';
 import { after, before, test } from 'node:test';
 import { Browser } from './support/browser.mjs';
-import { waitForState } from './support/page.mjs';
+import { seeing, seen, waitForState } from './support/page.mjs';
 import { Program, newFolder, run } from './support/station.mjs';
 import { Tap, estimatesOf, fixesOf, fusionOf } from './support/tap.mjs';
 
@@ -135,9 +135,7 @@ test('slip: the verdict is slip', async () => {
     what: 'the verdict slip',
     find: (frame) => fusionOf(frame).find((record) => record.verdict === 'slip'),
   });
-  await page.locator('#innovations').scrollIntoViewIfNeeded();
-  await page.waitForFunction(() => [...document.querySelectorAll('#log .text')].some((line) => /slip/i.test(line.textContent))
-    || document.querySelector('#innovations tr[data-verdict="slip"]'));
+  await seeing(page, '#log', () => [...document.querySelectorAll('#log .text')].some((line) => /slip/i.test(line.textContent)));
   await recovered(tap.now_s);
 });
 
@@ -198,7 +196,7 @@ test('keys drive the robot, and it goes back to its path', async () => {
 
 test('a slider changes a parameter of the filter', async () => {
   // A panel out of sight is not drawn.
-  await page.locator('#parameters').scrollIntoViewIfNeeded();
+  await seen(page, '#parameters', '#parameter-gate_prob');
   const slider = page.getByLabel('gate_prob, slider');
   const begun_s = tap.now_s;
   await slider.focus();
@@ -206,26 +204,44 @@ test('a slider changes a parameter of the filter', async () => {
   const { found } = await tap.until('the parameter', (frame) => frame.parameters?.find(({ name, value }) => name === 'gate_prob' && value === 0.5), begun_s);
   assert.equal(found.value, 0.5);
   await slider.blur();
-  await page.waitForFunction(() => document.getElementById('parameter-gate_prob').value === '0.5');
+  await seeing(page, '#parameter-gate_prob', () => document.getElementById('parameter-gate_prob').value === '0.5');
   await page.getByLabel('gate_prob back to').click();
   await tap.until('the default', (frame) => frame.parameters?.find(({ name, value }) => name === 'gate_prob' && value === 0.999));
 });
 
 test('the recording so far is looked at again, beside the drive that goes on', async () => {
-  const [seen] = tap.frames.filter((frame) => estimatesOf(frame).length > 0);
-  const [estimate] = estimatesOf(seen);
-  await page.locator('#recordings').scrollIntoViewIfNeeded();
+  const [first] = tap.frames.filter((frame) => estimatesOf(frame).length > 0);
+  const [estimate] = estimatesOf(first);
+  await seen(page, '#recordings', '[aria-label="Replay recording.mcap"]');
   await page.getByRole('button', { name: 'Replay recording.mcap' }).click();
   await page.getByRole('button', { name: 'Pause' }).click();
-  await page.locator('#pose').scrollIntoViewIfNeeded();
   await page.getByLabel('Time in the recording').fill(String(estimate.t_s + 0.001));
-  await page.waitForFunction((t_s) => Math.abs(Number(document.getElementById('pose').dataset.t_s) - t_s) < 0.2, estimate.t_s);
+  await seeing(page, '#pose', (t_s) => Math.abs(Number(document.getElementById('pose').dataset.t_s) - t_s) < 0.2, estimate.t_s);
   const shown = await page.evaluate(() => ({ ...document.getElementById('pose').dataset }));
   const live = tap.frames.flatMap(estimatesOf).find(({ t_s }) => t_s === Number(shown.t_s));
   assert.ok(live, `the instant ${shown.t_s} was live as well`);
   assert.equal(Number(shown.x_m), live.x_m);
   await page.getByRole('button', { name: 'Back to live' }).click();
-  await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) > t_s, estimate.t_s + 1);
+  await seeing(page, '#pose', (t_s) => Number(document.getElementById('pose').dataset.t_s) > t_s, estimate.t_s + 1);
+});
+
+test('after a reload the page shows what was switched and set', async () => {
+  await seen(page, '#innovations', '[aria-label="Use accelerometer"]:enabled');
+  const from_s = tap.now_s;
+  await page.getByLabel('Use accelerometer').uncheck();
+  await tap.until('a source that is left out', logs(/accelerometer.* is left out/), from_s);
+  await page.getByLabel('as bad as').selectOption('usb');
+  await press('Link', /link-profile: usb/, { what: 'what became of it', find: logs(/link-profile/) });
+  await page.reload();
+  await waitForState(page, 'live');
+  await seeing(page, '#simulator', () => [...document.querySelectorAll('#simulator select')].some((select) => select.value === 'usb'));
+  assert.equal(await page.getByLabel('as bad as').inputValue(), 'usb');
+  await seeing(page, '#innovations', () => document.querySelector('[aria-label="Use accelerometer"]')?.checked === false);
+  const box = page.getByLabel('Use accelerometer');
+  assert.equal(await page.getByLabel('Use camera').isChecked(), true);
+  const back_s = tap.now_s;
+  await box.check();
+  await tap.until('a source that is used', logs(/accelerometer.* is used/), back_s);
 });
 
 test('the session with all that was done to it replays bit for bit', async () => {

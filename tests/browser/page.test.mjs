@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { after, before, test } from 'node:test';
 import { Browser } from './support/browser.mjs';
 import { FakeStation } from './support/fake_station.mjs';
-import { poseOf, waitForState } from './support/page.mjs';
+import { poseOf, seeing, seen, waitForState } from './support/page.mjs';
 
 let browser;
 
@@ -84,8 +84,8 @@ test('markup in texts is shown and not run', async () => {
     frame.robots[0].calibration = [{ name: markup, value: 1, sigma: 1, unit: markup }];
     station.send(frame);
     for (const panel of ['#log .text', '#links h3', '#recording-state', '#innovations tbody th', '#calibration tbody th']) {
-      await page.locator(panel).first().scrollIntoViewIfNeeded();
-      await page.waitForFunction((selector) => document.querySelector(selector)?.textContent.includes('<img'), panel).catch(() => assert.fail(`${panel} shows the text`));
+      const part = panel.split(' ')[0];
+      await seeing(page, part, (selector) => document.querySelector(selector)?.textContent.includes('<img'), panel).catch(() => assert.fail(`${panel} shows the text`));
     }
     assert.equal(await page.locator('#panels b, #panels td img, #panels th img, #panels p img').count(), 0);
     assert.equal(await page.evaluate(() => globalThis.wasRun), undefined);
@@ -104,8 +104,7 @@ test('nonsense on the stream leaves the page alive', async () => {
     for (const message of nonsense) station.send(message);
     await page.waitForFunction(() => document.querySelectorAll('#robot option').length > 10);
     assert.ok((await page.locator('#robot option').count()) <= 64);
-    await page.locator('#log').scrollIntoViewIfNeeded();
-    await page.waitForFunction(() => document.querySelector('#log .text')?.textContent.startsWith('long '));
+    await seeing(page, '#log', () => document.querySelector('#log .text')?.textContent.startsWith('long '));
     assert.ok((await page.locator('#log .text').first().textContent()).length <= 400);
     await waitForState(page, 'live');
   });
@@ -114,7 +113,7 @@ test('nonsense on the stream leaves the page alive', async () => {
 test('sliders and fields send the parameter that they stand for, and show what the station says', async () => {
   await withStation({}, async (page, station) => {
     const row = page.locator('.parameter[data-name="slip_nis"]');
-    await row.scrollIntoViewIfNeeded();
+    await seen(page, '#parameters', '#parameter-slip_nis');
     await row.locator('input[type=number]').fill('20');
     await row.locator('input[type=number]').press('Enter');
     await row.locator('input[type=range]').focus();
@@ -123,7 +122,7 @@ test('sliders and fields send the parameter that they stand for, and show what t
     assert.deepEqual(station.commands, [{ command: 'set-parameter', name: 'slip_nis', value: 20 }, { command: 'set-parameter', name: 'slip_nis', value: 100 }]);
     await row.locator('input[type=range]').blur();
     station.send({ type: 'frame', now_s: 1, parameters: [{ name: 'slip_nis', value: 42.5 }] });
-    await page.waitForFunction(() => document.getElementById('parameter-slip_nis').value === '42.5');
+    await seeing(page, '#parameter-slip_nis', () => document.getElementById('parameter-slip_nis').value === '42.5');
     await row.locator('button').click();
     assert.deepEqual(await lastOf(station, 3), { command: 'set-parameter', name: 'slip_nis', value: 10.83 });
   });
@@ -150,6 +149,49 @@ test('every fault of the simulated brick is one command', async () => {
     const count = station.commands.length;
     await page.getByLabel('odometry', { exact: true }).check();
     assert.deepEqual(await lastOf(station, count + 1), { command: 'steering', by: 'odometry' });
+  });
+});
+
+test('what is switched and set shows what the station says, after a reload and when others change it', async () => {
+  await withStation({}, async (page, station) => {
+    station.switchedOff = [3];
+    station.simulator = { steering: 'odometry', link_profile: 'bluetooth-spp' };
+    await page.reload();
+    await waitForState(page, 'live');
+    station.advance(5);
+    await seeing(page, '#innovations', () => document.querySelector('[aria-label="Use camera"]')?.checked === false);
+    assert.equal(await page.getByLabel('Use wheels').isChecked(), true);
+    const profile = page.getByLabel('as bad as');
+    await seeing(page, '#simulator', () => [...document.querySelectorAll('#simulator select')].some((select) => select.value === 'bluetooth-spp'));
+    assert.equal(await profile.inputValue(), 'bluetooth-spp');
+    assert.equal(await page.getByLabel('odometry', { exact: true }).isChecked(), true);
+    // A choice that was not yet asked for is not taken back by what is told once a second.
+    await profile.selectOption('usb');
+    station.advance(100);
+    await seeing(page, '#pose', (t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    assert.equal(await profile.inputValue(), 'usb');
+    station.send({ type: 'frame', now_s: station.now_s, switched_off: [0], simulator: { steering: 'estimate', link_profile: null } });
+    await seeing(page, '#simulator', () => document.querySelector('input[name="steering"][value="estimate"]').checked);
+    assert.equal(await profile.inputValue(), '');
+    await seeing(page, '#innovations', () => document.querySelector('[aria-label="Use camera"]').checked && !document.querySelector('[aria-label="Use wheels"]').checked);
+  });
+});
+
+test('a source that is heard later can be switched as well', async () => {
+  await withStation({}, async (page, station) => {
+    const heard = station.sources;
+    station.sources = [];
+    await page.reload();
+    await waitForState(page, 'live');
+    station.sources = heard;
+    station.advance(5);
+    await seen(page, '#innovations', '[aria-label="Use camera"]:enabled');
+    await page.getByLabel('Use camera').uncheck();
+    assert.deepEqual(await lastOf(station, 1), { command: 'switch-source', sensor: 3, on: false });
+    // What is told once a second may be older than the click: it is no news and moves nothing. A refusal takes the click back.
+    station.advance(100);
+    await seeing(page, '#pose', (t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    await seeing(page, '#innovations', () => document.querySelector('[aria-label="Use camera"]').checked === false);
   });
 });
 
@@ -185,19 +227,33 @@ test('a recording is looked at with a scrubber and left again', async () => {
     });
     station.replay = { now_s: 10, robots: [{ id: '0/1/1', estimates: frames.map((frame) => frame.robots[0].estimates[0]) }], truth: frames.map((frame) => frame.truth[0]) };
     station.advance(5);
-    await page.locator('#recordings').scrollIntoViewIfNeeded();
+    await seen(page, '#recordings', '[aria-label="Replay square-1.mcap"]');
     await page.getByRole('button', { name: 'Replay square-1.mcap' }).click();
     await page.getByRole('button', { name: 'Pause' }).click();
     const scrubber = page.getByLabel('Time in the recording');
     await scrubber.fill('5');
-    await page.waitForFunction(() => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5) < 0.03);
+    await seeing(page, '#pose', () => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5) < 0.03);
     const shown = await poseOf(page);
     assert.equal(shown.x_m, frames[Math.round(shown.t_s / 0.02) - 1].robots[0].estimates[0].x_m);
     await scrubber.press('ArrowRight');
-    await page.waitForFunction(() => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5.2) < 0.03);
+    await seeing(page, '#pose', () => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5.2) < 0.03);
     await page.getByRole('button', { name: 'Back to live' }).click();
-    await page.locator('#pose').scrollIntoViewIfNeeded();
-    await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    await seeing(page, '#pose', (t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+  });
+});
+
+test('a recording that is begun later stands in the list by itself', async () => {
+  await withStation({}, async (page, station) => {
+    const whole = station.recordings;
+    station.recordings = [];
+    await page.reload();
+    await waitForState(page, 'live');
+    station.advance(50);
+    await seeing(page, '#recordings', () => document.getElementById('recording-state').textContent.startsWith('Recording now.mcap'));
+    assert.equal(await page.getByRole('button', { name: 'Replay now.mcap' }).count(), 0);
+    station.recordings = whole;
+    station.advance(50);
+    await seen(page, '#recordings', '[aria-label="Replay now.mcap"]');
   });
 });
 

@@ -40,6 +40,7 @@ class InnovationsPanel {
   constructor(body, station) {
     this.station = station;
     this.rows = new Map();
+    this.switchesShown = 0;
     this.chosen = null;
     this.shape = '';
     this.charts = [];
@@ -59,6 +60,7 @@ class InnovationsPanel {
     const sources = view.robot?.sources ?? new Map();
     this.empty.hidden = sources.size > 0;
     this.#rowsFor(sources, view);
+    this.#showSwitches();
     const source = sources.get(this.chosen) ?? firstWithNis(sources);
     if (!source) return;
     this.chosen = source.sensor;
@@ -89,20 +91,40 @@ class InnovationsPanel {
 
   #newRow(source) {
     const name = source.sensor;
+    if (this.station.idOf(name) === undefined) this.station.renewSources();
     const radio = element('input', { type: 'radio', name: 'source', on: { change: () => this.#choose(source.sensor) } });
     const use = element('input', {
-      type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.station.command({ command: 'switch-source', sensor: this.station.idOf(name), on: use.checked }) },
+      type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.#switch(name, use.checked) },
       disabled: this.station.idOf(name) === undefined,
     });
-    use.checked = true;
+    const isUsed = this.station.isUsed(name);
+    use.checked = isUsed;
     const cells = { seen: cell(), gated: cell(), late: cell(), inside: cell(), last: element('td') };
     const line = element('tr', {},
       element('th', { scope: 'row' }, element('label', {}, radio, ` ${name}`)),
       cells.seen, cells.gated, cells.late, cells.inside, cells.last, element('td', {}, use));
     this.table.append(line);
-    const row = { line, radio, ...cells };
+    const row = { line, radio, use, isUsed, ...cells };
     this.rows.set(source.sensor, row);
     return row;
+  }
+
+  async #switch(sensor, on) {
+    const isTaken = await this.station.command({ command: 'switch-source', sensor: this.station.idOf(sensor), on });
+    const row = this.rows.get(sensor);
+    if (!isTaken && row) row.use.checked = row.isUsed;
+  }
+
+  // A source may be switched from elsewhere as well. Only what is news moves a box: what is told once a second may be older than a click.
+  #showSwitches() {
+    if (this.switchesShown === this.station.switchesTold) return;
+    this.switchesShown = this.station.switchesTold;
+    for (const [sensor, row] of this.rows) {
+      const isUsed = this.station.isUsed(sensor);
+      if (isUsed !== row.isUsed) row.use.checked = isUsed;
+      row.isUsed = isUsed;
+      row.use.disabled = this.station.idOf(sensor) === undefined;
+    }
   }
 
   #choose(sensor) {

@@ -17,6 +17,7 @@ class RecordingsPanel {
     this.stop = button('Stop', () => this.#ask('stop-recording'), { 'aria-label': 'Stop the recording' });
     this.table = element('tbody');
     this.known = null;
+    this.missed = null;
     body.append(
       element('div', { class: 'actions' }, this.start, this.stop, button('Look again', () => this.#renew(), { 'aria-label': 'Read the list of recordings anew' })),
       this.state,
@@ -30,6 +31,11 @@ class RecordingsPanel {
     setText(this.state, recording ? `Recording ${recording.name}, ${bytes(recording.bytes)}` : 'Not recording.');
     this.start.disabled = Boolean(recording);
     this.stop.disabled = !recording;
+    // It was begun, or went on in a new file, after the list was made. What is told once a second is asked for once.
+    if (recording && recording !== this.missed && !known.some(({ name }) => name === recording.name)) {
+      this.missed = recording;
+      this.#renew();
+    }
     if (known !== this.known) {
       this.known = known;
       this.table.replaceChildren(...known.map((entry) => this.#row(entry)));

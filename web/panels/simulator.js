@@ -25,14 +25,33 @@ class SimulatorPanel {
     const known = this.station.simulator;
     this.none.hidden = Boolean(known) || !this.station.isGreeted;
     this.host.hidden = !known;
-    if (known === this.known) return;
+    if (known === this.known) {
+      this.#showSettings();
+      return;
+    }
     this.known = known;
+    this.shown = {};
     this.driver.disarm();
     this.host.replaceChildren(...(known ? this.#rows(known) : []));
+    this.#showSettings();
+  }
+
+  // What is told anew, and only that: a profile that is chosen but not yet asked for stays chosen.
+  #showSettings() {
+    const { known, shown } = this;
+    if (!known) return;
+    if (shown.steering !== known.steering) {
+      shown.steering = known.steering;
+      for (const radio of this.steering) radio.checked = radio.value === known.steering;
+    }
+    if (shown.link_profile !== known.link_profile) {
+      shown.link_profile = known.link_profile;
+      this.profile.write(known.link_profile ?? '');
+    }
   }
 
   #rows(known) {
-    return [this.#kidnap(), this.#slip(), this.#camera(), this.#delay(), this.#gyro(), this.#profile(known), this.#cable(), this.#steering(known), this.driver.build()];
+    return [this.#kidnap(), this.#slip(), this.#camera(), this.#delay(), this.#gyro(), this.#profile(known), this.#cable(), this.#steering(), this.driver.build()];
   }
 
   #kidnap() {
@@ -70,6 +89,7 @@ class SimulatorPanel {
   #profile(known) {
     const names = Array.isArray(known.link_profiles) ? known.link_profiles.map(String) : [];
     const profile = choice('as bad as', [['', 'a cable'], ...names.map((name) => [name, name])]);
+    this.profile = profile;
     return row('Link', () => ({ command: 'link-profile', profile: profile.read() || null }), 'Make the link as bad as one of the profiles.', this.station, profile.label);
   }
 
@@ -78,12 +98,9 @@ class SimulatorPanel {
     return row('Pull the cable', () => ({ command: 'pull-cable', seconds: seconds.read() }), 'The link is gone and comes back.', this.station, seconds.label);
   }
 
-  #steering(known) {
-    const options = ['odometry', 'estimate'].map((by) => {
-      const radio = element('input', { type: 'radio', name: 'steering', value: by, on: { change: () => this.station.command({ command: 'steering', by }) } });
-      radio.checked = known.steering === by;
-      return element('label', {}, radio, ` ${by}`);
-    });
+  #steering() {
+    this.steering = ['odometry', 'estimate'].map((by) => element('input', { type: 'radio', name: 'steering', value: by, on: { change: () => this.station.command({ command: 'steering', by }) } }));
+    const options = this.steering.map((radio) => element('label', {}, radio, ` ${radio.value}`));
     return element('fieldset', { class: 'hand' }, element('legend', { text: 'Steer by' }), ...options);
   }
 }
@@ -106,5 +123,5 @@ function number(text, value, least, most) {
 
 function choice(text, options) {
   const select = element('select', {}, ...options.map(([value, name]) => element('option', { value, text: name })));
-  return { label: element('label', {}, `${text} `, select), read: () => select.value };
+  return { label: element('label', {}, `${text} `, select), read: () => select.value, write: (value) => { select.value = value; } };
 }

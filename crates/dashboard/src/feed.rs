@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, Span, Stamp};
 
 use crate::counts::{Count, Counts};
-use crate::model::{CalibrationRow, ParameterValue};
+use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
 
 /// So many batches wait before they are dropped and counted: half a minute of a brick that sends 200 times a second. The reader
 /// looks fifty times a second.
@@ -34,8 +34,10 @@ pub struct Standing {
     pub parameters: Vec<ParameterValue>,
     /// The file that is being recorded into.
     pub recording: Option<String>,
-    /// By what the simulated brick was told to steer, if it was told.
-    pub steering: Option<String>,
+    /// The numbers of the sources that are left out.
+    pub switched_off: Vec<u8>,
+    /// How the simulated brick was set last, if there is one.
+    pub simulator: Option<SimulatorNow>,
 }
 
 /// Where the simulated robot was at one instant.

@@ -71,10 +71,9 @@ impl Hub {
         }
         if let Some(standing) = &batch.standing {
             self.recording.clone_from(&standing.recording);
-            if let (Some(simulator), Some(steering)) =
-                (&mut self.facts.simulator, &standing.steering)
-            {
-                simulator.steering.clone_from(steering);
+            if let (Some(facts), Some(now)) = (&mut self.facts.simulator, &standing.simulator) {
+                facts.steering.clone_from(&now.steering);
+                facts.link_profile.clone_from(&now.link_profile);
             }
             self.tell(batch.now, Told::Standing(standing));
         }
@@ -141,7 +140,12 @@ impl Hub {
 
     /// Sensors that were heard.
     pub(crate) fn sources(&self) -> Vec<SourceRow> {
-        self.sources.iter().cloned().collect()
+        let off = self.latest.switched_off();
+        let rows = self.sources.iter().map(|row| SourceRow {
+            is_used: !off.contains(&row.id),
+            ..row.clone()
+        });
+        rows.collect()
     }
 
     /// Robots that were heard.
@@ -206,6 +210,7 @@ impl Hub {
                 id: sensor.0,
                 name: sensor.name().to_owned(),
                 kind: kind.to_owned(),
+                is_used: true,
             });
         }
     }

@@ -8,6 +8,7 @@ use crate::model::{Counters, Frame, LatencyRow, ParameterValue, RobotState, Stat
 pub(crate) struct Latest {
     state: State,
     parameters: Vec<ParameterValue>,
+    switched_off: Vec<u8>,
 }
 
 impl Latest {
@@ -44,6 +45,9 @@ impl Latest {
         if let Some(parameters) = &frame.parameters {
             self.parameters.clone_from(parameters);
         }
+        if let Some(off) = &frame.switched_off {
+            self.switched_off.clone_from(off);
+        }
     }
 
     pub(crate) const fn now_s(&self) -> f64 {
@@ -52,6 +56,10 @@ impl Latest {
 
     pub(crate) fn parameters(&self) -> &[ParameterValue] {
         &self.parameters
+    }
+
+    pub(crate) fn switched_off(&self) -> &[u8] {
+        &self.switched_off
     }
 
     pub(crate) fn robots(&self) -> Vec<String> {

@@ -382,6 +382,8 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
     assert_eq!(ground.result(1_010, SOURCE, &[camera, 0.0]), ACCEPTED);
     ground.drive(1_050, 5_000);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), Verdict::Unused);
+    let off: Vec<SensorId> = ground.station.pipeline.switched_off().collect();
+    assert_eq!(off, [SensorId::CAMERA]);
     let blurred = ground.estimate().x_sigma_m();
     assert!(blurred > 1.5 * sharp, "{blurred} {sharp}");
     assert!(ground.estimate().is_dead_reckoning);
@@ -393,6 +395,7 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
         }),
     );
     ground.drive(5_050, 6_000);
+    assert_eq!(ground.station.pipeline.switched_off().count(), 0);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), Verdict::Accepted);
     assert!(ground.estimate().x_sigma_m() < blurred / 1.5);
     let texts = ground.texts();

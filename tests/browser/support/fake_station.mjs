@@ -20,6 +20,10 @@ export class FakeStation {
     this.commands = [];
     this.commanded = new EventEmitter();
     this.history = { robots: [] };
+    this.switchedOff = [];
+    this.sources = SOURCES;
+    this.recordings = RECORDINGS;
+    this.simulator = { steering: 'estimate', link_profile: null };
     this.replay = null;
     this.refusal = null;
   }
@@ -48,12 +52,12 @@ export class FakeStation {
   hello() {
     return {
       type: 'hello', version: '0.0.0-fake', now_s: this.now_s, needs_token: false,
-      simulator: { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], steering: 'estimate' },
-      sources: [{ id: 0, name: 'wheels', kind: 'wheels' }, { id: 1, name: 'gyro', kind: 'gyro' }, { id: 3, name: 'camera', kind: 'camera' }],
+      simulator: { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
+      sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
       robots: this.robots,
-      recordings: [{ name: 'square-1.mcap', bytes: 123456, begun: 1767225600, is_current: false }],
-      history: this.history,
+      recordings: this.recordings,
+      history: { switched_off: this.switchedOff, simulator: this.simulator, ...this.history },
     };
   }
 
@@ -78,7 +82,7 @@ export class FakeStation {
       type: 'frame', now_s: t_s,
       robots: this.robots.map((id, index) => robotAt(id, t_s, 3 * index)),
       truth: [truthAt(t_s)],
-      ...(isSecond ? { links: [LINK], clock: CLOCK, recording: { name: 'now.mcap', bytes: Math.round(4000 * t_s) } } : {}),
+      ...(isSecond ? { links: [LINK], clock: CLOCK, recording: { name: 'now.mcap', bytes: Math.round(4000 * t_s) }, switched_off: this.switchedOff, simulator: this.simulator } : {}),
       log: isSecond ? [{ t_s, severity: 6, text: `second ${Math.round(t_s)}` }] : [],
       dropped: 0,
     };
@@ -96,6 +100,7 @@ export class FakeStation {
     const { pathname } = new URL(request.url, this.address);
     if (request.method === 'POST') return this.#command(request, response);
     if (pathname.endsWith('/replay')) return reply(response, this.replay ? 200 : 404, this.replay ?? { error: 'no such recording' });
+    if (pathname === '/v1/sources') return reply(response, 200, this.hello().sources);
     if (pathname === '/v1/recordings') return reply(response, 200, this.hello().recordings);
     const file = path.join(WEB, pathname === '/' ? 'index.html' : path.normalize(pathname));
     try {
@@ -170,6 +175,11 @@ function learned(t_s) {
   ];
 }
 
+const RECORDINGS = [
+  { name: 'now.mcap', bytes: 0, begun: 1767229200, is_current: true },
+  { name: 'square-1.mcap', bytes: 123456, begun: 1767225600, is_current: false },
+];
+const SOURCES = [{ id: 0, name: 'wheels', kind: 'wheels' }, { id: 1, name: 'gyro', kind: 'gyro' }, { id: 3, name: 'camera', kind: 'camera' }];
 const PARAMETERS = [
   { name: 'gate_prob', value: 0.999, default: 0.999, least: 0.5, most: 0.999999, unit: '', help: 'a fix is used if its normalised innovation is below this quantile of chi-square', mavlink_name: 'gate_prob' },
   { name: 'slip_nis', value: 10.83, default: 10.83, least: 4, most: 100, unit: '', help: 'above this normalised innovation gyro and encoders disagree: the wheels slipped', mavlink_name: 'slip_nis' },

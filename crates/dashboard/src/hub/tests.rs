@@ -3,8 +3,8 @@ use super::*;
 use posebridge_telemetry::{Address, RobotId, Span};
 
 use crate::feed::Standing;
-use crate::model::{Message, ParameterValue};
-use crate::views::tests::estimate;
+use crate::model::{Message, ParameterValue, SimulatorFacts, SimulatorNow};
+use crate::views::tests::{estimate, fused};
 
 fn hub() -> Hub {
     let facts = Facts {
@@ -13,6 +13,7 @@ fn hub() -> Hub {
             value: 0.999,
             ..ParameterRow::default()
         }],
+        simulator: Some(SimulatorFacts::default()),
         ..Facts::default()
     };
     Hub::new(facts, None)
@@ -83,6 +84,40 @@ fn what_stands_reaches_the_first_message_and_the_parameters() {
         hub.state(&Counts::default()).recording,
         Some(now("recording.mcap"))
     );
+}
+
+#[test]
+fn a_new_reader_is_told_what_is_switched_off_and_how_the_brick_is_set() {
+    let mut hub = hub();
+    let now_set = SimulatorNow {
+        steering: "odometry".to_owned(),
+        link_profile: Some("bluetooth-spp".to_owned()),
+    };
+    let standing = Standing {
+        switched_off: vec![SensorId::CAMERA.0],
+        simulator: Some(now_set.clone()),
+        ..Standing::default()
+    };
+    hub.take(&Batch {
+        standing: Some(standing),
+        ..batch(0, vec![fused(Verdict::Accepted, 2)])
+    });
+    hub.news(Stamp::ZERO, now);
+    let hello = hub.hello(vec![]);
+    let facts = hello.simulator.unwrap();
+    assert_eq!(
+        (facts.steering, facts.link_profile),
+        (now_set.steering.clone(), now_set.link_profile.clone())
+    );
+    assert_eq!(hello.history.simulator, Some(now_set));
+    assert_eq!(hello.history.switched_off, Some(vec![SensorId::CAMERA.0]));
+    assert!(!hello.sources[0].is_used);
+    hub.take(&Batch {
+        standing: Some(Standing::default()),
+        ..batch(20, vec![])
+    });
+    hub.news(Stamp::from_millis(20), now);
+    assert!(hub.sources()[0].is_used);
 }
 
 #[test]

@@ -30,6 +30,12 @@ pub struct Frame {
     /// All tunables, when one has changed and once a second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parameters: Option<Vec<ParameterValue>>,
+    /// The numbers of all sources that are left out, when that has changed and once a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub switched_off: Option<Vec<u8>>,
+    /// How the simulated brick was set last, when that has changed and once a second; absent without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<SimulatorNow>,
     /// The recording that is being written, `null` if none is; once a second, else absent.
     #[serde(
         default,
@@ -70,6 +76,8 @@ impl Frame {
             && self.links.is_none()
             && self.clock.is_none()
             && self.parameters.is_none()
+            && self.switched_off.is_none()
+            && self.simulator.is_none()
             && self.recording.is_none()
     }
 }
@@ -282,6 +290,16 @@ pub struct ParameterValue {
     pub name: String,
     /// Its value, in its own unit.
     pub value: f64,
+}
+
+/// How the simulated brick was set last.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatorNow {
+    /// `odometry` or `estimate`.
+    pub steering: String,
+    /// The profile that its link is as bad as; `null` for a cable.
+    pub link_profile: Option<String>,
 }
 
 /// The recording that is being written.

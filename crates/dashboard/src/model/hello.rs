@@ -41,6 +41,8 @@ pub struct SimulatorFacts {
     pub link_profiles: Vec<String>,
     /// `odometry` or `estimate`.
     pub steering: String,
+    /// The profile that its link is as bad as; `null` for a cable.
+    pub link_profile: Option<String>,
 }
 
 /// A sensor.
@@ -55,6 +57,8 @@ pub struct SourceRow {
     pub name: String,
     /// The kind of its observations.
     pub kind: String,
+    /// Whether the filter uses it; see `switch-source`.
+    pub is_used: bool,
 }
 
 /// A tunable.

@@ -12,6 +12,8 @@ mod links;
 mod log;
 mod parameters;
 mod robots;
+mod simulator;
+mod switches;
 mod trail;
 mod truth;
 
@@ -107,6 +109,8 @@ views![
     clock::Clock,
     log::Log,
     parameters::Parameters,
+    switches::Switches,
+    simulator::Simulator,
 ];
 
 /// A robot as messages name it: link, system and component.

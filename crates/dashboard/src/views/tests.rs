@@ -7,7 +7,7 @@ use posebridge_telemetry::{
     Validity, Verdict,
 };
 
-use crate::model::{CalibrationRow, ParameterValue};
+use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
 
 fn at(millis: i64) -> Stamp<HostClock> {
     Stamp::from_millis(millis)
@@ -96,7 +96,7 @@ fn seen() -> Event {
     }
 }
 
-fn fused(verdict: Verdict, used: u8) -> Event {
+pub(crate) fn fused(verdict: Verdict, used: u8) -> Event {
     let record = FusionRecord {
         sensor: SensorId::CAMERA,
         kind: "fix",
@@ -186,6 +186,11 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
             name: "gate_prob".to_owned(),
             value: 0.999,
         }],
+        switched_off: vec![3],
+        simulator: Some(SimulatorNow {
+            steering: "odometry".to_owned(),
+            link_profile: Some("usb".to_owned()),
+        }),
         ..Standing::default()
     };
     let mut parameters = view("parameters");
@@ -195,6 +200,19 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
     assert_eq!(told(&mut *parameters, Pace::News), values);
     assert_eq!(told(&mut *parameters, Pace::News), None);
     assert_eq!(told(&mut *parameters, Pace::Second), values);
+    let mut switches = view("switches");
+    switches.take(at(0), Told::Standing(&standing));
+    let told = |view: &mut dyn View, pace| news(view, pace).switched_off;
+    let off = Some(vec![3]);
+    assert_eq!(told(&mut *switches, Pace::News), off);
+    assert_eq!(told(&mut *switches, Pace::News), None);
+    assert_eq!(told(&mut *switches, Pace::Second), off);
+    let mut simulator = view("simulator");
+    simulator.take(at(0), Told::Standing(&standing));
+    let told = |view: &mut dyn View, pace| news(view, pace).simulator;
+    assert_eq!(told(&mut *simulator, Pace::News), standing.simulator);
+    assert_eq!(told(&mut *simulator, Pace::News), None);
+    assert_eq!(told(&mut *simulator, Pace::Second), standing.simulator);
     let mut calibration = view("calibration");
     calibration.take(at(0), Told::Standing(&standing));
     calibration.take(at(0), Told::Event(&estimated(&estimate())));

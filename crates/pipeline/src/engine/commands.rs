@@ -301,6 +301,11 @@ impl Pipeline {
         Err(format!("the filter {} {otherwise}", self.config.filter))
     }
 
+    /// The sensors that are left out, by their numbers.
+    pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
+        self.standing.switched_off.iter().copied()
+    }
+
     fn switch(&mut self, sensor: SensorId, to: Switch) -> String {
         let off = &mut self.standing.switched_off;
         let is = match to {
