@@ -90,11 +90,14 @@ fn further_blocks<'a, 'b>(
 fn merged(block: &Block<'_>, own: Option<&Block<'_>>, link: &TemplateLink) -> Vec<String> {
     let mut lines: Vec<String> = block.above.iter().map(ToString::to_string).collect();
     let mut known: Vec<&str> = Vec::new();
+    let mut replaced: &[&str] = &[];
     if name_of(block.header) == "link" {
         lines.extend(link.notes.iter().map(|note| format!("# {note}")));
         lines.push(block.header.to_owned());
         lines.extend(link_lines(link));
-        known.extend(["url", "listen"]);
+        replaced = &["url", "listen"];
+        known.push("url");
+        known.extend(link.is_listening.then_some("listen"));
     } else {
         if let Some(own) = own {
             lines.extend(own.above.iter().map(ToString::to_string));
@@ -103,10 +106,10 @@ fn merged(block: &Block<'_>, own: Option<&Block<'_>>, link: &TemplateLink) -> Ve
     }
     for line in own.into_iter().flat_map(|own| &own.lines) {
         let key = key_of(line);
-        if key.is_none_or(|key| !known.contains(&key)) {
+        if key.is_none_or(|key| !replaced.contains(&key)) {
             lines.push((*line).to_owned());
+            known.extend(key);
         }
-        known.extend(key);
     }
     if lines.last().is_some_and(String::is_empty) {
         lines.pop();
