@@ -29,8 +29,7 @@ pub fn render(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
     ])
     .areas(area);
     head_line(model, look).render(head, buffer);
-    let is_small = area.width < LEAST_FOR_ALL.0 || area.height < LEAST_FOR_ALL.1;
-    for (panel, place) in places(model, body, is_small) {
+    for (panel, place) in places(model, area, body) {
         draw_panel(panel, (model, look), place, buffer);
     }
     foot_line(model, look).render(foot, buffer);
@@ -39,8 +38,9 @@ pub fn render(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// Which panels are shown where.
-fn places(model: &Model, body: Rect, is_small: bool) -> Vec<(&'static Panel, Rect)> {
+/// Which panels are shown where in the body of the screen.
+fn places(model: &Model, screen: Rect, body: Rect) -> Vec<(&'static Panel, Rect)> {
+    let is_small = screen.width < LEAST_FOR_ALL.0 || screen.height < LEAST_FOR_ALL.1;
     let chosen = match (model.chosen.panel, is_small) {
         (None, false) => return together(model, body),
         // The pose says most where there is room for one only.
