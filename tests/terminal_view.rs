@@ -180,7 +180,7 @@ fn a_terminal_that_hangs_does_not_slow_the_filter() {
     let mut person = watched(folder.path(), &[&address], (160, 50));
     person.until("a good estimate", |text| estimate_off_m(text).is_some());
     // From here on nobody reads the terminal. Estimates go on all the same, none of them missing.
-    let mut bytes = [0; 65_536];
+    let mut bytes = vec![0; 65_536];
     let mut stamps_s: Vec<f64> = Vec::new();
     while stamps_s.len() < 2 || stamps_s[stamps_s.len() - 1] - stamps_s[0] < 6.0 {
         let read = socket.recv(&mut bytes).unwrap();
