@@ -101,11 +101,11 @@ fn what_is_told_behind_a_change_of_tunables_is_applied_by_the_new_ones() {
     let [gyro, wheels, ..] = instant.as_slice() else {
         panic!("{instant:?}");
     };
-    before.adjust(&changed);
+    assert_eq!(before.adjust(&changed), Verdict::Accepted);
     before.observe(gyro);
     before.observe(wheels);
     between.observe(wheels);
-    between.adjust(&changed);
+    assert_eq!(between.adjust(&changed), Verdict::Accepted);
     between.observe(gyro);
     assert_eq!(belief(&between), belief(&before));
 }
