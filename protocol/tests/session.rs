@@ -569,3 +569,48 @@ fn two_sessions_measure_each_other() {
     };
     assert_eq!(exchanges, [expected]);
 }
+
+#[test]
+fn where_nothing_is_due_a_tick_does_nothing_and_where_something_is_it_is_known() {
+    let config = SessionConfig {
+        timesync_period: Some(Span::from_millis(700)),
+        wanted: vec![(30, Span::from_millis(50)), (31, Span::from_millis(50))],
+        ..quiet()
+    };
+    // One that is asked before each tick, and one that is ticked whatever it is asked.
+    let mut asked = Session::<HostClock>::new(config.clone(), at(0));
+    asked.offer_parameters([("A".to_owned(), 1.0), ("B".to_owned(), 2.0)].into_iter());
+    let mut ticked = Session::<HostClock>::new(config, at(0));
+    ticked.offer_parameters([("A".to_owned(), 1.0), ("B".to_owned(), 2.0)].into_iter());
+    let (mut due, mut idle) = (0, 0);
+    for step in 0..4_000_i64 {
+        let now = at(step * 7 + step % 3);
+        let heard = match step % 400 {
+            0..200 if step % 10 == 0 => Some((ROBOT, Message::Heartbeat(ROVER))),
+            250 => Some((CAMERA, Message::ParamRequestList { target: STATION })),
+            _ => None,
+        };
+        if let Some((from, message)) = heard {
+            asked.handle(now, from, &message);
+            ticked.handle(now, from, &message);
+        }
+        if step == 1_000 {
+            asked.peer_restarted(now, ROBOT);
+            ticked.peer_restarted(now, ROBOT);
+        }
+        assert_eq!(asked.deadline(), ticked.deadline(), "step {step}");
+        let is_due = asked.deadline().is_some_and(|deadline| deadline <= now);
+        assert_eq!(asked.is_due(now), is_due, "step {step}");
+        if is_due {
+            asked.tick(now);
+            due += 1;
+        } else {
+            idle += 1;
+        }
+        ticked.tick(now);
+        let said = std::iter::from_fn(|| asked.poll());
+        let expected = std::iter::from_fn(|| ticked.poll());
+        assert!(said.eq(expected), "step {step}");
+    }
+    assert!(due > 50 && idle > 1_000, "{due} {idle}");
+}

@@ -63,7 +63,7 @@ impl Source {
     pub(super) fn inputs(&self, sink: &mut Sink<'_>) -> Result<Vec<String>> {
         let run = &self.robot_run.run;
         for timed in &run.observations {
-            sink(timed.arrival, Input::Observation(timed.observation))?;
+            sink(timed.arrival, &Input::Observation(timed.observation))?;
         }
         let left_out = [
             (run.bad_rows.total(), "rows that could not be used"),

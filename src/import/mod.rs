@@ -54,7 +54,7 @@ pub struct Account {
 }
 
 /// Takes the inputs of a file as they are found.
-pub type Sink<'s> = dyn FnMut(Stamp<HostClock>, Input) -> Result<()> + 's;
+pub type Sink<'s> = dyn FnMut(Stamp<HostClock>, &Input) -> Result<()> + 's;
 
 /// What a session was given, and how its station was configured.
 pub struct Session {
@@ -95,7 +95,7 @@ impl LoggedInputs {
 pub fn logged_frames(
     path: &Path,
     station: Station<'_>,
-    take: &mut dyn FnMut(u64, Vec<u8>),
+    take: &mut dyn FnMut(u64, &[u8]),
 ) -> Result<Vec<String>> {
     let own = station.config()?.station;
     tlog::frames_in_time(path, Address::new(own.system, own.component), take)
@@ -189,7 +189,7 @@ fn write<W: Write + Seek>(
     let mut account = Account::default();
     account.notes = inputs(&mut |now, input| {
         account.inputs += 1;
-        Ok(writer.record(now, &input)?)
+        Ok(writer.record(now, input)?)
     })?;
     Ok((writer.finish()?, account))
 }

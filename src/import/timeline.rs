@@ -10,6 +10,7 @@
 //! ```
 //! A fall is never a silence: where nobody's stamps tell, time goes on where it was.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_recording::tlog::NEWEST_MICROS;
@@ -69,13 +70,24 @@ impl Clock {
 
 /// A record of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Timed {
+pub(super) struct Timed<'f> {
     /// Its time, microseconds since 1970, as the file says.
     pub(super) micros: u64,
     /// What the clock of its sender said, if the frame tells.
     pub(super) told: Option<Told>,
-    /// The frame.
-    pub(super) frame: Vec<u8>,
+    /// The frame. Most are handed on at once, and need not be copied.
+    pub(super) frame: Cow<'f, [u8]>,
+}
+
+impl Timed<'_> {
+    /// As one that may wait.
+    fn kept(self) -> Timed<'static> {
+        Timed {
+            micros: self.micros,
+            told: self.told,
+            frame: Cow::Owned(self.frame.into_owned()),
+        }
+    }
 }
 
 /// What was found.
@@ -117,14 +129,14 @@ impl Found {
 }
 
 /// Takes records with the times that count, microseconds since 1970; they never fall.
-pub(super) type Take<'t> = dyn FnMut(u64, Vec<u8>) + 't;
+pub(super) type Take<'t> = dyn FnMut(u64, &[u8]) + 't;
 
 /// Judges the times of a log, record by record.
 pub(super) struct Timeline {
     latest_micros: u64,
     /// What is added to a file's time.
     shift_micros: i64,
-    run: VecDeque<Timed>,
+    run: VecDeque<Timed<'static>>,
     clocks: BTreeMap<(Address, u32), Clock>,
     found: Found,
 }
@@ -147,9 +159,9 @@ impl Timeline {
     }
 
     /// Takes a record, and hands on those of which it is known when they were.
-    pub(super) fn push(&mut self, record: Timed, take: &mut Take<'_>) {
+    pub(super) fn push(&mut self, record: Timed<'_>, take: &mut Take<'_>) {
         if self.run.is_empty() && !self.is_off(&record) {
-            return self.hand_on(record, take);
+            return self.hand_on(&record, take);
         }
         let has_returned = !self.is_off(&record)
             && self
@@ -158,9 +170,9 @@ impl Timeline {
                 .is_some_and(|before| !agree(before.micros, record.micros));
         if has_returned {
             self.drop_times(self.run.len(), take);
-            return self.hand_on(record, take);
+            return self.hand_on(&record, take);
         }
-        self.run.push_back(record);
+        self.run.push_back(record.kept());
         if self.run.len() >= LOOKAHEAD {
             self.settle(take);
         }
@@ -179,17 +191,17 @@ impl Timeline {
         micros.saturating_add_signed(self.shift_micros)
     }
 
-    fn is_off(&self, record: &Timed) -> bool {
+    fn is_off(&self, record: &Timed<'_>) -> bool {
         let micros = self.shifted(record.micros);
         !is_possible(record.micros) || micros.abs_diff(self.latest_micros) > LEAP_MICROS
     }
 
-    fn hand_on(&mut self, record: Timed, take: &mut Take<'_>) {
+    fn hand_on(&mut self, record: &Timed<'_>, take: &mut Take<'_>) {
         self.latest_micros = self.latest_micros.max(self.shifted(record.micros));
         if let Some(told) = record.told {
             self.hear(told);
         }
-        take(self.latest_micros, record.frame);
+        take(self.latest_micros, &record.frame);
     }
 
     fn hear(&mut self, told: Told) {
@@ -209,7 +221,7 @@ impl Timeline {
     fn drop_times(&mut self, count: usize, take: &mut Take<'_>) {
         for record in self.run.drain(..count) {
             self.found.damaged += 1;
-            take(self.latest_micros, record.frame);
+            take(self.latest_micros, &record.frame);
         }
     }
 
@@ -291,7 +303,7 @@ impl Timeline {
     }
 
     /// The same by one record's clock, and whether that is the host's.
-    fn told_wrong(&self, record: &Timed) -> Option<(bool, i64)> {
+    fn told_wrong(&self, record: &Timed<'_>) -> Option<(bool, i64)> {
         let told = record.told?;
         let clock = self.clocks.get(&told.clock)?;
         let (then_micros, said_micros) = clock.is_going().then_some(clock.last)?;
@@ -331,7 +343,7 @@ mod tests {
         let mut timeline = Timeline::new(records[0].0 * SECOND);
         let mut times = Vec::new();
         let zero = records[0].0;
-        let mut take = |micros: u64, _frame: Vec<u8>| times.push(micros / SECOND - zero);
+        let mut take = |micros: u64, _frame: &[u8]| times.push(micros / SECOND - zero);
         for (at_s, said_s) in records {
             let told = said_s.map(|said_s| Told {
                 clock: (Address::new(1, 1), 30),
@@ -342,7 +354,7 @@ mod tests {
             let record = Timed {
                 micros: at_s.saturating_mul(SECOND),
                 told,
-                frame: vec![],
+                frame: Cow::default(),
             };
             timeline.push(record, &mut take);
         }

@@ -10,6 +10,7 @@
 //! woken at them asks at them, and so the answers in the file are answers to it. What the file cannot tell, when links came and went
 //! and how chunks were cut, is lost: such a replay is close to what was live, not the same bit for bit.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -81,11 +82,12 @@ impl Source {
             latest: Stamp::ZERO,
             of_station: 0,
             failure: None,
+            spare: Vec::new(),
             sink,
         };
         inputs.give(
             Stamp::ZERO,
-            Input::Link {
+            &Input::Link {
                 link: LINK,
                 state: LinkState::Up,
             },
@@ -141,11 +143,11 @@ fn in_time(
 }
 
 /// A record with what its sender's clock said.
-fn timed(record: &Record<'_, ()>, own: Address) -> Timed {
+fn timed<'f>(record: &Record<'f, ()>, own: Address) -> Timed<'f> {
     Timed {
         micros: record.micros,
         told: verified_before(record.frame).and_then(|frame| told(&frame, own)),
-        frame: record.frame.to_vec(),
+        frame: Cow::Borrowed(record.frame),
     }
 }
 
@@ -261,50 +263,61 @@ struct Inputs<'a, 's> {
     latest: Stamp<HostClock>,
     of_station: u64,
     failure: Option<anyhow::Error>,
+    /// The memory in which a frame is given.
+    spare: Vec<u8>,
     sink: &'a mut Sink<'s>,
 }
 
 impl Inputs<'_, '_> {
     /// Takes a frame with the time that counts.
-    fn hand_on(&mut self, micros: u64, frame: Vec<u8>) {
+    fn hand_on(&mut self, micros: u64, frame: &[u8]) {
         let since_zero = micros.saturating_sub(self.epoch_micros);
         let mut at = Stamp::from_micros(i64::try_from(since_zero).unwrap_or(i64::MAX));
-        let of_station = verified_before(&frame).filter(|frame| frame.source == self.own);
-        let input = if let Some(of_station) = of_station {
-            self.of_station += 1;
-            let Some(asked) = own_request(&of_station, self.own) else {
-                return;
-            };
-            // The stamp has nanoseconds, the record's time has not.
-            if (at - asked).as_secs_f64().abs() < 1e-3 {
-                at = asked;
-            }
-            Input::Tick
-        } else {
-            Input::Bytes {
-                link: LINK,
-                peer: PeerId(0),
-                bytes: frame,
-            }
+        let of_station = verified_before(frame).filter(|frame| frame.source == self.own);
+        let Some(of_station) = of_station else {
+            return self.give_bytes(at, frame);
         };
-        self.give(at, input);
+        self.of_station += 1;
+        let Some(asked) = own_request(&of_station, self.own) else {
+            return;
+        };
+        // The stamp has nanoseconds, the record's time has not.
+        if (at - asked).as_secs_f64().abs() < 1e-3 {
+            at = asked;
+        }
+        self.give(at, &Input::Tick);
+    }
+
+    fn give_bytes(&mut self, at: Stamp<HostClock>, frame: &[u8]) {
+        let mut bytes = std::mem::take(&mut self.spare);
+        bytes.clear();
+        bytes.extend_from_slice(frame);
+        let input = Input::Bytes {
+            link: LINK,
+            peer: PeerId(0),
+            bytes,
+        };
+        self.give(at, &input);
+        if let Input::Bytes { bytes, .. } = input {
+            self.spare = bytes;
+        }
     }
 
     /// Gives an input, and ticks in the silence before it.
-    fn give(&mut self, at: Stamp<HostClock>, input: Input) {
+    fn give(&mut self, at: Stamp<HostClock>, input: &Input) {
         let at = at.max(self.latest);
         for _ in 0..MOST_TICKS {
             if at - self.latest <= TICK {
                 break;
             }
             self.latest = self.latest + TICK;
-            self.pass(Input::Tick);
+            self.pass(&Input::Tick);
         }
         self.latest = at;
         self.pass(input);
     }
 
-    fn pass(&mut self, input: Input) {
+    fn pass(&mut self, input: &Input) {
         if self.failure.is_none() {
             self.failure = (self.sink)(self.latest, input).err();
         }

@@ -3,6 +3,8 @@
 //! No matrix inverse, no square root of P: a scalar update needs one division. Correlated noise is whitened first, so that
 //! the components may be used one after the other.
 
+use std::array::from_fn;
+
 use nalgebra::{SMatrix, SVector};
 
 /// What is to be used: innovation, its derivative by the state, its noise.
@@ -110,6 +112,15 @@ impl<const K: usize> Scalar<K> {
     }
 }
 
+impl<const K: usize> Scalar<K> {
+    /// One row of P H', summed up as [`Self::cross`] does.
+    #[inline]
+    fn cross_of<const N: usize>(&self, covariance: &SMatrix<f64, N, N>, i: usize) -> f64 {
+        let terms = self.rows.iter().zip(&self.by_row);
+        terms.fold(-0.0, |sum, (&row, &by)| sum + by * covariance[(i, row)])
+    }
+}
+
 /// What became of a scalar observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarOutcome {
@@ -170,6 +181,41 @@ pub fn use_scalar<const N: usize, const K: usize>(
         nis,
         usage,
     }
+}
+
+/// What [`use_scalar`] without a gate would make of some rows, which must rise: their mean and their covariance; `None` if it would change
+/// nothing. Bit for bit the same, without the other rows.
+///
+/// # Panics
+/// A named row is N or more.
+#[inline]
+#[must_use]
+pub fn foretell_scalar<const N: usize, const K: usize, const R: usize>(
+    mean: &SVector<f64, N>,
+    covariance: &SMatrix<f64, N, N>,
+    scalar: &Scalar<K>,
+    rows: [usize; R],
+) -> Option<([f64; R], [[f64; R]; R])> {
+    let mut s = scalar.variance;
+    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
+        s += by * scalar.cross_of(covariance, row);
+    }
+    let inverse = 1.0 / s;
+    let scaled_innovation = scalar.innovation * inverse;
+    if !(inverse > 0.0 && (scalar.innovation * scaled_innovation).is_finite()) {
+        return None;
+    }
+    let cross = rows.map(|row| scalar.cross_of(covariance, row));
+    let scaled = cross.map(|cross| cross * inverse);
+    let after = from_fn(|i| {
+        from_fn(|j| {
+            // Of the triangle that the update computes.
+            let (row, column) = (i.max(j), i.min(j));
+            covariance[(rows[row], rows[column])] - scaled[row] * cross[column]
+        })
+    });
+    let moved = from_fn(|i| mean[rows[i]] + cross[i] * scaled_innovation);
+    Some((moved, after))
 }
 
 /// P <- P - c c' / s: one triangle computed, the other copied, so that the result is symmetric.

@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix3, Matrix5, SMatrix, Vector3, Vector5};
 use posebridge_estimator::models::planar_speeds::{self, Acceleration};
-use posebridge_estimator::update::{Measurement, Scalar, Usage, apply, use_scalar};
+use posebridge_estimator::update::{
+    Measurement, Scalar, Usage, apply, foretell_scalar, use_scalar,
+};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -114,6 +116,27 @@ proptest! {
             prop_assert_eq!(covariance, covariance.transpose());
             prop_assert!(covariance.cholesky().is_some(), "{}", covariance);
         }
+    }
+
+    #[test]
+    fn what_is_foretold_of_some_rows_is_what_the_update_makes_of_them(
+        covariance in covariances::<5>(),
+        at in vectors::<5>(),
+        scalar in scalars(),
+        is_indefinite in any::<bool>(),
+    ) {
+        let before = Vector5::from(at);
+        let scalar = Scalar {
+            variance: if is_indefinite { -1e9 } else { scalar.variance },
+            ..scalar
+        };
+        let rows = [0, 2, 3];
+        let foretold = foretell_scalar(&before, &covariance, &scalar, rows);
+        let (mut mean, mut after) = (before, covariance);
+        let outcome = use_scalar(&mut mean, &mut after, &scalar, f64::INFINITY);
+        let made = (rows.map(|row| mean[row]), rows.map(|i| rows.map(|j| after[(i, j)])));
+        let expected = (outcome.usage == Usage::Used).then_some(made);
+        prop_assert_eq!(foretold, expected, "to the last bit");
     }
 
     #[test]

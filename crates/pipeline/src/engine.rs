@@ -31,7 +31,7 @@ use self::announce::Announcer;
 use self::commands::Standing;
 use self::fix_requests::FixRequests;
 use self::ground_station::LastRange;
-use self::intake::{Arrival, Came};
+use self::intake::{Arrival, Arrived, Came};
 use self::slip_watch::SlipWatch;
 use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
@@ -72,6 +72,8 @@ pub enum BuildError {
 pub struct Pipeline {
     config: PipelineConfig,
     links: BTreeMap<LinkId, Link>,
+    /// Whether any link is for ground stations.
+    has_voices: bool,
     router: Router,
     robot: Option<RobotId>,
     /// By which way and when the robot was heard last.
@@ -108,6 +110,8 @@ pub struct Pipeline {
     for_others: Option<Estimate>,
     /// What was seen on a link and is to be counted and sent on.
     passages: Vec<(LinkId, Seen)>,
+    /// The memory in which the messages of an input are kept until all of its bytes are read.
+    spare: Vec<Arrived>,
     /// Nothing is left to do of the last input.
     is_complete: bool,
     next_health: Option<Stamp<HostClock>>,
@@ -142,6 +146,7 @@ impl Pipeline {
             }
         }
         Ok(Self {
+            has_voices: links.values().any(|link| link.voice.is_some()),
             links,
             router: Router::new(router_config(&config)),
             robot: None,
@@ -169,6 +174,7 @@ impl Pipeline {
             is_news: false,
             for_others: None,
             passages: Vec::new(),
+            spare: Vec::new(),
             is_complete: true,
             next_health: (!config.links.is_empty()).then(|| now + HEALTH_PERIOD),
             now,
@@ -208,7 +214,7 @@ impl Pipeline {
             Input::Tick => {}
         }
         // What is due goes first: a time request that waited behind the estimate would measure that, too.
-        if self.deadline().is_some_and(|due| due <= now) {
+        if self.is_due(now) {
             self.pass_time(now);
         }
         self.publish_to_robot(now);
@@ -247,21 +253,31 @@ impl Pipeline {
         if self.outputs.is_empty() {
             self.complete();
         }
-        let own = self.outputs.pop_front();
-        own.or_else(|| self.passed_on.pop_front())
+        if self.outputs.is_empty() {
+            return self.passed_on.pop_front();
+        }
+        self.outputs.pop_front()
+    }
+
+    /// The same where it stands, for who only looks at it; it stays until [`Self::pass_over`]. An output is large.
+    pub fn peek(&mut self) -> Option<&Output> {
+        if self.outputs.is_empty() {
+            self.complete();
+        }
+        self.outputs.front().or_else(|| self.passed_on.front())
+    }
+
+    /// Leaves out the next output, after [`Self::peek`].
+    pub fn pass_over(&mut self) {
+        if self.outputs.pop_front().is_none() {
+            self.passed_on.pop_front();
+        }
     }
 
     /// When to call [`handle`](Self::handle) with [`Input::Tick`], at the latest.
     #[must_use]
     pub fn deadline(&self) -> Option<Stamp<HostClock>> {
-        let links = self
-            .links
-            .values()
-            .flat_map(|link| {
-                let codec = link.codec_deadline();
-                [link.peers.deadline(), link.conversation_deadline(), codec]
-            })
-            .flatten();
+        let links = self.links.values().filter_map(Link::deadline);
         links.chain(self.next_health).min()
     }
 
@@ -333,9 +349,24 @@ impl Pipeline {
         self.ask_brick(id);
     }
 
+    /// Whether anything waits for an instant that has come.
+    fn is_due(&mut self, now: Stamp<HostClock>) -> bool {
+        let is_health_due = self.next_health.is_some_and(|due| due <= now);
+        is_health_due || self.links.values_mut().any(|link| link.is_due(now))
+    }
+
     fn pass_time(&mut self, now: Stamp<HostClock>) {
-        let ids: Vec<LinkId> = self.links.keys().copied().collect();
         self.show_robot();
+        if self.is_due(now) {
+            self.wake(now);
+        } else {
+            self.drain_sessions(now);
+        }
+    }
+
+    /// Does what is due.
+    fn wake(&mut self, now: Stamp<HostClock>) {
+        let ids: Vec<LinkId> = self.links.keys().copied().collect();
         for id in &ids {
             let stalled = self
                 .links
@@ -390,8 +421,11 @@ impl Pipeline {
         });
     }
 
+    #[inline]
     fn tell(&mut self, event: Event) {
-        self.announce(&event);
+        if self.has_voices {
+            self.announce(&event);
+        }
         self.outputs.push_back(Output::Event(event));
     }
 }

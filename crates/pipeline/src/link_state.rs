@@ -135,10 +135,23 @@ impl Link {
         }
     }
 
-    /// When the conversations must be woken.
-    pub(crate) fn conversation_deadline(&self) -> Option<Stamp<HostClock>> {
-        let robot = self.voice.as_ref().and_then(RobotVoice::deadline);
-        self.session.deadline().into_iter().chain(robot).min()
+    /// When anything on the link must be woken.
+    pub(crate) fn deadline(&self) -> Option<Stamp<HostClock>> {
+        let all = [
+            self.session.deadline(),
+            self.voice.as_ref().and_then(RobotVoice::deadline),
+            self.peers.deadline(),
+            self.codec_deadline(),
+        ];
+        all.into_iter().flatten().min()
+    }
+
+    /// Whether anything on the link waits for an instant that has come.
+    pub(crate) fn is_due(&mut self, now: Stamp<HostClock>) -> bool {
+        let others = [self.peers.deadline(), self.codec_deadline()];
+        others.into_iter().flatten().any(|due| due <= now)
+            || self.session.is_due(now)
+            || self.voice.as_mut().is_some_and(|voice| voice.is_due(now))
     }
 
     /// When the codec must be woken; never while there is nobody to talk to.

@@ -138,11 +138,13 @@ impl Publisher {
 
     /// Which messages of estimates are due; they count as sent.
     pub(crate) fn due(&mut self, now: Stamp<HostClock>) -> Vec<OutputStream> {
-        let streams = self.streams.clone().into_iter();
-        let of_estimates = streams.filter(|stream| stream.kind.is_of_estimates());
-        of_estimates
-            .filter(|stream| self.is_due(stream, None, now))
-            .collect()
+        let indices = 0..self.streams.len();
+        let of_estimates = indices.filter_map(|index| {
+            let stream = *self.streams.get(index)?;
+            let is_due = stream.kind.is_of_estimates() && self.is_due(&stream, None, now);
+            is_due.then_some(stream)
+        });
+        of_estimates.collect()
     }
 
     /// Whether the range of a sensor is due; then it counts as sent.
@@ -157,7 +159,7 @@ impl Publisher {
     pub(crate) fn of_record(
         &mut self,
         record: &FusionRecord,
-        host: Stamp<HostClock>,
+        host: &impl Fn() -> Stamp<HostClock>,
         now: Stamp<HostClock>,
     ) -> Vec<(OutputKind, Message)> {
         let counts = self.counts.entry(record.sensor).or_default();
@@ -166,14 +168,17 @@ impl Publisher {
         if record.degrees_of_freedom == 0 {
             return Vec::new();
         }
-        let streams = self.streams.clone().into_iter();
-        streams
-            .filter_map(|stream| {
-                let message = records::message(stream.kind, record, host, counts)?;
-                let is_due = self.is_due(&stream, Some(record.sensor), now);
-                is_due.then_some((stream.kind, message))
-            })
-            .collect()
+        let indices = 0..self.streams.len();
+        let of_records = indices.filter_map(|index| {
+            let stream = *self.streams.get(index)?;
+            if stream.kind.is_of_estimates() {
+                return None;
+            }
+            let message = records::message(stream.kind, record, host(), counts)?;
+            let is_due = self.is_due(&stream, Some(record.sensor), now);
+            is_due.then_some((stream.kind, message))
+        });
+        of_records.collect()
     }
 
     /// How the observations of a sensor fared so far.

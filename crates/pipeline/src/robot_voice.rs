@@ -86,6 +86,11 @@ impl RobotVoice {
         self.known.as_ref()?.session.deadline()
     }
 
+    /// Whether the conversation waits for an instant that has come.
+    pub(crate) fn is_due(&mut self, now: Stamp<HostClock>) -> bool {
+        self.session().is_some_and(|session| session.is_due(now))
+    }
+
     /// A vehicle's own frame leaves on the link.
     pub(crate) fn passed(&mut self, now: Stamp<HostClock>, from: SystemId, message_id: u32) {
         // Of the others nobody asks; so the map stays small whatever comes.

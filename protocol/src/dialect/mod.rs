@@ -166,6 +166,9 @@ pub fn stamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
         | ids::COMMAND_LONG
         | ids::COMMAND_ACK
         | ids::STATUSTEXT => None,
+        // Neither need what is said most often.
+        ids::PB_WHEEL_TICKS => Some(own::ticks_of(frame.payload).ok().flatten()?.stamp),
+        ids::PB_INERTIAL => Some(own::inertial_of(frame.payload).ok()?.stamp),
         _ => decode(frame).ok().flatten()?.stamp(),
     }
 }

@@ -12,7 +12,7 @@ use super::generated::posebridge::{
     PB_WHEEL_TICKS_DATA,
 };
 use super::payload::{Payload, micros32, read, text_from, text_to};
-use super::{Decoded, finite, ids};
+use super::{Decoded, PayloadError, finite, ids};
 use crate::framing::WireVersion;
 use crate::message::{
     FusionHealth, Inertial, Message, PlanarPose, PoseFlags, RobotDescription, WheelTicks, WireStamp,
@@ -37,16 +37,22 @@ const ACCELERATIONS_VALID: u8 = 1 << 2;
 const NANOS_PER_MILLI: i64 = 1_000_000;
 
 pub(super) fn wheel_ticks(payload: &[u8]) -> Decoded {
+    Ok(ticks_of(payload)?.map(Message::WheelTicks))
+}
+
+/// Both wheels' counts; `None` if the sender has not both.
+#[inline]
+pub(super) fn ticks_of(payload: &[u8]) -> Result<Option<WheelTicks>, PayloadError> {
     let data: PB_WHEEL_TICKS_DATA = read(payload)?;
     let both = LEFT_VALID | RIGHT_VALID;
     if data.flags & both != both {
         return Ok(None);
     }
-    Ok(Some(Message::WheelTicks(WheelTicks {
+    Ok(Some(WheelTicks {
         stamp: WireStamp::Micros32(data.time_us),
         left: EncoderTicks(i64::from(data.left)),
         right: EncoderTicks(i64::from(data.right)),
-    })))
+    }))
 }
 
 pub(super) fn write_ticks(version: WireVersion, ticks: &WheelTicks) -> Payload {
@@ -60,11 +66,17 @@ pub(super) fn write_ticks(version: WireVersion, ticks: &WheelTicks) -> Payload {
 }
 
 pub(super) fn inertial(payload: &[u8]) -> Decoded {
+    Ok(Some(Message::Inertial(inertial_of(payload)?)))
+}
+
+/// What the inertial sensors say.
+#[inline]
+pub(super) fn inertial_of(payload: &[u8]) -> Result<Inertial, PayloadError> {
     let data: PB_INERTIAL_DATA = read(payload)?;
     let has = |flag: u8| data.valid & flag != 0;
     let acceleration =
         |raw: i16| MetersPerSecondSquared(f64::from(raw) * ACCELERATION_UNIT_M_PER_S2);
-    Ok(Some(Message::Inertial(Inertial {
+    Ok(Inertial {
         stamp: WireStamp::Micros32(data.time_us),
         turn_rate: has(TURN_RATE_VALID)
             .then(|| RadiansPerSecond(f64::from(data.turn_rate) * TURN_RATE_UNIT_RAD_PER_S)),
@@ -75,7 +87,7 @@ pub(super) fn inertial(payload: &[u8]) -> Decoded {
                 acceleration(data.accel_right),
             )
         }),
-    })))
+    })
 }
 
 pub(super) fn write_inertial(version: WireVersion, inertial: &Inertial) -> Payload {

@@ -68,6 +68,34 @@ pub enum Check {
     Unverifiable,
 }
 
+/// Whether somebody else is at the other end of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sharing {
+    /// Only the peer itself: nothing goes back there.
+    Alone,
+    /// Others, too.
+    Shared,
+}
+
+/// What is known of a frame's sender.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sender {
+    /// Whether he is who the header says.
+    pub check: Check,
+    /// Whether he has the link for himself.
+    pub sharing: Sharing,
+}
+
+/// A sender on a link that others may share.
+impl From<Check> for Sender {
+    fn from(check: Check) -> Self {
+        Self {
+            check,
+            sharing: Sharing::Shared,
+        }
+    }
+}
+
 /// Whether a frame has come before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occurrence {
@@ -154,8 +182,9 @@ impl Router {
         now: Stamp<HostClock>,
         from: Way,
         frame: &FrameRef<'_>,
-        check: Check,
+        sender: impl Into<Sender>,
     ) -> Routed {
+        let Sender { check, sharing } = sender.into();
         if frame.source == self.config.own {
             let occurrence = if self.own_words.contain(frame.raw) {
                 Occurrence::Echo
@@ -171,7 +200,7 @@ impl Router {
             self.routes.learn(now, frame.source, from);
         }
         let to = match occurrence {
-            Occurrence::First => self.destinations(now, from, frame),
+            Occurrence::First => self.destinations(now, (from, sharing), frame),
             Occurrence::Redundant
             | Occurrence::Detour
             | Occurrence::Echo
@@ -228,7 +257,7 @@ impl Router {
     fn destinations(
         &self,
         now: Stamp<HostClock>,
-        from: Way,
+        (from, sharing): (Way, Sharing),
         frame: &FrameRef<'_>,
     ) -> Vec<(LinkId, Audience)> {
         let leaves = self
@@ -240,25 +269,31 @@ impl Router {
             return Vec::new();
         }
         let target = target_of(frame.message_id, frame.payload);
-        let mut to = match target {
-            Target::Everybody => self.everybody_but(from),
-            Target::Component(address) if address == self.config.own => Vec::new(),
-            Target::System(_) | Target::Component(_) => self.heard_ways(now, from, target),
+        let may_leave = |link: LinkId| {
+            (sharing == Sharing::Shared || link != from.link) && self.may_leave(link, target, frame)
         };
-        to.retain(|(link, _)| self.may_leave(*link, target, frame));
-        to
+        match target {
+            // Nothing is collected before it is known that it leaves: of most links the frame has nowhere to go.
+            Target::Everybody => {
+                let all = self.everybody_but(from);
+                all.filter(|(link, _)| may_leave(*link)).collect()
+            }
+            Target::Component(address) if address == self.config.own => Vec::new(),
+            Target::System(_) | Target::Component(_) => {
+                let mut to = self.heard_ways(now, from, target);
+                to.retain(|(link, _)| may_leave(*link));
+                to
+            }
+        }
     }
 
-    fn everybody_but(&self, from: Way) -> Vec<(LinkId, Audience)> {
-        self.config
-            .links
-            .keys()
-            .filter_map(|link| match *link {
-                link if link == from.link => Some((link, Audience::AllBut(from.peer))),
-                link if self.lead_to_one(link, from.link) => None,
-                link => Some((link, Audience::All)),
-            })
-            .collect()
+    fn everybody_but(&self, from: Way) -> impl Iterator<Item = (LinkId, Audience)> {
+        let links = self.config.links.keys();
+        links.filter_map(move |link| match *link {
+            link if link == from.link => Some((link, Audience::AllBut(from.peer))),
+            link if self.lead_to_one(link, from.link) => None,
+            link => Some((link, Audience::All)),
+        })
     }
 
     fn heard_ways(

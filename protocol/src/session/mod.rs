@@ -141,6 +141,8 @@ pub struct Session<C: Clock> {
     config: SessionConfig,
     latest: Stamp<C>,
     next_heartbeat: Stamp<C>,
+    /// Before this nothing is due; `None` if that must be found out. What is planned for later can only be put off without this.
+    idle_until: Option<Stamp<C>>,
     presence: Presence,
     time_requests: TimeRequests<C>,
     peers: Peers<C>,
@@ -161,6 +163,7 @@ impl<C: Clock> Session<C> {
             served: &[],
             latest: now,
             next_heartbeat: now,
+            idle_until: None,
             presence: Presence::Shown,
             outputs: VecDeque::new(),
             config,
@@ -190,6 +193,7 @@ impl<C: Clock> Session<C> {
             return;
         }
         self.peers.heard(now, from);
+        let idle_until = self.idle_until.take();
         #[expect(
             clippy::wildcard_enum_match_arm,
             reason = "telemetry is not part of the conversation, however many kinds there are"
@@ -215,7 +219,8 @@ impl<C: Clock> Session<C> {
                 let output = self.parameters.handle(now, (own, from), message);
                 self.outputs.extend(output);
             }
-            _ => {}
+            // A sign of life, which plans nothing.
+            _ => self.idle_until = idle_until,
         }
     }
 
@@ -236,9 +241,20 @@ impl<C: Clock> Session<C> {
         (self.presence == Presence::Shown).then_some(self.config.heartbeat)
     }
 
+    /// Whether [`Self::tick`] has something to do at `now`.
+    pub fn is_due(&mut self, now: Stamp<C>) -> bool {
+        // A clock that fell is followed by `tick`.
+        if now >= self.latest && self.idle_until.is_some_and(|until| now < until) {
+            return false;
+        }
+        self.idle_until = self.deadline();
+        now < self.latest || self.idle_until.is_some_and(|due| due <= now)
+    }
+
     /// Does what is due at `now`.
     pub fn tick(&mut self, now: Stamp<C>) {
         self.follow_clock(now);
+        self.idle_until = None;
         if now >= self.next_heartbeat {
             if self.presence == Presence::Shown {
                 self.send(Message::Heartbeat(self.config.heartbeat));
@@ -277,19 +293,19 @@ impl<C: Clock> Session<C> {
     /// When to call [`Session::tick`]. There is always a next heartbeat.
     #[must_use]
     pub fn deadline(&self) -> Option<Stamp<C>> {
-        let requests = [self.time_requests.deadline(), self.peers.deadline()];
-        let listing = self.parameters.deadline();
-        requests
-            .into_iter()
-            .chain([listing])
-            .flatten()
-            .chain([self.next_heartbeat])
-            .min()
+        let others = [
+            self.time_requests.deadline(),
+            self.peers.deadline(),
+            self.parameters.deadline(),
+        ];
+        let others = others.into_iter().flatten();
+        Some(others.fold(self.next_heartbeat, Stamp::min))
     }
 
     /// Asks a robot again for everything wanted, because it was restarted and has forgotten; ignored for strangers.
     pub fn peer_restarted(&mut self, now: Stamp<C>, peer: Address) {
         self.follow_clock(now);
+        self.idle_until = None;
         self.peers.request_again(now, peer);
         self.time_requests.hurry(now);
     }
@@ -394,6 +410,7 @@ impl<C: Clock> Session<C> {
     /// nothing waits for a time that comes an hour later.
     fn follow_clock(&mut self, now: Stamp<C>) {
         if now < self.latest {
+            self.idle_until = None;
             let fall = self.latest - now;
             self.next_heartbeat = self.next_heartbeat - fall;
             self.time_requests.set_back(fall);

@@ -144,7 +144,7 @@ fn copy_tlog(args: &ExportArgs) -> Result<()> {
     let mut written = Ok(0);
     let notes = import::logged_frames(&args.recording, station(args), &mut |micros, frame| {
         if let Ok(count) = written {
-            let done = writer.record(micros, &frame);
+            let done = writer.record(micros, frame);
             written = done.map(|()| count + 1);
         }
     })?;

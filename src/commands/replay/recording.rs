@@ -158,7 +158,7 @@ impl OwnRecording {
         match &self.inputs {
             Inputs::Recorded(bytes) => run_recorded(bytes, &mut course, &mut notes)?,
             Inputs::Logged(log) => {
-                let left_out = log.give(&mut |now, input| course.give(now, &input))?;
+                let left_out = log.give(&mut |now, input| course.give(now, input))?;
                 for note in left_out {
                     notes.add(note);
                 }

@@ -137,11 +137,12 @@ impl Lane<'_> {
     /// As the watcher says.
     pub fn give(&mut self, now: Stamp<HostClock>, input: &Input, place: Place) -> Result<()> {
         self.pipeline.handle(now, input);
-        while let Some(output) = self.pipeline.poll() {
+        while let Some(output) = self.pipeline.peek() {
             match output {
-                Output::Event(event) if place == Place::Within => self.watch.event(now, &event)?,
+                Output::Event(event) if place == Place::Within => self.watch.event(now, event)?,
                 Output::Event(_) | Output::Transmit { .. } | Output::Request(_) => {}
             }
+            self.pipeline.pass_over();
         }
         if place == Place::Within {
             self.watch.handled(now, &self.pipeline);

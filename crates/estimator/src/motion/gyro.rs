@@ -21,6 +21,14 @@ pub struct GyroTurn {
     pub squared_secs: f64,
 }
 
+impl GyroTurn {
+    fn add(&mut self, rate_rad_per_s: f64, length: Span) {
+        let secs = length.as_secs_f64();
+        self.turn_rad += rate_rad_per_s * secs;
+        self.squared_secs += secs * secs;
+    }
+}
+
 /// The gyro's rate over time: each sample is the mean since the one before it.
 #[derive(Clone, Debug, Default)]
 pub struct GyroTrack {
@@ -58,6 +66,14 @@ impl GyroTrack {
         Some(last.0)
     }
 
+    /// The same for an instant that most samples lie behind.
+    #[must_use]
+    pub fn last_of_old(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
+        let index = self.samples.partition_point(|sample| sample.0 <= stamp);
+        let last = self.samples.get(index.checked_sub(1)?)?;
+        Some(last.0)
+    }
+
     /// Whether the whole span is covered: no hole in it, the last sample held for a moment.
     #[must_use]
     pub fn covers(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> bool {
@@ -86,19 +102,19 @@ impl GyroTrack {
             squared_secs: 0.0,
         };
         let mut at = from;
-        let mut index = count_before(&self.samples, |sample| sample.0 <= from);
+        let next = count_before(&self.samples, |sample| sample.0 <= from);
         let mut held = self.samples.back().map_or(0.0, |sample| sample.1);
-        while at < to {
-            let (until, rate) = match self.samples.get(index) {
-                Some(&(stamp, rate)) => (stamp.min(to), rate),
-                None => (to, held),
-            };
-            let secs = (until - at).as_secs_f64();
-            turn.turn_rad += rate * secs;
-            turn.squared_secs += secs * secs;
+        for &(stamp, rate) in self.samples.range(next..) {
+            if at >= to {
+                return turn;
+            }
+            let until = stamp.min(to);
+            turn.add(rate, until - at);
             held = rate;
             at = until;
-            index += 1;
+        }
+        if at < to {
+            turn.add(held, to - at);
         }
         turn
     }

@@ -202,6 +202,14 @@ impl MotionTrack {
         Some(last.stamp)
     }
 
+    /// The same for an instant that most readings lie behind.
+    #[must_use]
+    pub fn last_of_old(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
+        let index = self.samples.partition_point(|sample| sample.stamp <= stamp);
+        let last = self.samples.get(index.checked_sub(1)?)?;
+        Some(last.stamp)
+    }
+
     /// Travel between two instants, linear inside each interval; what is not known counts as rest.
     #[must_use]
     pub fn travel_between(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> WheelTravel {

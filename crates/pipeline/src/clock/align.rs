@@ -214,8 +214,11 @@ impl<C: Clock> ClockAligner<C> {
             self.forget();
         }
         if let Unwrapped::Continued(remote) | Unwrapped::Restarted(remote) = unwrapped {
-            self.step_micros =
-                greatest_common_divisor(self.step_micros, remote.as_micros().unsigned_abs());
+            let shown_micros = remote.as_micros().unsigned_abs();
+            // Nearly always it is known already, and to find that out is one division.
+            if self.step_micros == 0 || !shown_micros.is_multiple_of(self.step_micros) {
+                self.step_micros = greatest_common_divisor(self.step_micros, shown_micros);
+            }
         }
         unwrapped
     }

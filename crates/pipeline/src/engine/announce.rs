@@ -158,9 +158,6 @@ fn printable(words: &str) -> String {
 impl Pipeline {
     /// Keeps what people at ground stations should read of an event.
     pub(super) fn announce(&mut self, event: &Event) {
-        if self.links.values().all(|link| link.voice.is_none()) {
-            return;
-        }
         let Some((topic, severity, words)) = self.words_for(event) else {
             return;
         };
@@ -179,7 +176,7 @@ impl Pipeline {
 
     /// Keeps what became of something that the program was asked for.
     pub(super) fn announce_report(&mut self, severity: u8, words: &str) {
-        if self.links.values().all(|link| link.voice.is_none()) {
+        if !self.has_voices {
             return;
         }
         let text = Text {

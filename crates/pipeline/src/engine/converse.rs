@@ -1,10 +1,12 @@
 //! The conversation beside the telemetry: what the sessions want done, and what they learn about clocks.
 
+use std::ops::Bound;
+
 use posebridge_protocol::message::Message;
-use posebridge_protocol::routing::Occurrence;
+use posebridge_protocol::routing::{Occurrence, Way};
 use posebridge_protocol::session::SessionOutput;
 use posebridge_telemetry::{
-    Address, Event, HostClock, LinkId, LinkState, Priority, RobotId, Stamp,
+    Address, Event, HostClock, LinkId, LinkState, PeerId, Priority, RobotId, Stamp,
 };
 
 use super::Pipeline;
@@ -49,6 +51,18 @@ impl Pipeline {
             }
         }
         self.drain_session(arrival);
+    }
+
+    /// Does what sessions want done that were given something to say by others than their peers.
+    pub(super) fn drain_sessions(&mut self, now: Stamp<HostClock>) {
+        let mut next = self.links.keys().next().copied();
+        while let Some(link) = next {
+            let peer = PeerId::default();
+            let way = Way { link, peer };
+            self.drain_session(Arrival { way, at: now });
+            let behind = (Bound::Excluded(link), Bound::Unbounded);
+            next = self.links.range(behind).next().map(|(id, _)| *id);
+        }
     }
 
     /// Does what the session of a link wants done after it took what came so, or time.

@@ -31,7 +31,8 @@ impl Pipeline {
         let robot = self.robot.unwrap_or_default();
         self.tell(Event::Estimated { robot, estimate });
         self.publish_on(robot.link, &estimate, now);
-        self.for_others = Some(estimate);
+        let has_others = self.links.len() > 1 || !self.links.contains_key(&robot.link);
+        self.for_others = has_others.then_some(estimate);
     }
 
     /// To all others when nobody waits.
@@ -60,14 +61,14 @@ impl Pipeline {
 
     /// What became of an observation, to whoever wants to know.
     pub(super) fn publish_record(&mut self, record: &FusionRecord) {
-        let host = self.host_instant(record.stamp);
         if record.degrees_of_freedom > 0 {
             self.last_records.insert(record.sensor, record.clone());
         }
-        let now = self.now;
+        let (clock, now) = (&self.brick_clock, self.now);
+        let host = || clock.host_at(record.stamp).map_or(now, |(host, _)| host);
         let mut wanted = Vec::new();
         for (id, link) in &mut self.links {
-            let said = link.publisher.of_record(record, host, now).into_iter();
+            let said = link.publisher.of_record(record, &host, now).into_iter();
             wanted.extend(said.map(|(kind, message)| (*id, kind, message)));
         }
         for (id, kind, message) in wanted {

@@ -5,7 +5,7 @@
 
 use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
-use posebridge_protocol::routing::{Check, Occurrence, Router, Way, priority_of};
+use posebridge_protocol::routing::{Check, Occurrence, Router, Sender, Sharing, Way, priority_of};
 use posebridge_telemetry::{
     Address, Audience, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp,
 };
@@ -23,15 +23,6 @@ pub(super) struct Passage<'a> {
     /// The robot's voice on the link, which may have to answer a command in its place.
     voice: Option<&'a RobotVoice>,
     seen: Seen,
-}
-
-/// Whether somebody else is at the other end of a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Sharing {
-    /// Only the peer itself.
-    Alone,
-    /// Others, too.
-    Shared,
 }
 
 /// What a passage leaves behind.
@@ -61,15 +52,20 @@ pub(super) struct Passed {
     pub(super) bytes: Vec<u8>,
 }
 
-impl Sharing {
-    /// Whether a peer has a link for itself.
-    pub(super) fn of(link: &Link, peer: PeerId, now: Stamp<HostClock>) -> Self {
-        let told = link.health.port.peers;
-        if link.peers.has_other_than(peer, now, told) {
-            Self::Shared
-        } else {
-            Self::Alone
-        }
+impl Seen {
+    /// Whether there is anything to be done about it.
+    pub(super) const fn is_something(&self) -> bool {
+        self.filtered > 0 || self.duplicates > 0 || self.namesakes > 0 || !self.passed.is_empty()
+    }
+}
+
+/// Whether a peer has a link for itself.
+pub(super) fn sharing_of(link: &Link, peer: PeerId, now: Stamp<HostClock>) -> Sharing {
+    let told = link.health.port.peers;
+    if link.peers.has_other_than(peer, now, told) {
+        Sharing::Shared
+    } else {
+        Sharing::Alone
     }
 }
 
@@ -103,14 +99,13 @@ impl<'a> Passage<'a> {
             self.seen.filtered += 1;
             return None;
         }
-        let mut routed = self.router.route(self.now, self.from, frame, check);
+        let sharing = self.sharing;
+        let sender = Sender { check, sharing };
+        let mut routed = self.router.route(self.now, self.from, frame, sender);
         match routed.occurrence {
             Occurrence::Redundant | Occurrence::Detour => self.seen.duplicates += 1,
             Occurrence::Namesake => self.seen.namesakes += 1,
             Occurrence::First | Occurrence::Echo => {}
-        }
-        if self.sharing == Sharing::Alone {
-            routed.to.retain(|(link, _)| *link != self.from.link);
         }
         if self.is_answered_here(frame) {
             routed.to.clear();

@@ -54,6 +54,9 @@ impl Pipeline {
 
     /// Lets the links for ground stations know who the robot is, and whether it is there. To be called before their sessions are woken.
     pub(super) fn show_robot(&mut self) {
+        if !self.has_voices {
+            return;
+        }
         let presence = if self.robot_is_heard() {
             Presence::Shown
         } else {

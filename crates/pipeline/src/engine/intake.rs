@@ -12,7 +12,7 @@ use posebridge_telemetry::{
 };
 
 use super::bricks::Noted;
-use super::forward::{Passage, Sharing};
+use super::forward::{Passage, sharing_of};
 use super::{Pipeline, SEVERITY_WARNING};
 use crate::peers::Believed;
 
@@ -87,13 +87,13 @@ impl Pipeline {
             return;
         }
         let way = Way { link: id, peer };
-        let sharing = Sharing::of(link, peer, now);
+        let sharing = sharing_of(link, peer, now);
         let voice = link.voice.as_ref();
         let mut intake = Intake {
             link: id,
             passage: Passage::new(&mut self.router, now, way, sharing, voice),
             refused_frames: 0,
-            arrived: Vec::new(),
+            arrived: std::mem::take(&mut self.spare),
             events: Vec::new(),
             complaints: Vec::new(),
         };
@@ -105,15 +105,20 @@ impl Pipeline {
             Came::End => link.peers.end(now, peer, &mut sink),
         }
         link.health.refused_frames += intake.refused_frames;
-        let (arrived, events, complaints) = (intake.arrived, intake.events, intake.complaints);
-        self.passages.push((id, intake.passage.finish()));
+        let (mut arrived, events, complaints) = (intake.arrived, intake.events, intake.complaints);
+        let seen = intake.passage.finish();
+        if seen.is_something() {
+            self.passages.push((id, seen));
+        }
         self.outputs.extend(events.into_iter().map(Output::Event));
         for complaint in complaints {
             self.complain(id, complaint);
         }
-        for message in arrived {
+        for message in arrived.drain(..) {
             self.handle_message(Arrival { way, at }, &message);
         }
+        // Its room is used again.
+        self.spare = arrived;
     }
 
     /// Tells once why the payloads of a sender's message make no sense; each of them is counted as a defect.

@@ -51,10 +51,10 @@ impl Pipeline {
             self.robot_heard = Some((arrival.way, self.now));
         }
         self.handle_temperature(arrival, id, arrived);
-        for reading in self.interpreter.readings(message).into_iter().flatten() {
+        for reading in self.interpreter.readings(message).iter().flatten() {
             // What went round a loop is news only from the robot, whose telemetry counts on its own link alone.
-            if occurrence == Occurrence::First || self.is_of_robot(id, source, &reading) {
-                self.handle_reading(arrival, id, source, &reading);
+            if occurrence == Occurrence::First || self.is_of_robot(id, source, reading) {
+                self.handle_reading(arrival, id, source, reading);
             }
         }
     }

@@ -34,7 +34,7 @@ pub fn gates_of(config: &FilterConfig) -> Gates {
 }
 
 /// A gyro that has been silent for longer no longer outranks the encoders' turn rate.
-const GYRO_SILENT: Span = Span::from_millis(500);
+pub(super) const GYRO_SILENT: Span = Span::from_millis(500);
 /// Accelerations further apart than this say nothing about the time between.
 const LONGEST_ACCELERATION: Span = Span::from_millis(200);
 
@@ -172,7 +172,7 @@ pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &Context<'_>) 
 
 /// Whether gyro and encoders disagree by more than rounding can, beyond what chance adds. Rounding is not normal but bounded: while
 /// a robot turns slowly, counts of both wheels that come together reach the bound again and again.
-fn shows_slip<const N: usize>(
+pub(super) fn shows_slip<const N: usize>(
     state: &PoseState<N>,
     scalar: &Scalar<3>,
     context: &Context<'_>,
@@ -230,7 +230,7 @@ fn rounded<const N: usize>(state: &PoseState<N>, context: &Context<'_>) -> Round
 }
 
 /// The window so far: its measurement and how it fits, nothing changed.
-fn judged_gyro<const N: usize>(
+pub(super) fn judged_gyro<const N: usize>(
     state: &PoseState<N>,
     context: &Context<'_>,
 ) -> Option<(Scalar<3>, ScalarOutcome)> {

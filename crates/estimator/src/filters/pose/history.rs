@@ -1,11 +1,10 @@
-//! What the pose filter was told lately, in the order of time, with the state after each.
+//! What the pose filter is told, and in which order it is applied.
 
 use std::cmp::Ordering;
 
 use posebridge_telemetry::{BrickClock, Fix, Heading, Observed, SensorId, Span, Stamp, Verdict};
 
 use super::revise::Revision;
-use super::state::PoseState;
 use crate::filters::StartPose;
 use crate::observations::accelerometer::Accelerations;
 
@@ -72,26 +71,17 @@ impl Told {
             .then_with(|| self.action.order(&other.action))
     }
 
+    /// Whether this is a sight that was not used.
+    pub(super) const fn is_without_effect(&self, verdict: Verdict) -> bool {
+        matches!(self.action, Action::Sight(..))
+            && !matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
+    }
+
     /// Whether another says the same of the same instant: a datagram that came twice.
     pub(super) fn repeats(&self, other: &Self) -> bool {
         self.stamp == other.stamp
             && self.sensor == other.sensor
             && self.action.repeats(&other.action)
-    }
-}
-
-#[derive(Clone, Debug)]
-pub(super) struct Entry<const N: usize> {
-    pub(super) told: Told,
-    /// The state after it.
-    pub(super) after: PoseState<N>,
-}
-
-impl<const N: usize> Entry<N> {
-    /// Whether this is a sight that was not used.
-    pub(super) const fn is_without_effect(&self, verdict: Verdict) -> bool {
-        matches!(self.told.action, Action::Sight(..))
-            && !matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
     }
 }
 

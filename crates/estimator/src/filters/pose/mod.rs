@@ -6,11 +6,14 @@
 //!
 //! Source: docs/maths/pose.md.
 
+mod abreast;
+mod entries;
 pub mod fuse;
 mod history;
 mod iterate;
 pub mod motion;
 pub mod observer_spaces;
+mod outlook;
 mod placing;
 mod revise;
 pub mod scales;
@@ -19,17 +22,17 @@ pub mod smooth;
 pub mod state;
 
 use std::cmp::Ordering;
-use std::collections::VecDeque;
 
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, FusionRecord, Known, MetersPerSecond, Observation, Observed,
-    RadiansPerSecond, SensorId, Span, Stamp, Validity, Verdict,
+    BrickClock, Calibration, Estimate, FusionRecord, Known, Observation, Observed, SensorId, Span,
+    Stamp, Verdict,
 };
 
+use self::entries::{Applied, Entries};
 use self::fuse::{Context, Gates};
-use self::history::{Action, Entry, Told};
+use self::history::{Action, Told};
 use self::revise::Revision;
-use self::state::{CORE, Located, PoseState, WITH_CAMERA, WITH_RANGES};
+use self::state::{CORE, PoseState, WITH_CAMERA, WITH_RANGES};
 use super::{Adjustment, Filter, FilterConfig, StartPose, intake};
 use crate::motion::{Added, GyroTrack, MotionReading, MotionTrack, count_before};
 use crate::observations::accelerometer::Accelerations;
@@ -37,8 +40,6 @@ use crate::params::Params;
 
 /// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
 const LONGEST_HOLE: Span = Span::from_millis(10_000);
-/// Speeds are stale when no motion was observed for this long.
-const SPEEDS_VALID: Span = Span::from_millis(500);
 
 /// Builds the flagship with as many states as the configuration asks for.
 #[must_use]
@@ -71,10 +72,10 @@ pub struct PoseFilter<const N: usize> {
     track: MotionTrack,
     gyro: GyroTrack,
     gates: Gates,
-    /// The state before the first entry.
-    base: PoseState<N>,
     /// In the order of [`Told::order`].
-    entries: VecDeque<Entry<N>>,
+    entries: Entries<N>,
+    /// The last entry was applied by the tunables that hold.
+    is_last_current: bool,
     /// Up to which instant the slip that was noticed has been told.
     slip_told: Option<Stamp<BrickClock>>,
 }
@@ -88,8 +89,8 @@ impl<const N: usize> PoseFilter<N> {
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             gyro: GyroTrack::default(),
             gates: fuse::gates_of(config),
-            base: PoseState::initial(config),
-            entries: VecDeque::new(),
+            entries: Entries::new(PoseState::initial(config)),
+            is_last_current: false,
             slip_told: None,
         }
     }
@@ -110,7 +111,7 @@ impl<const N: usize> PoseFilter<N> {
     /// The state after the last entry.
     #[must_use]
     pub fn state(&self) -> &PoseState<N> {
-        self.entries.back().map_or(&self.base, |entry| &entry.after)
+        self.entries.last()
     }
 
     /// Puts what was told where it belongs and applies again whatever it changes: everything after `changed_after`.
@@ -120,34 +121,19 @@ impl<const N: usize> PoseFilter<N> {
         changed_after: Option<Stamp<BrickClock>>,
         record: &mut FusionRecord,
     ) {
-        let index = count_before(&self.entries, |other| {
-            other.told.order(&told) != Ordering::Greater
-        });
+        let entries = self.entries.told();
+        let index = count_before(entries, |other| other.order(&told) != Ordering::Greater);
         let first_changed = changed_after.map_or(index, |after| {
-            count_before(&self.entries, |other| other.told.stamp <= after)
+            count_before(entries, |other| other.stamp <= after)
         });
-        if first_changed.min(index) == self.entries.len() {
-            self.append(told, record);
+        let first = first_changed.min(index);
+        if first == index && self.is_abreast_of_last(&told, index, changed_after) {
+            self.insert_abreast(told, index, record);
         } else {
-            let after = self.base;
-            self.entries.insert(index, Entry { told, after });
-            self.apply_from(first_changed.min(index), (index, record));
+            self.entries.insert(index, told);
+            self.apply_from(first, (index, record));
         }
         self.forget();
-    }
-
-    /// What nearly everything is: the youngest, which changes nothing before it. The state is large, and is copied no more than it must.
-    fn append(&mut self, told: Told, record: &mut FusionRecord) {
-        let before = self.state();
-        let mut entry = Entry {
-            told,
-            after: *before,
-        };
-        act(&mut entry.after, &told, &self.context(), record);
-        if entry.is_without_effect(record.verdict) {
-            entry.after = before.after_refusal(&entry.after);
-        }
-        self.entries.push_back(entry);
     }
 
     fn context(&self) -> Context<'_> {
@@ -160,37 +146,30 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     fn apply_from(&mut self, first: usize, (wanted, recorded): (usize, &mut FusionRecord)) {
-        let before = first.checked_sub(1).and_then(|i| self.entries.get(i));
-        let mut state = before.map_or(self.base, |entry| entry.after);
         let context = Context {
             config: &self.config,
             track: &self.track,
             gyro: &self.gyro,
             gates: &self.gates,
         };
-        for (index, entry) in self.entries.iter_mut().enumerate().skip(first) {
-            let mut scratch = scratch_record(&entry.told);
-            let record = if index == wanted {
-                &mut *recorded
+        for index in first..self.entries.len() {
+            let entry = self.entries.apply(index);
+            if index == wanted {
+                apply(entry, &context, recorded);
             } else {
-                &mut scratch
-            };
-            // The state is large: it is kept aside only where it may be wanted back.
-            let aside = matches!(entry.told.action, Action::Sight(..)).then_some(state);
-            act(&mut state, &entry.told, &context, record);
-            if let Some(before) = aside.filter(|_| entry.is_without_effect(record.verdict)) {
-                state = before.after_refusal(&state);
+                let mut scratch = scratch_record(entry.told);
+                apply(entry, &context, &mut scratch);
             }
-            entry.after = state;
         }
+        self.is_last_current = true;
     }
 
     /// Up to where nothing can change when only observations from `horizon` on are accepted. One of them changes what was
     /// interpolated since the reading before it, so each sensor's last reading up to the horizon is where its past is settled.
     fn settled_at(&self, horizon: Stamp<BrickClock>) -> Stamp<BrickClock> {
         [
-            self.track.last_until(horizon),
-            self.gyro.last_until(horizon),
+            self.track.last_of_old(horizon),
+            self.gyro.last_of_old(horizon),
         ]
         .into_iter()
         .flatten()
@@ -200,25 +179,27 @@ impl<const N: usize> PoseFilter<N> {
 
     fn forget(&mut self) {
         let Some(latest) = self.latest() else { return };
-        let settled = self.settled_at(latest - Span::from_secs_f64(self.config.params.history_s));
-        let entries = self.entries.iter();
-        let settled = entries
-            .take_while(|entry| entry.told.stamp < settled)
-            .count();
-        if let Some(last) = settled.checked_sub(1).and_then(|i| self.entries.get(i)) {
-            self.base = last.after;
-            self.entries.drain(..settled);
+        let horizon = latest - Span::from_secs_f64(self.config.params.history_s);
+        let oldest = self.entries.told().front().map(|told| told.stamp);
+        if oldest.is_some_and(|oldest| oldest < horizon) {
+            self.forget_before(self.settled_at(horizon));
         }
-        if let Some(oldest) = self.base.stamp {
+        let base = &self.entries.base;
+        if let Some(oldest) = base.stamp {
             // The open gyro window may reach back behind the history.
-            let needed = self
-                .base
+            let needed = base
                 .window
                 .map_or(oldest, |window| window.start.min(oldest));
             // A late camera shows what was before that.
             self.track.forget_before(oldest - sight::FURTHEST_BACK);
             self.gyro.forget_before(needed);
         }
+    }
+
+    fn forget_before(&mut self, settled_at: Stamp<BrickClock>) {
+        let told = self.entries.told().iter();
+        let settled = told.take_while(|told| told.stamp < settled_at).count();
+        self.entries.forget(settled);
     }
 
     fn take(&mut self, observation: &Observation, record: &mut FusionRecord) {
@@ -249,11 +230,8 @@ impl<const N: usize> PoseFilter<N> {
     fn take_once(&mut self, observation: &Observation, action: Action, record: &mut FusionRecord) {
         let told = told(observation, action);
         // In the order of time: behind the first that is older there is no other of this instant.
-        let is_repeated = self
-            .entries
-            .iter()
-            .rev()
-            .map(|other| &other.told)
+        let entries = self.entries.told().iter().rev();
+        let is_repeated = entries
             .take_while(|other| other.stamp >= observation.stamp)
             .any(|other| other.repeats(&told));
         if is_repeated {
@@ -283,8 +261,8 @@ impl<const N: usize> PoseFilter<N> {
     fn take_word(&mut self, action: Action) {
         let Some(stamp) = self.latest() else {
             match action {
-                Action::SetPose(start) => self.base.jump_to(&start),
-                Action::Revise(revision) => self.base.revise(revision, &self.config),
+                Action::SetPose(start) => self.entries.base.jump_to(&start),
+                Action::Revise(revision) => self.entries.base.revise(revision, &self.config),
                 Action::TurnRate(_)
                 | Action::Accelerations(_)
                 | Action::Motion
@@ -304,6 +282,7 @@ impl<const N: usize> PoseFilter<N> {
     fn set_params(&mut self, params: &Params) {
         self.config.params = *params;
         self.gates = fuse::gates_of(&self.config);
+        self.is_last_current = false;
         self.track
             .set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
     }
@@ -352,8 +331,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
         // The stamps of before mean nothing.
         state.slipped_at = None;
         self.slip_told = None;
-        self.base = state;
-        self.entries.clear();
+        self.entries.restart(state);
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
         self.gyro = GyroTrack::default();
     }
@@ -363,25 +341,15 @@ impl<const N: usize> Filter for PoseFilter<N> {
     }
 
     fn latest(&self) -> Option<Stamp<BrickClock>> {
-        self.entries
-            .back()
-            .map(|entry| entry.told.stamp)
-            .or(self.base.stamp)
+        let last = self.entries.told().back();
+        last.map(|told| told.stamp).or(self.entries.base.stamp)
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
-        let index = count_before(&self.entries, |entry| entry.told.stamp <= stamp);
-        let from = index
-            .checked_sub(1)
-            .and_then(|i| self.entries.get(i))
-            .map_or(&self.base, |entry| &entry.after);
+        let index = count_before(self.entries.told(), |told| told.stamp <= stamp);
+        let from = self.entries.before(index);
         from.stamp.filter(|known_from| *known_from <= stamp)?;
-        let mut state = *from;
-        let context = self.context();
-        state.advance(stamp, context.track, context.config);
-        // The open window is used for the outside only; inside it stays open until it is full.
-        fuse::use_gyro_window(&mut state, &context);
-        Some(published(&state, stamp, &self.config))
+        Some(outlook::estimate(from, stamp, &self.context()))
     }
 }
 
@@ -417,6 +385,19 @@ fn action_of(observation: &Observation) -> Option<Action> {
     }
 }
 
+/// Applies an entry to the state before it.
+fn apply<const N: usize>(entry: Applied<'_, N>, context: &Context<'_>, record: &mut FusionRecord) {
+    let Applied {
+        told,
+        before,
+        after,
+    } = entry;
+    act(after, told, context, record);
+    if told.is_without_effect(record.verdict) {
+        *after = before.after_refusal(after);
+    }
+}
+
 fn act<const N: usize>(
     state: &mut PoseState<N>,
     told: &Told,
@@ -441,33 +422,6 @@ fn act<const N: usize>(
         Action::Sight(seen, sigma) => sight::sight(state, &seen, sigma, context, record),
         Action::SetPose(start) => state.jump_to(&start),
         Action::Revise(revision) => state.revise(revision, context.config),
-    }
-}
-
-fn published<const N: usize>(
-    state: &PoseState<N>,
-    stamp: Stamp<BrickClock>,
-    config: &FilterConfig,
-) -> Estimate {
-    let fix_age = state.last_fix.map(|last| (stamp - last).max(Span::ZERO));
-    let timeout = Span::from_secs_f64(config.params.fix_timeout_s);
-    Estimate {
-        stamp,
-        pose: state.arena_pose(),
-        forward_speed: MetersPerSecond(state.forward.value),
-        turn_rate: RadiansPerSecond(state.turn.value),
-        covariance: state.published_covariance(),
-        validity: Validity {
-            position: state.located != Located::No,
-            heading: state.knows_heading(),
-            speeds: state
-                .last_motion
-                .is_some_and(|last| stamp - last <= SPEEDS_VALID),
-        },
-        is_dead_reckoning: fix_age.is_none_or(|age| age > timeout),
-        fix_age,
-        reset_counter: state.reset_counter,
-        last_jump: state.last_jump,
     }
 }
 

@@ -12,8 +12,6 @@
 //! # Source
 //! docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
 
-use std::ops::{Add, Mul, Sub};
-
 use nalgebra::SMatrix;
 use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp};
 
@@ -122,12 +120,9 @@ impl Transition {
     }
 
     /// What errors before the step become in the rows that it moves: forward, left, heading, turn since the window began. The
-    /// errors are given by `error`, row for row: numbers, or whole rows of a matrix.
+    /// errors are given by `error`, row for row.
     #[inline]
-    fn moved<T>(&self, error: impl Fn(usize) -> T) -> [T; 4]
-    where
-        T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f64, Output = T>,
-    {
+    fn moved(&self, error: impl Fn(usize) -> f64) -> [f64; 4] {
         let step = &self.step;
         let (mean, difference) = (error(RADIUS), error(DIFFERENCE));
         let along = mean * self.forward_by[0] + difference * self.forward_by[1];
@@ -148,12 +143,18 @@ impl Transition {
     ///
     /// Only `MOVED` rows and columns change. F P is formed for these rows; of its product with F' only the block where they
     /// meet is left to do, the rest follows by symmetry. A row of P is read as the column that it equals, which lies in one
-    /// piece in memory.
+    /// piece in memory: so the compiler takes two of its numbers at a time.
     pub fn carry<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
-        let rows = self.moved(|row| p.column(row).into_owned());
+        let mut rows = [[0.0; N]; 4];
+        for i in 0..N {
+            let moved = self.moved(|row| p[(i, row)]);
+            for (row, moved) in rows.iter_mut().zip(moved) {
+                row[i] = moved;
+            }
+        }
         let q = self.noise(noise);
         for (&row, values) in MOVED.iter().zip(&rows) {
-            p.set_column(row, values);
+            p.column_mut(row).copy_from_slice(values);
             for column in 0..N {
                 p[(row, column)] = values[column];
             }
@@ -363,16 +364,15 @@ impl<const N: usize> PoseState<N> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::filters::pose::state::CORE;
     use crate::params::Params;
     use posebridge_telemetry::{Calibration, Meters, Radians, SensorNoise};
 
-    #[test]
-    fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
-        let ms = Stamp::from_millis;
-        let config = FilterConfig {
+    /// A robot without errors.
+    pub(in super::super) fn config() -> FilterConfig {
+        FilterConfig {
             geometry: DriveGeometry {
                 left_wheel_radius: Meters(0.03),
                 right_wheel_radius: Meters(0.03),
@@ -384,7 +384,13 @@ mod tests {
             params: Params::default(),
             calibration: Calibration::default(),
             world: std::sync::Arc::default(),
-        };
+        }
+    }
+
+    #[test]
+    fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
+        let ms = Stamp::from_millis;
+        let config = config();
         let mut whole = PoseState::<CORE>::initial(&config);
         whole.age(ms(0), &config);
         whole.last_acceleration = Some(ms(0));

@@ -69,6 +69,9 @@ pub const WITH_RANGES: usize = LANDMARK_OFFSET + 2;
 /// A heading is published as known once its sigma is below this, rad: a third of a right angle.
 const HEADING_KNOWN_RAD: f64 = 0.5;
 
+/// Covariance of the pose's error in the body: forward m, left m, turn rad.
+pub(super) type PoseBlock = [[f64; 3]; 3];
+
 /// How far the filter knows where in the arena it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Located {
@@ -288,11 +291,7 @@ impl<const N: usize> PoseState<N> {
     /// Where the robot is believed to be.
     #[must_use]
     pub fn arena_pose(&self) -> Pose<Arena> {
-        Pose::new(
-            Meters(self.pose.x_m),
-            Meters(self.pose.y_m),
-            Heading::from_rad(self.pose.heading_rad),
-        )
+        arena_pose(self.pose)
     }
 
     /// Moves what the last update wrote into the rows of the pose's error into the pose.
@@ -307,8 +306,12 @@ impl<const N: usize> PoseState<N> {
     /// Whether the heading in the arena is known.
     #[must_use]
     pub fn knows_heading(&self) -> bool {
-        self.located == Located::Yes
-            && self.covariance[(HEADING, HEADING)] < HEADING_KNOWN_RAD.powi(2)
+        self.knows_heading_by(self.covariance[(HEADING, HEADING)])
+    }
+
+    /// The same of a heading with this variance.
+    pub(super) fn knows_heading_by(&self, heading_rad2: f64) -> bool {
+        self.located == Located::Yes && heading_rad2 < HEADING_KNOWN_RAD.powi(2)
     }
 
     /// Puts the robot somewhere; counted as a jump that is not motion.
@@ -398,17 +401,26 @@ impl<const N: usize> PoseState<N> {
     /// The covariance of pose and speeds in the arena, for the outside.
     #[must_use]
     pub fn published_covariance(&self) -> [[f64; 5]; 5] {
-        let (sin, cos) = self.pose.heading_rad.sin_cos();
-        let p = &self.covariance;
-        let (ff, fl, ll) = (p[(FORWARD, FORWARD)], p[(FORWARD, LEFT)], p[(LEFT, LEFT)]);
-        let (fh, lh) = (p[(FORWARD, HEADING)], p[(LEFT, HEADING)]);
+        self.covariance_in_arena(self.pose.heading_rad, &self.pose_covariance())
+    }
+
+    /// The covariance of the pose's error, in the body.
+    pub(super) fn pose_covariance(&self) -> PoseBlock {
+        let rows = [FORWARD, LEFT, HEADING];
+        rows.map(|row| rows.map(|column| self.covariance[(row, column)]))
+    }
+
+    /// The covariance of pose and speeds in the arena, of a pose with this heading and this error.
+    pub(super) fn covariance_in_arena(&self, heading_rad: f64, p: &PoseBlock) -> [[f64; 5]; 5] {
+        let (sin, cos) = heading_rad.sin_cos();
+        let [[ff, fl, fh], [_, ll, lh], [_, _, hh]] = *p;
         let mut published = [[0.0; 5]; 5];
         published[0][0] = cos * cos * ff - 2.0 * sin * cos * fl + sin * sin * ll;
         published[1][1] = sin * sin * ff + 2.0 * sin * cos * fl + cos * cos * ll;
         published[0][1] = sin * cos * (ff - ll) + (cos * cos - sin * sin) * fl;
         published[0][2] = cos * fh - sin * lh;
         published[1][2] = sin * fh + cos * lh;
-        published[2][2] = p[(HEADING, HEADING)];
+        published[2][2] = hh;
         published[1][0] = published[0][1];
         published[2][0] = published[0][2];
         published[2][1] = published[1][2];
@@ -449,6 +461,12 @@ impl<const N: usize> PoseState<N> {
             ..*prior
         }
     }
+}
+
+/// A pose of the model as one for the outside.
+pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
+    let heading = Heading::from_rad(pose.heading_rad);
+    Pose::new(Meters(pose.x_m), Meters(pose.y_m), heading)
 }
 
 /// The gyro's bias at power-up: what the calibration says, or any within the gyro's own spread.
