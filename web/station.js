@@ -6,7 +6,7 @@ import { list } from './model/robot.js';
 const MOST_PARAMETERS = 200;
 
 export class Station {
-  /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void}} page */
+  /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void, isReplay: () => boolean}} page */
   constructor(page) {
     this.page = page;
     this.isGreeted = false;
@@ -16,6 +16,8 @@ export class Station {
     this.parameters = new Map();
     this.recordings = [];
     this.recording = null;
+    /** The recording that was being written when the list was read; null if none was. */
+    this.listed = null;
   }
 
   /** Takes what a connection begins with. */
@@ -27,6 +29,7 @@ export class Station {
     this.parameters = new Map(list(hello.parameters).filter(isParameter).slice(0, MOST_PARAMETERS).map((parameter) => [parameter.name, parameter]));
     this.recordings = list(hello.recordings).filter(isRecord);
     this.recording = null;
+    this.listed = this.recordings.find((row) => row.is_current)?.name ?? null;
   }
 
   /** Takes what a frame says besides a session's data. */
@@ -35,7 +38,16 @@ export class Station {
       const known = this.parameters.get(name);
       if (known && Number.isFinite(value)) known.value = value;
     }
-    if (frame.recording !== undefined) this.recording = isRecord(frame.recording) ? frame.recording : null;
+    if (frame.recording !== undefined) this.#takeRecording(isRecord(frame.recording) ? frame.recording : null);
+  }
+
+  // Whoever began or ended one, here, in another browser or because a part was full: the list is another one.
+  #takeRecording(recording) {
+    this.recording = recording;
+    const name = recording?.name ?? null;
+    if (name === this.listed) return;
+    this.listed = name;
+    this.renewRecordings();
   }
 
   /** The way-points of the simulated robot as pairs of metres. */
@@ -58,6 +70,10 @@ export class Station {
 
   /** Sends a command and says what became of it. Never throws: what went wrong is shown. */
   async command(command) {
+    if (this.page.isReplay()) {
+      this.page.announce('A recording is shown: go back to live to tell the station something.', true);
+      return;
+    }
     const answer = await this.#ask('v1/commands', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(command) });
     if (answer && command.command !== 'drive') this.page.announce(`${command.command}: sent`, false);
   }
