@@ -12,6 +12,7 @@ mod links;
 mod log;
 mod parameters;
 mod robots;
+mod tallies;
 mod trail;
 mod truth;
 
@@ -101,6 +102,7 @@ views![
     estimates::Estimates,
     fixes::Fixes,
     fusion::Fusion,
+    tallies::Tallies,
     calibration::Calibrations,
     truth::Truth,
     links::Links,
