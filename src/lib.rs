@@ -3,6 +3,7 @@
 //! No formula and no byte layout stands here: physics is in the crates, and what happens to data between a socket and a reply is
 //! the pipeline's business. The shell opens files and links, owns the threads and talks to people.
 
+pub mod aligned;
 pub mod cli;
 pub mod collect;
 pub mod commands;
@@ -17,6 +18,7 @@ pub mod learned;
 pub mod link_flags;
 pub mod link_profile;
 pub mod link_target;
+pub mod notes;
 pub mod own_recording;
 pub mod parallel;
 pub mod plotjuggler;

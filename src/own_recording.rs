@@ -11,6 +11,7 @@ use posebridge_telemetry::{
     Span, Stamp,
 };
 
+use crate::aligned::Aligned;
 use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
 use crate::import::{self, Station};
 use crate::signing;
@@ -81,14 +82,6 @@ fn brick_name(brick: RobotId) -> String {
     format!("{}-{}", brick.link, brick.address)
 }
 
-/// An instant by both clocks.
-#[derive(Clone, Copy, Debug)]
-struct Aligned {
-    host: Stamp<HostClock>,
-    brick: Stamp<BrickClock>,
-    skew_ppm: f64,
-}
-
 /// What a recording's events said.
 #[derive(Debug, Default)]
 struct Heard {
@@ -126,16 +119,7 @@ impl Heard {
                 };
                 self.take_reading(brick, channel, reading);
             }
-            Event::BrickClockAligned {
-                host,
-                brick,
-                skew_ppm,
-                ..
-            } => self.aligned.push(Aligned {
-                host,
-                brick,
-                skew_ppm,
-            }),
+            Event::BrickClockAligned { .. } => self.aligned.extend(Aligned::of(event)),
             Event::BrickRestarted { .. } => self.restarts += 1,
             Event::RobotSeen { .. }
             | Event::RobotLost { .. }
@@ -179,8 +163,7 @@ impl Heard {
                 .checked_sub(1)
                 .and_then(|index| self.aligned.get(index))
                 .unwrap_or(first);
-            let since_s = (*arrival - by.host).as_secs_f64();
-            by.brick + Span::from_secs_f64(since_s * (1.0 + 1e-6 * by.skew_ppm))
+            by.brick_at(*arrival)
         });
         Some(converted.collect())
     }

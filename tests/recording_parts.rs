@@ -1,44 +1,18 @@
 //! A recording in parts, as other commands than `replay` tell of it.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
 
+#[path = "support/parted.rs"]
+mod parted;
 mod support;
 
-use std::path::Path;
-
-use posebridge::config::Config;
-use posebridge::tasks::parts::{Limits, Parts};
-use posebridge_recording::container::{FORMAT, Header};
-use posebridge_telemetry::{Input, Span, Stamp};
+use parted::record_ticks;
 use serde_json::{Value, json};
 use support::{posebridge, stdout_of};
-
-/// Seven seconds of ticks, four a second, in parts of two seconds.
-fn record(folder: &Path) {
-    let limits = Limits {
-        part_span: Some(Span::from_millis(2_000)),
-        ..Limits::default()
-    };
-    let header = Header {
-        format: FORMAT,
-        config_toml: toml::to_string(&Config::default()).unwrap(),
-        ..Header::default()
-    };
-    let mut parts = Parts::create(&folder.join("recording.mcap"), header, limits, 0).unwrap();
-    for number in 0..28_u32 {
-        let now = Stamp::from_millis(250 * i64::from(number));
-        parts.record(now, u64::from(number), &Input::Tick).unwrap();
-    }
-    parts.finish(28).unwrap();
-}
 
 #[test]
 fn a_part_is_inspected_alone_and_names_what_continues_it() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    record(folder);
+    record_ticks(folder);
     let inspect = |args: &[&str]| stdout_of(posebridge(folder).arg("inspect").args(args));
     let third = inspect(&["recording.3.mcap", "--json"]);
     let third: Value = serde_json::from_str(&third).unwrap();
@@ -57,7 +31,7 @@ fn a_part_is_inspected_alone_and_names_what_continues_it() {
 #[test]
 fn an_export_of_a_later_part_says_what_it_lacks() {
     let folder = tempfile::tempdir().unwrap();
-    record(folder.path());
+    record_ticks(folder.path());
     let export = |name: &str| {
         let args = ["export", name, "--format", "csv", "--out", "out"];
         let output = posebridge(folder.path()).args(args).output().unwrap();

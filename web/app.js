@@ -1,23 +1,30 @@
 // The page: stream in, session in the middle, panels out. One loop draws everything, with the screen.
 
 import { Session } from './model/session.js';
+import { silence_s } from './model/silence.js';
 import { PANELS } from './panels/index.js';
 import { Replay } from './replay.js';
 import { Station } from './station.js';
 import { Stream } from './stream.js';
 import { element, setText } from './view/dom.js';
-import { metres } from './view/format.js';
+import { headline } from './view/headline.js';
 import { readPalette } from './view/palette.js';
 import { followTheme } from './view/theme.js';
 
 const NOTICE_MS = 6000;
 // A clock that is known so badly says nothing about now.
 const MOST_AHEAD_S = 1;
-const CONNECTION_WORDS = { connecting: 'connecting', live: 'live', lost: 'connection lost, trying again' };
+const CONNECTION_WORDS = {
+  connecting: 'connecting',
+  live: 'live',
+  lost: 'connection lost, trying again',
+  refused: 'the station was restarted: open the address that it prints now',
+};
 
 const page = {
   headline: document.getElementById('headline'),
   connection: document.getElementById('connection'),
+  silence: document.getElementById('silence'),
   announcer: document.getElementById('announcer'),
   robotChoice: document.getElementById('robot-choice'),
   robotSelect: document.getElementById('robot'),
@@ -29,9 +36,9 @@ let isStale = true;
 let turn = 0;
 let noticeTimer = 0;
 
-const station = new Station({ announce, redraw: () => { isStale = true; }, replay: (name) => startReplay(name) });
-const replay = new Replay(document.getElementById('replay-bar'), () => { isStale = true; });
-const view = { session, robot: null, errors: null, until_s: 0, path: [] };
+const station = new Station({ announce, redraw: () => { isStale = true; }, replay: (name) => startReplay(name), isReplay: () => replay.isOn });
+const replay = new Replay(document.getElementById('replay-bar'), showMode);
+const view = { session, isReplay: false, robot: null, errors: null, until_s: 0, silence_s: 0, path: [] };
 
 readPalette();
 const panels = PANELS.map(buildPanel);
@@ -48,12 +55,13 @@ hideToken();
 new Stream(streamAddress(), { onMessage: take, onState: showConnection }).open();
 requestAnimationFrame(frame);
 
-function buildPanel({ id, title, isAnimated, build }) {
+function buildPanel({ id, title, isAnimated, isLive, build }) {
   const body = element('div', { class: 'body' });
+  const rest = element('p', { class: 'note', text: 'These act on the live robot: go back to live to use them.', hidden: true });
   const heading = element('h2', { id: `${id}-title`, text: title });
-  const section = element('section', { class: 'panel', id, 'aria-labelledby': `${id}-title` }, heading, body);
+  const section = element('section', { class: 'panel', id, 'aria-labelledby': `${id}-title` }, heading, rest, body);
   document.getElementById('panels').append(section);
-  const built = { section, isAnimated: Boolean(isAnimated), isVisible: true, isDue: true, panel: build(body, station) };
+  const built = { section, body, rest, isLive: Boolean(isLive), isAnimated: Boolean(isAnimated), isVisible: true, isDue: true, panel: build(body, station) };
   new IntersectionObserver((entries) => {
     built.isVisible = entries[entries.length - 1].isIntersecting;
     built.isDue = true;
@@ -66,7 +74,7 @@ function take(message) {
   if (message.type === 'hello') {
     session = new Session();
     station.greet(message);
-    session.begin(message.history);
+    session.apply(message.history);
     session.apply({ now_s: message.now_s });
   } else if (message.type === 'frame') {
     session.apply(message);
@@ -96,11 +104,13 @@ function frame(now_ms) {
 
 // What the panels are shown: the live session or the replayed one, at its time.
 function look() {
+  view.isReplay = replay.isOn;
   view.session = replay.isOn ? replay.session : session;
   const robots = view.session.estimated();
   view.robot = robots.find(({ id }) => id === shownRobot) ?? robots[0] ?? null;
   view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
   view.until_s = replay.isOn ? replay.until_s : liveTime();
+  view.silence_s = silence_s(view.robot?.estimates, view.until_s);
   view.path = station.path();
 }
 
@@ -130,15 +140,20 @@ function draw(built) {
 }
 
 function showHeadline() {
-  const estimate_m = view.errors?.recent('estimate_m', view.until_s) ?? NaN;
-  const odometry_m = view.errors?.recent('odometry_m', view.until_s) ?? NaN;
-  if (Number.isFinite(estimate_m) && Number.isFinite(odometry_m)) {
-    setText(page.headline, `odometry ${metres(odometry_m)} off, estimate ${metres(estimate_m)} off`);
-  } else if (view.robot) {
-    setText(page.headline, `robot ${view.robot.id}`);
-  } else {
-    setText(page.headline, 'Waiting for a robot…');
+  setText(page.headline, headline(view));
+  page.silence.hidden = view.silence_s === 0;
+  if (view.silence_s > 0) setText(page.silence, `robot silent for ${Math.floor(view.silence_s)} s`);
+}
+
+// Live or a recording: what acts on the live robot rests while another one is shown.
+function showMode() {
+  for (const { isLive, body, rest, panel } of panels) {
+    if (!isLive) continue;
+    body.inert = replay.isOn;
+    rest.hidden = !replay.isOn;
+    if (replay.isOn) panel.rest?.();
   }
+  isStale = true;
 }
 
 function showRobots() {
@@ -161,7 +176,7 @@ async function startReplay(name) {
   if (!history) return;
   if (replay.begin(name, history)) announce(`Replay of ${name}`, false);
   else announce(`${name} holds no estimate.`, true);
-  isStale = true;
+  showMode();
 }
 
 function announce(text, isError) {

@@ -25,8 +25,8 @@ export class Replay {
 
   /** Begins with what the station computed of a recording; says whether there is anything in it. */
   begin(name, history) {
-    const session = new Session(CAPACITY);
-    session.begin(history);
+    const session = new Session(CAPACITY, CAPACITY);
+    session.apply(history);
     const span = session.span();
     if (!span) return false;
     this.session = session;

@@ -7,7 +7,7 @@ const MOST_PARAMETERS = 200;
 const MOST_SWITCHES = 256;
 
 export class Station {
-  /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void}} page */
+  /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void, isReplay: () => boolean}} page */
   constructor(page) {
     this.page = page;
     this.isGreeted = false;
@@ -20,6 +20,8 @@ export class Station {
     this.switchedOff = new Set();
     // Counts what was told of switches: who shows them looks whether there is anything new.
     this.switchesTold = 0;
+    /** The recording that was being written when the list was read; null if none was. */
+    this.listed = null;
   }
 
   /** Takes what a connection begins with. */
@@ -31,6 +33,7 @@ export class Station {
     this.parameters = new Map(list(hello.parameters).filter(isParameter).slice(0, MOST_PARAMETERS).map((parameter) => [parameter.name, parameter]));
     this.recordings = list(hello.recordings).filter(isRecord);
     this.recording = null;
+    this.listed = this.recordings.find((row) => row.is_current)?.name ?? null;
     this.switchedOff = new Set();
     this.#takeStanding(isRecord(hello.history) ? hello.history : {});
   }
@@ -41,7 +44,7 @@ export class Station {
       const known = this.parameters.get(name);
       if (known && Number.isFinite(value)) known.value = value;
     }
-    if (frame.recording !== undefined) this.recording = isRecord(frame.recording) ? frame.recording : null;
+    if (frame.recording !== undefined) this.#takeRecording(isRecord(frame.recording) ? frame.recording : null);
     this.#takeStanding(frame);
   }
 
@@ -60,6 +63,16 @@ export class Station {
       this.simulator.steering = frame.simulator.steering;
       this.simulator.link_profile = frame.simulator.link_profile;
     }
+  }
+
+  // Whoever began or ended one, here, in another browser or because a part was full: the list is another one.
+  #takeRecording(recording) {
+    this.recording = recording;
+    const name = recording?.name ?? null;
+    const isListed = name === null || this.recordings.some((row) => row.name === name);
+    if (name === this.listed && isListed) return;
+    this.listed = name;
+    this.renewRecordings();
   }
 
   /** The way-points of the simulated robot as pairs of metres. */
@@ -82,6 +95,10 @@ export class Station {
 
   /** Sends a command and says what became of it; gives whether it was taken. Never throws: what went wrong is shown. */
   async command(command) {
+    if (this.page.isReplay()) {
+      this.page.announce('A recording is shown: go back to live to tell the station something.', true);
+      return;
+    }
     const answer = await this.#ask('v1/commands', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(command) });
     if (answer && command.command !== 'drive') this.page.announce(`${command.command}: sent`, false);
     return answer !== null;

@@ -248,6 +248,7 @@ pub fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
             value: known.value,
             sigma: known.sigma,
             unit: unit_of(row.key).to_owned(),
+            ..CalibrationRow::default()
         }
     });
     rows.collect()

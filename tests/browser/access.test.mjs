@@ -137,3 +137,11 @@ for (const width of [320, 390, 699, 700, 1000, 1440]) {
     assert.equal(columns === 1, width < 700, `${columns} columns`);
   });
 }
+
+test('on a phone sliders can be set, and a swipe on the map scrolls the page', async () => {
+  await page.setViewportSize({ width: 375, height: 740 });
+  await page.locator('#parameters').scrollIntoViewIfNeeded();
+  const widths = await page.locator('.parameter input[type="range"]').evaluateAll((sliders) => sliders.map((slider) => slider.getBoundingClientRect().width));
+  assert.ok(widths.every((width) => width >= 220), widths.join(', '));
+  assert.equal(await page.locator('.map canvas').evaluate((map) => getComputedStyle(map).touchAction), 'pan-y');
+});

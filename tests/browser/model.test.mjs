@@ -8,9 +8,13 @@ import { NIS_BAND_95, nisBand } from './web/model/chi_square.js';
 import { Errors } from './web/model/errors.js';
 import { LATE_FROM_S, MARKS, markOf } from './web/model/marks.js';
 import { Session } from './web/model/session.js';
+import { silence_s } from './web/model/silence.js';
 import { rounded, scaleOf } from './web/model/slider.js';
 import { Track } from './web/model/track.js';
+import { Station } from './web/station.js';
+import { Stream } from './web/stream.js';
 import * as format from './web/view/format.js';
+import { headline } from './web/view/headline.js';
 
 test('a track keeps the newest samples, sorted, in one piece', () => {
   const track = new Track(['x_m'], 10);
@@ -62,43 +66,79 @@ test('the bands of NIS hold 95 in 100, half of the rest on each side', () => {
   assert.equal(nisBand(NaN), null);
 });
 
-test('errors are those at the instant of the estimate, not of the last truth', () => {
+test('errors are those that the station tells, and nothing is worked out from what came at the same time', () => {
   const session = new Session();
-  // 1 m/s east; the estimate between two samples of truth is exact, odometry is 0.1 m off.
-  session.begin({
-    now_s: 2,
-    truth: [0, 1, 2].map((t_s) => ({ t_s, x_m: t_s, y_m: 0, heading_rad: 0, odometry: [t_s, 0.1, 0] })),
-    robots: [{ id: 'a', estimates: [{ t_s: 0.5, x_m: 0.5, y_m: 0, major_m: 0.01 }, { t_s: 1.25, x_m: 1.25, y_m: 0.03, major_m: 0.01 }] }],
-  });
+  // A robot whose estimates come 0.1 s late: held against the truth of their arrival they would seem 0.1 m off.
+  const frame = (t_s, scores) => ({ now_s: t_s, truth: [{ t_s, x_m: t_s, y_m: 0, odometry: [t_s, 0, 0] }], robots: [{ id: 'a', estimates: [{ t_s, x_m: t_s - 0.1, y_m: 0 }], ...scores }] });
+  for (const t_s of [1, 1.1, 1.2]) session.apply(frame(t_s, {}));
   const errors = session.errors.get('a');
-  const rows = (name) => [...errors.track.part(name, errors.track.begin, errors.track.end)].map((value) => Number(value.toFixed(9)));
-  assert.deepEqual(rows('estimate_m'), [0, 0.03]);
-  assert.deepEqual(rows('odometry_m'), [0.1, 0.1]);
-  assert.ok(Math.abs(errors.recent('estimate_m', 1.25) - 0.03 / Math.sqrt(2)) < 1e-9);
+  assert.equal(errors.track.length, 0);
+  assert.ok(Number.isNaN(errors.recent('estimate_m', 1.2)));
+  const score = (t_s, estimate_m) => ({ t_s, estimate_m, odometry_m: 0.3, claim_m: 0.01 });
+  session.apply(frame(1.3, { scores: [score(1.2, 0.003), score(1.3, 0.004)] }));
+  session.apply(frame(1.4, {}));
+  assert.equal(errors.track.length, 2);
+  assert.ok(Math.abs(errors.recent('estimate_m', 1.4) - Math.sqrt((0.003 ** 2 + 0.004 ** 2) / 2)) < 1e-12);
   assert.ok(Number.isNaN(errors.recent('estimate_m', 50)));
 });
 
-test('what the station tells of the errors goes before what is worked out here', () => {
+test('a robot that nobody hears is not said to be good', () => {
   const session = new Session();
-  const sample = (t_s) => ({ now_s: t_s, truth: [{ t_s, x_m: t_s, y_m: 0, odometry: [t_s, 0, 0] }], robots: [{ id: 'a', estimates: [{ t_s, x_m: t_s + 0.5, y_m: 0 }] }] });
-  for (const t_s of [1, 1.1, 1.2]) session.apply({ ...sample(t_s), errors: { estimate_m: 0.002, odometry_m: 0.3 } });
-  assert.ok(Math.abs(session.errors.get('a').recent('estimate_m', 1.2) - 0.002) < 1e-12);
-  assert.ok(Math.abs(session.errors.get('a').recent('odometry_m', 1.2) - 0.3) < 1e-12);
+  const estimates = Array.from({ length: 50 }, (_, index) => ({ t_s: 0.02 * index, x_m: 0, y_m: 0, major_m: 0.01 }));
+  const scores = estimates.map(({ t_s }) => ({ t_s, estimate_m: 0.002, odometry_m: 0.5, claim_m: 0.01 }));
+  session.apply({ now_s: 1, robots: [{ id: 'a', estimates, scores }] });
+  const [robot] = session.estimated();
+  const errors = session.errors.get('a');
+  assert.equal(silence_s(robot.estimates, 1.5), 0);
+  assert.equal(headline({ errors, robot, until_s: 1 }), 'odometry 0.50 m off, estimate 0.002 m off');
+  // The cable is out: the brick's odometry is known from the simulator, the estimate is not.
+  for (const t_s of [2, 2.5, 3]) session.apply({ now_s: t_s, robots: [{ id: 'a', scores: [{ t_s, estimate_m: null, odometry_m: 0.7, claim_m: null }] }] });
+  assert.ok(Math.abs(silence_s(robot.estimates, 3) - 2.02) < 1e-9);
+  assert.equal(headline({ errors, robot, until_s: 3 }), 'odometry 0.70 m off, estimate not known');
 });
 
-test('an estimate waits for the truth after it', () => {
-  const truth = new Track(['x_m', 'y_m', 'odometry_x_m', 'odometry_y_m'], 8);
-  const estimates = new Track(['x_m', 'y_m', 'major_m'], 8);
-  const errors = new Errors(8);
-  truth.append({ t_s: 0, x_m: 0, y_m: 0, odometry_x_m: 0, odometry_y_m: 0 });
-  estimates.append({ t_s: 0.5, x_m: 0.5, y_m: 0 });
-  errors.update(truth, estimates);
-  assert.equal(errors.track.length, 0);
-  truth.append({ t_s: 1, x_m: 1, y_m: 0, odometry_x_m: 1, odometry_y_m: 0 });
-  errors.update(truth, estimates);
-  errors.update(truth, estimates);
-  assert.equal(errors.track.length, 1);
-  assert.equal(errors.track.columns.estimate_m[0], 0);
+test('of a long recording every few seconds an estimate is no silence', () => {
+  const estimates = new Track([], 100);
+  for (let t_s = 0; t_s < 200; t_s += 2) estimates.append({ t_s });
+  assert.equal(silence_s(estimates, 105.9), 0);
+  assert.ok(silence_s(estimates, 210) > 10);
+  assert.equal(silence_s(new Track([], 4), 5), 0);
+  const errors = new Errors(100);
+  for (let t_s = 0; t_s < 200; t_s += 2) errors.take({ t_s, estimate_m: 0.002 });
+  assert.ok(Math.abs(errors.recent('estimate_m', 105.9) - 0.002) < 1e-12);
+});
+
+test('a source counts what the station has counted, until the time that is shown', () => {
+  const session = new Session(20_000, 20_000);
+  const record = (t_s, verdict) => ({ t_s, sensor: 'wheels', kind: 'wheel_angles', verdict, lag_s: 0, nis: null, dof: 0, innovation: [], sigma: [] });
+  const tally = (t_s, seen, gated) => ({ t_s, sensor: 'wheels', kind: 'wheel_angles', seen, gated, late: 1 });
+  session.apply({ now_s: 60, robots: [{ id: 'a', fusion: [record(1, 'accepted'), record(40, 'gated')], tallies: [tally(10, 200, 0), tally(60, 1200, 7)] }] });
+  const source = session.robots.get('a').sources.get('wheels');
+  assert.deepEqual(['seen', 'gated', 'late'].map((name) => source.counted(name, 60)), [1200, 7, 1]);
+  assert.deepEqual(['seen', 'gated', 'late'].map((name) => source.counted(name, 59)), [200, 0, 1]);
+  assert.ok(Number.isNaN(source.counted('seen', 5)));
+  assert.deepEqual([0.5, 39, 40].map((until_s) => source.verdict(until_s)), ['', 'accepted', 'gated']);
+  // Observations of another kind from the same sensor are counted as well.
+  session.apply({ now_s: 61, robots: [{ id: 'a', tallies: [{ ...tally(61, 5, 1), kind: 'wheel_rates' }] }] });
+  assert.equal(source.counted('seen', 61), 1205);
+});
+
+test('the log of a recording ends at the time that is shown', () => {
+  const session = new Session(20_000, 20_000);
+  session.apply({ now_s: 900, log: Array.from({ length: 900 }, (_, t_s) => ({ t_s, severity: 6, text: `${t_s}` })) });
+  assert.equal(session.log.length, 900);
+  assert.equal(session.loggedUntil(-1), 0);
+  assert.equal(session.loggedUntil(293.5), 294);
+  assert.equal(session.loggedUntil(1e9), 900);
+});
+
+test('what was learned stands at its own time', () => {
+  const session = new Session(20_000, 20_000);
+  const row = (t_s, value) => ({ t_s, name: 'radius_scale', value, sigma: 0.01, unit: '' });
+  session.apply({ now_s: 30, robots: [{ id: 'a', calibration: [row(10, 0.1), row(20, 0.2), row(30, 0.3)] }] });
+  const { track } = session.robots.get('a').calibration.get('radius_scale');
+  assert.equal(track.columns.value[track.rowUntil(25)], 0.2);
+  assert.equal(track.rowUntil(5), -1);
 });
 
 test('a session takes nonsense without a word and stays bounded', () => {
@@ -136,6 +176,83 @@ test('sliders reach both ends, and go there and back', () => {
   }
   assert.equal(rounded(12.34567, { least: 4, most: 100 }), 12.35);
   assert.equal(rounded(0.99999999, { least: 0.5, most: 0.999999 }), 0.999999);
+});
+
+test('the slider of a probability has room near one', () => {
+  const gate = { least: 0.5, most: 0.999999, default: 0.999 };
+  const scale = scaleOf(gate);
+  const positions = [0.9, 0.99, 0.999, 0.9999].map((value) => scale.toPosition(value));
+  for (let decade = 1; decade < positions.length; decade += 1) assert.ok(positions[decade] - positions[decade - 1] > 0.15, `${positions}`);
+  assert.equal(rounded(0.99987654, gate), 0.99988);
+  assert.equal(rounded(0.9123, gate), 0.912);
+  assert.equal(format.compact(0.999999), '0.999999');
+});
+
+// What the page says to the person, and what it asks of the station.
+function pageOf(answers, { isReplay = false } = {}) {
+  const said = [];
+  const asked = [];
+  globalThis.fetch = async (path) => {
+    asked.push(path);
+    const { status = 200, body } = answers[path] ?? { status: 404, body: {} };
+    return { ok: status < 400, status, statusText: '', text: async () => JSON.stringify(body) };
+  };
+  return { said, asked, announce: (text) => said.push(text), redraw: () => {}, replay: () => {}, isReplay: () => isReplay };
+}
+
+test('the list of recordings is read anew when another file is written', async () => {
+  const rows = [{ name: 'recording.mcap', bytes: 5 }, { name: 'recording.2.mcap', bytes: 1, is_current: true }];
+  const page = pageOf({ 'v1/recordings': { body: rows } });
+  const station = new Station(page);
+  station.greet({ recordings: [{ name: 'recording.mcap', bytes: 5, is_current: true }] });
+  station.apply({ recording: { name: 'recording.mcap', bytes: 6 } });
+  station.apply({});
+  assert.deepEqual(page.asked, []);
+  station.apply({ recording: { name: 'recording.2.mcap', bytes: 1 } });
+  station.apply({ recording: { name: 'recording.2.mcap', bytes: 2 } });
+  await new Promise(setImmediate);
+  assert.deepEqual(page.asked, ['v1/recordings']);
+  assert.equal(station.recordings.length, 2);
+  station.apply({ recording: null });
+  assert.equal(page.asked.length, 2);
+});
+
+test('while a recording is shown nothing is asked of the live robot', async () => {
+  const page = pageOf({}, { isReplay: true });
+  await new Station(page).command({ command: 'kidnap' });
+  assert.deepEqual(page.asked, []);
+  assert.match(page.said[0], /go back to live/);
+});
+
+test('a station that wants another token is told from one that is gone', async () => {
+  const sockets = [];
+  globalThis.WebSocket = class extends EventTarget {
+    constructor() {
+      super();
+      sockets.push(this);
+    }
+
+    close() {}
+  };
+  const words = [];
+  const stream = new Stream('ws://here/v1/stream', { onMessage: () => {}, onState: (state) => words.push(state) });
+  const lose = async () => {
+    stream.open();
+    sockets.at(-1).dispatchEvent(new Event('close'));
+    for (const timer of [stream.watch, stream.retry]) clearTimeout(timer);
+    await new Promise(setImmediate);
+  };
+  globalThis.fetch = async () => { throw new TypeError('nobody answers'); };
+  await lose();
+  assert.deepEqual(words, ['connecting', 'lost']);
+  globalThis.fetch = async () => ({ status: 401 });
+  await lose();
+  await lose();
+  assert.deepEqual(words.slice(2), ['connecting', 'lost', 'refused']);
+  stream.open();
+  sockets.at(-1).dispatchEvent(Object.assign(new Event('message'), { data: '{"type":"hello"}' }));
+  clearTimeout(stream.watch);
+  assert.equal(words.at(-1), 'live');
 });
 
 test('numbers are written for people', () => {

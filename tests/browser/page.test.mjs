@@ -44,6 +44,34 @@ test('the latest estimate stands on the page', async () => {
   });
 });
 
+test('an estimate that nobody renews is said to be old, and the robot to be silent', async () => {
+  await withStation({}, async (page, station) => {
+    station.advance(60);
+    await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    assert.equal(await page.locator('#silence').isVisible(), false);
+    const since_s = station.now_s;
+    const now_s = since_s + 14;
+    const truth = { ...station.frame().truth[0], t_s: now_s };
+    station.send({ type: 'frame', now_s, truth: [truth], robots: [{ id: '0/1/1', scores: [{ t_s: now_s, estimate_m: null, odometry_m: 0.4, claim_m: null }] }] });
+    await page.waitForFunction(() => document.getElementById('silence').textContent === 'robot silent for 14 s');
+    assert.equal(await page.locator('#silence').isVisible(), true);
+    assert.equal(await page.locator('#headline').textContent(), 'odometry 0.40 m off, estimate not known');
+    const readings = await page.locator('#pose.stale dd').allTextContents();
+    assert.ok(readings.includes('14.1 s') && readings.includes('14.0 s old'), readings.join(', '));
+    station.now_s = now_s;
+    station.advance(1);
+    await page.waitForFunction(() => document.getElementById('silence').hidden && !document.querySelector('#pose.stale'));
+  });
+});
+
+test('how many observations came is what the station has counted', async () => {
+  await withStation({}, async (page, station) => {
+    station.advance(100);
+    await page.locator('#innovations').scrollIntoViewIfNeeded();
+    await page.waitForFunction(() => document.querySelector('#innovations tbody td')?.textContent === '7 100');
+  });
+});
+
 test('with several robots one is chosen', async () => {
   await withStation({ robots: ['0/1/1', '0/2/1', '1/1/1'] }, async (page, station) => {
     station.advance(10);
@@ -225,8 +253,9 @@ test('a recording is looked at with a scrubber and left again', async () => {
       made.now_s += 0.02;
       return made.frame();
     });
-    station.replay = { now_s: 10, robots: [{ id: '0/1/1', estimates: frames.map((frame) => frame.robots[0].estimates[0]) }], truth: frames.map((frame) => frame.truth[0]) };
+    station.replay = { now_s: 10, robots: [{ id: '0/1/1', estimates: frames.map((frame) => frame.robots[0].estimates[0]) }], truth: frames.map((frame) => frame.truth[0]), log: [3, 4.5, 7, 9].map((t_s) => ({ t_s, severity: 6, text: `at ${t_s} s` })) };
     station.advance(5);
+    await page.getByRole('button', { name: 'Drive with the keys' }).click();
     await seen(page, '#recordings', '[aria-label="Replay square-1.mcap"]');
     await page.getByRole('button', { name: 'Replay square-1.mcap' }).click();
     await page.getByRole('button', { name: 'Pause' }).click();
@@ -235,9 +264,17 @@ test('a recording is looked at with a scrubber and left again', async () => {
     await seeing(page, '#pose', () => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5) < 0.03);
     const shown = await poseOf(page);
     assert.equal(shown.x_m, frames[Math.round(shown.t_s / 0.02) - 1].robots[0].estimates[0].x_m);
+    // Events up to that time, and nothing that moves the live robot.
+    await page.locator('#log').scrollIntoViewIfNeeded();
+    await page.waitForFunction(() => [...document.querySelectorAll('#log .text')].map((line) => line.textContent).join() === 'at 4.5 s,at 3 s');
+    await page.locator('#simulator .note').first().waitFor({ state: 'visible' });
+    assert.equal(await page.evaluate(() => document.querySelector('#simulator .body').inert && document.querySelector('#parameters .body').inert), true);
+    await page.keyboard.press('w');
+    assert.equal(station.commands.length, 0);
     await scrubber.press('ArrowRight');
     await seeing(page, '#pose', () => Math.abs(Number(document.getElementById('pose').dataset.t_s) - 5.2) < 0.03);
     await page.getByRole('button', { name: 'Back to live' }).click();
+    assert.equal(await page.evaluate(() => document.querySelector('#simulator .body').inert), false);
     await seeing(page, '#pose', (t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
   });
 });

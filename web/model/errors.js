@@ -1,47 +1,28 @@
-// How far estimate and odometry are from the truth of a simulated robot.
+// How far estimate and odometry are from the truth of a simulated robot, as the station says.
 //
-// Truth and estimates have stamps of their own, up to a period apart, in which a robot goes several millimetres: truth is interpolated to
-// the instant of each estimate.
+// It holds each estimate against the truth of the same instant of the robot's clock. By the host's clock, which is all that a page has, the two
+// lie up to the link's delay apart, in which a robot goes several millimetres: nothing is worked out here.
 
 import { Track } from './track.js';
+
+const RECENT_S = 1;
+// Of a long recording samples may be further apart.
+const RECENT_SPACINGS = 4;
 
 export class Errors {
   constructor(capacity) {
     this.track = new Track(['estimate_m', 'odometry_m', 'claim_m'], capacity);
-    this.scored_s = -Infinity;
   }
 
-  /** Scores the estimates that have truth on both sides and were not scored yet. */
-  update(truth, estimates) {
-    const times = estimates.columns.t_s;
-    let row = estimates.rowAfter(this.scored_s);
-    for (; row < estimates.end; row += 1) {
-      const after = truth.rowAt(times[row]);
-      if (after >= truth.end) return;
-      this.scored_s = times[row];
-      if (after > truth.begin) this.#score(truth, after, estimates, row);
-    }
-  }
-
-  #score(truth, after, estimates, row) {
-    const t_s = estimates.columns.t_s[row];
-    const { x_m, y_m, odometry_x_m, odometry_y_m } = truth.columns;
-    const part = fraction(truth.columns.t_s[after - 1], truth.columns.t_s[after], t_s);
-    const between = (column) => column[after - 1] + part * (column[after] - column[after - 1]);
-    const trueX_m = between(x_m);
-    const trueY_m = between(y_m);
-    this.track.append({
-      t_s,
-      estimate_m: Math.hypot(estimates.columns.x_m[row] - trueX_m, estimates.columns.y_m[row] - trueY_m),
-      odometry_m: Math.hypot(between(odometry_x_m) - trueX_m, between(odometry_y_m) - trueY_m),
-      claim_m: estimates.columns.major_m[row],
-    });
+  /** Takes what the station says of an estimate; without a distance of the estimate none came for a while. */
+  take(score) {
+    this.track.append(score);
   }
 
   /** Root mean square of a column over the last second before a time: what the headline says. NaN without samples. */
   recent(name, until_s) {
     const to = this.track.rowAfter(until_s);
-    const from = this.track.rowAt(until_s - 1);
+    const from = this.track.rowAt(until_s - Math.max(RECENT_S, RECENT_SPACINGS * this.track.spacing_s()));
     const values = this.track.columns[name];
     let sum = 0;
     let count = 0;
@@ -52,8 +33,4 @@ export class Errors {
     }
     return count > 0 ? Math.sqrt(sum / count) : NaN;
   }
-}
-
-function fraction(from, to, at) {
-  return to > from ? (at - from) / (to - from) : 0;
 }

@@ -1,20 +1,22 @@
 // What is kept of one robot: tracks of its estimates, fixes, fusion records and learned numbers. All bounded.
 
-import { LATE_FROM_S, markOf } from './marks.js';
+import { markOf } from './marks.js';
 import { Track } from './track.js';
 
 export const ESTIMATE_COLUMNS = [
   'x_m', 'y_m', 'heading_rad', 'major_m', 'minor_m', 'axis_rad', 'heading_sigma_rad',
   'forward_m_per_s', 'turn_rad_per_s', 'reset_counter', 'is_dead_reckoning', 'fix_age_s',
 ];
-const FUSION_COLUMNS = ['nis', 'dof', 'mark', 'is_slip', 'innovation0', 'innovation1', 'innovation2', 'sigma0', 'sigma1', 'sigma2'];
+const FUSION_COLUMNS = ['nis', 'dof', 'mark', 'verdict', 'is_slip', 'innovation0', 'innovation1', 'innovation2', 'sigma0', 'sigma1', 'sigma2'];
 
 // 80 s at the 50 Hz at which a station sends; the map shows 60 s.
 export const LIVE_CAPACITY = 4096;
 // A robot has a handful of each; more than this is not a robot but nonsense.
 const MOST_SENSORS = 32;
 const MOST_CALIBRATED = 64;
-// Learned numbers change slowly: 1024 samples at this distance are five minutes.
+const MOST_KINDS = 8;
+const MOST_VERDICTS = 64;
+// Learned numbers change slowly: 1024 samples at this distance are five minutes. Of a recording there are an eighth as many as estimates.
 const CALIBRATION_EVERY_S = 0.3;
 const CALIBRATION_CAPACITY = 1024;
 
@@ -23,8 +25,10 @@ export class Robot {
     this.id = id;
     this.capacity = capacity;
     this.estimates = new Track(ESTIMATE_COLUMNS, capacity);
-    this.fixes = new Track(['x_m', 'y_m', 'heading_rad', 'mark'], Math.max(1024, capacity / 2));
-    /** sensor -> { sensor, kind, track, counts, lastVerdict } */
+    // Of a recording as many come as of estimates, live there are fewer.
+    this.recordCapacity = capacity > LIVE_CAPACITY ? capacity : capacity / 2;
+    this.fixes = new Track(['x_m', 'y_m', 'heading_rad', 'mark'], this.recordCapacity);
+    /** sensor -> Source */
     this.sources = new Map();
     /** name -> { name, unit, value, sigma, isLearned, track } */
     this.calibration = new Map();
@@ -35,6 +39,7 @@ export class Robot {
     for (const estimate of list(part.estimates)) this.estimates.append(estimate);
     for (const fix of list(part.fixes)) this.#fix(fix);
     for (const record of list(part.fusion)) this.#record(record);
+    for (const tally of list(part.tallies)) this.#source(tally)?.count(tally);
     for (const entry of list(part.calibration)) this.#learned(entry, now_s);
   }
 
@@ -44,36 +49,14 @@ export class Robot {
   }
 
   #record(record) {
-    const source = this.#source(record);
-    if (!source) return;
-    const innovation = list(record.innovation);
-    const sigma = list(record.sigma);
-    const taken = source.track.append({
-      t_s: record.t_s,
-      nis: record.dof > 0 ? record.nis : NaN,
-      dof: record.dof,
-      mark: markOf(record.verdict, record.lag_s),
-      is_slip: record.verdict === 'slip',
-      innovation0: innovation[0], innovation1: innovation[1], innovation2: innovation[2],
-      sigma0: sigma[0], sigma1: sigma[1], sigma2: sigma[2],
-    });
-    if (!taken) return;
-    source.lastVerdict = String(record.verdict).slice(0, 40);
-    source.total += 1;
-    if (record.verdict === 'gated') source.gated += 1;
-    if (record.lag_s >= LATE_FROM_S) source.late += 1;
+    this.#source(record)?.take(record);
   }
 
-  #source(record) {
-    const sensor = String(record.sensor).slice(0, 40);
+  #source(said) {
+    const sensor = String(said.sensor).slice(0, 40);
     let source = this.sources.get(sensor);
     if (!source && this.sources.size < MOST_SENSORS) {
-      source = {
-        sensor,
-        kind: String(record.kind).slice(0, 40),
-        track: new Track(FUSION_COLUMNS, this.capacity / 2),
-        lastVerdict: '', total: 0, gated: 0, late: 0,
-      };
+      source = new Source(sensor, String(said.kind).slice(0, 40), this.recordCapacity);
       this.sources.set(sensor, source);
     }
     return source;
@@ -85,7 +68,7 @@ export class Robot {
     if (!known) {
       if (this.calibration.size >= MOST_CALIBRATED) return;
       known = { name, unit: String(entry.unit ?? '').slice(0, 20), value: NaN, sigma: NaN, isLearned: false, last_s: -Infinity,
-        track: new Track(['value', 'sigma'], CALIBRATION_CAPACITY) };
+        track: new Track(['value', 'sigma'], Math.max(CALIBRATION_CAPACITY, this.capacity / 8)) };
       this.calibration.set(name, known);
     }
     const t_s = Number.isFinite(entry.t_s) ? entry.t_s : now_s;
@@ -96,6 +79,67 @@ export class Robot {
     if (t_s - known.last_s < CALIBRATION_EVERY_S) return;
     known.last_s = t_s;
     known.track.append({ t_s, value: entry.value, sigma: entry.sigma });
+  }
+}
+
+/** What is kept of one sensor: records of the last while, and the station's counts of all that came. */
+class Source {
+  constructor(sensor, kind, capacity) {
+    this.sensor = sensor;
+    this.kind = kind;
+    this.capacity = capacity;
+    this.track = new Track(FUSION_COLUMNS, capacity);
+    this.verdicts = [];
+    /** kind -> counts over time: a sensor may be heard in more than one way. */
+    this.counts = new Map();
+  }
+
+  take(record) {
+    const innovation = list(record.innovation);
+    const sigma = list(record.sigma);
+    this.track.append({
+      t_s: record.t_s,
+      nis: record.dof > 0 ? record.nis : NaN,
+      dof: record.dof,
+      mark: markOf(record.verdict, record.lag_s),
+      verdict: this.#verdictNumber(String(record.verdict).slice(0, 40)),
+      is_slip: record.verdict === 'slip',
+      innovation0: innovation[0], innovation1: innovation[1], innovation2: innovation[2],
+      sigma0: sigma[0], sigma1: sigma[1], sigma2: sigma[2],
+    });
+  }
+
+  /** Takes how many the station has counted until an instant. What is thinned on its way here is counted there. */
+  count(tally) {
+    const kind = String(tally.kind).slice(0, 40);
+    if (!this.counts.has(kind)) {
+      if (this.counts.size >= MOST_KINDS) return;
+      this.counts.set(kind, new Track(['seen', 'gated', 'late'], Math.max(64, this.capacity / 8)));
+    }
+    this.counts.get(kind).append(tally);
+  }
+
+  /** How many came until a time, `seen`, `gated` or `late`; NaN where the station has said nothing. */
+  counted(name, until_s) {
+    let sum = NaN;
+    for (const track of this.counts.values()) {
+      const row = track.rowUntil(until_s);
+      if (row >= 0) sum = (Number.isNaN(sum) ? 0 : sum) + track.columns[name][row];
+    }
+    return sum;
+  }
+
+  /** What became of the last one until a time; empty before the first. */
+  verdict(until_s) {
+    const row = this.track.rowUntil(until_s);
+    return row < 0 ? '' : this.verdicts[this.track.columns.verdict[row]] ?? '';
+  }
+
+  #verdictNumber(verdict) {
+    const known = this.verdicts.indexOf(verdict);
+    if (known >= 0) return known;
+    if (this.verdicts.length >= MOST_VERDICTS) return NaN;
+    return this.verdicts.push(verdict) - 1;
   }
 }
 

@@ -5,12 +5,14 @@ import { LIVE_CAPACITY, Robot, list } from './robot.js';
 import { Track } from './track.js';
 
 const MOST_ROBOTS = 64;
+// Live; of a recording as many as the station sends.
 const MOST_LOG_LINES = 300;
 const MOST_TEXT = 400;
 
 export class Session {
-  constructor(capacity = LIVE_CAPACITY) {
+  constructor(capacity = LIVE_CAPACITY, mostLogLines = MOST_LOG_LINES) {
     this.capacity = capacity;
+    this.mostLogLines = mostLogLines;
     this.now_s = 0;
     this.robots = new Map();
     this.truth = new Track(['x_m', 'y_m', 'heading_rad', 'odometry_x_m', 'odometry_y_m', 'odometry_heading_rad'], capacity);
@@ -23,25 +25,8 @@ export class Session {
     this.revision = 0;
   }
 
-  /** Takes a history: errors are worked out here. */
-  begin(history) {
-    this.#take(history);
-    for (const id of this.robots.keys()) this.#score(id);
-  }
-
-  /** Takes a frame, which may tell the errors: the station knows them by the robot's own stamps. */
+  /** Takes a frame, or a history: both have the same shape. */
   apply(frame) {
-    this.#take(frame);
-    if (!isRecord(frame)) return;
-    for (const part of list(frame.robots)) {
-      const id = idOf(part);
-      if (!this.robots.has(id)) continue;
-      if (isRecord(frame.errors)) this.#toldErrors(id, frame.errors);
-      else this.#score(id);
-    }
-  }
-
-  #take(frame) {
     if (!isRecord(frame)) return;
     if (Number.isFinite(frame.now_s)) this.now_s = Math.max(this.now_s, frame.now_s);
     for (const sample of list(frame.truth)) this.#truth(sample);
@@ -72,6 +57,18 @@ export class Session {
     return from_s <= to_s ? { from_s, to_s } : null;
   }
 
+  /** How many of all lines that came so far had come by a time; `log` holds the last of all. */
+  loggedUntil(until_s) {
+    let low = 0;
+    let high = this.log.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.log[middle].t_s <= until_s) low = middle + 1;
+      else high = middle;
+    }
+    return this.logged - this.log.length + low;
+  }
+
   #truth(sample) {
     if (!isRecord(sample)) return;
     const odometry = list(sample.odometry);
@@ -92,24 +89,15 @@ export class Session {
       this.errors.set(id, new Errors(this.capacity));
     }
     robot.apply(part, this.now_s);
-  }
-
-  // Truth is that of the simulated brick, of which a station has one: with it there is one robot.
-  #score(id) {
-    if (this.truth.length > 0) this.errors.get(id).update(this.truth, this.robots.get(id).estimates);
-  }
-
-  #toldErrors(id, told) {
-    const { estimates } = this.robots.get(id);
-    const claim_m = estimates.length > 0 ? estimates.columns.major_m[estimates.end - 1] : NaN;
-    this.errors.get(id).track.append({ t_s: this.now_s, estimate_m: told.estimate_m, odometry_m: told.odometry_m, claim_m });
+    const errors = this.errors.get(id);
+    for (const score of list(part.scores).filter(isRecord)) errors.take(score);
   }
 
   #line(line) {
     if (!isRecord(line)) return;
     this.logged += 1;
     this.log.push({ t_s: line.t_s, severity: severityOf(line.severity), text: String(line.text).slice(0, MOST_TEXT) });
-    if (this.log.length > MOST_LOG_LINES) this.log.shift();
+    if (this.log.length > this.mostLogLines) this.log.shift();
   }
 }
 

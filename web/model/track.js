@@ -41,6 +41,12 @@ export class Track {
     this.revision += 1;
   }
 
+  /** The mean time between two samples; 0 without two. Live it is short; of a long recording only every so many-th sample is kept. */
+  spacing_s() {
+    if (this.length < 2) return 0;
+    return (this.columns.t_s[this.end - 1] - this.columns.t_s[this.begin]) / (this.length - 1);
+  }
+
   /** First row at or after a time; `end` when there is none. */
   rowAt(t_s) {
     const times = this.columns.t_s;

@@ -14,9 +14,11 @@ const TRAIL_S = 60;
 const ZOOM_STEP = 1.25;
 // Height of the toolbar on the map, with the space around it.
 const TOOLBAR_PX = 34;
+// An estimate that nobody renews fades.
+const STALE_ALPHA = 0.35;
 
 const READINGS = [
-  ['x', 'x'], ['y', 'y'], ['heading', 'heading'], ['sigma', '95 % within'], ['speed', 'speed'], ['fix', 'last fix'], ['resets', 'resets'],
+  ['x', 'x'], ['y', 'y'], ['heading', 'heading'], ['sigma', '95 % within'], ['speed', 'speed'], ['fix', 'last fix'], ['resets', 'resets'], ['age', 'estimate'],
 ];
 
 const ESTIMATE = ESTIMATE_COLUMNS.map((name) => [name, name]);
@@ -188,11 +190,14 @@ class ArenaPanel {
     if (this.odometry.has) drawRobot(context, camera, this.odometry, { colour: 'odometry', width: 1.5, dash: DASHES.odometry });
     if (this.truth.has) drawRobot(context, camera, this.truth, { colour: 'truth', width: 1.5 });
     if (!this.pose.has) return;
+    const isStale = view.silence_s > 0;
+    if (isStale) context.globalAlpha = STALE_ALPHA;
     drawEllipse(context, camera, this.pose);
     drawCone(context, camera, this.pose);
-    drawRobot(context, camera, this.pose, { colour: 'estimate', width: 2, isFilled: true });
+    context.globalAlpha = 1;
+    drawRobot(context, camera, this.pose, isStale ? { colour: 'old', width: 2 } : { colour: 'estimate', width: 2, isFilled: true });
     if (this.#hasLens()) {
-      this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s });
+      this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: isStale ? STALE_ALPHA : 1 });
     }
   }
 
@@ -200,12 +205,16 @@ class ArenaPanel {
     const estimate = this.pose;
     const shown = this.readings;
     const known = (text) => (estimate.has ? text : '–');
+    // An estimate tells how old its fix was then; it has become older with it.
+    const fixAge = fixed(estimate.fix_age_s + Math.max(0, view.until_s - estimate.t_s), 1, 's');
+    this.output.classList.toggle('stale', view.silence_s > 0);
     setText(shown.get('x'), known(metres3(estimate.x_m)));
     setText(shown.get('y'), known(metres3(estimate.y_m)));
     setText(shown.get('heading'), known(degrees(estimate.heading_rad)));
     setText(shown.get('sigma'), known(millimetres(estimate.major_m)));
     setText(shown.get('speed'), known(fixed(estimate.forward_m_per_s, 2, 'm/s')));
-    setText(shown.get('fix'), known(estimate.is_dead_reckoning ? `none for ${fixed(estimate.fix_age_s, 1, 's')}` : fixed(estimate.fix_age_s, 1, 's')));
+    setText(shown.get('fix'), known(estimate.is_dead_reckoning ? `none for ${fixAge}` : fixAge));
+    setText(shown.get('age'), view.silence_s > 0 ? `${fixed(view.silence_s, 1, 's')} old` : known('now'));
     setText(shown.get('resets'), known(fixed(estimate.reset_counter, 0)));
     const data = this.output.dataset;
     data.robot = view.robot?.id ?? '';

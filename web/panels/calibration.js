@@ -33,6 +33,10 @@ export const calibration = {
         }
         for (const entry of learned.values()) {
           let row = rows.get(entry.name);
+          if (row && row.track !== entry.track) {
+            row.track = entry.track;
+            row.revision = -1;
+          }
           if (!row) {
             row = newRow(entry);
             rows.set(entry.name, row);
@@ -54,7 +58,7 @@ function newRow(entry) {
   const context = canvas.getContext('2d');
   context.scale(scale, scale);
   const line = element('tr', {}, element('th', { scope: 'row', text: title(entry) }), value, element('td', {}, canvas));
-  return { line, value, context, revision: -1, until_s: NaN };
+  return { line, value, context, track: entry.track, revision: -1, until_s: NaN };
 }
 
 // The name without the unit that it ends in: the value has it.
@@ -67,7 +71,12 @@ function title(entry) {
 function drawRow(row, entry, until_s) {
   const { track } = entry;
   const last = track.rowUntil(until_s);
-  if (last < 0) return;
+  if (last < 0) {
+    setText(row.value, '–');
+    row.revision = -1;
+    row.context.clearRect(0, 0, WIDTH_PX, HEIGHT_PX);
+    return;
+  }
   const value = track.columns.value[last];
   const sigma = track.columns.sigma[last];
   setText(row.value, withSigma(value, sigma, entry.unit));

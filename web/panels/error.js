@@ -36,9 +36,7 @@ export const error = {
         const from_s = view.until_s - WINDOW_S;
         const [from, to] = [track.rowAt(from_s), track.rowAfter(view.until_s)];
         data[0] = track.part('t_s', from, to);
-        data[1] = track.part('claim_m', from, to);
-        data[2] = track.part('odometry_m', from, to);
-        data[3] = track.part('estimate_m', from, to);
+        ['claim_m', 'odometry_m', 'estimate_m'].forEach((name, index) => { data[index + 1] = withGaps(track.part(name, from, to)); });
         chart.range = decadesOf(data.slice(1));
         chart.draw(data, from_s, view.until_s);
       },
@@ -50,12 +48,18 @@ function key(colour, text) {
   return element('span', { class: `key ${colour}`, text });
 }
 
+// A line ends where there is no number: uPlot takes null for that and draws through NaN.
+function withGaps(values) {
+  return Array.from(values, (value) => (Number.isNaN(value) ? null : value));
+}
+
 // Whole decades that hold all values, from at least a millimetre to at least ten centimetres.
 function decadesOf(columns) {
   let low = 1e-3;
   let high = 0.1;
   for (const values of columns) {
     for (const value of values) {
+      if (value === null) continue;
       if (value > high) high = value;
       else if (value < low) low = value;
     }

@@ -12,6 +12,6 @@ import { simulator } from './simulator.js';
 
 /**
  * `build(body, station)` fills a panel and gives `{draw(view), recolour?()}`. `isAnimated` ones are drawn with every frame of the screen,
- * the others in turn, one a frame.
+ * the others in turn, one a frame. `isLive` ones act on the live robot and rest while a recording is shown: `rest?()`.
  */
 export const PANELS = [arena, simulator, error, innovations, calibration, parameters, links, log, recordings];

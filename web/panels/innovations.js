@@ -80,12 +80,11 @@ class InnovationsPanel {
     for (const [sensor, source] of sources) {
       const row = this.rows.get(sensor) ?? this.#newRow(source);
       const share = insideBand(source.track, view.until_s);
-      setText(row.seen, count(source.total));
-      setText(row.gated, count(source.gated));
-      setText(row.late, count(source.late));
+      for (const name of ['seen', 'gated', 'late']) setText(row[name], count(source.counted(name, view.until_s)));
       setText(row.inside, Number.isNaN(share) ? '–' : `${fixed(100 * share, 0)} %`);
-      setText(row.last, source.lastVerdict);
-      row.line.dataset.verdict = source.lastVerdict;
+      const verdict = source.verdict(view.until_s);
+      setText(row.last, verdict);
+      row.line.dataset.verdict = verdict;
     }
   }
 

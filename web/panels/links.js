@@ -30,12 +30,14 @@ export const links = {
     const clock = factList("Robot's clock", CLOCK_FACTS);
     const empty = element('p', { class: 'note', text: 'No link has reported yet.' });
     const cards = new Map();
+    const ended = element('p', { class: 'note', text: 'As at the end of the recording.', hidden: true });
     clock.card.hidden = true;
-    body.append(empty, host, clock.card);
+    body.append(empty, ended, host, clock.card);
     return {
       draw(view) {
         const known = view.session.links;
         empty.hidden = known.length > 0;
+        ended.hidden = !view.isReplay || known.length === 0;
         for (const [id, card] of cards) {
           if (known.some((link) => String(link.id) === id)) continue;
           card.card.remove();

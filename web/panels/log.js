@@ -21,9 +21,16 @@ export const log = {
           shown = 0;
           lines.replaceChildren();
         }
-        const fresh = Math.min(session.logged - shown, session.log.length);
-        shown = session.logged;
-        for (const entry of session.log.slice(session.log.length - fresh)) lines.prepend(line(entry));
+        // Of a recording the lines up to the time that is shown.
+        const until = view.isReplay ? session.loggedUntil(view.until_s) : session.logged;
+        if (until < shown) {
+          shown = 0;
+          lines.replaceChildren();
+        }
+        const last = until - (session.logged - session.log.length);
+        const fresh = Math.min(until - shown, last, MOST_LINES);
+        shown = until;
+        for (const entry of session.log.slice(last - fresh, last)) lines.prepend(line(entry));
         while (lines.childElementCount > MOST_LINES) lines.lastElementChild.remove();
         empty.hidden = lines.childElementCount > 0;
       },

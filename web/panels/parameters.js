@@ -9,6 +9,7 @@ const STEPS = 1000;
 export const parameters = {
   id: 'parameters',
   title: 'Parameters of the filter',
+  isLive: true,
   build: (body, station) => new ParametersPanel(body, station),
 };
 

@@ -17,7 +17,7 @@ class RecordingsPanel {
     this.stop = button('Stop', () => this.#ask('stop-recording'), { 'aria-label': 'Stop the recording' });
     this.table = element('tbody');
     this.known = null;
-    this.missed = null;
+    this.sizes = new Map();
     body.append(
       element('div', { class: 'actions' }, this.start, this.stop, button('Look again', () => this.#renew(), { 'aria-label': 'Read the list of recordings anew' })),
       this.state,
@@ -31,23 +31,23 @@ class RecordingsPanel {
     setText(this.state, recording ? `Recording ${recording.name}, ${bytes(recording.bytes)}` : 'Not recording.');
     this.start.disabled = Boolean(recording);
     this.stop.disabled = !recording;
-    // It was begun, or went on in a new file, after the list was made. What is told once a second is asked for once.
-    if (recording && recording !== this.missed && !known.some(({ name }) => name === recording.name)) {
-      this.missed = recording;
-      this.#renew();
-    }
     if (known !== this.known) {
       this.known = known;
+      this.sizes.clear();
       this.table.replaceChildren(...known.map((entry) => this.#row(entry)));
     }
+    const size = recording && this.sizes.get(recording.name);
+    if (size) setText(size, bytes(recording.bytes));
   }
 
   #row(entry) {
     const name = String(entry.name);
+    const size = element('td', { class: 'number', text: bytes(entry.bytes) });
+    this.sizes.set(name, size);
     return element('tr', {},
       element('th', { scope: 'row', class: 'name', text: name }),
       element('td', { text: begun(entry.begun) }),
-      element('td', { class: 'number', text: bytes(entry.bytes) }),
+      size,
       element('td', { class: 'actions' },
         element('a', { class: 'button', href: `v1/recordings/${encodeURIComponent(name)}`, download: name, 'aria-label': `Download ${name}`, text: 'Download' }),
         button('Replay', () => this.station.replay(name), { 'aria-label': `Replay ${name}` })));

@@ -8,6 +8,7 @@ const DEGREE_RAD = Math.PI / 180;
 export const simulator = {
   id: 'simulator',
   title: 'Hands on: the simulated brick',
+  isLive: true,
   build: (body, station) => new SimulatorPanel(body, station),
 };
 
@@ -50,6 +51,11 @@ class SimulatorPanel {
     }
   }
 
+  /** While a recording is shown nobody drives. */
+  rest() {
+    this.driver.disarm();
+  }
+
   #rows(known) {
     return [this.#kidnap(), this.#slip(), this.#camera(), this.#delay(), this.#gyro(), this.#profile(known), this.#cable(), this.#steering(), this.driver.build()];
   }
@@ -59,7 +65,7 @@ class SimulatorPanel {
     const left = number('left m', 0.2, -10, 10);
     const turn = number('turn °', 60, -180, 180);
     return row('Kidnap', () => ({ command: 'kidnap', forward_m: forward.read(), left_m: left.read(), turn_rad: turn.read() * DEGREE_RAD }),
-      'Lift the robot and put it down elsewhere; its wheels count nothing.', this.station, forward.label, left.label, turn.label);
+      'Lift the robot and put it down elsewhere; its wheels spin in the air and count.', this.station, forward.label, left.label, turn.label);
   }
 
   #slip() {

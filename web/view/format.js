@@ -24,12 +24,14 @@ export function fixed(value, digits, unit = '') {
   return unit ? `${value.toFixed(digits)} ${unit}` : value.toFixed(digits);
 }
 
-/** Up to four significant digits, without an exponent where one can do without. */
+/** Up to four significant digits, without an exponent where one can do without; what is not quite one is not shown as one. */
 export function compact(value) {
   if (!Number.isFinite(value)) return NONE;
   if (value === 0) return '0';
   const size = Math.abs(value);
-  return size >= 1e5 || size < 1e-4 ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  if (size >= 1e5 || size < 1e-4) return value.toExponential(2);
+  const short = Number(value.toPrecision(4));
+  return String(Math.abs(short) === 1 ? Number(value.toPrecision(7)) : short);
 }
 
 /** A value and its standard deviation, both to two digits of the latter. */

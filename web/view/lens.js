@@ -19,7 +19,7 @@ export class Lens {
     this.width_m = 0.1;
   }
 
-  /** Draws around the estimate; `truth` is null where nobody knows it. */
+  /** Draws around the estimate; `truth` is null where nobody knows it; `alpha` fades an estimate that nobody renews. */
   draw(context, map, view) {
     const { estimate, truth, fixes, until_s } = view;
     if (Number.isNaN(estimate.x_m + estimate.y_m)) return;
@@ -31,8 +31,10 @@ export class Lens {
     this.#frame(context, x_px, y_px, radius_px);
     context.clip();
     context.translate(x_px - radius_px, y_px - radius_px);
+    context.globalAlpha = view.alpha;
     drawEllipse(context, this.camera, estimate);
     drawCone(context, this.camera, estimate);
+    context.globalAlpha = 1;
     drawFixes(context, this.camera, fixes, until_s, FIXES_S);
     this.#points(context, estimate, truth);
     context.restore();

@@ -1,4 +1,6 @@
 // Hands on the map: drag and pinch, wheel, keys. It only moves the camera and says that somebody did.
+//
+// On a phone the map fills the screen: one finger up or down scrolls the page (`touch-action: pan-y`), two move the map.
 
 const ZOOM_STEP = 1.25;
 const PAN_STEP_PX = 40;
@@ -31,6 +33,9 @@ export function listen(canvas, camera, onMove) {
   });
   for (const name of ['pointerup', 'pointercancel']) {
     canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
+  }
+  for (const name of ['touchstart', 'touchmove']) {
+    canvas.addEventListener(name, (event) => { if (event.touches.length > 1) event.preventDefault(); }, { passive: false });
   }
   canvas.addEventListener('wheel', (event) => wheel(event, camera, onMove), { passive: false });
   canvas.addEventListener('keydown', (event) => key(event, camera, onMove));

@@ -264,6 +264,22 @@ fn a_token_opens_the_station_and_a_wrong_one_does_not() {
 }
 
 #[test]
+fn a_browser_without_the_token_is_told_what_to_do() {
+    let played = Played::start(TokenPolicy::Always);
+    let address = played.address();
+    let accept = "accept: text/html,application/xhtml+xml\r\n";
+    let page = request(address, "GET /", (accept, b""));
+    assert_eq!(
+        (page.status, page.header("content-type")),
+        (401, Some("text/html; charset=utf-8"))
+    );
+    assert!(page.header("content-security-policy").is_some());
+    assert!(page.text().contains("Open that address"), "{}", page.text());
+    let program = request(address, "GET /v1/robots", ("accept: */*\r\n", b""));
+    assert!(program.error().contains("token"));
+}
+
+#[test]
 fn recordings_are_listed_sent_and_replayed_and_nothing_else_is() {
     let played = Played::start(TokenPolicy::Elsewhere);
     let address = played.address();

@@ -17,7 +17,7 @@ pub type ProfileName = ChannelName;
 /// Something that happens to the simulated brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SimulatorCommand {
-    /// The robot is lifted and put down elsewhere; its wheels count nothing.
+    /// The robot is lifted and put down elsewhere; its wheels spin in the air and count.
     Kidnap {
         /// How far along its own x axis it is carried, in metres.
         forward_m: f64,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Result, ensure};
 use posebridge_pipeline::Pipeline;
-use posebridge_recording::container::{Ending, Header, Reader};
+use posebridge_recording::container::{Header, Reader};
 use posebridge_telemetry::{HostClock, Input, Span, Stamp};
 
 use super::robot;
@@ -13,12 +13,10 @@ use crate::cli::SessionFlags;
 use crate::config::{self, Config};
 use crate::import::{self, Inputs, Session, Station};
 use crate::known::Known;
-use crate::own_recording::lack_of;
+use crate::notes::Notes;
 use crate::progress;
 use crate::signing;
 
-/// So many damaged places are named.
-const MOST_NOTES: usize = 50;
 /// The bar moves when so many bytes have been read.
 const BAR_STEP: u64 = 256 * 1024;
 
@@ -144,8 +142,7 @@ impl OwnRecording {
         window: Window,
         pace: Option<&Pace>,
     ) -> Result<Passage> {
-        let mut notes = Notes::default();
-        self.notes.iter().cloned().for_each(|note| notes.add(note));
+        let mut notes = Notes::of(&self.notes);
         let mut course = Course {
             lanes,
             window,
@@ -213,16 +210,11 @@ impl Course<'_, '_> {
 fn run_recorded(bytes: &[u8], course: &mut Course<'_, '_>, notes: &mut Notes) -> Result<()> {
     let mut reader = Reader::open(bytes)?;
     let bar = progress::bar(bytes.len() as u64, "bytes")?;
-    if let Some(lack) = lack_of(reader.beginning()) {
-        notes.add(format!("{lack}; the replay is not that of the live run"));
-    }
+    notes.add_lack(reader.beginning());
     while let Some(item) = reader.next() {
         match item {
             Ok((now, input)) => course.give(now, &input)?,
-            // What is whole behind the damage is still worth replaying.
-            Err(error) => notes.add(format!(
-                "{error}; the replay is not that of the live run any more"
-            )),
+            Err(error) => notes.add_damage(&error),
         }
         if course.is_over {
             break;
@@ -232,10 +224,8 @@ fn run_recorded(bytes: &[u8], course: &mut Course<'_, '_>, notes: &mut Notes) ->
         }
     }
     bar.finish_and_clear();
-    if let (Ending::Torn { offset, what }, false) = (reader.ending(), course.is_over) {
-        notes.add(format!(
-            "cut off at byte {offset} ({what}); everything before was replayed"
-        ));
+    if !course.is_over {
+        notes.add_ending(&reader.ending());
     }
     Ok(())
 }
@@ -249,29 +239,4 @@ pub fn changed_settings(flags: &SessionFlags) -> Vec<String> {
     let settings = flags.data.settings.iter().chain(&flags.params);
     changes.extend(settings.map(ToString::to_string));
     changes
-}
-
-/// What is missing or damaged: the first of them in words, the others as a number.
-#[derive(Default)]
-struct Notes {
-    told: Vec<String>,
-    more: u64,
-}
-
-impl Notes {
-    fn add(&mut self, note: String) {
-        if self.told.len() < MOST_NOTES {
-            self.told.push(note);
-        } else {
-            self.more += 1;
-        }
-    }
-
-    fn finish(mut self) -> Vec<String> {
-        if self.more > 0 {
-            self.told
-                .push(format!("{} more places are damaged", self.more));
-        }
-        self.told
-    }
 }

@@ -149,9 +149,12 @@ function robotAt(id, t_s, ahead_s) {
     major_m: 0.006 + 0.002 * Math.sin(t_s), minor_m: 0.004, axis_rad: 0.3 * t_s, heading_sigma_rad: 0.012,
     forward_m_per_s: SPEED_M_PER_S, turn_rad_per_s: 0, reset_counter: 0, is_dead_reckoning: false, fix_age_s: 0.1,
   };
-  const part = { id, estimates: [estimate], fixes: [], fusion: [] };
+  const off_m = ([x_m, y_m]) => Math.hypot(x_m - truth.x_m, y_m - truth.y_m);
+  const score = { t_s, estimate_m: off_m([estimate.x_m, estimate.y_m]), odometry_m: off_m(truth.odometry), claim_m: estimate.major_m };
+  const part = { id, estimates: [estimate], fixes: [], fusion: [], scores: [score] };
   part.fusion.push({ t_s, sensor: 'wheels', kind: 'wheel_angles', verdict: 'accepted', lag_s: 0, nis: wave(9.1) ** 2, dof: 1, innovation: [0.01 * wave(9.1)], sigma: [0.01] });
   if (step % 5 === 0) addFix(part, truth, t_s, step);
+  if (step % 50 === 0) part.tallies = counted(t_s, step);
   if (step % 15 === 0) part.calibration = learned(t_s);
   return part;
 }
@@ -165,6 +168,14 @@ function addFix(part, truth, t_s, step) {
     t_s, sensor: 'camera', kind: 'fix', verdict, lag_s, nis: verdict === 'gated' ? 60 : 3 + 2.5 * Math.sin(5.3 * step), dof: 3,
     innovation: [off_m * Math.sin(7.3 * step), off_m * Math.cos(3.1 * step), 0.01 * Math.sin(step)], sigma: [0.007, 0.007, 0.015],
   });
+}
+
+// As if the station had run for a while before the page came.
+function counted(t_s, step) {
+  return [
+    { t_s, sensor: 'wheels', kind: 'wheel_angles', seen: 7000 + step, gated: 0, late: 0 },
+    { t_s, sensor: 'camera', kind: 'fix', seen: 1400 + Math.floor(step / 5), gated: 12 + Math.floor(step / 115), late: 5 },
+  ];
 }
 
 function learned(t_s) {

@@ -146,7 +146,7 @@ pub const COMMANDS: &[CommandRow] = &[
     }),
     CommandRow {
         name: "kidnap",
-        help: "the simulated robot is lifted and put down there, relative to itself; its wheels count nothing",
+        help: "the simulated robot is lifted and put down there, relative to itself; its wheels spin in the air and count",
         fields: &[
             simulated("forward_m"),
             simulated("left_m"),

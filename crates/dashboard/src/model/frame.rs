@@ -94,7 +94,13 @@ pub struct RobotFrame {
     pub fixes: Vec<FixPoint>,
     /// What became of each observation.
     pub fusion: Vec<FusionPoint>,
-    /// What was learned about the robot; absent without news.
+    /// Estimates against the truth of their instants, where a simulated robot tells it; absent without news.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub scores: Vec<ScorePoint>,
+    /// How many observations came so far, once a second; of a recording one for each second.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tallies: Vec<TallyPoint>,
+    /// What was learned about the robot, once a second and when it has changed; of a recording one for each second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<Vec<CalibrationRow>>,
 }
@@ -184,10 +190,44 @@ pub struct FusionPoint {
     pub sigma: Vec<Number>,
 }
 
+/// An estimate against the truth of its own instant, by the robot's clock.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScorePoint {
+    /// When the estimate was made, in seconds of the session.
+    pub t_s: f64,
+    /// Distance of the brick's own dead reckoning from the truth.
+    pub odometry_m: Number,
+    /// Distance of the estimate from the truth; `null` for as long as no estimate comes.
+    pub estimate_m: Number,
+    /// Half the longer axis of the ellipse that was to hold the truth with 95 %.
+    pub claim_m: Number,
+}
+
+/// So many observations of one kind came from a sensor until an instant, since the beginning.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TallyPoint {
+    /// That instant, in seconds of the session.
+    pub t_s: f64,
+    /// The sensor's name.
+    pub sensor: String,
+    /// The kind of observation.
+    pub kind: String,
+    /// So many came.
+    pub seen: u64,
+    /// So many of them were gated.
+    pub gated: u64,
+    /// So many of them came 0.15 s or more behind the filter's time.
+    pub late: u64,
+}
+
 /// Something that was learned about a robot.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationRow {
+    /// When it stood so, in seconds of the session.
+    pub t_s: f64,
     /// Its key in `[robot.calibration]`.
     pub name: String,
     /// The number.
@@ -220,7 +260,7 @@ pub struct TruthPoint {
 pub struct ErrorsRow {
     /// Distance of the brick's own dead reckoning from the truth.
     pub odometry_m: Number,
-    /// Distance of the estimate from the truth at the same instant.
+    /// Distance of the last estimate from the truth at its own instant; `null` when none was compared for a second.
     pub estimate_m: Number,
 }
 

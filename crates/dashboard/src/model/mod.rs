@@ -7,7 +7,8 @@ mod state;
 
 pub use frame::{
     CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow,
-    LogLine, ParameterValue, RecordingNow, RobotFrame, SimulatorNow, TruthPoint,
+    LogLine, ParameterValue, RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint,
+    TruthPoint,
 };
 pub use hello::{Hello, ParameterRow, RecordingRow, SimulatorFacts, SourceRow};
 pub use number::Number;

@@ -11,13 +11,13 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::header::{
-    AUTHORIZATION, CONTENT_SECURITY_POLICY, COOKIE, HOST, ORIGIN, REFERRER_POLICY, SET_COOKIE,
-    X_CONTENT_TYPE_OPTIONS,
+    ACCEPT, AUTHORIZATION, CONTENT_SECURITY_POLICY, COOKIE, HOST, ORIGIN, REFERRER_POLICY,
+    SET_COOKIE, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
-use axum::response::{IntoResponse as _, Response};
+use axum::response::{Html, IntoResponse as _, Response};
 use tokio::time::timeout;
 
 use super::App;
@@ -31,6 +31,9 @@ const POLICY: &str =
     "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// The port of a Host that names none.
 const HTTP_PORT: u16 = 80;
+
+/// What a browser without the token shows; the policy above lets it have no style of its own.
+const NO_TOKEN_PAGE: &str = include_str!("no_token.html");
 
 /// What is asked of whoever comes.
 #[derive(Debug)]
@@ -79,7 +82,11 @@ pub(super) async fn admit(State(app): State<Arc<App>>, request: Request, next: N
         }
         Err(denial) => {
             app.counts.one(denial.count);
-            refusal(denial.status, denial.why)
+            if denial.status == StatusCode::UNAUTHORIZED && wants_page(request.headers()) {
+                (denial.status, Html(NO_TOKEN_PAGE)).into_response()
+            } else {
+                refusal(denial.status, denial.why)
+            }
         }
     };
     let headers = response.headers_mut();
@@ -95,6 +102,15 @@ pub(super) async fn admit(State(app): State<Arc<App>>, request: Request, next: N
         headers.insert(name, HeaderValue::from_static(value));
     }
     response
+}
+
+/// Whether somebody looks at the answer in a browser.
+fn wants_page(headers: &HeaderMap) -> bool {
+    let mut accepted = headers.get_all(ACCEPT).iter();
+    accepted.any(|value| {
+        let value = value.to_str().unwrap_or_default();
+        value.to_ascii_lowercase().contains("text/html")
+    })
 }
 
 /// A refusal as JSON.

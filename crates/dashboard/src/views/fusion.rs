@@ -1,4 +1,7 @@
 //! What became of each observation: innovations and NIS of each source.
+//!
+//! Records with a NIS and those without are thinned apart: of wheels one in four has one, and thinning both together by halves would
+//! leave none of those.
 
 use posebridge_telemetry::{Event, FusionRecord, HostClock, SensorId, Stamp};
 
@@ -9,12 +12,12 @@ use crate::model::{Frame, FusionPoint, Number, seconds_of};
 
 /// The share of the history that one source has: a robot has about four, and all together should stay a small message.
 const SHARE: usize = 3;
-/// Sources are kept apart, so that one that speaks seldom is not crowded out.
-const MOST_SOURCES: usize = 4 * MOST_ROBOTS;
+/// Sources are kept apart, so that one that speaks seldom is not crowded out; each with a NIS and without.
+const MOST_SOURCES: usize = 2 * 4 * MOST_ROBOTS;
 
 /// The records of each source.
 pub(super) struct Fusion {
-    trails: Trails<(SensorId, &'static str), FusionPoint>,
+    trails: Trails<(SensorId, &'static str, bool), FusionPoint>,
 }
 
 impl Fusion {
@@ -37,7 +40,8 @@ impl View for Fusion {
         let Told::Event(Event::Fused { robot, record }) = told else {
             return;
         };
-        let source = (record.sensor, record.kind);
+        let has_nis = record.degrees_of_freedom > 0;
+        let source = (record.sensor, record.kind, has_nis);
         let point = (point_of(now, record), weight_of(record.verdict));
         self.trails.push(now, (*robot, source), point);
     }
@@ -46,16 +50,25 @@ impl View for Fusion {
         for (robot, points) in self.trails.take_news() {
             frame.robot(&robot_name(robot)).fusion.extend(points);
         }
+        sort(frame);
     }
 
     fn add_history(&self, history: &mut Frame) {
         for (robot, points) in self.trails.kept() {
             history.robot(&robot_name(robot)).fusion.extend(points);
         }
+        sort(history);
     }
 
     fn dropped(&self) -> u64 {
         self.trails.dropped()
+    }
+}
+
+/// Puts the records of all trails into the order in which they came.
+fn sort(frame: &mut Frame) {
+    for robot in &mut frame.robots {
+        robot.fusion.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
     }
 }
 

@@ -38,6 +38,14 @@ impl Log {
         }
     }
 
+    /// Over a whole session what robots and ground stations chatter goes first; the last lines are kept as they came.
+    const fn weight_of(&self, severity: u8) -> Weight {
+        match self.setting.keep {
+            Keep::Whole { .. } if severity > NOTICE => Weight::Usual,
+            Keep::Whole { .. } | Keep::Latest { .. } => Weight::Rare,
+        }
+    }
+
     fn line_of(&self, event: &Event) -> Option<(u8, String)> {
         Some(match event {
             Event::RobotSeen { robot } => (NOTICE, format!("heard {}", robot_name(*robot))),
@@ -97,7 +105,7 @@ impl View for Log {
                 severity,
                 text,
             };
-            self.trail.push(now, line, Weight::Rare);
+            self.trail.push(now, line, self.weight_of(severity));
         }
     }
 

@@ -14,6 +14,7 @@ mod parameters;
 mod robots;
 mod simulator;
 mod switches;
+mod tallies;
 mod trail;
 mod truth;
 
@@ -103,6 +104,7 @@ views![
     estimates::Estimates,
     fixes::Fixes,
     fusion::Fusion,
+    tallies::Tallies,
     calibration::Calibrations,
     truth::Truth,
     links::Links,

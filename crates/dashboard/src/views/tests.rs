@@ -21,12 +21,19 @@ fn robot() -> RobotId {
 }
 
 fn view(name: &str) -> Box<dyn View> {
-    let setting = Setting {
-        links: vec!["sim://square".to_owned()],
-        keep: Keep::Latest {
+    view_that_keeps(
+        name,
+        Keep::Latest {
             span: Span::from_millis(60_000),
             most: 1_200,
         },
+    )
+}
+
+fn view_that_keeps(name: &str, keep: Keep) -> Box<dyn View> {
+    let setting = Setting {
+        links: vec!["sim://square".to_owned()],
+        keep,
     };
     let entry = VIEWS.iter().find(|entry| entry.name == name).unwrap();
     (entry.build)(&setting)
@@ -177,6 +184,7 @@ fn a_record_has_its_innovation_with_one_sigma_each() {
 fn what_stands_is_told_when_it_changes_and_once_a_second() {
     let standing = Standing {
         calibration: vec![CalibrationRow {
+            t_s: 1.5,
             name: "gyro_bias_rad_per_s".to_owned(),
             value: 0.01,
             sigma: 0.002,
@@ -214,8 +222,8 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
     assert_eq!(told(&mut *simulator, Pace::News), None);
     assert_eq!(told(&mut *simulator, Pace::Second), standing.simulator);
     let mut calibration = view("calibration");
-    calibration.take(at(0), Told::Standing(&standing));
-    calibration.take(at(0), Told::Event(&estimated(&estimate())));
+    calibration.take(at(1_500), Told::Standing(&standing));
+    calibration.take(at(1_500), Told::Event(&estimated(&estimate())));
     let frame = news(&mut *calibration, Pace::News);
     assert_eq!(frame.robots[0].calibration, Some(standing.calibration));
     assert!(news(&mut *calibration, Pace::News).is_empty());
@@ -250,7 +258,7 @@ fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     );
     late.take(at(1_040), Told::Truth(&samples[1]));
     let frame = news(&mut *late, Pace::News);
-    assert_json_snapshot!("truth", (&frame.errors, frame.truth));
+    assert_json_snapshot!("truth", (&frame.errors, frame.truth, frame.robots));
     let mut early = view("truth");
     for sample in &samples {
         early.take(at(1_040), Told::Truth(sample));
@@ -264,6 +272,151 @@ fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     torn.take(at(1_050), Told::Event(&estimated));
     let unknown = history(&*torn).errors.unwrap().estimate_m;
     assert_eq!(unknown.get(), None, "nobody knows what was in two seconds");
+    assert!(history(&*torn).robots.is_empty());
+}
+
+#[test]
+fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
+    let mut view = view("truth");
+    // 50 estimates a second, 20 samples a second, both as long on their way.
+    for step in 0..200 {
+        let millis = 10 * step;
+        if step % 5 == 0 {
+            let sample = truth(4_000 + millis, 0.001 * millis as f64);
+            view.take(at(millis), Told::Truth(&sample));
+        }
+        if step % 2 == 0 {
+            let mut estimate = estimate();
+            estimate.stamp = Stamp::from_millis(4_000 + millis);
+            estimate.pose = Pose::new(
+                Meters(0.001 * millis as f64),
+                Meters(-0.28 + 0.002),
+                Heading::from_rad(0.6),
+            );
+            // They come 0.3 s later than they hold: whoever compares by arrival is 0.3 m off.
+            view.take(at(millis + 300), Told::Event(&estimated(&estimate)));
+        }
+    }
+    let frame = news(&mut *view, Pace::News);
+    let scores = &frame.robots[0].scores;
+    assert!(scores.len() >= 95, "{}", scores.len());
+    for score in scores {
+        let off_m = score.estimate_m.get().unwrap();
+        assert!((off_m - 0.002).abs() < 1e-6, "{score:?}");
+        let odometry_m = score.odometry_m.get().unwrap();
+        assert!((odometry_m - 0.5).abs() < 1e-6, "{score:?}");
+    }
+    assert_eq!(scores[0].t_s, 0.3);
+    assert_eq!(
+        history(&*view).robots[0].scores.len(),
+        33,
+        "50 ms apart or more"
+    );
+}
+
+#[test]
+fn an_estimate_that_nobody_renews_is_not_said_to_be_good() {
+    let mut view = view("truth");
+    for sample in [truth(4_960, 1.46), truth(5_040, 1.54)] {
+        view.take(at(1_040), Told::Truth(&sample));
+    }
+    view.take(at(1_050), Told::Event(&estimated(&estimate())));
+    let known = news(&mut *view, Pace::News).errors.unwrap();
+    assert!(known.estimate_m.get().is_some());
+    // The cable is out; the simulator tells on.
+    for step in 0..40 {
+        let sample = truth(5_090 + 50 * step, 1.5);
+        view.take(sample.now, Told::Truth(&sample));
+    }
+    let frame = news(&mut *view, Pace::News);
+    let errors = frame.errors.unwrap();
+    assert_eq!(errors.estimate_m.get(), None);
+    assert!(errors.odometry_m.get().is_some());
+    assert_eq!(history(&*view).errors.unwrap().estimate_m.get(), None);
+    let gap = &frame.robots[0].scores;
+    assert_eq!(gap[0].t_s, 2.09, "a second behind the last comparison");
+    assert!(gap.iter().all(|one| one.estimate_m.get().is_none()));
+    assert!(gap.iter().all(|one| one.odometry_m.get().is_some()));
+}
+
+#[test]
+fn records_with_a_nis_outlive_the_thinning_of_a_long_recording() {
+    let mut view = view_that_keeps("fusion", Keep::Whole { most: 3_000 });
+    // Of wheels one record in four ends a window and has a NIS.
+    for step in 0..40_000 {
+        let record = fused(Verdict::Accepted, u8::from(step % 4 == 3));
+        view.take(at(20 * step), Told::Event(&record));
+    }
+    let kept = &history(&*view).robots[0].fusion;
+    let with_nis = kept.iter().filter(|one| one.nis.get().is_some()).count();
+    assert!((400..1_000).contains(&with_nis), "{with_nis}");
+    assert!(kept.len() - with_nis >= 400);
+    assert!(kept.is_sorted_by(|a, b| a.t_s <= b.t_s));
+}
+
+#[test]
+fn tallies_count_what_is_thinned_as_well() {
+    let mut live = view("tallies");
+    let mut whole = view_that_keeps("tallies", Keep::Whole { most: 20_000 });
+    for step in 0..1_000 {
+        let verdict = if step % 100 == 0 {
+            Verdict::Gated
+        } else {
+            Verdict::Accepted
+        };
+        for view in [&mut live, &mut whole] {
+            view.take(at(20 * step), Told::Event(&fused(verdict, 2)));
+        }
+    }
+    assert!(news(&mut *live, Pace::News).robots.is_empty());
+    let frame = news(&mut *live, Pace::Second);
+    assert_json_snapshot!("tallies", frame.robots[0].tallies);
+    assert_eq!(history(&*live).robots, frame.robots);
+    let seconds = &history(&*whole).robots[0].tallies;
+    assert_eq!(seconds.last(), frame.robots[0].tallies.last());
+    assert_eq!(seconds.len(), 20);
+    assert!(seconds.is_sorted_by(|a, b| a.t_s < b.t_s && a.seen < b.seen));
+}
+
+#[test]
+fn of_a_recording_it_is_kept_how_what_was_learned_went() {
+    let standing = |value| Standing {
+        calibration: vec![CalibrationRow {
+            name: "radius_scale".to_owned(),
+            value,
+            ..CalibrationRow::default()
+        }],
+        ..Standing::default()
+    };
+    let mut live = view("calibration");
+    let mut whole = view_that_keeps("calibration", Keep::Whole { most: 20_000 });
+    for view in [&mut live, &mut whole] {
+        view.take(at(0), Told::Event(&estimated(&estimate())));
+        for second in 0..10_i32 {
+            let now = at(1_000 * i64::from(second));
+            view.take(now, Told::Standing(&standing(f64::from(second))));
+        }
+    }
+    let kept = |view: &dyn View| history(view).robots[0].calibration.clone().unwrap();
+    let (last, all) = (kept(&*live), kept(&*whole));
+    assert_eq!((last.len(), last[0].t_s), (1, 9.0));
+    assert_eq!((all.len(), all[4].t_s, all[4].value), (10, 4.0, 4.0));
+}
+
+#[test]
+fn of_a_long_recording_warnings_outlive_the_chatter() {
+    let mut view = view_that_keeps("log", Keep::Whole { most: 1_000 });
+    for step in 0..20_000_i64 {
+        let event = Event::Text {
+            source: Address::new(1, 1),
+            severity: if step % 200 == 0 { 4 } else { 6 },
+            text: step.to_string(),
+        };
+        view.take(at(step), Told::Event(&event));
+    }
+    let kept = history(&*view).log;
+    assert_eq!(kept.iter().filter(|line| line.severity == 4).count(), 100);
+    assert!(kept.len() < 1_000);
 }
 
 #[test]

@@ -20,7 +20,8 @@ pub enum Keep {
         /// So many.
         most: usize,
     },
-    /// All of the session, at most so many: when it is full every second one goes.
+    /// All of the session, at most so many: when it is full every second usual one goes, and of rare ones only where they alone
+    /// would fill it.
     Whole {
         /// So many.
         most: usize,
@@ -36,14 +37,49 @@ pub(super) enum Weight {
     Rare,
 }
 
+/// A point with when it came and how much it matters.
+#[derive(Clone, Debug)]
+struct Kept<T> {
+    at: Stamp<HostClock>,
+    point: T,
+    weight: Weight,
+}
+
+/// How points of one weight are thinned over a whole session.
+#[derive(Clone, Copy, Debug)]
+struct Thinned {
+    /// Of so many one is kept.
+    stride: usize,
+    seen: usize,
+    kept: usize,
+}
+
+impl Thinned {
+    const NONE: Self = Self {
+        stride: 1,
+        seen: 0,
+        kept: 0,
+    };
+
+    /// Whether the next point is one that is kept.
+    fn takes_next(&mut self) -> bool {
+        let is_kept = self.seen.is_multiple_of(self.stride);
+        self.seen += 1;
+        if is_kept {
+            self.kept += 1;
+        }
+        is_kept
+    }
+}
+
 /// A list that stays small.
 #[derive(Clone, Debug)]
 pub(super) struct Trail<T> {
     keep: Keep,
-    kept: VecDeque<(Stamp<HostClock>, T)>,
+    kept: VecDeque<Kept<T>>,
     last: Option<Stamp<HostClock>>,
-    stride: usize,
-    seen: usize,
+    usual: Thinned,
+    rare: Thinned,
     news: Vec<T>,
     dropped: u64,
 }
@@ -54,8 +90,8 @@ impl<T: Clone> Trail<T> {
             keep,
             kept: VecDeque::new(),
             last: None,
-            stride: 1,
-            seen: 0,
+            usual: Thinned::NONE,
+            rare: Thinned::NONE,
             news: Vec::new(),
             dropped: 0,
         }
@@ -69,8 +105,8 @@ impl<T: Clone> Trail<T> {
             self.dropped += 1;
         }
         match self.keep {
-            Keep::Latest { span, most } => self.keep_latest((now, point), weight, (span, most)),
-            Keep::Whole { most } => self.keep_whole((now, point), weight, most),
+            Keep::Latest { span, most } => self.keep_latest(kept(now, point, weight), (span, most)),
+            Keep::Whole { most } => self.keep_whole(kept(now, point, weight), most),
         }
     }
 
@@ -81,49 +117,70 @@ impl<T: Clone> Trail<T> {
 
     /// What is kept, oldest first.
     pub(super) fn kept(&self) -> Vec<T> {
-        self.kept.iter().map(|(_, point)| point.clone()).collect()
+        self.kept.iter().map(|one| one.point.clone()).collect()
     }
 
     pub(super) const fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    fn keep_latest(
-        &mut self,
-        (now, point): (Stamp<HostClock>, T),
-        weight: Weight,
-        (span, most): (Span, usize),
-    ) {
+    fn keep_latest(&mut self, one: Kept<T>, (span, most): (Span, usize)) {
         let spacing = Span::from_nanos(span.as_nanos() / most.max(1) as i64);
-        if weight == Weight::Usual && self.last.is_some_and(|last| now - last < spacing) {
+        let now = one.at;
+        if one.weight == Weight::Usual && self.last.is_some_and(|last| now - last < spacing) {
             return;
         }
         self.last = Some(now);
-        self.kept.push_back((now, point));
+        self.kept.push_back(one);
         while self.kept.len() > most
             || self
                 .kept
                 .front()
-                .is_some_and(|(oldest, _)| now - *oldest > span)
+                .is_some_and(|oldest| now - oldest.at > span)
         {
             self.kept.pop_front();
         }
     }
 
-    fn keep_whole(&mut self, (now, point): (Stamp<HostClock>, T), weight: Weight, most: usize) {
-        if weight == Weight::Rare || self.seen.is_multiple_of(self.stride) {
-            self.kept.push_back((now, point));
+    fn keep_whole(&mut self, one: Kept<T>, most: usize) {
+        if self.thinned(one.weight).takes_next() {
+            self.kept.push_back(one);
         }
-        self.seen += 1;
         if self.kept.len() >= most {
-            let mut index = 0;
-            self.kept.retain(|_| {
-                index += 1;
-                index % 2 == 1
+            // Where a quarter or more is usual, halving that makes room for long enough.
+            let is_usual_enough = self.usual.kept >= most.div_ceil(4);
+            self.halve(if is_usual_enough {
+                Weight::Usual
+            } else {
+                Weight::Rare
             });
-            self.stride *= 2;
         }
     }
+
+    /// Throws every second point of a weight away.
+    fn halve(&mut self, weight: Weight) {
+        let mut index = 0_usize;
+        self.kept.retain(|one| {
+            if one.weight == weight {
+                index += 1;
+            }
+            one.weight != weight || index % 2 == 1
+        });
+        let thinned = self.thinned(weight);
+        thinned.stride *= 2;
+        thinned.kept = index.div_ceil(2);
+    }
+
+    const fn thinned(&mut self, weight: Weight) -> &mut Thinned {
+        match weight {
+            Weight::Usual => &mut self.usual,
+            Weight::Rare => &mut self.rare,
+        }
+    }
+}
+
+const fn kept<T>(at: Stamp<HostClock>, point: T, weight: Weight) -> Kept<T> {
+    Kept { at, point, weight }
 }
 
 /// A trail for each robot, or for each sensor of each robot.
@@ -233,6 +290,37 @@ mod tests {
         assert_eq!(kept[0], 0);
         let step = kept[1] - kept[0];
         assert!(kept.windows(2).all(|pair| pair[1] - pair[0] == step));
+    }
+
+    #[test]
+    fn what_is_rare_outlives_the_thinning_of_a_whole_session() {
+        let mut trail = Trail::new(Keep::Whole { most: 1_000 });
+        let weight_of = |millis: i64| {
+            if millis % 1_000 == 7 {
+                Weight::Rare
+            } else {
+                Weight::Usual
+            }
+        };
+        for millis in 0..90_000 {
+            trail.push(at(millis), millis, weight_of(millis));
+        }
+        let kept = trail.kept();
+        let is_rare = |millis: &&i64| weight_of(**millis) == Weight::Rare;
+        assert_eq!(kept.iter().filter(is_rare).count(), 90);
+        assert!((500..1_000).contains(&kept.len()), "{}", kept.len());
+        assert!(kept.is_sorted());
+    }
+
+    #[test]
+    fn a_flood_of_what_is_rare_is_thinned_as_well() {
+        let mut trail = Trail::new(Keep::Whole { most: 100 });
+        for millis in 0..10_000 {
+            trail.push(at(millis), millis, Weight::Rare);
+        }
+        let kept = trail.kept();
+        assert!((50..100).contains(&kept.len()), "{}", kept.len());
+        assert!(kept[0] == 0 && *kept.last().unwrap() > 9_700, "{kept:?}");
     }
 
     #[test]

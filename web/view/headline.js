@@ -1,0 +1,14 @@
+// The line at the head of the page: how far off, as the terminal has it.
+
+import { metres } from './format.js';
+
+/** Of what is shown: `errors` of the robot, the time, and the robot itself. */
+export function headline({ errors, robot, until_s }) {
+  const odometry_m = errors?.recent('odometry_m', until_s) ?? NaN;
+  if (Number.isFinite(odometry_m)) {
+    const estimate_m = errors.recent('estimate_m', until_s);
+    const estimate = Number.isFinite(estimate_m) ? `estimate ${metres(estimate_m)} off` : 'estimate not known';
+    return `odometry ${metres(odometry_m)} off, ${estimate}`;
+  }
+  return robot ? `robot ${robot.id}` : 'Waiting for a robot…';
+}
