@@ -9,10 +9,17 @@ use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::{self, Reader};
 use posebridge_telemetry::{BrickClock, Event, HostClock, Output, Stamp};
 
-use crate::import::{self, Station};
+use crate::import::{self, Beyond, Room};
 use crate::own_recording::{Overlay, laid_over};
 use crate::signing;
 use crate::tasks::dashboard::standing_of;
+
+/// A replay of the page shares memory and cores with a station that steers: more than 256 MiB, some hours of the bundled brick, are replayed
+/// by `posebridge replay`, or from a later part on.
+const ROOM: Room = Room {
+    most_bytes: 256 << 20,
+    beyond: Beyond::LeftOut,
+};
 
 /// Runs a recording through the engine and gathers what it shows; what is damaged or cut off is left out.
 ///
@@ -20,7 +27,7 @@ use crate::tasks::dashboard::standing_of;
 /// The file cannot be read or is no recording of ours.
 pub fn of(path: &Path) -> Result<Frame> {
     let name = path.display();
-    let (bytes, _notes) = import::recording_bytes(path, Station::default())?;
+    let (bytes, _notes) = import::own_recording_bytes(path, ROOM)?;
     let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
     let config = laid_over(&reader.header().config_toml, Overlay::default())?;
     let mut pipeline_config = config.pipeline()?;
@@ -63,4 +70,29 @@ fn told_at(
 ) -> Option<Stamp<HostClock>> {
     let index = heard.partition_point(|(estimated, _)| *estimated < stamp);
     heard.get(index).map(|(_, now)| *now)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_recording_is_not_read_to_its_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        // A hole: it takes no room on the disk, but would in memory.
+        let file = std::fs::File::create(&path).unwrap();
+        file.set_len(ROOM.most_bytes + 1).unwrap();
+        let refused = format!("{:#}", of(&path).unwrap_err());
+        assert!(
+            refused.contains("not begin with the MCAP magic"),
+            "{refused}"
+        );
+        // One that begins like one is refused for its size.
+        std::fs::write(&path, b"\x89MCAP0\r\n").unwrap();
+        let file = std::fs::File::options().append(true).open(&path).unwrap();
+        file.set_len(ROOM.most_bytes + 1).unwrap();
+        let refused = format!("{:#}", of(&path).unwrap_err());
+        assert!(refused.contains("holds more than 256 MiB"), "{refused}");
+    }
 }
