@@ -9,7 +9,8 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use posebridge_dashboard::model::{CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts};
 use posebridge_dashboard::{
-    Batch, Dashboard, Facts, Feed, Listen, Sources, Standing, StartError, TokenPolicy, TruthSample,
+    Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Standing, StartError, TokenPolicy,
+    TruthSample,
 };
 use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
@@ -47,16 +48,18 @@ pub struct Simulated<'a> {
     pub truth: TruthTap,
 }
 
-/// Starts the dashboard, if there is to be one, and says where it is.
+/// An address that was taken for the dashboard, as it was asked for.
+pub struct Reserved {
+    bound: Bound,
+    listen: Listen,
+}
+
+/// Takes the dashboard's address, if there is to be one: before anything is made that a start that fails would leave behind.
 ///
 /// # Errors
-/// It cannot listen where it was told to. That all ports behind the default are taken is no error: a robot may wait.
-pub fn start(
-    flags: &DashboardFlags,
-    config: &Config,
-    (timer, folder): (HostTimer, &Path),
-    simulated: Option<Simulated<'_>>,
-) -> Result<Option<(Dashboard, Outlet)>> {
+/// It cannot listen where it was told to, or its files are not there. That all ports behind the default are taken is no error: a robot
+/// may wait.
+pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<Reserved>> {
     let Some(listen) = wanted(flags, config)? else {
         return Ok(None);
     };
@@ -64,6 +67,27 @@ pub fn start(
         let page = folder.join("index.html");
         ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
     }
+    match Bound::new(listen) {
+        Ok(bound) => Ok(Some(Reserved { bound, listen })),
+        Err(error @ StartError::AllTaken { .. }) => {
+            tracing::warn!("there is no dashboard: {error}");
+            Ok(None)
+        }
+        Err(error) => Err(error).context("starting the dashboard"),
+    }
+}
+
+/// Starts the dashboard at its address and says where it is.
+///
+/// # Errors
+/// The system has no random bytes or no thread for it.
+pub fn start(
+    reserved: Reserved,
+    (flags, config): (&DashboardFlags, &Config),
+    (timer, folder): (HostTimer, &Path),
+    simulated: Option<Simulated<'_>>,
+) -> Result<(Dashboard, Outlet)> {
+    let Reserved { bound, listen } = reserved;
     let facts = facts_of(config, simulated.as_ref())?;
     let truth = simulated.map(|simulated| truth_of(simulated.truth));
     let sources = Sources {
@@ -73,14 +97,8 @@ pub fn start(
         replay: Box::new(|path| trails::of(path).map_err(|error| format!("{error:#}"))),
         ui_dir: flags.ui_dir.clone(),
     };
-    let (dashboard, feed, commands) = match Dashboard::start(listen, facts, sources) {
-        Ok(started) => started,
-        Err(error @ StartError::AllTaken { .. }) => {
-            tracing::warn!("there is no dashboard: {error}");
-            return Ok(None);
-        }
-        Err(error) => return Err(error).context("starting the dashboard"),
-    };
+    let started = Dashboard::start(bound, facts, sources);
+    let (dashboard, feed, commands) = started.context("starting the dashboard")?;
     tell(&dashboard, listen);
     if flags.open {
         open_in_browser(dashboard.url())?;
@@ -91,7 +109,7 @@ pub fn start(
         timer,
         steering: None,
     };
-    Ok(Some((dashboard, outlet)))
+    Ok((dashboard, outlet))
 }
 
 fn wanted(flags: &DashboardFlags, config: &Config) -> Result<Option<Listen>> {
@@ -112,7 +130,9 @@ fn tell(dashboard: &Dashboard, listen: Listen) {
             "{first} is in use, perhaps by another station: the dashboard takes the next free port"
         ));
     }
-    say(&format!("dashboard: {}", dashboard.url()));
+    for url in dashboard.urls() {
+        say(&format!("dashboard: {url}"));
+    }
     if !address.ip().is_loopback() {
         say(
             "the address holds a token that lets anybody command this station, and it travels unencrypted",

@@ -9,6 +9,7 @@
 //! units are SI, angles radians, space the arena, times seconds of the session by the host's clock.
 
 mod assets;
+mod bound;
 pub mod command;
 mod counts;
 mod feed;
@@ -18,6 +19,8 @@ mod latency;
 mod limits;
 mod metrics;
 pub mod model;
+mod negotiation;
+mod reach;
 mod recordings;
 mod schema;
 mod server;
@@ -26,8 +29,9 @@ mod thread;
 mod token;
 pub mod views;
 
+pub use bound::{Bound, Listen};
 pub use feed::{Batch, Feed, Standing, TruthSample};
 pub use gather::{Gatherer, Keep};
 pub use schema::schema;
-pub use thread::{Dashboard, Facts, Listen, Sources, StartError, TokenPolicy};
+pub use thread::{Dashboard, Facts, Sources, StartError, TokenPolicy};
 pub use token::Token;

@@ -1,7 +1,7 @@
 //! The dashboard's own thread and runtime.
 
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -11,26 +11,21 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
 use crate::assets::Assets;
+use crate::bound::Bound;
+use crate::command::Known;
 use crate::counts::Counts;
 use crate::feed::{Feed, TruthSample};
 use crate::hub::Hub;
-use crate::limits::{WAITING_COMMANDS, WAITING_QUESTIONS};
+use crate::limits::{
+    COMMANDS_AT_ONCE, COMMANDS_PER_S, MOST_CLIENTS, WAITING_COMMANDS, WAITING_QUESTIONS,
+};
 use crate::model::{ParameterRow, SimulatorFacts};
 use crate::recordings::Recordings;
-use crate::server::{App, Guard, Inlets, Replay, router, run_hub, serve};
+use crate::server::{App, Clock, Guard, Inlets, Rate, Replay, router, run_hub, serve};
 use crate::token::Token;
 
 /// The next free port is looked for among so many.
-const PORTS_TRIED: u16 = 20;
-
-/// Where to listen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Listen {
-    /// There and nowhere else; port 0 takes a free one.
-    Exactly(SocketAddr),
-    /// There, or at the next free port.
-    OrNext(SocketAddr),
-}
+pub(crate) const PORTS_TRIED: u16 = 20;
 
 /// Who needs the token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -60,7 +55,7 @@ pub struct Facts {
 /// What the dashboard needs of the program around it.
 pub struct Sources {
     /// The session's clock.
-    pub clock: Box<dyn Fn() -> Stamp<HostClock> + Send>,
+    pub clock: Box<dyn Fn() -> Stamp<HostClock> + Send + Sync>,
     /// Where the simulated robot was; gives samples until there is none left for now.
     pub truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
     /// The folder of this run's recordings.
@@ -117,23 +112,26 @@ pub enum StartError {
 #[derive(Debug)]
 pub struct Dashboard {
     address: SocketAddr,
+    /// Where others find it.
+    reachable: Vec<IpAddr>,
     token: Option<Token>,
     stop: CancellationToken,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Dashboard {
-    /// Begins to listen and starts the thread. Gives the end into which the shard tells what happens, and that from which it takes
-    /// commands.
+    /// Starts the thread, which answers at the address that was taken. Gives the end into which the shard tells what happens, and that
+    /// from which it takes commands.
     ///
     /// # Errors
-    /// The address is taken or cannot be listened on, or the thread cannot be started.
+    /// There are no random bytes for a token, or the thread cannot be started.
     pub fn start(
-        listen: Listen,
+        bound: Bound,
         facts: Facts,
         sources: Sources,
     ) -> Result<(Self, Feed, mpsc::Receiver<Command>), StartError> {
-        let (listener, address) = bind(listen)?;
+        let reachable = bound.reachable();
+        let Bound { listener, address } = bound;
         let is_open = address.ip().is_loopback() && facts.token == TokenPolicy::Elsewhere;
         let token = if is_open {
             None
@@ -146,22 +144,28 @@ impl Dashboard {
         let (commands, given) = mpsc::channel(WAITING_COMMANDS);
         let stop = CancellationToken::new();
         let recordings = Recordings::new(sources.recordings);
+        let known = Known::of(&facts);
+        let clock: Arc<Clock> = Arc::from(sources.clock);
         let hub = Hub::new(facts, token.as_ref());
         let app = App {
             guard: Guard::new(address, token.clone()),
             counts: Arc::clone(&counts),
             questions,
             commands,
+            command_rate: Rate::new(COMMANDS_PER_S, COMMANDS_AT_ONCE),
+            known,
+            clock: Arc::clone(&clock),
             recordings: recordings.clone(),
             assets: Assets::new(sources.ui_dir),
             replay: sources.replay,
             replaying: Arc::new(Semaphore::new(1)),
+            readers: Arc::new(Semaphore::new(MOST_CLIENTS)),
             stop: stop.clone(),
         };
         let inlets = Inlets {
             batches,
             truth: sources.truth,
-            clock: sources.clock,
+            clock,
             questions: asked,
             recordings,
             counts,
@@ -178,6 +182,7 @@ impl Dashboard {
             .map_err(|source| StartError::Thread { source })?;
         let dashboard = Self {
             address,
+            reachable,
             token,
             stop,
             thread: Some(thread),
@@ -191,12 +196,22 @@ impl Dashboard {
         self.address
     }
 
-    /// What to open in a browser: with the token, if one is needed, so it is to be shown once and to nobody else.
+    /// What to open in a browser of this computer: with the token, if one is needed, so it is to be shown once and to nobody else.
     #[must_use]
     pub fn url(&self) -> String {
+        self.urls().pop().unwrap_or_default()
+    }
+
+    /// The same for each address at which it is found; that of this computer is the last one.
+    #[must_use]
+    pub fn urls(&self) -> Vec<String> {
         let token = self.token.as_ref();
         let query = token.map_or_else(String::new, |token| format!("?token={}", token.expose()));
-        format!("http://{}/{query}", self.address)
+        let found = self.reachable.iter();
+        let addresses = found.map(|ip| SocketAddr::new(*ip, self.address.port()));
+        addresses
+            .map(|address| format!("http://{address}/{query}"))
+            .collect()
     }
 
     /// Ends it and waits for its thread.
@@ -258,31 +273,4 @@ impl Work {
         // A replay that still runs must not keep the station alive.
         runtime.shutdown_background();
     }
-}
-
-fn bind(listen: Listen) -> Result<(TcpListener, SocketAddr), StartError> {
-    let (first, tries) = match listen {
-        Listen::Exactly(address) => (address, 0),
-        Listen::OrNext(address) => (address, PORTS_TRIED),
-    };
-    for step in 0..=tries {
-        let mut address = first;
-        address.set_port(first.port().saturating_add(step));
-        match bind_one(address) {
-            Ok(bound) => return Ok(bound),
-            Err(source) if source.kind() == io::ErrorKind::AddrInUse => {}
-            Err(source) => return Err(StartError::Bind { address, source }),
-        }
-    }
-    Err(match listen {
-        Listen::Exactly(address) => StartError::Taken { address },
-        Listen::OrNext(address) => StartError::AllTaken { address },
-    })
-}
-
-fn bind_one(address: SocketAddr) -> io::Result<(TcpListener, SocketAddr)> {
-    let listener = TcpListener::bind(address)?;
-    listener.set_nonblocking(true)?;
-    let address = listener.local_addr()?;
-    Ok((listener, address))
 }

@@ -22,7 +22,7 @@ use crate::report::live::LiveView;
 use crate::report::off::Off;
 use crate::signing::{SigningSession, warn_of_open_listeners};
 use crate::stderr::say;
-use crate::tasks::dashboard::{self, Outlet, Simulated};
+use crate::tasks::dashboard::{self, Outlet, Reserved, Simulated};
 use crate::tasks::desk::Desk;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::Recorder;
@@ -66,25 +66,25 @@ pub(super) async fn session(
     let timer = HostTimer::start();
     let signing = SigningSession::open(config, timer.utc_start()).at_start()?;
     let pipeline = pipeline(args, config, &signing).at_start()?;
+    let reserved = dashboard::reserve(&args.page, config).at_start()?;
     let folder = output_folder(args, config, &timer).at_start()?;
     let stop = CancellationToken::new();
     let mut signals = Signals::listen().at_start()?;
-    let simulated = SimulatedSession {
-        timer,
-        folder: &folder,
-        laps,
-    };
-    let (ports, mut embedded) = open(args, config, simulated, &stop).await.at_start()?;
+    let place = (timer, folder.as_path());
+    let opened = open(args, config, (place, laps), &stop).await;
+    let (ports, mut embedded) = opened.at_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.recorded(config);
+    let (commands, truth) = simulated_brick(embedded.as_mut());
+    let observer = observer(args, embedded.as_ref()).at_start()?;
+    let keeper = signing.keep().at_start()?;
     let mut failures = Failures::default();
     let recorder =
         start_recorder(args, &for_recordings, &timer, &recording, &mut failures).at_start()?;
     let tlog = start_tlog(args, config, &timer, &recording, &mut failures).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
-    let (commands, truth) = simulated_brick(embedded.as_mut());
-    let (page, outlet) = page(args, config, (timer, &folder), embedded.as_ref()).at_start()?;
+    let (page, outlet) = page(reserved, (args, config), place, embedded.as_ref()).at_start()?;
     let mut shard = Shard {
         pipeline,
         ports,
@@ -92,9 +92,9 @@ pub(super) async fn session(
         recorder,
         given: 0,
         tlog,
-        observer: observer(args, embedded.as_ref()).at_start()?,
+        observer,
         failures,
-        signing: signing.keep().at_start()?,
+        signing: keeper,
         desk: Desk::new(folder.clone(), timer, configs, current).with_brick(commands),
         truth,
         dashboard: outlet,
@@ -126,9 +126,14 @@ pub(super) async fn session(
 async fn open(
     args: &RunArgs,
     config: &Config,
-    session: SimulatedSession<'_>,
+    ((timer, folder), laps): ((HostTimer, &Path), Laps),
     stop: &CancellationToken,
 ) -> Result<(PortSet, Option<Embedded>)> {
+    let session = SimulatedSession {
+        timer,
+        folder,
+        laps,
+    };
     let opened = open_links(args, config, session, stop).await;
     match &opened {
         Ok((ports, _)) => warn_of_open_listeners(ports, config),
@@ -148,8 +153,8 @@ fn simulated_brick(embedded: Option<&mut Embedded>) -> (Option<CommandSender>, O
 
 /// The dashboard, with what it shows of the simulated brick, and the shard's end of it.
 fn page(
-    args: &RunArgs,
-    config: &Config,
+    reserved: Option<Reserved>,
+    (args, config): (&RunArgs, &Config),
     place: (HostTimer, &Path),
     embedded: Option<&Embedded>,
 ) -> Result<(Option<Dashboard>, Option<Outlet>)> {
@@ -158,7 +163,9 @@ fn page(
         scenario: &embedded.scenario,
         truth: TruthTap::new(&embedded.brick.hands.truth),
     });
-    Ok(dashboard::start(&args.page, config, place, simulated)?.unzip())
+    let started =
+        reserved.map(|reserved| dashboard::start(reserved, (&args.page, config), place, simulated));
+    Ok(started.transpose()?.unzip())
 }
 
 /// Shows people what happens.
