@@ -22,6 +22,7 @@ use posebridge_telemetry::{
 };
 use tokio::sync::mpsc;
 
+use super::recorder::Recorder;
 use super::sim_brick::LiveTruth;
 use super::truth_tap::TruthTap;
 use crate::cli::DashboardFlags;
@@ -261,9 +262,10 @@ fn unit_of(key: &str) -> &'static str {
 
 /// What stands in a pipeline, and into which file it is recorded.
 #[must_use]
-pub fn standing_of(pipeline: &Pipeline, recording: Option<&Path>) -> Standing {
+pub fn standing_of(pipeline: &Pipeline, recorder: Option<&Recorder>) -> Standing {
     let learned = pipeline.calibration();
-    let name = recording.and_then(Path::file_name);
+    let recording = recorder.map(Recorder::current);
+    let name = recording.as_deref().and_then(Path::file_name);
     Standing {
         calibration: learned.map_or_else(Vec::new, |learned| calibration_rows(&learned)),
         parameters: parameter_values(pipeline.params()),

@@ -168,7 +168,7 @@ impl Shard {
     /// Tells the dashboard what stands.
     fn show_standing(&self, now: Stamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
-            dashboard.tell_standing(now, standing_of(&self.pipeline, self.desk.current()));
+            dashboard.tell_standing(now, standing_of(&self.pipeline, self.recorder.as_ref()));
         }
     }
 
