@@ -76,6 +76,14 @@ impl InputFile {
         })
     }
 
+    /// The first bytes, of which none is taken away.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn beginning(&mut self) -> Result<&[u8]> {
+        beginning(&mut self.reader, &self.name)
+    }
+
     /// Gives the bytes in chunks, to the end of the file.
     ///
     /// # Errors
@@ -125,6 +133,10 @@ impl InputFile {
     /// It cannot be read or unpacked, or is longer.
     pub fn whole(mut self, most: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
+        if !self.is_packed {
+            // Refused before it fills the memory; it may still grow, and of a device the size says nothing.
+            self.check_length(self.size, most)?;
+        }
         let read = (&mut self.reader).take(most + 1).read_to_end(&mut bytes);
         match read {
             Err(error) if self.is_packed && ends_early(&error) => {
@@ -135,13 +147,18 @@ impl InputFile {
                 read.with_context(|| format!("reading `{}`", self.name))?;
             }
         }
+        self.check_length(bytes.len() as u64, most)?;
+        Ok(bytes)
+    }
+
+    fn check_length(&self, length: u64, most: u64) -> Result<()> {
         anyhow::ensure!(
-            bytes.len() as u64 <= most,
+            length <= most,
             "`{}` holds more than {} MiB: cut it into parts",
             self.name,
             most >> 20
         );
-        Ok(bytes)
+        Ok(())
     }
 }
 

@@ -12,7 +12,7 @@ use posebridge_telemetry::{Address, Event, HostClock, Output, Span, Stamp};
 
 use crate::aligned::Aligned;
 use crate::config::Config;
-use crate::import::{self, Station};
+use crate::import::{self, Beyond, Room};
 use crate::notes::Notes;
 use crate::own_recording::{Overlay, laid_over};
 use crate::signing;
@@ -22,6 +22,12 @@ use crate::tasks::dashboard::standing_of;
 const SECOND: Span = Span::from_millis(1_000);
 /// MAVLink's warning: what is missing makes the replay another one than the live run.
 const WARNING: u8 = 4;
+/// A replay of the page shares memory and cores with a station that steers: more than 256 MiB, some hours of the bundled brick, are replayed
+/// by `posebridge replay`, or from a later part on.
+const ROOM: Room = Room {
+    most_bytes: 256 << 20,
+    beyond: Beyond::LeftOut,
+};
 
 /// Runs a recording through the engine and gathers what it shows. What is missing, damaged or cut off stands first in its log.
 ///
@@ -29,7 +35,7 @@ const WARNING: u8 = 4;
 /// The file cannot be read or is no recording of ours.
 pub fn of(path: &Path) -> Result<Frame> {
     let name = path.display();
-    let (bytes, found) = import::recording_bytes(path, Station::default())?;
+    let (bytes, found) = import::own_recording_bytes(path, ROOM)?;
     let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
     let config = laid_over(&reader.header().config_toml, Overlay::default())?;
     let truth = container::truth(&bytes).with_context(|| format!("the truth in `{name}`"))?;
@@ -151,5 +157,30 @@ impl Showing {
         }
         history.log.splice(0..0, noted.history().log);
         history
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_recording_is_not_read_to_its_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        // A hole: it takes no room on the disk, but would in memory.
+        let file = std::fs::File::create(&path).unwrap();
+        file.set_len(ROOM.most_bytes + 1).unwrap();
+        let refused = format!("{:#}", of(&path).unwrap_err());
+        assert!(
+            refused.contains("not begin with the MCAP magic"),
+            "{refused}"
+        );
+        // One that begins like one is refused for its size.
+        std::fs::write(&path, b"\x89MCAP0\r\n").unwrap();
+        let file = std::fs::File::options().append(true).open(&path).unwrap();
+        file.set_len(ROOM.most_bytes + 1).unwrap();
+        let refused = format!("{:#}", of(&path).unwrap_err());
+        assert!(refused.contains("holds more than 256 MiB"), "{refused}");
     }
 }

@@ -131,7 +131,22 @@ fn a_command_is_done_told_and_recorded() {
     };
     reader.until(is_set);
     reader.send(r#"{"command":"set-parameter","name":"gate_prob","value":7}"#);
-    reader.until(|message| says(message, "gate_prob 7.0 not in 0.5..0.999999"));
+    let error = reader.until(|message| message["type"] == "error");
+    let why = error["error"].as_str().unwrap();
+    assert!(
+        why.contains("`value` is 7.0, must be a number from 0.5 to 0.999999"),
+        "{why}"
+    );
+    let profile = r#"{"command":"link-profile","profile":"../../etc"}"#;
+    assert_eq!(post(address, profile).status, 400);
+    let says = |message: &serde_json::Value, what: &str| {
+        let lines = message["log"].as_array().into_iter().flatten();
+        lines.into_iter().any(|line| {
+            line["text"]
+                .as_str()
+                .is_some_and(|text| text.contains(what))
+        })
+    };
     // A second of estimates behind the first.
     reader.until(|message| message["now_s"].as_f64().is_some_and(|now_s| now_s > 3.0));
     reader.send(r#"{"command":"stop-recording"}"#);
@@ -419,6 +434,38 @@ fn an_address_that_was_chosen_and_is_in_use_is_an_error() {
         format!("starting the dashboard: {address} is in use, perhaps by another station; choose");
     assert!(said.contains(&expected), "{said}");
     station.program.interrupt();
+    assert!(
+        !folder.path().join("other").exists(),
+        "nothing is left behind"
+    );
+}
+
+#[test]
+fn a_start_that_fails_leaves_nothing_that_the_next_one_stumbles_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |args: &[&str]| {
+        let mut command = posebridge(folder.path());
+        let output = command.arg("run").args(args).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        (output.status.code(), said)
+    };
+    // No address of this computer: those of RFC 5737 are for examples.
+    for args in [
+        &["--dashboard", "127.0.0.1:0", "--ui-dir", "nowhere"][..],
+        &["--dashboard", "192.0.2.1:0"],
+    ] {
+        let (code, said) = run(args);
+        assert_eq!(code, Some(2), "{said}");
+        assert!(!folder.path().join("posebridge-runs").exists(), "{args:?}");
+    }
+    let once = ["--no-dashboard", "--out", "run", "--duration", "0.2"];
+    let (code, said) = run(&once);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, said) = run(&once);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("creating the recording"), "{said}");
+    let terminal = folder.path().join("run/brick.tty");
+    assert!(terminal.symlink_metadata().is_err(), "a dangling link");
 }
 
 #[test]

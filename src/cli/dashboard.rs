@@ -8,8 +8,8 @@ use clap::Args;
 /// Whether there is a page, and where (docs/dashboard.md).
 #[derive(Args, Clone, Debug, Default)]
 pub struct DashboardFlags {
-    /// Serve the dashboard there, e.g. 0.0.0.0:4680 for other computers, which then need the token that is printed; port 0 takes a free
-    /// one.
+    /// Serve the dashboard there, e.g. 0.0.0.0:4680 for other computers, which open one of the addresses that are printed, with their token;
+    /// port 0 takes a free one.
     #[arg(long, value_name = "IP:PORT", conflicts_with = "no_dashboard")]
     pub dashboard: Option<SocketAddr>,
     /// Serve no dashboard.

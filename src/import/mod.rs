@@ -12,15 +12,40 @@ use std::io::{Cursor, Seek, Write};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use posebridge_recording::container::{FORMAT, Header, Reader, Writer};
+use posebridge_recording::container::{FORMAT, Header, ReadError, Reader, Writer};
 use posebridge_telemetry::{Address, HostClock, Input, Stamp};
 
 use crate::cli::DataFlags;
 use crate::config::{self, Config, RobotProfile, Setting};
 use crate::input_file::{InputFile, Kind};
 
-/// A recording lies in memory while it is worked on; more than that is not read.
-const MOST_BYTES: u64 = 4 << 30;
+/// A recording lies in memory while it is worked on: how much of it is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Room {
+    /// So many bytes at most, of all parts together.
+    pub most_bytes: u64,
+    /// What becomes of parts that do not fit.
+    pub beyond: Beyond,
+}
+
+/// What becomes of the parts of a recording for which there is no room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Beyond {
+    /// They are an error.
+    Refused,
+    /// They are left out, and it is said.
+    LeftOut,
+}
+
+impl Default for Room {
+    /// As much as a computer on which somebody waits for a result may have to spare.
+    fn default() -> Self {
+        Self {
+            most_bytes: 4 << 30,
+            beyond: Beyond::Refused,
+        }
+    }
+}
 
 /// With which station a file without a configuration is read.
 #[derive(Clone, Copy, Debug, Default)]
@@ -138,13 +163,32 @@ pub fn import<W: Write + Seek>(
 pub fn recording_bytes(path: &Path, station: Station<'_>) -> Result<(Vec<u8>, Vec<String>)> {
     let file = InputFile::open(path)?;
     if file.kind != Kind::Tlog {
-        return parts::joined(path, file.whole(MOST_BYTES)?);
+        return own_bytes(path, file, Room::default());
     }
     let source = tlog::Source::open(path, station.config()?)?;
     let header = header_of(&source.config, source.epoch_micros)?;
     let out = Cursor::new(Vec::new());
     let (out, account) = write(out, &header, |sink| source.inputs(sink))?;
     Ok((out.into_inner(), account.notes))
+}
+
+/// The bytes of a recording of ours with the parts that continue it, as far as there is room for them; and what was left out.
+///
+/// # Errors
+/// The file cannot be read, is no recording of ours, or is larger than the room.
+pub fn own_recording_bytes(path: &Path, room: Room) -> Result<(Vec<u8>, Vec<String>)> {
+    own_bytes(path, InputFile::open(path)?, room)
+}
+
+fn own_bytes(path: &Path, mut file: InputFile, room: Room) -> Result<(Vec<u8>, Vec<String>)> {
+    let (name, size) = (file.name.clone(), file.size);
+    // Looked at before it is read: what is none may be large.
+    if let Err(error @ ReadError::NotMcap) = Reader::open(file.beginning()?) {
+        return Err(error).with_context(|| {
+            format!("recording `{name}` ({size} bytes): `posebridge run` writes recordings")
+        });
+    }
+    parts::joined(path, file.whole(room.most_bytes)?, room)
 }
 
 /// A recording of ours with all parts that continue it, or a telemetry log.

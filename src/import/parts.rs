@@ -9,28 +9,23 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use posebridge_recording::container::{self, Ending, Reader, Writer};
 
-use super::MOST_BYTES;
+use super::{Beyond, Room};
 use crate::input_file::InputFile;
 use crate::tasks::parts::part_path;
 
-/// The recording in `first`, the content of the file at `path`, with all parts that continue it; and what they lack, in words. As it is
-/// if nothing continues it.
+/// The recording in `first`, the content of the file at `path`, with the parts that continue it and for which there is room; and what they
+/// lack, in words. As it is if nothing continues it.
 ///
 /// # Errors
 /// A part that continues it cannot be read. A `first` that is no recording comes back as it is: whoever opens it says so.
-pub(super) fn joined(path: &Path, first: Vec<u8>) -> Result<(Vec<u8>, Vec<String>)> {
-    joined_within(path, first, MOST_BYTES)
-}
-
-/// The same; all parts together may hold so many bytes.
-fn joined_within(path: &Path, first: Vec<u8>, most: u64) -> Result<(Vec<u8>, Vec<String>)> {
+pub(super) fn joined(path: &Path, first: Vec<u8>, room: Room) -> Result<(Vec<u8>, Vec<String>)> {
+    let mut room = RoomLeft::new(room, first.len() as u64);
     let Ok(reader) = Reader::open(&first) else {
         return Ok((first, Vec::new()));
     };
     let number = reader.beginning().part;
-    let mut left = most.saturating_sub(first.len() as u64);
-    let Some((next_path, next)) = continuation((path, number), &mut left)? else {
-        return Ok((first, Vec::new()));
+    let Some((next_path, next)) = continuation((path, number), &mut room)? else {
+        return Ok((first, room.notes()));
     };
     let out = Cursor::new(Vec::with_capacity(first.len() + next.len()));
     let mut writer = Writer::create_part(out, reader.header(), reader.beginning())?;
@@ -48,9 +43,10 @@ fn joined_within(path: &Path, first: Vec<u8>, most: u64) -> Result<(Vec<u8>, Vec
             writer.record_truth(posebridge_telemetry::Stamp::ZERO, &truth)?;
             let count = number - first_number + 1;
             notes.insert(0, format!("{count} parts were joined"));
+            notes.extend(room.notes());
             break;
         };
-        let behind = continuation((&next.1, next.0), &mut left)?;
+        let behind = continuation((&next.1, next.0), &mut room)?;
         following = behind.map(|(path, bytes)| (next.0 + 1, path, bytes));
         part = next;
     }
@@ -69,8 +65,8 @@ pub(crate) fn names_behind(path: &Path, first: &[u8]) -> Result<Vec<String>> {
     let (mut path, mut number) = (path.to_owned(), reader.beginning().part);
     loop {
         // One at a time lies in memory.
-        let mut left = MOST_BYTES;
-        let Some((next, _)) = continuation((&path, number), &mut left)? else {
+        let mut room = RoomLeft::new(Room::default(), 0);
+        let Some((next, _)) = continuation((&path, number), &mut room)? else {
             return Ok(names);
         };
         names.push(name_of(&next));
@@ -78,10 +74,52 @@ pub(crate) fn names_behind(path: &Path, first: &[u8]) -> Result<Vec<String>> {
     }
 }
 
-/// The part behind part `number`, which is the file at `path`; takes its bytes from those that are left.
+/// What is left of the room, and what found none.
+struct RoomLeft {
+    room: Room,
+    left: u64,
+    left_out: Option<String>,
+}
+
+impl RoomLeft {
+    const fn new(room: Room, taken: u64) -> Self {
+        Self {
+            room,
+            left: room.most_bytes.saturating_sub(taken),
+            left_out: None,
+        }
+    }
+
+    /// Whether a part of this size still fits; one that has to is an error.
+    fn has(&mut self, path: &Path, size: u64) -> Result<bool> {
+        if size <= self.left {
+            return Ok(true);
+        }
+        ensure!(
+            self.room.beyond == Beyond::LeftOut,
+            "`{}` and the parts before it hold more than {} MiB: begin with a later part",
+            path.display(),
+            self.room.most_bytes >> 20
+        );
+        self.left_out = Some(name_of(path));
+        Ok(false)
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let notes = self.left_out.iter().map(|name| {
+            format!(
+                "`{name}` and what follows it are left out: with them there are more than {} MiB; begin there for the rest",
+                self.room.most_bytes >> 20
+            )
+        });
+        notes.collect()
+    }
+}
+
+/// The part behind part `number`, which is the file at `path`; takes its bytes from the room.
 fn continuation(
     (path, number): (&Path, u32),
-    left: &mut u64,
+    room: &mut RoomLeft,
 ) -> Result<Option<(PathBuf, Vec<u8>)>> {
     let next = part_path(&first_path(path, number), number + 1);
     if !next.is_file() {
@@ -91,13 +129,11 @@ fn continuation(
     let size = std::fs::metadata(&next)
         .with_context(|| format!("looking at `{name}`"))?
         .len();
-    ensure!(
-        size <= *left,
-        "`{name}` and the parts before it hold more than {} MiB: begin with a later part",
-        MOST_BYTES >> 20
-    );
-    let bytes = InputFile::open(&next)?.whole(*left)?;
-    *left = left.saturating_sub(bytes.len() as u64);
+    if !room.has(&next, size)? {
+        return Ok(None);
+    }
+    let bytes = InputFile::open(&next)?.whole(room.left)?;
+    room.left = room.left.saturating_sub(bytes.len() as u64);
     let continues = Reader::open(&bytes).ok().is_some_and(|reader| {
         let beginning = reader.beginning();
         let before = path.file_name().unwrap_or_default().to_string_lossy();
@@ -188,7 +224,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = record(folder.path());
         assert!(folder.path().join("recording.3.mcap").exists());
-        let (whole, notes) = joined(&path, std::fs::read(&path).unwrap()).unwrap();
+        let first = std::fs::read(&path).unwrap();
+        let (whole, notes) = joined(&path, first, Room::default()).unwrap();
         let expected: Vec<i64> = (0..28).map(|number| 250 * number).collect();
         assert_eq!(instants(&whole), expected);
         assert_eq!(notes, ["4 parts were joined"]);
@@ -203,7 +240,7 @@ mod tests {
         let begins_ms = instants(&bytes)[0];
         let names = names_behind(&second, &bytes).unwrap();
         assert_eq!(names, ["recording.3.mcap", "recording.4.mcap"]);
-        let (rest, notes) = joined(&second, bytes).unwrap();
+        let (rest, notes) = joined(&second, bytes, Room::default()).unwrap();
         assert_eq!(notes, ["3 parts were joined"]);
         let found = instants(&rest);
         assert_eq!((found[0], found[found.len() - 1]), (begins_ms, 6_750));
@@ -218,10 +255,27 @@ mod tests {
         let path = record(folder.path());
         let first = std::fs::read(&path).unwrap();
         let second = std::fs::metadata(folder.path().join("recording.2.mcap")).unwrap();
-        let most = first.len() as u64 + second.len();
-        let refused = joined_within(&path, first, most).unwrap_err().to_string();
+        let room = |beyond| Room {
+            most_bytes: first.len() as u64 + second.len(),
+            beyond,
+        };
+        let refused = joined(&path, first.clone(), room(Beyond::Refused));
+        let refused = refused.unwrap_err().to_string();
         assert!(refused.contains("recording.3.mcap"), "{refused}");
         assert!(refused.contains("begin with a later part"), "{refused}");
+        // Or what fits is taken.
+        let (begun, notes) = joined(&path, first.clone(), room(Beyond::LeftOut)).unwrap();
+        let (all, _) = joined(&path, first.clone(), Room::default()).unwrap();
+        let (begun, all) = (instants(&begun), instants(&all));
+        assert!(
+            all.starts_with(&begun) && begun.len() < all.len(),
+            "{begun:?}"
+        );
+        assert_eq!(notes[0], "2 parts were joined");
+        assert!(
+            notes[1].starts_with("`recording.3.mcap` and what follows it are left out"),
+            "{notes:?}"
+        );
     }
 
     #[test]
@@ -230,7 +284,7 @@ mod tests {
         let path = record(folder.path());
         let bytes = std::fs::read(&path).unwrap();
         std::fs::copy(&path, folder.path().join("recording.2.mcap")).unwrap();
-        let (same, notes) = joined(&path, bytes.clone()).unwrap();
+        let (same, notes) = joined(&path, bytes.clone(), Room::default()).unwrap();
         assert_eq!((same, notes), (bytes, Vec::new()));
     }
 }

@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use posebridge_telemetry::{
-    Celsius, ChannelName, Estimate, Event, HostClock, LinkId, LinkState, RobotId, ScalarEstimate,
-    Span, Stamp, Verdict,
+    Celsius, ChannelName, Estimate, Event, HostClock, LinkId, LinkState, Repeats, RobotId,
+    ScalarEstimate, Span, Stamp, Verdict,
 };
 use tokio::sync::watch;
 
@@ -35,6 +35,7 @@ pub struct LiveView {
     /// What each thermometer shows, and what it will show in the end.
     thermometers: BTreeMap<(RobotId, ChannelName), (Celsius, Option<ScalarEstimate>)>,
     voice: Voice,
+    repeats: Repeats,
 }
 
 /// Whether the block says anything.
@@ -98,6 +99,7 @@ impl LiveView {
             last_fix: None,
             thermometers: BTreeMap::new(),
             voice: Voice::Speaking,
+            repeats: Repeats::default(),
         }
     }
 
@@ -177,6 +179,9 @@ impl LiveView {
 
     /// Draws the block, or without a terminal a line now and then.
     pub fn draw(&mut self) {
+        if let Some(repeated) = self.repeats.due(self.now) {
+            self.print(&repeated);
+        }
         if self.voice == Voice::Silent {
             return;
         }
@@ -215,10 +220,24 @@ impl LiveView {
 
     /// Takes the block away.
     pub fn finish(&self) {
+        if let Some(repeated) = self.repeats.held() {
+            self.print(&repeated);
+        }
         self.bar.finish_and_clear();
     }
 
-    fn say(&self, line: &str) {
+    /// Says a line, and of one that comes again and again how often.
+    fn say(&mut self, line: &str) {
+        let shown = self.repeats.take(self.now, line);
+        if let Some(repeated) = shown.before {
+            self.print(&repeated);
+        }
+        if shown.is_shown {
+            self.print(line);
+        }
+    }
+
+    fn print(&self, line: &str) {
         if self.voice == Voice::Silent {
             return;
         }

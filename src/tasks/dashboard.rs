@@ -11,8 +11,8 @@ use posebridge_dashboard::model::{
     CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts, SimulatorNow,
 };
 use posebridge_dashboard::{
-    Batch, Dashboard, Facts, Feed, Listen, Listener, Sources, Standing, StartError, Taps,
-    TokenPolicy, TruthSample,
+    Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Standing, StartError, Taps, TokenPolicy,
+    TruthSample,
 };
 use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
@@ -23,6 +23,7 @@ use posebridge_telemetry::{Calibration, Command, Event, HostClock, Span, Stamp};
 use tokio::sync::mpsc;
 
 use super::desk::BrickOrders;
+use super::recorder::Recorder;
 use super::sim_brick::LiveTruth;
 use super::truth_tap::TruthTap;
 use crate::cli::DashboardFlags;
@@ -49,25 +50,51 @@ pub struct Simulated<'a> {
     pub truth: TruthTap,
 }
 
-/// Starts the dashboard, if there is to be one or somebody in this process wants to hear the same, and says where it is.
+/// An address that was taken for the dashboard, as it was asked for.
+pub struct Reserved {
+    bound: Bound,
+    listen: Listen,
+}
+
+/// Takes the dashboard's address, if there is to be one: before anything is made that a start that fails would leave behind.
 ///
 /// # Errors
-/// It cannot listen where it was told to. That all ports behind the default are taken is no error: a robot may wait.
-pub fn start(
-    flags: &DashboardFlags,
-    config: &Config,
-    (timer, folder): (HostTimer, &Path),
-    (simulated, taps): (Option<Simulated<'_>>, Taps),
-) -> Result<Option<(Dashboard, Outlet)>> {
-    let listen = wanted(flags, config)?;
-    let listener = listen.map(listen_at).transpose()?.flatten();
-    if listener.is_none() && taps.is_empty() {
+/// It cannot listen where it was told to, or its files are not there. That all ports behind the default are taken is no error: a robot
+/// may wait.
+pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<Reserved>> {
+    let Some(listen) = wanted(flags, config)? else {
         return Ok(None);
-    }
+    };
     if let Some(folder) = &flags.ui_dir {
         let page = folder.join("index.html");
         ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
     }
+    match Bound::new(listen) {
+        Ok(bound) => Ok(Some(Reserved { bound, listen })),
+        Err(error @ StartError::AllTaken { .. }) => {
+            tracing::warn!("there is no dashboard: {error}");
+            Ok(None)
+        }
+        Err(error) => Err(error).context("starting the dashboard"),
+    }
+}
+
+/// Starts the dashboard, if an address was taken for it or somebody in this process wants to hear the same, and says where it is.
+///
+/// # Errors
+/// The system has no random bytes or no thread for it.
+pub fn start(
+    reserved: Option<Reserved>,
+    (flags, config): (&DashboardFlags, &Config),
+    (timer, folder): (HostTimer, &Path),
+    (simulated, taps): (Option<Simulated<'_>>, Taps),
+) -> Result<Option<(Dashboard, Outlet)>> {
+    if reserved.is_none() && taps.is_empty() {
+        return Ok(None);
+    }
+    let (bound, listen) = reserved
+        .map(|reserved| (reserved.bound, reserved.listen))
+        .unzip();
     let facts = facts_of(config, simulated.as_ref())?;
     let simulator = facts.simulator.as_ref().map(|simulator| SimulatorNow {
         steering: simulator.steering.clone(),
@@ -82,7 +109,7 @@ pub fn start(
         ui_dir: flags.ui_dir.clone(),
         taps,
     };
-    let started = Dashboard::start_on(listener, facts, sources);
+    let started = Dashboard::start(bound, facts, sources);
     let (dashboard, feed, commands) = started.context("starting the dashboard")?;
     tell(&dashboard, listen);
     if let (true, Some(url)) = (flags.open, dashboard.url()) {
@@ -106,20 +133,8 @@ fn wanted(flags: &DashboardFlags, config: &Config) -> Result<Option<Listen>> {
     Ok(is_wanted.then_some(configured))
 }
 
-/// Begins to listen. That all ports behind the default are taken is said and no error: a robot may wait.
-fn listen_at(listen: Listen) -> Result<Option<Listener>> {
-    match Listener::bind(listen) {
-        Ok(listener) => Ok(Some(listener)),
-        Err(error @ StartError::AllTaken { .. }) => {
-            tracing::warn!("there is no dashboard: {error}");
-            Ok(None)
-        }
-        Err(error) => Err(error).context("starting the dashboard"),
-    }
-}
-
 fn tell(dashboard: &Dashboard, listen: Option<Listen>) {
-    let (Some(address), Some(url)) = (dashboard.address(), dashboard.url()) else {
+    let Some(address) = dashboard.address() else {
         return;
     };
     if let Some(Listen::OrNext(first)) = listen
@@ -129,7 +144,9 @@ fn tell(dashboard: &Dashboard, listen: Option<Listen>) {
             "{first} is in use, perhaps by another station: the dashboard takes the next free port"
         ));
     }
-    say(&format!("dashboard: {url}"));
+    for url in dashboard.urls() {
+        say(&format!("dashboard: {url}"));
+    }
     if !address.ip().is_loopback() {
         say(
             "the address holds a token that lets anybody command this station, and it travels unencrypted",
@@ -263,9 +280,10 @@ fn unit_of(key: &str) -> &'static str {
 
 /// What stands in a pipeline, and into which file it is recorded.
 #[must_use]
-pub fn standing_of(pipeline: &Pipeline, recording: Option<&Path>) -> Standing {
+pub fn standing_of(pipeline: &Pipeline, recorder: Option<&Recorder>) -> Standing {
     let learned = pipeline.calibration();
-    let name = recording.and_then(Path::file_name);
+    let recording = recorder.map(Recorder::current);
+    let name = recording.as_deref().and_then(Path::file_name);
     Standing {
         calibration: learned.map_or_else(Vec::new, |learned| calibration_rows(&learned)),
         parameters: parameter_values(pipeline.params()),

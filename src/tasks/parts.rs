@@ -212,6 +212,12 @@ impl Parts {
         self.next
     }
 
+    /// The number of the part that is being written, from 1.
+    #[must_use]
+    pub const fn part(&self) -> u32 {
+        self.kept.parts
+    }
+
     /// What is said of an error.
     fn name(&self) -> String {
         self.part.file.name()

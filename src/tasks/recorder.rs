@@ -3,9 +3,9 @@
 //! Nobody waits for it: what does not fit into its queue is dropped and counted, what came out of the pipeline first and the inputs
 //! last. The recording itself says what it lacks.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use posebridge_recording::container::{Header, TruthSample};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, Stamp};
 
 use super::gulps::Gulps;
-use super::parts::{FLUSH_PERIOD, Parts};
+use super::parts::{FLUSH_PERIOD, Parts, part_path};
 pub use super::parts::{Kept, Limits};
 
 /// So many items wait for the disk: several seconds of a busy link.
@@ -39,6 +39,10 @@ pub struct Recorder {
     sender: SyncSender<Item>,
     thread: JoinHandle<Result<Kept>>,
     waiting: Arc<AtomicUsize>,
+    /// The first file.
+    first: PathBuf,
+    /// Which part is being written; the thread tells.
+    part: Arc<AtomicU32>,
     /// Inputs of the session up to here.
     given: u64,
     lost: u64,
@@ -60,7 +64,7 @@ impl Recorder {
     /// The file cannot be created; one that is there already is never overwritten.
     pub fn start_limited(path: &Path, header: &Header, limits: Limits) -> Result<Self> {
         let parts = Parts::create(path, header.clone(), limits, 0)?;
-        Self::spawn(0, move || Ok(parts))
+        Self::spawn(path, 0, move || Ok(parts))
     }
 
     /// Starts the thread in the midst of a session, after so many inputs; the thread creates the file, so that nobody waits for the
@@ -76,24 +80,31 @@ impl Recorder {
         limits: Limits,
         inputs_before: u64,
     ) -> Result<Self> {
-        let (path, header) = (path.to_owned(), header.clone());
-        Self::spawn(inputs_before, move || {
-            Parts::create(&path, header, limits, inputs_before)
+        let (first, header) = (path.to_owned(), header.clone());
+        Self::spawn(path, inputs_before, move || {
+            Parts::create(&first, header, limits, inputs_before)
         })
     }
 
-    fn spawn(given: u64, open: impl FnOnce() -> Result<Parts> + Send + 'static) -> Result<Self> {
+    fn spawn(
+        first: &Path,
+        given: u64,
+        open: impl FnOnce() -> Result<Parts> + Send + 'static,
+    ) -> Result<Self> {
         let (sender, receiver) = sync_channel(WAITING);
         let waiting = Arc::new(AtomicUsize::new(0));
-        let counter = Arc::clone(&waiting);
+        let part = Arc::new(AtomicU32::new(1));
+        let told = (Arc::clone(&waiting), Arc::clone(&part));
         let thread = std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || write(open()?, Gulps::new(receiver), &counter))
+            .spawn(move || write(open()?, Gulps::new(receiver), &told.0, &told.1))
             .context("starting the recorder's thread")?;
         Ok(Self {
             sender,
             thread,
             waiting,
+            first: first.to_owned(),
+            part,
             given,
             lost: 0,
             lost_outputs: 0,
@@ -150,6 +161,12 @@ impl Recorder {
         if !truth.is_empty() {
             self.offer(Item::Truth(truth));
         }
+    }
+
+    /// The file that is being written: that of the latest part.
+    #[must_use]
+    pub fn current(&self) -> PathBuf {
+        part_path(&self.first, self.part.load(Ordering::Relaxed))
     }
 
     /// Ends the recording without waiting for the disk.
@@ -223,7 +240,12 @@ impl Stopping {
     }
 }
 
-fn write(mut parts: Parts, mut items: Gulps<Item>, waiting: &AtomicUsize) -> Result<Kept> {
+fn write(
+    mut parts: Parts,
+    mut items: Gulps<Item>,
+    waiting: &AtomicUsize,
+    part: &AtomicU32,
+) -> Result<Kept> {
     let mut given = None;
     loop {
         let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
@@ -237,7 +259,10 @@ fn write(mut parts: Parts, mut items: Gulps<Item>, waiting: &AtomicUsize) -> Res
         };
         waiting.fetch_sub(1, Ordering::Relaxed);
         match item {
-            Item::Input(now, number, input) => parts.record(now, number, &input)?,
+            Item::Input(now, number, input) => {
+                parts.record(now, number, &input)?;
+                part.store(parts.part(), Ordering::Relaxed);
+            }
             Item::Events(now, events) => parts.show(now, &events)?,
             Item::Calibration(now, calibration) => parts.show_calibration(now, &calibration)?,
             Item::Line(now, severity, text) => parts.show_line(now, severity, &text)?,
@@ -252,6 +277,9 @@ fn write(mut parts: Parts, mut items: Gulps<Item>, waiting: &AtomicUsize) -> Res
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
+    use crate::tasks::dashboard::standing_of;
+    use posebridge_pipeline::Pipeline;
     use posebridge_recording::container::{FORMAT, ReadError, Reader};
     use posebridge_telemetry::{LinkId, LinkState, Span};
 
@@ -269,10 +297,10 @@ mod tests {
             format: FORMAT,
             ..Header::default()
         };
-        let path = path.to_owned();
-        let recorder = Recorder::spawn(0, move || {
+        let first = path.to_owned();
+        let recorder = Recorder::spawn(path, 0, move || {
             assert!(gate.recv().is_err(), "it is never sent anything");
-            Parts::create(&path, header, LIMITS, 0)
+            Parts::create(&first, header, LIMITS, 0)
         });
         (recorder.unwrap(), stuck)
     }
@@ -328,6 +356,38 @@ mod tests {
         };
         assert_eq!((*at, u64::from(*next)), (expected, given));
         assert_eq!(found.last(), Some(&Ok((now(given), Input::Tick))));
+    }
+
+    #[test]
+    fn the_recording_that_viewers_are_told_is_the_part_that_is_being_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let header = Header {
+            format: FORMAT,
+            ..Header::default()
+        };
+        let limits = Limits {
+            part_span: Some(Span::from_millis(2_000)),
+            ..LIMITS
+        };
+        let mut recorder = Recorder::start_limited(&path, &header, limits).unwrap();
+        assert_eq!(recorder.current(), path);
+        for now_ms in (0..=2_500).step_by(500) {
+            recorder
+                .record(Stamp::from_millis(now_ms), Input::Tick)
+                .unwrap();
+        }
+        let second = folder.path().join("recording.2.mcap");
+        while recorder.current() != second {
+            assert!(!recorder.thread.is_finished(), "the recorder has stopped");
+            std::thread::yield_now();
+        }
+        assert!(second.is_file());
+        let config = Config::default().pipeline().unwrap();
+        let pipeline = Pipeline::new(config, Stamp::ZERO).unwrap();
+        let standing = standing_of(&pipeline, Some(&recorder));
+        assert_eq!(standing.recording.as_deref(), Some("recording.2.mcap"));
+        assert_eq!(recorder.finish().unwrap().parts, 2);
     }
 
     #[test]

@@ -168,7 +168,7 @@ impl Shard {
     /// Tells the dashboard what stands.
     fn show_standing(&self, now: Stamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
-            let standing = standing_of(&self.pipeline, self.desk.current());
+            let standing = standing_of(&self.pipeline, self.recorder.as_ref());
             dashboard.tell_standing(now, standing, self.desk.orders());
         }
     }

@@ -4,14 +4,14 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use axum::body::{Body, Bytes};
-use axum::http::header::{
-    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_TYPE, ETAG, IF_NONE_MATCH, VARY,
-};
+use axum::http::header::{CACHE_CONTROL, CONTENT_ENCODING, CONTENT_TYPE, ETAG, VARY};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::Response;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use sha2::{Digest as _, Sha256};
+
+use crate::negotiation::{has_one, takes_gzip};
 
 macro_rules! assets {
     ($($path:literal),+ $(,)?) => {
@@ -155,11 +155,8 @@ impl Asset {
     }
 
     fn answer(&self, asked: &HeaderMap) -> Response {
-        let is_known = asked.get(IF_NONE_MATCH).is_some_and(|tag| tag == self.tag);
-        let takes_packed = asked
-            .get(ACCEPT_ENCODING)
-            .and_then(|value| value.to_str().ok())
-            .is_some_and(|value| value.split(',').any(|one| one.trim().starts_with("gzip")));
+        let is_known = has_one(asked, &self.tag);
+        let takes_packed = takes_gzip(asked);
         let body = match (is_known, takes_packed) {
             (true, _) => Body::empty(),
             (false, true) => Body::from(self.packed.clone()),
@@ -191,6 +188,7 @@ fn packed(plain: &[u8]) -> Option<Bytes> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use axum::http::header::{ACCEPT_ENCODING, IF_NONE_MATCH};
 
     /// Every file below a folder, as paths from it.
     fn files(folder: &Path, prefix: &str) -> Vec<String> {

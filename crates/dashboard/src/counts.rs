@@ -39,7 +39,11 @@ pub(crate) enum Count {
     BadCommand,
     /// Refused: a command while too many wait.
     CommandsFull,
-    /// Readers that were let go: they took nothing for too long, or sent what is no WebSocket.
+    /// Refused: a command while too many come.
+    CommandRate,
+    /// Refused: a replay while another one runs.
+    ReplayBusy,
+    /// Readers that were let go: they took nothing for too long, or sent what is no WebSocket. Whoever just goes is none of them.
     ClientsDropped,
 }
 
@@ -97,6 +101,8 @@ pub(crate) const COUNTS: &[Row] = &[
     refusal(Count::NotFound, "not_found"),
     refusal(Count::BadCommand, "command"),
     refusal(Count::CommandsFull, "commands_full"),
+    refusal(Count::CommandRate, "command_rate"),
+    refusal(Count::ReplayBusy, "replay"),
 ];
 
 /// A row of [`COUNTS`].

@@ -10,6 +10,7 @@
 //! units are SI, angles radians, space the arena, times seconds of the session by the host's clock.
 
 mod assets;
+mod bound;
 pub mod command;
 mod commander;
 mod counts;
@@ -18,9 +19,10 @@ pub mod gather;
 mod hub;
 mod latency;
 mod limits;
-mod listener;
 mod metrics;
 pub mod model;
+mod negotiation;
+mod reach;
 mod recordings;
 mod schema;
 mod server;
@@ -30,10 +32,10 @@ mod thread;
 mod token;
 pub mod views;
 
+pub use bound::{Bound, Listen};
 pub use commander::Commander;
 pub use feed::{Batch, Feed, Standing, TruthSample};
 pub use gather::{Gatherer, Keep};
-pub use listener::{Listen, Listener};
 pub use schema::schema;
 pub use taps::{Found, FrameTap, Taps};
 pub use thread::{Dashboard, Facts, Sources, StartError, TokenPolicy};

@@ -9,10 +9,11 @@ pub(crate) const TICK: Duration = Duration::from_millis(20);
 /// What changes slowly is told so often.
 pub(crate) const SECOND: Span = Span::from_millis(1_000);
 
-/// Connections at a time; a browser opens six. 1 024 file descriptors are a usual limit, and links and recordings need some.
+/// Connections at a time, readers of the stream among them; a browser opens six. 1 024 file descriptors are a usual limit, and links and
+/// recordings need some.
 pub(crate) const MOST_CONNECTIONS: usize = 192;
 /// Readers of the stream at a time: a class with a browser each.
-pub(crate) const MOST_CLIENTS: u64 = 64;
+pub(crate) const MOST_CLIENTS: usize = 64;
 /// Whoever needs longer for the head of a request is let go; loopback takes a millisecond, a bad WLAN a second.
 pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
 /// Whoever needs longer for the body of a request is let go.
@@ -31,6 +32,11 @@ pub(crate) const MESSAGE_BYTES: usize = 64 * 1024;
 pub(crate) const WRITE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
 /// Messages that a reader may be behind before it misses some: a bit more than a second.
 pub(crate) const WAITING_FRAMES: usize = 64;
+/// Commands that the engine takes in a second from all pages and programs together: a key that is held sends five, and each is an input
+/// that fusion waits for and the recording keeps.
+pub(crate) const COMMANDS_PER_S: i64 = 50;
+/// Commands that may come at once after a pause: a second's worth.
+pub(crate) const COMMANDS_AT_ONCE: i64 = COMMANDS_PER_S;
 /// Commands that wait for the shard, which takes them within a millisecond.
 pub(crate) const WAITING_COMMANDS: usize = 64;
 /// Questions that wait for the task that knows the state.

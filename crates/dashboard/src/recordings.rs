@@ -8,7 +8,7 @@ use std::time::UNIX_EPOCH;
 
 use crate::model::{RecordingNow, RecordingRow};
 
-/// So many are listed; a run that goes on in a new file every quarter of an hour has ten days in them.
+/// So many are listed; a run that goes on in a new file every ten minutes has a week in them.
 const MOST_LISTED: usize = 1_000;
 /// How their names end.
 const ENDING: &str = ".mcap";
@@ -24,19 +24,24 @@ impl Recordings {
         Self { folder }
     }
 
-    /// All recordings, sorted by name; `current` is being written. A folder that is gone has none.
+    /// The recordings in the order in which they were begun, as their names tell, the latest if there are too many; `current` is being
+    /// written. A folder that is gone has none.
     pub(crate) fn list(&self, current: Option<&str>) -> Vec<RecordingRow> {
-        let entries = std::fs::read_dir(&self.folder).into_iter().flatten();
-        let rows = entries.filter_map(|entry| row_of(&entry.ok()?, current));
-        let mut rows: Vec<RecordingRow> = rows.take(MOST_LISTED).collect();
-        rows.sort_unstable_by(|one, other| one.name.cmp(&other.name));
+        let mut rows: Vec<RecordingRow> = self.rows(current).collect();
+        rows.sort_unstable_by(|one, other| order(&one.name).cmp(&order(&other.name)));
+        let surplus = rows.len().saturating_sub(MOST_LISTED);
+        rows.drain(..surplus);
         rows
     }
 
-    /// The file of this name, if it is one of the list.
+    fn rows(&self, current: Option<&str>) -> impl Iterator<Item = RecordingRow> {
+        let entries = std::fs::read_dir(&self.folder).into_iter().flatten();
+        entries.filter_map(move |entry| row_of(&entry.ok()?, current))
+    }
+
+    /// The file of this name, if it is one of the recordings.
     pub(crate) fn path(&self, name: &str) -> Option<PathBuf> {
-        let listed = self.list(None);
-        let row = listed.iter().find(|row| row.name == name)?;
+        let row = self.rows(None).find(|row| row.name == name)?;
         Some(self.folder.join(&row.name))
     }
 
@@ -48,6 +53,21 @@ impl Recordings {
             bytes,
         }
     }
+}
+
+/// Where a name stands: `recording.mcap`, its parts `recording.2.mcap` to `recording.10.mcap`, then `recording-2.mcap` and its parts.
+fn order(name: &str) -> (&str, u64, u64, &str) {
+    let base = name.strip_suffix(ENDING).unwrap_or(name);
+    let (base, part) = numbered(base, '.');
+    let (stem, number) = numbered(base, '-');
+    (stem, number, part, name)
+}
+
+/// A text and the number at its end; the first one has none.
+fn numbered(text: &str, separator: char) -> (&str, u64) {
+    let split = text.rsplit_once(separator);
+    let numbered = split.and_then(|(head, number)| Some((head, number.parse().ok()?)));
+    numbered.unwrap_or((text, 1))
 }
 
 fn row_of(entry: &DirEntry, current: Option<&str>) -> Option<RecordingRow> {
@@ -71,6 +91,42 @@ fn row_of(entry: &DirEntry, current: Option<&str>) -> Option<RecordingRow> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn recordings_stand_in_the_order_in_which_they_were_begun() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = [
+            "other.mcap",
+            "recording.mcap",
+            "recording.2.mcap",
+            "recording.10.mcap",
+            "recording-2.mcap",
+            "recording-2.3.mcap",
+            "recording-10.mcap",
+        ];
+        for name in names.iter().rev() {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let rows = Recordings::new(folder.path().to_owned()).list(None);
+        let listed: Vec<&str> = rows.iter().map(|row| row.name.as_str()).collect();
+        assert_eq!(listed, names);
+    }
+
+    #[test]
+    fn of_too_many_the_latest_are_listed_and_all_can_be_had() {
+        let folder = tempfile::tempdir().unwrap();
+        for part in 1..=MOST_LISTED + 3 {
+            let name = format!("recording.{part}.mcap");
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let recordings = Recordings::new(folder.path().to_owned());
+        let rows = recordings.list(None);
+        assert_eq!(
+            (rows.len(), rows[0].name.as_str()),
+            (MOST_LISTED, "recording.4.mcap")
+        );
+        assert!(recordings.path("recording.1.mcap").is_some());
+    }
 
     #[test]
     fn only_recordings_of_the_folder_can_be_named() {

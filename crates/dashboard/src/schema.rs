@@ -63,6 +63,7 @@ fn field_schema(kind: Kind) -> Value {
         Kind::Number { least, most } => {
             json!({ "type": "number", "minimum": least, "maximum": most })
         }
+        Kind::Finite => json!({ "type": "number" }),
         // No field of the table is left without a range; a test goes through it.
         Kind::Simulated => json!(false),
         Kind::Whole { least, most } => {

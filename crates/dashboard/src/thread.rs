@@ -1,7 +1,7 @@
 //! The dashboard's own thread and runtime.
 
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -11,17 +11,23 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
 use crate::assets::Assets;
+use crate::bound::Bound;
+use crate::command::Known;
 use crate::commander::Commander;
 use crate::counts::Counts;
 use crate::feed::{Feed, TruthSample};
 use crate::hub::Hub;
-use crate::limits::{WAITING_COMMANDS, WAITING_QUESTIONS};
-use crate::listener::{Listen, Listener, PORTS_TRIED};
+use crate::limits::{
+    COMMANDS_AT_ONCE, COMMANDS_PER_S, MOST_CLIENTS, WAITING_COMMANDS, WAITING_QUESTIONS,
+};
 use crate::model::{ParameterRow, SimulatorFacts};
 use crate::recordings::Recordings;
-use crate::server::{App, Guard, Inlets, Replay, router, run_hub, serve};
+use crate::server::{App, Clock, Guard, Inlets, Rate, Replay, router, run_hub, serve};
 use crate::taps::Taps;
 use crate::token::Token;
+
+/// The next free port is looked for among so many.
+pub(crate) const PORTS_TRIED: u16 = 20;
 
 /// Who needs the token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -51,7 +57,7 @@ pub struct Facts {
 /// What the dashboard needs of the program around it.
 pub struct Sources {
     /// The session's clock.
-    pub clock: Box<dyn Fn() -> Stamp<HostClock> + Send>,
+    pub clock: Box<dyn Fn() -> Stamp<HostClock> + Send + Sync>,
     /// Where the simulated robot was; gives samples until there is none left for now.
     pub truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
     /// The folder of this run's recordings.
@@ -110,6 +116,8 @@ pub enum StartError {
 #[derive(Debug)]
 pub struct Dashboard {
     address: Option<SocketAddr>,
+    /// Where others find it.
+    reachable: Vec<IpAddr>,
     token: Option<Token>,
     commander: Commander,
     stop: CancellationToken,
@@ -117,29 +125,18 @@ pub struct Dashboard {
 }
 
 impl Dashboard {
-    /// Begins to listen and starts the thread. Gives the end into which the shard tells what happens, and that from which it takes
-    /// commands.
+    /// Starts the thread, which answers at the address that was taken; without one it has readers in this process only. Gives the end into
+    /// which the shard tells what happens, and that from which it takes commands.
     ///
     /// # Errors
-    /// The address is taken or cannot be listened on, or the thread cannot be started.
+    /// There are no random bytes for a token, or the thread cannot be started.
     pub fn start(
-        listen: Listen,
+        bound: Option<Bound>,
         facts: Facts,
         sources: Sources,
     ) -> Result<(Self, Feed, mpsc::Receiver<Command>), StartError> {
-        Self::start_on(Some(Listener::bind(listen)?), facts, sources)
-    }
-
-    /// The same at a place that was bound, or for readers in this process only.
-    ///
-    /// # Errors
-    /// The thread cannot be started, or there are no random bytes for a token.
-    pub fn start_on(
-        listener: Option<Listener>,
-        facts: Facts,
-        sources: Sources,
-    ) -> Result<(Self, Feed, mpsc::Receiver<Command>), StartError> {
-        let address = listener.as_ref().map(|listener| listener.address);
+        let address = bound.as_ref().map(|bound| bound.address);
+        let reachable = bound.as_ref().map_or_else(Vec::new, Bound::reachable);
         let token = token_for(address, facts.token)?;
         let counts = Arc::new(Counts::default());
         let (feed, batches) = Feed::pair(Arc::clone(&counts));
@@ -147,25 +144,31 @@ impl Dashboard {
         let (commands, given) = mpsc::channel(WAITING_COMMANDS);
         let stop = CancellationToken::new();
         let recordings = Recordings::new(sources.recordings);
+        let known = Known::of(&facts);
+        let clock: Arc<Clock> = Arc::from(sources.clock);
         let hub = Hub::new(facts, token.as_ref());
-        let served = listener.map(|listener| {
+        let served = bound.map(|bound| {
             let app = App {
-                guard: Guard::new(listener.address, token.clone()),
+                guard: Guard::new(bound.address, token.clone()),
                 counts: Arc::clone(&counts),
                 questions: questions.clone(),
                 commands: commands.clone(),
+                command_rate: Rate::new(COMMANDS_PER_S, COMMANDS_AT_ONCE),
+                known,
+                clock: Arc::clone(&clock),
                 recordings: recordings.clone(),
                 assets: Assets::new(sources.ui_dir),
                 replay: sources.replay,
                 replaying: Arc::new(Semaphore::new(1)),
+                readers: Arc::new(Semaphore::new(MOST_CLIENTS)),
                 stop: stop.clone(),
             };
-            (listener.socket, app)
+            (bound.listener, app)
         });
         let inlets = Inlets {
             batches,
             truth: sources.truth,
-            clock: sources.clock,
+            clock,
             questions: asked,
             recordings,
             counts: Arc::clone(&counts),
@@ -179,6 +182,7 @@ impl Dashboard {
         };
         let dashboard = Self {
             address,
+            reachable,
             token,
             commander: Commander { commands, counts },
             stop,
@@ -193,14 +197,25 @@ impl Dashboard {
         self.address
     }
 
-    /// What to open in a browser: with the token, if one is needed, so it is to be shown once and to nobody else. `None` if it does
-    /// not listen.
+    /// What to open in a browser of this computer: with the token, if one is needed, so it is to be shown once and to nobody else.
+    /// `None` if it does not listen.
     #[must_use]
     pub fn url(&self) -> Option<String> {
+        self.urls().pop()
+    }
+
+    /// The same for each address at which it is found; that of this computer is the last one.
+    #[must_use]
+    pub fn urls(&self) -> Vec<String> {
+        let Some(address) = self.address else {
+            return Vec::new();
+        };
         let token = self.token.as_ref();
         let query = token.map_or_else(String::new, |token| format!("?token={}", token.expose()));
-        let address = self.address?;
-        Some(format!("http://{address}/{query}"))
+        let found = self.reachable.iter();
+        found
+            .map(|ip| format!("http://{}/{query}", SocketAddr::new(*ip, address.port())))
+            .collect()
     }
 
     /// Gives commands for somebody in this process.

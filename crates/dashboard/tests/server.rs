@@ -1,111 +1,17 @@
 //! The server over real sockets, on loopback, with a shard that the test plays.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside the test functions may fail loudly as well"
-)]
-
 #[path = "support/http.rs"]
 mod http;
-
-use std::net::SocketAddr;
-use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, Ordering};
+#[path = "support/played.rs"]
+mod played;
 
 use http::{Reader, exchange, get, post, refused, request};
-use posebridge_dashboard::model::{Frame, Message, RobotFrame, State};
+use played::{Clock, Played, says, sources};
+use posebridge_dashboard::model::{Message, State};
 use posebridge_dashboard::{
-    Batch, Dashboard, Facts, Feed, Found, Listen, Sources, StartError, Taps, TokenPolicy,
+    Batch, Bound, Dashboard, Facts, Found, Listen, Sources, StartError, Taps, TokenPolicy,
 };
-use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
-use tokio::sync::mpsc;
-
-/// A dashboard whose shard is the test.
-struct Played {
-    dashboard: Dashboard,
-    feed: Feed,
-    commands: mpsc::Receiver<Command>,
-    millis: Arc<AtomicI64>,
-    folder: tempfile::TempDir,
-}
-
-fn loopback() -> SocketAddr {
-    "127.0.0.1:0".parse().unwrap()
-}
-
-fn sources(folder: &Path, millis: &Arc<AtomicI64>) -> Sources {
-    let clock = Arc::clone(millis);
-    Sources {
-        clock: Box::new(move || Stamp::from_millis(clock.fetch_add(20, Ordering::Relaxed))),
-        truth: None,
-        recordings: folder.join("run"),
-        replay: Box::new(|path| {
-            let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
-            if bytes.starts_with(b"bad") {
-                return Err("it is no recording".to_owned());
-            }
-            let id = format!("{} bytes", bytes.len());
-            Ok(Frame {
-                robots: vec![RobotFrame {
-                    id,
-                    ..RobotFrame::default()
-                }],
-                ..Frame::default()
-            })
-        }),
-        ui_dir: None,
-        taps: Taps::default(),
-    }
-}
-
-impl Played {
-    fn start(token: TokenPolicy) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::create_dir(folder.path().join("run")).unwrap();
-        std::fs::write(folder.path().join("secret.mcap"), "secret").unwrap();
-        let millis = Arc::new(AtomicI64::new(0));
-        let facts = Facts {
-            token,
-            ..Facts::default()
-        };
-        let sources = sources(folder.path(), &millis);
-        let (dashboard, feed, commands) =
-            Dashboard::start(Listen::Exactly(loopback()), facts, sources).unwrap();
-        Self {
-            dashboard,
-            feed,
-            commands,
-            millis,
-            folder,
-        }
-    }
-
-    fn address(&self) -> SocketAddr {
-        self.dashboard.address().unwrap()
-    }
-
-    fn tell(&self, events: Vec<Event>) {
-        self.feed.tell(Batch {
-            now: Stamp::from_millis(self.millis.load(Ordering::Relaxed)),
-            took: Span::from_micros(15),
-            events,
-            standing: None,
-        });
-    }
-
-    fn record(&self, name: &str, bytes: &[u8]) {
-        std::fs::write(self.folder.path().join("run").join(name), bytes).unwrap();
-    }
-}
-
-fn says(text: &str) -> Event {
-    Event::Text {
-        source: Address::new(1, 1),
-        severity: 6,
-        text: text.to_owned(),
-    }
-}
+use posebridge_telemetry::{Command, Span, Stamp};
 
 /// Whether a line of a message's log ends so.
 fn is_said(log: &serde_json::Value, text: &str) -> bool {
@@ -331,7 +237,8 @@ fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
     // A quarter of a megabyte a message: what the system keeps for the slow one, some 11 MB, is full after a third of them, and the server
     // keeps 64 messages more.
     for _ in 0..150 {
-        played.tell(vec![says(&"x".repeat(990)); 250]);
+        let said = (0..250).map(|line| says(&format!("{line:04}{}", "x".repeat(986))));
+        played.tell(said.collect());
         let mut lines = 0;
         while lines < 250 {
             let message = quick.next();
@@ -356,22 +263,18 @@ fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
 fn a_default_port_that_is_taken_moves_on_and_a_chosen_one_does_not() {
     let played = Played::start(TokenPolicy::Elsewhere);
     let taken = played.address();
-    let folder = tempfile::tempdir().unwrap();
-    let start = |listen| {
-        Dashboard::start(
-            listen,
-            Facts::default(),
-            sources(folder.path(), &played.millis),
-        )
-    };
-    let error = start(Listen::Exactly(taken)).map(drop).unwrap_err();
+    let error = Bound::new(Listen::Exactly(taken)).unwrap_err();
     assert!(matches!(error, StartError::Taken { address } if address == taken));
     assert!(
         error
             .to_string()
             .contains("is in use, perhaps by another station")
     );
-    let (next, _feed, _commands) = start(Listen::OrNext(taken)).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let sources = sources(folder.path(), &played.clock);
+    let bound = Bound::new(Listen::OrNext(taken)).unwrap();
+    let (next, _feed, _commands) =
+        Dashboard::start(Some(bound), Facts::default(), sources).unwrap();
     let steps = next.address().unwrap().port() - taken.port();
     assert!((1..=20).contains(&steps), "{steps}");
 }
@@ -389,14 +292,13 @@ fn it_ends_when_the_shard_is_gone() {
 #[test]
 fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
     let folder = tempfile::tempdir().unwrap();
-    let millis = Arc::new(AtomicI64::new(0));
     let mut taps = Taps::default();
     let tap = taps.add(64);
     let sources = Sources {
         taps,
-        ..sources(folder.path(), &millis)
+        ..sources(folder.path(), &Clock::going())
     };
-    let started = Dashboard::start_on(None, Facts::default(), sources);
+    let started = Dashboard::start(None, Facts::default(), sources);
     let (dashboard, feed, mut commands) = started.unwrap();
     assert_eq!((dashboard.address(), dashboard.url()), (None, None));
     feed.tell(Batch {

@@ -19,6 +19,7 @@ pub mod link_health;
 pub mod observation;
 pub mod outbound;
 pub mod quantities;
+pub mod repeats;
 pub mod robot;
 pub mod simulator;
 pub mod spaces;
@@ -43,6 +44,7 @@ pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians,
     RadiansPerSecond, Volts,
 };
+pub use repeats::{Repeats, Shown};
 pub use robot::{DriveGeometry, SensorNoise};
 pub use simulator::{SimulatorCommand, SlippingWheel, SteeringSource};
 pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};

@@ -13,7 +13,7 @@ use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::plotjuggler::{self, PlotJuggler, Sent};
 use crate::stderr::say;
-use crate::tasks::dashboard::{self, Outlet, Simulated};
+use crate::tasks::dashboard::{self, Outlet, Reserved, Simulated};
 use crate::tasks::truth_tap::TruthTap;
 use crate::tui::{self, TerminalView, Wires};
 
@@ -30,8 +30,8 @@ pub(super) struct Onlookers {
 impl Onlookers {
     /// Starts them; gives the shard's end of the channels to and from them, if there are any.
     pub(super) fn start(
-        args: &RunArgs,
-        config: &Config,
+        reserved: Option<Reserved>,
+        (args, config): (&RunArgs, &Config),
         place: (HostTimer, &Path),
         embedded: Option<&Embedded>,
     ) -> Result<(Self, Option<Outlet>)> {
@@ -45,8 +45,8 @@ impl Onlookers {
         let seen = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
         let plotted = plotted(args, config)?;
         let plotted = plotted.map(|address| (address, taps.add(plotjuggler::WAITING_FRAMES)));
-        let Some((dashboard, outlet)) =
-            dashboard::start(&args.page, config, place, (simulated, taps))?
+        let page = (&args.page, config);
+        let Some((dashboard, outlet)) = dashboard::start(reserved, page, place, (simulated, taps))?
         else {
             return Ok((Self::default(), None));
         };

@@ -22,6 +22,7 @@ use crate::report::live::LiveView;
 use crate::report::off::Off;
 use crate::signing::{SigningSession, warn_of_open_listeners};
 use crate::stderr::say;
+use crate::tasks::dashboard;
 use crate::tasks::desk::Desk;
 use crate::tasks::observer::{Observer, ObserverConfig};
 use crate::tasks::recorder::Recorder;
@@ -65,26 +66,26 @@ pub(super) async fn session(
     let timer = HostTimer::start();
     let signing = SigningSession::open(config, timer.utc_start()).at_start()?;
     let pipeline = pipeline(args, config, &signing).at_start()?;
+    let reserved = dashboard::reserve(&args.page, config).at_start()?;
     let folder = output_folder(args, config, &timer).at_start()?;
     let stop = CancellationToken::new();
-    let mut signals = Signals::listen().at_start()?;
-    let simulated = SimulatedSession {
-        timer,
-        folder: &folder,
-        laps,
-    };
-    let (ports, mut embedded) = open(args, config, simulated, &stop).await.at_start()?;
+    let signals = Signals::listen().at_start()?;
+    let place = (timer, folder.as_path());
+    let opened = open(args, config, (place, laps), &stop).await;
+    let (ports, mut embedded) = opened.at_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.recorded(config);
+    let (commands, truth) = simulated_brick(embedded.as_mut());
+    let observer = observer(args, embedded.as_ref()).at_start()?;
+    let keeper = signing.keep().at_start()?;
     let mut failures = Failures::default();
     let recorder =
         start_recorder(args, &for_recordings, &timer, &recording, &mut failures).at_start()?;
     let tlog = start_tlog(args, config, &timer, &recording, &mut failures).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
-    let (commands, truth) = simulated_brick(embedded.as_mut());
-    let started = Onlookers::start(args, config, (timer, &folder), embedded.as_ref());
-    let (mut onlookers, outlet) = started.at_start()?;
+    let (mut onlookers, outlet) =
+        Onlookers::start(reserved, (args, config), place, embedded.as_ref()).at_start()?;
     let mut shard = Shard {
         pipeline,
         ports,
@@ -92,20 +93,15 @@ pub(super) async fn session(
         recorder,
         given: 0,
         tlog,
-        observer: observer(args, embedded.as_ref()).at_start()?,
+        observer,
         failures,
-        signing: signing.keep().at_start()?,
+        signing: keeper,
         desk: Desk::new(folder.clone(), timer, configs, current).with_brick(commands),
         truth,
         dashboard: outlet,
     };
     let ending = ending(args, embedded.as_ref(), &stop);
-    tokio::select! {
-        () = shard.run(&ending) => {}
-        () = signals.received() => {}
-        () = onlookers.quit() => {}
-    }
-    onlookers.leave_terminal();
+    until_ended((&mut shard, &ending), signals, &mut onlookers).await;
     let driven = stop_brick(embedded, &stop).while_running()?;
     let kept = shard.keep_last_stamps();
     let learned = learned_of(&shard.pipeline, config).at_start()?;
@@ -124,13 +120,32 @@ pub(super) async fn session(
     })
 }
 
+/// Runs the shard until its run is over, or somebody ends it.
+async fn until_ended(
+    (shard, ending): (&mut Shard, &Ending),
+    mut signals: Signals,
+    onlookers: &mut Onlookers,
+) {
+    tokio::select! {
+        () = shard.run(ending) => {}
+        () = signals.received() => {}
+        () = onlookers.quit() => {}
+    }
+    onlookers.leave_terminal();
+}
+
 /// Opens the links.
 async fn open(
     args: &RunArgs,
     config: &Config,
-    session: SimulatedSession<'_>,
+    ((timer, folder), laps): ((HostTimer, &Path), Laps),
     stop: &CancellationToken,
 ) -> Result<(PortSet, Option<Embedded>)> {
+    let session = SimulatedSession {
+        timer,
+        folder,
+        laps,
+    };
     let opened = open_links(args, config, session, stop).await;
     match &opened {
         Ok((ports, _)) => warn_of_open_listeners(ports, config),

@@ -14,9 +14,10 @@ use tokio_util::sync::CancellationToken;
 use super::{BrickPorts, Cable, Company, Hands, Reach, drive, hands};
 use crate::tasks::truth_tap::TruthTap;
 
-/// A brick in a thread of its own.
+/// A brick in a thread of its own. Dropped, it stops and takes its terminal away: a start that fails behind it leaves none.
 pub struct EmbeddedBrick {
-    thread: JoinHandle<Result<Simulation>>,
+    thread: Option<JoinHandle<Result<Simulation>>>,
+    stop: CancellationToken,
     /// Cancelled when the path is driven to its end.
     pub finished: CancellationToken,
     /// How much of the path is driven, 0 to 1.
@@ -52,7 +53,7 @@ impl EmbeddedBrick {
             scenario,
             cable: (config, timer),
             reach,
-            stop,
+            stop: stop.clone(),
             told,
             finished: finished.clone(),
             ready,
@@ -65,7 +66,8 @@ impl EmbeddedBrick {
             .recv()
             .map_err(|_gone| anyhow!("the brick's thread died"))??;
         Ok(Self {
-            thread,
+            thread: Some(thread),
+            stop,
             finished,
             progress,
             hands,
@@ -77,10 +79,20 @@ impl EmbeddedBrick {
     ///
     /// # Errors
     /// The brick's runtime could not be started.
-    pub fn finish(self) -> Result<Simulation> {
-        self.thread
-            .join()
-            .map_err(|_panic| anyhow!("the brick's thread died"))?
+    pub fn finish(mut self) -> Result<Simulation> {
+        let ended = self.thread.take().map(JoinHandle::join);
+        let ended = ended.context("the brick has ended already")?;
+        ended.map_err(|_panic| anyhow!("the brick's thread died"))?
+    }
+}
+
+impl Drop for EmbeddedBrick {
+    fn drop(&mut self) {
+        if let Some(thread) = self.thread.take() {
+            self.stop.cancel();
+            // Somebody else has failed, and says why.
+            drop(thread.join());
+        }
     }
 }
 

@@ -28,6 +28,8 @@ pub enum Kind {
         /// Highest.
         most: f64,
     },
+    /// A number.
+    Finite,
     /// A number of the range that stands in [`NUMBER_FIELDS`] for this field of this command.
     Simulated,
     /// A whole number of this range.
@@ -62,6 +64,7 @@ impl Field {
                 })
             }
             Kind::Number { .. }
+            | Kind::Finite
             | Kind::Whole { .. }
             | Kind::Choice(_)
             | Kind::Switch
@@ -77,9 +80,10 @@ impl Kind {
     pub fn wanted(self) -> String {
         match self {
             Self::Number { least, most } => format!("a number from {least} to {most}"),
+            Self::Finite => "a finite number".to_owned(),
             Self::Simulated => "a number that the simulator has no range for".to_owned(),
             Self::Whole { least, most } => format!("a whole number from {least} to {most}"),
-            Self::Choice(words) => format!("one of \"{}\"", words.join("\", \"")),
+            Self::Choice(words) => one_of(words),
             Self::Switch => "true or false".to_owned(),
             Self::Name => "a name of 1 to 16 printable ASCII characters".to_owned(),
             Self::NameOrNull => "a name of 1 to 16 printable ASCII characters, or null".to_owned(),
@@ -91,6 +95,7 @@ impl Kind {
             Self::Number { least, most } => value
                 .as_f64()
                 .is_some_and(|number| (least..=most).contains(&number)),
+            Self::Finite => value.as_f64().is_some_and(f64::is_finite),
             Self::Simulated => false,
             Self::Whole { least, most } => value
                 .as_u64()
@@ -101,6 +106,12 @@ impl Kind {
             Self::NameOrNull => value.is_null() || Self::Name.takes(value),
         }
     }
+}
+
+/// One of these words, in words.
+pub(super) fn one_of<T: AsRef<str>>(words: &[T]) -> String {
+    let quoted = words.iter().map(|word| format!("\"{}\"", word.as_ref()));
+    format!("one of {}", quoted.collect::<Vec<_>>().join(", "))
 }
 
 fn is_name(text: &str) -> bool {

@@ -4,9 +4,11 @@
 //! so a refusal names the field, what stood there and what may.
 
 mod fields;
+mod known;
 mod table;
 
 pub use fields::{Field, Kind};
+pub(crate) use known::Known;
 pub use table::{COMMANDS, CommandRow};
 
 use posebridge_telemetry::Command;
@@ -62,6 +64,12 @@ pub enum CommandError {
         found: String,
         /// What it may hold.
         wanted: String,
+    },
+    /// It is for a simulated brick, and the station has none of its own.
+    #[error("`{command}` is for a simulated brick, and this station has none of its own")]
+    NoSimulator {
+        /// The command.
+        command: &'static str,
     },
     /// A field that this command does not have.
     #[error("`{command}` has no field `{field}`; it has: {known}")]

@@ -80,11 +80,8 @@ pub const COMMANDS: &[CommandRow] = &[
     },
     CommandRow {
         name: "set-parameter",
-        help: "set one tunable of the filter; the engine refuses a value out of its range and says so in the log",
-        fields: &[
-            field("name", Kind::Name),
-            number("value", f64::MIN, f64::MAX),
-        ],
+        help: "set one tunable of the filter; /v1/parameters has their names and ranges",
+        fields: &[field("name", Kind::Name), field("value", Kind::Finite)],
         make: |values| Command::SetParameter {
             name: ParameterName::from_bytes(values.text("name").as_bytes()),
             value: values.number("value"),

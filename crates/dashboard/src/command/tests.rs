@@ -14,6 +14,7 @@ fn refused(text: &str) -> String {
 fn example(kind: Kind) -> Value {
     match kind {
         Kind::Number { least, .. } => json!(least),
+        Kind::Finite => json!(0.5),
         Kind::Simulated => panic!("a field of the simulator has no range"),
         Kind::Whole { most, .. } => json!(most),
         Kind::Choice(words) => json!(words[0]),
@@ -178,6 +179,10 @@ fn what_makes_no_sense_is_refused_with_what_may_stand_there() {
     assert_eq!(
         refused(r#"{"command":"steering","by":"truth"}"#),
         "`steering`: the field `by` is \"truth\", must be one of \"odometry\", \"estimate\""
+    );
+    assert_eq!(
+        refused(r#"{"command":"set-parameter","name":"gate_prob","value":"0.9"}"#),
+        "`set-parameter`: the field `value` is \"0.9\", must be a finite number"
     );
     let long = "x".repeat(10_000);
     assert!(refused(&format!(r#"{{"command":"{long}"}}"#)).len() < 1_000);

@@ -13,9 +13,10 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use socket2::SockRef;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+use super::seat::Seat;
 use crate::counts::{Count, Counts};
 use crate::limits::{
     HEAD_BYTES, HEAD_TIMEOUT, MOST_CONNECTIONS, SEND_TIMEOUT, SOCKET_BUFFER_BYTES,
@@ -23,7 +24,8 @@ use crate::limits::{
 
 /// What whoever comes too many is told.
 const BUSY: &[u8] =
-    b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-length: 0\r\n\r\n";
+    b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-type: application/json\r\ncontent-length: 51\r\n\r\n\
+    {\"error\":\"too many connections; close one of them\"}";
 /// After a failure to take a connection, such as no free file descriptor, the next try waits so long.
 const PAUSE: Duration = Duration::from_millis(100);
 
@@ -44,17 +46,17 @@ pub(crate) async fn serve(
             tokio::time::sleep(PAUSE).await;
             continue;
         };
-        match Arc::clone(&room).try_acquire_owned() {
-            Ok(permit) => {
+        match Seat::take(&room, &counts, Count::Connections) {
+            Some(seat) => {
                 let connection = Connection {
                     router: router.clone(),
                     counts: Arc::clone(&counts),
-                    _permit: permit,
+                    seat: Arc::new(seat),
                 };
                 // A connection ends by itself, or with the runtime.
                 drop(tokio::spawn(connection.serve(stream)));
             }
-            Err(_full) => {
+            None => {
                 counts.one(Count::TooManyConnections);
                 // It may not even listen.
                 drop(stream.try_write(BUSY));
@@ -67,20 +69,25 @@ pub(crate) async fn serve(
 struct Connection {
     router: Router,
     counts: Arc<Counts>,
-    _permit: OwnedSemaphorePermit,
+    /// Every request has it with it: one that becomes a stream keeps it.
+    seat: Arc<Seat>,
 }
 
 impl Connection {
     async fn serve(self, stream: TcpStream) {
-        let Self { router, counts, .. } = &self;
-        counts.one(Count::Connections);
+        let Self {
+            router,
+            counts,
+            seat,
+        } = &self;
         let socket = SockRef::from(&stream);
         // Whatever of these the system refuses, the connection works without.
         drop(stream.set_nodelay(true));
         drop(socket.set_send_buffer_size(SOCKET_BUFFER_BYTES));
         drop(socket.set_tcp_user_timeout(Some(SEND_TIMEOUT)));
         let has_asked = AtomicBool::new(false);
-        let service = service_fn(|request: Request<Incoming>| {
+        let service = service_fn(|mut request: Request<Incoming>| {
+            request.extensions_mut().insert(Arc::clone(seat));
             has_asked.store(true, Ordering::Relaxed);
             TowerToHyperService::new(router.clone()).call(request)
         });
@@ -95,6 +102,5 @@ impl Connection {
         if served.is_err() && !has_asked.load(Ordering::Relaxed) {
             counts.one(Count::BadRequest);
         }
-        counts.less(Count::Connections);
     }
 }

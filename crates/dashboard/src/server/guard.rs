@@ -15,7 +15,7 @@ use axum::http::header::{
     SET_COOKIE, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{Html, IntoResponse as _, Response};
 use tokio::time::timeout;
@@ -131,6 +131,7 @@ impl Guard {
             return Err(self.wrong_host(request.uri().to_string().as_str()));
         }
         check_origin(headers, &host)?;
+        check_site(request)?;
         self.check_token(request, &host)
     }
 
@@ -163,10 +164,12 @@ impl Guard {
         Denial {
             count: Count::WrongHost,
             status: StatusCode::MISDIRECTED_REQUEST,
-            why: format!(
-                "the Host `{found}` is not this station; open http://{}/",
-                self.address
-            ),
+            why: if self.address.ip().is_unspecified() {
+                format!("the Host `{found}` is not this station; open the address that it printed")
+            } else {
+                let address = self.address;
+                format!("the Host `{found}` is not this station; open http://{address}/")
+            },
         }
     }
 
@@ -176,8 +179,11 @@ impl Guard {
         };
         let headers = request.headers();
         let bearer = headers.get(AUTHORIZATION);
-        let bearer = bearer.and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
-        if bearer.is_some_and(|said| token.is(said.trim())) {
+        let bearer = bearer.and_then(|value| value.to_str().ok()?.split_once(' '));
+        // The name of a scheme has no case (RFC 9110, section 11.1).
+        if bearer.is_some_and(|(scheme, said)| {
+            scheme.eq_ignore_ascii_case("bearer") && token.is(said.trim())
+        }) {
             return Ok(Admission::Plain);
         }
         let name = self.cookie_name();
@@ -223,14 +229,35 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Denial> {
     for origin in headers.get_all(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
         if !own.iter().any(|own| own.eq_ignore_ascii_case(origin)) {
-            return Err(Denial {
-                count: Count::WrongOrigin,
-                status: StatusCode::FORBIDDEN,
-                why: "pages of another origin may not use this station".to_owned(),
-            });
+            return Err(foreign());
         }
     }
     Ok(())
+}
+
+/// A browser says whose page a request comes from even where it names no Origin, as for an image (Fetch Metadata, W3C). A foreign page may
+/// lead somebody to the page of this station, and to nothing else of it: a replay takes a core for seconds.
+fn check_site(request: &Request) -> Result<(), Denial> {
+    let headers = request.headers();
+    let said = |name: &str| headers.get(name).map(HeaderValue::as_bytes);
+    let is_own = |site: &[u8]| [&b"same-origin"[..], b"none"].contains(&site);
+    if said("sec-fetch-site").is_none_or(is_own) {
+        return Ok(());
+    }
+    let says = |name: &str, word: &[u8]| said(name) == Some(word);
+    let is_visit = says("sec-fetch-mode", b"navigate")
+        && says("sec-fetch-dest", b"document")
+        && request.method() == Method::GET
+        && !request.uri().path().starts_with("/v1/");
+    if is_visit { Ok(()) } else { Err(foreign()) }
+}
+
+fn foreign() -> Denial {
+    Denial {
+        count: Count::WrongOrigin,
+        status: StatusCode::FORBIDDEN,
+        why: "pages of another origin may not use this station".to_owned(),
+    }
 }
 
 /// The values of all cookies of this name.

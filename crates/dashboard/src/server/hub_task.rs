@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
 
 use axum::extract::ws::Utf8Bytes;
-use posebridge_telemetry::{HostClock, Stamp};
 use tokio::sync::{broadcast, mpsc, oneshot};
 use tokio::time::{MissedTickBehavior, interval};
 
+use super::Clock;
 use crate::counts::{Count, Counts};
 use crate::feed::{Batch, TruthSample};
 use crate::hub::Hub;
@@ -52,7 +52,7 @@ pub(crate) struct Greeting {
 pub(crate) struct Inlets {
     pub(crate) batches: Receiver<Batch>,
     pub(crate) truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
-    pub(crate) clock: Box<dyn Fn() -> Stamp<HostClock> + Send>,
+    pub(crate) clock: Arc<Clock>,
     pub(crate) questions: mpsc::Receiver<Question>,
     pub(crate) recordings: Recordings,
     pub(crate) counts: Arc<Counts>,

@@ -4,9 +4,9 @@ use std::future::{Ready, ready};
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
-use axum::extract::rejection::BytesRejection;
+use axum::extract::rejection::{BytesRejection, PathRejection};
 use axum::extract::{Path, Request, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::header::{ALLOW, CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use tokio::io::AsyncReadExt as _;
@@ -19,11 +19,14 @@ use super::guard::refusal;
 use super::hub_task::{Question, Subject};
 use crate::command;
 use crate::counts::Count;
+use crate::limits::COMMANDS_PER_S;
 use crate::metrics::CONTENT_TYPE as METRICS_TYPE;
 use crate::model::{Accepted, RecordingRow};
 
 /// What everybody is handed.
 type Shared = State<Arc<App>>;
+/// The name in a path, which need not be text.
+type Named = Result<Path<String>, PathRejection>;
 
 const JSON: &str = "application/json";
 
@@ -60,7 +63,11 @@ pub(super) async fn recordings(State(app): Shared) -> Response {
 }
 
 /// A whole recording; of the one that is being written, what is there.
-pub(super) async fn download(State(app): Shared, Path(name): Path<String>) -> Response {
+pub(super) async fn download(State(app): Shared, name: Named) -> Response {
+    let name = match name {
+        Ok(Path(name)) => name,
+        Err(error) => return app.bad_request(error.status(), error.body_text()),
+    };
     let Some(path) = app.recording_path(&name).await else {
         return app.no_recording();
     };
@@ -86,11 +93,16 @@ pub(super) async fn download(State(app): Shared, Path(name): Path<String>) -> Re
 }
 
 /// The trails of a recording, made by the same engine.
-pub(super) async fn replay(State(app): Shared, Path(name): Path<String>) -> Response {
+pub(super) async fn replay(State(app): Shared, name: Named) -> Response {
+    let name = match name {
+        Ok(Path(name)) => name,
+        Err(error) => return app.bad_request(error.status(), error.body_text()),
+    };
     let Some(path) = app.recording_path(&name).await else {
         return app.no_recording();
     };
     let Ok(permit) = Arc::clone(&app.replaying).try_acquire_owned() else {
+        app.counts.one(Count::ReplayBusy);
         let why = "another recording is being replayed; try again when it is done".to_owned();
         return refusal(StatusCode::SERVICE_UNAVAILABLE, why);
     };
@@ -117,26 +129,13 @@ pub(super) async fn command(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Response {
-    let is_json = headers
-        .get(CONTENT_TYPE)
-        .and_then(|value| value.to_str().ok())
-        .is_some_and(|value| {
-            value
-                .split(';')
-                .next()
-                .is_some_and(|kind| kind.trim() == JSON)
-        });
-    if !is_json {
-        app.counts.one(Count::BadRequest);
+    if !is_json(&headers) {
         let why = "a command has the header Content-Type: application/json".to_owned();
-        return refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, why);
+        return app.bad_request(StatusCode::UNSUPPORTED_MEDIA_TYPE, why);
     }
     let body = match body {
         Ok(body) => body,
-        Err(error) => {
-            app.counts.one(Count::BadRequest);
-            return refusal(error.status(), error.body_text());
-        }
+        Err(error) => return app.bad_request(error.status(), error.body_text()),
     };
     match app.give(&body) {
         Ok(name) => {
@@ -149,30 +148,53 @@ pub(super) async fn command(
     }
 }
 
+/// Whether a body says that it is JSON; the words of a media type have no case (RFC 9110, section 8.3.1).
+fn is_json(headers: &HeaderMap) -> bool {
+    let said = headers.get(CONTENT_TYPE);
+    let said = said.and_then(|value| value.to_str().ok());
+    let kind = said.and_then(|value| value.split(';').next());
+    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(JSON))
+}
+
 /// A file of the page.
 pub(super) fn asset(State(app): Shared, request: Request) -> Ready<Response> {
     let (head, _body) = request.into_parts();
     let is_read = matches!(head.method, Method::GET | Method::HEAD);
-    let answered = is_read
-        .then(|| app.assets.answer(head.uri.path(), &head.headers))
-        .flatten();
-    ready(answered.unwrap_or_else(|| app.missing()))
+    let answered = app.assets.answer(head.uri.path(), &head.headers);
+    ready(match answered {
+        Some(file) if is_read => file,
+        Some(_) => {
+            let mut refused = app.wrong_method();
+            let headers = refused.headers_mut();
+            headers.insert(ALLOW, HeaderValue::from_static("GET,HEAD"));
+            refused
+        }
+        None => app.missing(),
+    })
 }
 
 pub(super) fn wrong_method(State(app): Shared) -> Ready<Response> {
-    app.counts.one(Count::BadRequest);
-    let why =
-        "wrong method: commands are posted to /v1/commands, everything else is got".to_owned();
-    ready(refusal(StatusCode::METHOD_NOT_ALLOWED, why))
+    ready(app.wrong_method())
 }
 
 impl App {
     /// Gives a command to the shard; its name, or why not.
     pub(super) fn give(&self, text: &[u8]) -> Result<&'static str, (StatusCode, String)> {
-        let (name, command) = command::read(text).map_err(|error| {
+        let read = command::read(text).and_then(|(name, command)| {
+            self.known.check(name, &command)?;
+            Ok((name, command))
+        });
+        let (name, command) = read.map_err(|error| {
             self.counts.one(Count::BadCommand);
             (StatusCode::BAD_REQUEST, error.to_string())
         })?;
+        if !self.command_rate.admits((self.clock)()) {
+            self.counts.one(Count::CommandRate);
+            let why = format!(
+                "more than {COMMANDS_PER_S} commands a second come to this station; try again"
+            );
+            return Err((StatusCode::SERVICE_UNAVAILABLE, why));
+        }
         match self.commands.try_send(command) {
             Ok(()) => {
                 self.counts.one(Count::Commands);
@@ -219,6 +241,18 @@ impl App {
             },
             |text| typed(kind, text.into()),
         )
+    }
+
+    /// Refuses a request that cannot be understood.
+    pub(super) fn bad_request(&self, status: StatusCode, why: String) -> Response {
+        self.counts.one(Count::BadRequest);
+        refusal(status, why)
+    }
+
+    fn wrong_method(&self) -> Response {
+        let why =
+            "wrong method: commands are posted to /v1/commands, everything else is got".to_owned();
+        self.bad_request(StatusCode::METHOD_NOT_ALLOWED, why)
     }
 
     fn no_recording(&self) -> Response {

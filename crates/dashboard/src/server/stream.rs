@@ -2,8 +2,10 @@
 //!
 //! What is new is written once for all. A reader that is slow misses messages, is told how many, and slows nobody.
 
+use std::io::ErrorKind;
 use std::sync::Arc;
 
+use axum::Extension;
 use axum::extract::State;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{Message as Packet, Utf8Bytes, WebSocket, WebSocketUpgrade};
@@ -12,10 +14,12 @@ use axum::response::Response;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::oneshot;
 use tokio::time::{interval, timeout};
+use tungstenite::error::ProtocolError;
 
 use super::App;
 use super::guard::refusal;
 use super::hub_task::{Greeting, Question};
+use super::seat::Seat;
 use crate::counts::Count;
 use crate::limits::{MESSAGE_BYTES, MOST_CLIENTS, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};
 use crate::model::{Message, Refusal};
@@ -26,29 +30,30 @@ const NONE_MISSED: &str = "\"dropped\":0}";
 /// Opens a stream.
 pub(super) async fn open(
     State(app): State<Arc<App>>,
+    Extension(connection): Extension<Arc<Seat>>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let upgrade = match upgrade {
         Ok(upgrade) => upgrade,
-        Err(error) => {
-            app.counts.one(Count::BadRequest);
-            return refusal(error.status(), error.body_text());
-        }
+        Err(error) => return app.bad_request(error.status(), error.body_text()),
     };
-    if app.counts.of(Count::Clients) >= MOST_CLIENTS {
+    // Taken here and not by the stream itself, which begins only when the answer has gone.
+    let Some(seat) = Seat::take(&app.readers, &app.counts, Count::Clients) else {
         app.counts.one(Count::TooManyClients);
         let why = format!("{MOST_CLIENTS} readers are here already; close one");
         return refusal(StatusCode::SERVICE_UNAVAILABLE, why);
-    }
+    };
     upgrade
         .max_message_size(MESSAGE_BYTES)
         .max_frame_size(MESSAGE_BYTES)
         .max_write_buffer_size(WRITE_BUFFER_BYTES)
-        .on_upgrade(move |socket| serve(app, socket))
+        .on_upgrade(move |socket| async move {
+            serve(app, socket).await;
+            drop((seat, connection));
+        })
 }
 
 async fn serve(app: Arc<App>, socket: WebSocket) {
-    app.counts.one(Count::Clients);
     let mut client = Client {
         app: Arc::clone(&app),
         socket,
@@ -58,7 +63,6 @@ async fn serve(app: Arc<App>, socket: WebSocket) {
     if client.talk().await == Farewell::Dropped {
         app.counts.one(Count::ClientsDropped);
     }
-    app.counts.less(Count::Clients);
 }
 
 /// How a stream ended.
@@ -120,7 +124,7 @@ impl Client {
                     .await
             }
             Some(Ok(Packet::Ping(_) | Packet::Pong(_))) => Ok(()),
-            Some(Err(_)) => Err(Farewell::Dropped),
+            Some(Err(error)) => Err(farewell_of(error)),
         }
     }
 
@@ -161,6 +165,30 @@ impl Client {
             Err(_too_slow) => Err(Farewell::Dropped),
         }
     }
+}
+
+/// How a stream ended that cannot be read any further.
+fn farewell_of(error: axum::Error) -> Farewell {
+    let cause = error.into_inner().downcast::<tungstenite::Error>();
+    if cause.is_ok_and(|cause| has_gone(&cause)) {
+        Farewell::Left
+    } else {
+        Farewell::Dropped
+    }
+}
+
+/// Whether somebody just went: a browser whose tab is closed, or whose computer sleeps, says nothing.
+fn has_gone(cause: &tungstenite::Error) -> bool {
+    if let tungstenite::Error::Io(error) = cause {
+        // Then the system gave up: nothing was taken for too long.
+        return error.kind() != ErrorKind::TimedOut;
+    }
+    matches!(
+        cause,
+        tungstenite::Error::ConnectionClosed
+            | tungstenite::Error::AlreadyClosed
+            | tungstenite::Error::Protocol(ProtocolError::ResetWithoutClosingHandshake)
+    )
 }
 
 /// A message for a reader that has missed some.

@@ -1,6 +1,6 @@
 //! The event log: what robots, ground stations and the station itself say, and what happened to robots and links.
 
-use posebridge_telemetry::{Address, Event, HostClock, LinkState, Span, Stamp};
+use posebridge_telemetry::{Address, Event, HostClock, LinkState, Repeats, Span, Stamp};
 
 use super::trail::{Trail, Weight};
 use super::{Keep, Pace, Setting, Told, View, robot_name};
@@ -21,6 +21,9 @@ const NOTICE: u8 = 5;
 pub(super) struct Log {
     setting: Setting,
     trail: Trail<LogLine>,
+    repeats: Repeats,
+    /// The severity of the last line.
+    severity: u8,
 }
 
 impl Log {
@@ -35,6 +38,8 @@ impl Log {
         Self {
             setting: setting.clone(),
             trail: Trail::new(keep),
+            repeats: Repeats::default(),
+            severity: NOTICE,
         }
     }
 
@@ -44,6 +49,16 @@ impl Log {
             Keep::Whole { .. } if severity > NOTICE => Weight::Usual,
             Keep::Whole { .. } | Keep::Latest { .. } => Weight::Rare,
         }
+    }
+
+    fn push(&mut self, now: Stamp<HostClock>, severity: u8, text: String) {
+        let t_s = seconds_of(now);
+        let line = LogLine {
+            t_s,
+            severity,
+            text,
+        };
+        self.trail.push(now, line, self.weight_of(severity));
     }
 
     fn line_of(&self, event: &Event) -> Option<(u8, String)> {
@@ -95,17 +110,22 @@ fn said(source: Address, text: &str) -> String {
 
 impl View for Log {
     fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
+        if let Some(repeated) = self.repeats.due(now) {
+            self.push(now, self.severity, repeated);
+        }
         let Told::Event(event) = told else {
             return;
         };
-        if let Some((severity, text)) = self.line_of(event) {
-            let t_s = seconds_of(now);
-            let line = LogLine {
-                t_s,
-                severity,
-                text,
-            };
-            self.trail.push(now, line, self.weight_of(severity));
+        let Some((severity, text)) = self.line_of(event) else {
+            return;
+        };
+        let shown = self.repeats.take(now, &text);
+        if let Some(repeated) = shown.before {
+            self.push(now, self.severity, repeated);
+        }
+        if shown.is_shown {
+            self.push(now, severity, text);
+            self.severity = severity;
         }
     }
 

@@ -83,6 +83,36 @@ fn an_origin_must_be_the_station_itself() {
 }
 
 #[test]
+fn a_foreign_page_may_lead_to_the_page_and_load_nothing() {
+    let guard = guard(None);
+    let with = |path: &str, site: &str, mode: &str, dest: &str| {
+        let headers = [
+            ("host", "localhost:4680"),
+            ("sec-fetch-site", site),
+            ("sec-fetch-mode", mode),
+            ("sec-fetch-dest", dest),
+        ];
+        refused(&guard, path, &headers)
+    };
+    let replay = "/v1/recordings/recording.mcap/replay";
+    for site in ["same-origin", "none"] {
+        assert_eq!(with(replay, site, "cors", "empty"), None, "{site}");
+    }
+    for site in ["cross-site", "same-site", "of-tomorrow"] {
+        assert_eq!(with("/", site, "navigate", "document"), None, "{site}");
+        for (path, mode, dest) in [
+            (replay, "no-cors", "image"),
+            (replay, "navigate", "document"),
+            ("/", "no-cors", "script"),
+            ("/", "navigate", "iframe"),
+        ] {
+            let refused = with(path, site, mode, dest);
+            assert_eq!(refused, Some(Count::WrongOrigin), "{site} {mode} {dest}");
+        }
+    }
+}
+
+#[test]
 fn from_elsewhere_the_token_is_needed_in_one_of_three_places() {
     let token = Token::random().unwrap();
     let other = Token::random().unwrap();
@@ -92,6 +122,9 @@ fn from_elsewhere_the_token_is_needed_in_one_of_three_places() {
     let bearer = |token: &Token| format!("Bearer {}", token.expose());
     let with = |name, value: &str| refused(&guard, "/", &[host, (name, value)]);
     assert_eq!(with("authorization", &bearer(&token)), None);
+    assert_eq!(with("authorization", &bearer(&token).to_lowercase()), None);
+    let basic = bearer(&token).replace("Bearer", "Basic");
+    assert_eq!(with("authorization", &basic), Some(Count::WrongToken));
     assert_eq!(
         with("authorization", &bearer(&other)),
         Some(Count::WrongToken)

@@ -1,0 +1,132 @@
+//! A dashboard whose shard and clock are the test.
+
+#![allow(
+    clippy::unwrap_used,
+    dead_code,
+    reason = "helpers of several test files; they stop where the set-up is broken"
+)]
+#![allow(
+    clippy::allow_attributes,
+    reason = "whether a helper is used depends on the file that includes it"
+)]
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use posebridge_dashboard::model::{Frame, RobotFrame};
+use posebridge_dashboard::{
+    Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Taps, TokenPolicy,
+};
+use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
+use tokio::sync::mpsc;
+
+/// A clock that goes on when somebody looks at it, or stands.
+#[derive(Clone, Default)]
+pub(crate) struct Clock {
+    millis: Arc<AtomicI64>,
+    step_ms: i64,
+}
+
+impl Clock {
+    /// One that goes on by 20 ms whenever somebody looks.
+    pub(crate) fn going() -> Self {
+        Self {
+            step_ms: 20,
+            ..Self::default()
+        }
+    }
+
+    /// Goes on.
+    pub(crate) fn advance(&self, millis: i64) -> i64 {
+        self.millis.fetch_add(millis, Ordering::Relaxed)
+    }
+}
+
+/// A dashboard whose shard is the test.
+pub(crate) struct Played {
+    pub(crate) dashboard: Dashboard,
+    pub(crate) feed: Feed,
+    pub(crate) commands: mpsc::Receiver<Command>,
+    pub(crate) clock: Clock,
+    folder: tempfile::TempDir,
+}
+
+/// What a dashboard needs of the program around it; its replays say how many bytes the file has.
+pub(crate) fn sources(folder: &Path, clock: &Clock) -> Sources {
+    let clock = clock.clone();
+    Sources {
+        clock: Box::new(move || Stamp::from_millis(clock.advance(clock.step_ms))),
+        truth: None,
+        recordings: folder.join("run"),
+        replay: Box::new(|path| {
+            let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+            if bytes.starts_with(b"bad") {
+                return Err("it is no recording".to_owned());
+            }
+            let id = format!("{} bytes", bytes.len());
+            Ok(Frame {
+                robots: vec![RobotFrame {
+                    id,
+                    ..RobotFrame::default()
+                }],
+                ..Frame::default()
+            })
+        }),
+        ui_dir: None,
+        taps: Taps::default(),
+    }
+}
+
+impl Played {
+    pub(crate) fn start(token: TokenPolicy) -> Self {
+        let facts = Facts {
+            token,
+            ..Facts::default()
+        };
+        Self::with(facts, Clock::going())
+    }
+
+    pub(crate) fn with(facts: Facts, clock: Clock) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("run")).unwrap();
+        std::fs::write(folder.path().join("secret.mcap"), "secret").unwrap();
+        let sources = sources(folder.path(), &clock);
+        let bound = Bound::new(Listen::Exactly("127.0.0.1:0".parse().unwrap())).unwrap();
+        let (dashboard, feed, commands) = Dashboard::start(Some(bound), facts, sources).unwrap();
+        Self {
+            dashboard,
+            feed,
+            commands,
+            clock,
+            folder,
+        }
+    }
+
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.dashboard.address().unwrap()
+    }
+
+    pub(crate) fn tell(&self, events: Vec<Event>) {
+        self.feed.tell(Batch {
+            now: Stamp::from_millis(self.clock.advance(0)),
+            took: Span::from_micros(15),
+            events,
+            standing: None,
+        });
+    }
+
+    pub(crate) fn record(&self, name: &str, bytes: &[u8]) {
+        std::fs::write(self.folder.path().join("run").join(name), bytes).unwrap();
+    }
+}
+
+/// A line that somebody says.
+pub(crate) fn says(text: &str) -> Event {
+    Event::Text {
+        source: Address::new(1, 1),
+        severity: 6,
+        text: text.to_owned(),
+    }
+}
