@@ -1,7 +1,9 @@
 //! `posebridge init`: the files that it writes load, and a robot of each kind drives a lap with them.
 #![expect(
     clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "helpers outside #[test] stop where the set-up is broken, and the errors are to be read"
 )]
 
 mod support;

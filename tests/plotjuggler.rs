@@ -32,7 +32,7 @@ fn fields_of(prefix: &str, value: &Value, found: &mut Vec<(String, f64)>) {
 
 /// A message and its fields.
 fn receive(socket: &UdpSocket) -> Vec<(String, f64)> {
-    let mut bytes = [0; 65_536];
+    let mut bytes = vec![0; 65_536];
     let read = socket.recv(&mut bytes).unwrap();
     let message: Value = serde_json::from_slice(&bytes[..read]).unwrap();
     let mut fields = Vec::new();

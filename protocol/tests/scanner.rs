@@ -180,7 +180,11 @@ fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
 fn a_frame_that_goes_on_in_pieces_after_seconds_is_completed() {
     let frame = &four_message_mix(4)[3];
     for split in 1..frame.len() - 1 {
-        for second in [split + 1, (split + frame.len()) / 2, frame.len() - 1] {
+        for second in [
+            split + 1,
+            usize::midpoint(split, frame.len()),
+            frame.len() - 1,
+        ] {
             let mut scanner = Scanner::new(ScannerConfig::default());
             let mut found = Vec::new();
             let pieces = [

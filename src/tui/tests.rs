@@ -119,6 +119,7 @@ fn links() -> Vec<LinkRow> {
 
 fn calibration() -> Vec<CalibrationRow> {
     let row = |name: &str, value: f64, sigma: f64| CalibrationRow {
+        t_s: 9.9,
         name: name.to_owned(),
         value,
         sigma,
@@ -155,6 +156,7 @@ fn frame() -> Frame {
                 fixes: fixes(),
                 fusion: records(),
                 calibration: Some(calibration()),
+                ..RobotFrame::default()
             },
             // Heard, but nobody estimates it.
             RobotFrame {

@@ -43,7 +43,7 @@ fn coding(element: &str) -> (String, f64) {
 mod tests {
     use super::*;
 
-    fn asked(name: HeaderName, lines: &[&'static str]) -> HeaderMap {
+    fn asked(name: &HeaderName, lines: &[&'static str]) -> HeaderMap {
         let mut headers = HeaderMap::new();
         for line in lines {
             headers.append(name.clone(), HeaderValue::from_static(line));
@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn gzip_is_taken_by_whoever_says_so_in_any_spelling() {
-        let takes = |lines: &[&'static str]| takes_gzip(&asked(ACCEPT_ENCODING, lines));
+        let takes = |lines: &[&'static str]| takes_gzip(&asked(&ACCEPT_ENCODING, lines));
         for lines in [
             &["gzip"][..],
             &["br, GZIP;q=0.8"],
@@ -79,7 +79,7 @@ mod tests {
     #[test]
     fn a_tag_is_found_in_a_list_and_where_a_proxy_made_it_weak() {
         let tag = HeaderValue::from_static("\"12ab\"");
-        let has = |lines: &[&'static str]| has_one(&asked(IF_NONE_MATCH, lines), &tag);
+        let has = |lines: &[&'static str]| has_one(&asked(&IF_NONE_MATCH, lines), &tag);
         assert!(has(&["\"12ab\""]) && has(&["\"0\", W/\"12ab\""]) && has(&["*"]));
         assert!(!has(&["12ab"]) && !has(&["\"12AB\""]) && !has(&[]));
     }

@@ -192,7 +192,7 @@ fn readers_that_just_go_are_not_counted_as_let_go() {
         reader.next();
         // Every second one is torn off instead of closed.
         let linger = (index % 2 == 0).then_some(Duration::ZERO);
-        SockRef::from(reader.raw()).set_linger(linger).unwrap();
+        SockRef::from(&*reader.raw()).set_linger(linger).unwrap();
     }
     drop(readers);
     while metric(address, "posebridge_dashboard_clients") > 0.0 {}
@@ -233,7 +233,7 @@ fn every_refusal_is_json_and_counted() {
 fn the_words_of_http_are_compared_without_case() {
     let mut played = Played::start(TokenPolicy::Always);
     let address = played.address();
-    let url = played.dashboard.url();
+    let url = played.dashboard.url().unwrap();
     let (_, token) = url.split_once("?token=").unwrap();
     let headers = format!(
         "authorization: bearer {token}\r\ncontent-type: Application/JSON; Charset=UTF-8\r\n"

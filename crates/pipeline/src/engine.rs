@@ -72,8 +72,8 @@ pub enum BuildError {
 pub struct Pipeline {
     config: PipelineConfig,
     links: BTreeMap<LinkId, Link>,
-    /// Whether any link is for ground stations.
-    has_voices: bool,
+    /// So many links are for ground stations.
+    voices: usize,
     router: Router,
     robot: Option<RobotId>,
     /// By which way and when the robot was heard last.
@@ -146,7 +146,7 @@ impl Pipeline {
             }
         }
         Ok(Self {
-            has_voices: links.values().any(|link| link.voice.is_some()),
+            voices: links.values().filter(|link| link.voice.is_some()).count(),
             links,
             router: Router::new(router_config(&config)),
             robot: None,
@@ -423,7 +423,7 @@ impl Pipeline {
 
     #[inline]
     fn tell(&mut self, event: Event) {
-        if self.has_voices {
+        if self.voices > 0 {
             self.announce(&event);
         }
         self.outputs.push_back(Output::Event(event));

@@ -403,6 +403,12 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
         texts,
         ["source 3 (camera) is left out", "source 3 (camera) is used"]
     );
+}
+
+#[test]
+fn a_source_that_is_none_is_not_switched() {
+    let mut ground = Ground::new(|_| {});
+    ground.drive(0, 1_000);
     for unknown in [10.0, 31.0, 39.0, 250.0, 256.0] {
         assert_eq!(ground.result(6_010, SOURCE, &[unknown, 0.0]), DENIED);
     }

@@ -46,22 +46,19 @@ pub(crate) async fn serve(
             tokio::time::sleep(PAUSE).await;
             continue;
         };
-        match Seat::take(&room, &counts, Count::Connections) {
-            Some(seat) => {
-                let connection = Connection {
-                    router: router.clone(),
-                    counts: Arc::clone(&counts),
-                    seat: Arc::new(seat),
-                };
-                // A connection ends by itself, or with the runtime.
-                drop(tokio::spawn(connection.serve(stream)));
-            }
-            None => {
-                counts.one(Count::TooManyConnections);
-                // It may not even listen.
-                drop(stream.try_write(BUSY));
-            }
-        }
+        let Some(seat) = Seat::take(&room, &counts, Count::Connections) else {
+            counts.one(Count::TooManyConnections);
+            // It may not even listen.
+            drop(stream.try_write(BUSY));
+            continue;
+        };
+        let connection = Connection {
+            router: router.clone(),
+            counts: Arc::clone(&counts),
+            seat: Arc::new(seat),
+        };
+        // A connection ends by itself, or with the runtime.
+        drop(tokio::spawn(connection.serve(stream)));
     }
 }
 

@@ -176,7 +176,7 @@ impl Pipeline {
 
     /// Keeps what became of something that the program was asked for.
     pub(super) fn announce_report(&mut self, severity: u8, words: &str) {
-        if !self.has_voices {
+        if self.voices == 0 {
             return;
         }
         let text = Text {

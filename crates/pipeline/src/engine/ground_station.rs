@@ -54,7 +54,7 @@ impl Pipeline {
 
     /// Lets the links for ground stations know who the robot is, and whether it is there. To be called before their sessions are woken.
     pub(super) fn show_robot(&mut self) {
-        if !self.has_voices {
+        if self.voices == 0 {
             return;
         }
         let presence = if self.robot_is_heard() {

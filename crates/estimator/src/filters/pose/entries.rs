@@ -181,7 +181,7 @@ mod tests {
                 let applied = entries.apply(len);
                 assert_eq!(
                     applied.before.forward.value.to_bits(),
-                    expected[len].to_bits()
+                    f64::to_bits(expected[len])
                 );
                 applied.after.forward.value += 1.0;
                 expected.push(expected[len] + 1.0);
