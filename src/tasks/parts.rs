@@ -1,6 +1,6 @@
 //! The files of a recording: one after another, each readable by itself.
 //!
-//! Knows no thread and no queue, so that tests drive it as they like. It flushes 700 ms after the last flush, and once
+//! Knows no thread and no queue, so that tests drive it as they like. It flushes 600 ms after the last flush, and once
 //! a second looks whether the file is still there, whether the disk has room, and whether the part is large or old enough.
 
 use std::fs::File;
@@ -12,10 +12,10 @@ use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
 
 use super::watched::Watched;
 
-/// What was recorded reaches the system at least this often, so that a killed program loses less than a second, 300 ms of a late thread
+/// What was recorded reaches the system at least this often, so that a killed program loses less than a second, 400 ms of sparse inputs and a late thread
 /// included. Each time a chunk ends, and what the file's index needs of it stays in memory until the part ends: more often would let a long
 /// recording's memory grow.
-pub const FLUSH_PERIOD: Span = Span::from_millis(700);
+pub const FLUSH_PERIOD: Span = Span::from_millis(600);
 /// File and disk are looked at this often.
 const LOOK_PERIOD: Span = Span::from_millis(1_000);
 
@@ -132,7 +132,7 @@ impl Parts {
     /// The recording has ended, and why: what was written before stays readable.
     pub fn record(&mut self, now: Stamp<HostClock>, number: u64, input: &Input) -> Result<()> {
         self.note_gap(now, number)?;
-        self.tend(now)?;
+        self.look(now)?;
         self.part.begun.get_or_insert(now);
         self.part
             .writer
@@ -141,6 +141,11 @@ impl Parts {
         self.kept.inputs += 1;
         self.next = number + 1;
         self.last = now;
+        // With this input: where few come, the next one may be the one that is lost.
+        if now - self.flushed >= FLUSH_PERIOD {
+            self.flushed = now;
+            self.flush()?;
+        }
         Ok(())
     }
 
@@ -241,13 +246,8 @@ impl Parts {
             .with_context(|| self.name())
     }
 
-    /// Does what is due.
-    fn tend(&mut self, now: Stamp<HostClock>) -> Result<()> {
-        if now - self.flushed < FLUSH_PERIOD {
-            return Ok(());
-        }
-        self.flushed = now;
-        self.flush()?;
+    /// Looks at the file and its disk when it is time for it.
+    fn look(&mut self, now: Stamp<HostClock>) -> Result<()> {
         if now - self.looked < LOOK_PERIOD {
             return Ok(());
         }

@@ -1,7 +1,5 @@
 //! What a key does to the simulated brick: the commands of the page's buttons, with the values that stand there at first.
 
-use std::f64::consts::FRAC_PI_3;
-
 use posebridge_telemetry::simulator::SlippingWheel;
 use posebridge_telemetry::{Command, SimulatorCommand, Span, Switch};
 
@@ -35,7 +33,7 @@ impl Deed {
             Self::Kidnap => SimulatorCommand::Kidnap {
                 forward_m: 0.3,
                 left_m: 0.2,
-                turn_rad: FRAC_PI_3,
+                turn_rad: 60_f64.to_radians(),
             },
             Self::Camera => SimulatorCommand::Camera(match camera {
                 Camera::Open => Switch::Off,
