@@ -79,8 +79,9 @@ fn the_picture_shows_a_lap_with_every_panel() {
                 );
             }
         }
+        // Where no fix lies over them.
         assert!(
-            picture.matches("h0").count() > 500,
+            picture.matches("h0").count() > 100,
             "the map in the one {name}"
         );
         for word in ["wheels", "camera", "kidnap", "gyro_bias_rad_per_s"] {

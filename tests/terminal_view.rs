@@ -47,8 +47,11 @@ fn a_kidnap_is_seen_with_its_reset_and_the_error_falls_again() {
     let folder = tempfile::tempdir().unwrap();
     let mut person = watched(folder.path(), &[], (110, 36));
     let is_steady = |text: &str| estimate_off_m(text).is_some_and(|off_m| off_m < 0.03);
-    let text = person.until("a good estimate", |text| {
-        is_steady(text) && text.contains("last fix") && text.contains("camera")
+    let text = person.until("a good estimate that is recorded", |text| {
+        is_steady(text)
+            && text.contains("last fix")
+            && text.contains("camera")
+            && text.contains("recording recording.mcap")
     });
     for title in [
         "Arena",
@@ -60,7 +63,6 @@ fn a_kidnap_is_seen_with_its_reset_and_the_error_falls_again() {
     ] {
         assert!(text.contains(title), "{title} in\n{text}");
     }
-    assert!(text.contains("recording recording.mcap"), "{text}");
     let before = resets(&text).unwrap();
     person.press(b"?");
     person.until("the help", |text| {

@@ -59,7 +59,17 @@ impl Robot {
             self.take_record(record);
         }
         if let Some(calibration) = &part.calibration {
-            self.calibration.clone_from(calibration);
+            // A history has one row a second for each; the last one counts.
+            for row in calibration {
+                match self
+                    .calibration
+                    .iter_mut()
+                    .find(|kept| kept.name == row.name)
+                {
+                    Some(kept) => kept.clone_from(row),
+                    None => self.calibration.push(row.clone()),
+                }
+            }
         }
     }
 
