@@ -21,7 +21,8 @@ const DRAW_PERIOD: Span = Span::from_millis(200);
 
 /// A running observer.
 pub struct Observer {
-    sender: SyncSender<(Stamp<HostClock>, Event)>,
+    /// Boxed: the channel is a ring of as many places as may wait, and all of them come into memory one after the other.
+    sender: SyncSender<Box<(Stamp<HostClock>, Event)>>,
     thread: JoinHandle<Result<Collector>>,
     dropped: u64,
     /// With an event file nothing may be missing: then the shard waits for the disk.
@@ -60,9 +61,9 @@ impl Observer {
     /// Shows an event; drops it if the terminal is far behind, unless there is an event file.
     pub fn show(&mut self, now: Stamp<HostClock>, event: Event) {
         let taken = if self.waits {
-            self.sender.send((now, event)).is_ok()
+            self.sender.send(Box::new((now, event))).is_ok()
         } else {
-            self.sender.try_send((now, event)).is_ok()
+            self.sender.try_send(Box::new((now, event))).is_ok()
         };
         if !taken {
             self.dropped += 1;
@@ -102,7 +103,7 @@ pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> 
 }
 
 fn watch(
-    mut events: Gulps<(Stamp<HostClock>, Event)>,
+    mut events: Gulps<Box<(Stamp<HostClock>, Event)>>,
     mut file: Option<BufWriter<File>>,
     mut view: LiveView,
 ) -> Result<Collector> {
@@ -110,7 +111,8 @@ fn watch(
     let mut drawn = Stamp::<HostClock>::ZERO;
     loop {
         match events.next(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
-            Ok((now, event)) => {
+            Ok(seen) => {
+                let (now, event) = *seen;
                 if let Some(file) = &mut file {
                     write_event(file, &event).context("writing the event file")?;
                 }

@@ -36,7 +36,8 @@ enum Item {
 
 /// A running recorder.
 pub struct Recorder {
-    sender: SyncSender<Item>,
+    /// Boxed: the channel is a ring of as many places as may wait, and all of them come into memory one after the other.
+    sender: SyncSender<Box<Item>>,
     thread: JoinHandle<Result<Kept>>,
     waiting: Arc<AtomicUsize>,
     /// The first file.
@@ -171,7 +172,7 @@ impl Recorder {
 
     /// Ends the recording without waiting for the disk.
     pub fn stop(self) -> Stopping {
-        let end = Item::End(self.given);
+        let end = Box::new(Item::End(self.given));
         self.waiting.fetch_add(1, Ordering::Relaxed);
         // With a full queue the last gap is not told; it ends where its channel does.
         drop(self.sender.try_send(end));
@@ -187,7 +188,7 @@ impl Recorder {
     pub fn finish(self) -> Result<Kept> {
         self.waiting.fetch_add(1, Ordering::Relaxed);
         // A thread that has gone says why when it is joined.
-        drop(self.sender.send(Item::End(self.given)));
+        drop(self.sender.send(Box::new(Item::End(self.given))));
         drop(self.sender);
         Stopping {
             thread: self.thread,
@@ -203,13 +204,9 @@ impl Recorder {
         }
     }
 
-    #[expect(
-        clippy::result_large_err,
-        reason = "the item that did not fit is dropped where the error is"
-    )]
-    fn give(&self, item: Item) -> Result<(), TrySendError<Item>> {
+    fn give(&self, item: Item) -> Result<(), TrySendError<Box<Item>>> {
         self.waiting.fetch_add(1, Ordering::Relaxed);
-        let given = self.sender.try_send(item);
+        let given = self.sender.try_send(Box::new(item));
         if given.is_err() {
             self.waiting.fetch_sub(1, Ordering::Relaxed);
         }
@@ -242,7 +239,7 @@ impl Stopping {
 
 fn write(
     mut parts: Parts,
-    mut items: Gulps<Item>,
+    mut items: Gulps<Box<Item>>,
     waiting: &AtomicUsize,
     part: &AtomicU32,
 ) -> Result<Kept> {
@@ -258,7 +255,7 @@ fn write(
             Err(RecvTimeoutError::Disconnected) => break,
         };
         waiting.fetch_sub(1, Ordering::Relaxed);
-        match item {
+        match *item {
             Item::Input(now, number, input) => {
                 parts.record(now, number, &input)?;
                 part.store(parts.part(), Ordering::Relaxed);
