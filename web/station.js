@@ -22,6 +22,8 @@ export class Station {
     this.switchesTold = 0;
     /** The recording that was being written when the list was read; null if none was. */
     this.listed = null;
+    /** Whether it is being read. */
+    this.isReadingList = false;
   }
 
   /** Takes what a connection begins with. */
@@ -70,9 +72,10 @@ export class Station {
     this.recording = recording;
     const name = recording?.name ?? null;
     const isListed = name === null || this.recordings.some((row) => row.name === name);
-    if (name === this.listed && isListed) return;
+    if (name === this.listed && (isListed || this.isReadingList)) return;
     this.listed = name;
-    this.renewRecordings();
+    this.isReadingList = true;
+    this.renewRecordings().finally(() => { this.isReadingList = false; });
   }
 
   /** The way-points of the simulated robot as pairs of metres. */

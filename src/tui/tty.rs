@@ -1,7 +1,7 @@
 //! The person's terminal: taken, written to without ever waiting for it, and given back as it was.
 //!
 //! It is opened anew instead of using standard output, so that only this program's end becomes non-blocking: a terminal that hangs
-//! (a frozen ssh, a stopped tmux) then fills [`Tty::pending`], nothing is drawn until that is gone, and the view still hears what it is
+//! (a frozen ssh, a stopped tmux) then fills `Tty::pending`, nothing is drawn until that is gone, and the view still hears what it is
 //! told. Source of the modes: termios(3), `cfmakeraw`.
 
 use std::fs::{File, OpenOptions};
