@@ -23,6 +23,7 @@ pub mod own_recording;
 pub mod parallel;
 pub mod plotjuggler;
 pub mod progress;
+pub mod raster;
 pub mod report;
 pub mod score;
 pub mod signing;

@@ -14,23 +14,13 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-use posebridge::config::{Config, RobotProfile, RobotStart};
+use posebridge::config::{Config, ROBOTS, RobotProfile, RobotStart};
 use posebridge_pipeline::Pipeline;
 use posebridge_telemetry::{
     Estimate, Event, Input, LinkId, LinkState, Output, PeerId, Span, Stamp,
 };
 
 use support::root;
-
-/// The profiles that come with the program.
-const PROFILES: &[&str] = &[
-    "arduino-2wd",
-    "ev3-educator",
-    "nxt-43mm",
-    "nxt-56mm",
-    "pybricks-spike",
-    "sim",
-];
 
 /// What the robots describe: brick/check/robot.c.
 const RADIUS_M: f64 = 0.0325;
@@ -242,7 +232,10 @@ fn every_robot_profile_loads_and_bears_the_name_of_its_file() {
         .iter()
         .map(|path| path.file_stem().unwrap().to_str().unwrap())
         .collect();
-    assert_eq!(stems, PROFILES);
+    assert_eq!(
+        stems,
+        ROBOTS.iter().map(|robot| robot.name).collect::<Vec<_>>()
+    );
     for (path, stem) in found.iter().zip(stems) {
         let profile = RobotProfile::read(path).unwrap();
         assert_eq!(profile.robot.name, stem);

@@ -16,8 +16,7 @@ use std::path::Path;
 use std::process::Stdio;
 
 use posebridge::config::{BundledRobot, ROBOTS, RobotProfile};
-use serde_json::Value;
-use support::{Running, posebridge, stdout_of};
+use support::{Running, off_m, posebridge, stdout_of};
 use terminal::Terminal;
 
 /// A lap of a small square of a robot with this geometry and this gyro, about ten seconds.
@@ -44,18 +43,7 @@ fn judge(folder: &Path, robot: &str, printed: &str) {
     for source in ["wheels (0)", "gyro (1)", "camera (3)"] {
         assert!(printed.contains(source), "{robot}: {printed}");
     }
-    let replay = [
-        "replay",
-        "run/recording.mcap",
-        "--truth",
-        "truth.csv",
-        "--json",
-    ];
-    let replayed = stdout_of(posebridge(folder).args(replay));
-    let replayed: Value = serde_json::from_str(&replayed).unwrap();
-    let off_m = replayed["estimators"][0]["position_rms_m"]
-        .as_f64()
-        .unwrap();
+    let off_m = off_m(folder);
     println!("{robot}: off by {:.1} mm", 1e3 * off_m);
     assert!(off_m < 0.02, "{robot}: {off_m}");
 }

@@ -8,8 +8,7 @@ mod support;
 
 use std::path::Path;
 
-use serde_json::Value;
-use support::{Running, posebridge, stdout_of};
+use support::{Running, off_m, posebridge, stdout_of};
 
 /// A lap of a small square, about ten seconds; the camera sees the robot five times a second.
 const SQUARE: &str = r#"
@@ -63,22 +62,6 @@ fn driven(folder: &Path, kind: &str, meeting: &Meeting<'_>) -> String {
     let printed = stdout_of(&mut run);
     brick.output();
     printed
-}
-
-/// How far off the recorded run was: what was recorded is what happened, and the truth says how far off that was.
-fn off_m(folder: &Path) -> f64 {
-    let replay = [
-        "replay",
-        "run/recording.mcap",
-        "--truth",
-        "truth.csv",
-        "--json",
-    ];
-    let replayed = stdout_of(posebridge(folder).args(replay));
-    let replayed: Value = serde_json::from_str(&replayed).unwrap();
-    replayed["estimators"][0]["position_rms_m"]
-        .as_f64()
-        .unwrap()
 }
 
 #[test]

@@ -14,8 +14,8 @@ use super::gulps::Gulps;
 use crate::collect::Collector;
 use crate::report::live::LiveView;
 
-/// So many events wait for the terminal before they are dropped and counted.
-const WAITING: usize = 16_384;
+/// So many events wait for the terminal before they are dropped and counted: ten seconds of a brick that is read 100 times a second.
+const WAITING: usize = 4_096;
 /// The status block is drawn this often.
 const DRAW_PERIOD: Span = Span::from_millis(200);
 

@@ -19,7 +19,7 @@ use super::parts::{FLUSH_PERIOD, Parts, part_path};
 pub use super::parts::{Kept, Limits};
 
 /// So many items wait for the disk: several seconds of a busy link.
-const WAITING: usize = 16_384;
+const WAITING: usize = 8_192;
 /// With so many waiting only inputs are still taken.
 const WAITING_OUTPUTS: usize = WAITING / 2;
 

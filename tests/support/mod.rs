@@ -229,3 +229,14 @@ pub(crate) fn listening_brick(folder: &Path, scenario: &str) -> (Running, String
     let address = brick.listening_address("");
     (brick, format!("tcp://{address}"))
 }
+
+/// How far off the run in `run/recording.mcap` was, against `truth.csv`: what was recorded is what happened, and the truth says how far off
+/// that was.
+pub(crate) fn off_m(folder: &Path) -> f64 {
+    let replay = ["replay", "run/recording.mcap"];
+    let replay = replay.into_iter().chain(["--truth", "truth.csv", "--json"]);
+    let replayed = stdout_of(posebridge(folder).args(replay));
+    let replayed: serde_json::Value = serde_json::from_str(&replayed).expect("it prints JSON");
+    let off_m = replayed["estimators"][0]["position_rms_m"].as_f64();
+    off_m.expect("there is a truth")
+}

@@ -1,9 +1,9 @@
 //! The shard's end of the channel to the dashboard.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, Span, Stamp};
+use tokio::sync::mpsc::{self, Receiver, Sender};
 
 use crate::counts::{Count, Counts};
 use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
@@ -56,14 +56,14 @@ pub struct TruthSample {
 /// Tells the dashboard what happens, and never waits for it: what finds no room is dropped and counted.
 #[derive(Debug)]
 pub struct Feed {
-    sender: SyncSender<Batch>,
+    sender: Sender<Batch>,
     counts: Arc<Counts>,
 }
 
 impl Feed {
-    /// The two ends.
+    /// The two ends. Tokio's channel has memory for what waits; the standard library's would come to use room for all [`WAITING`].
     pub(crate) fn pair(counts: Arc<Counts>) -> (Self, Receiver<Batch>) {
-        let (sender, receiver) = sync_channel(WAITING);
+        let (sender, receiver) = mpsc::channel(WAITING);
         (Self { sender, counts }, receiver)
     }
 
@@ -87,7 +87,7 @@ mod tests {
     #[test]
     fn a_reader_that_hangs_costs_events_and_they_are_counted() {
         let counts = Arc::new(Counts::default());
-        let (feed, receiver) = Feed::pair(Arc::clone(&counts));
+        let (feed, mut receiver) = Feed::pair(Arc::clone(&counts));
         let event = Event::Text {
             source: Address::new(1, 1),
             severity: 6,
@@ -102,6 +102,7 @@ mod tests {
             });
         }
         assert_eq!(counts.of(Count::EventsDropped), 14);
-        assert_eq!(receiver.try_iter().count(), WAITING);
+        let told = std::iter::from_fn(|| receiver.try_recv().ok());
+        assert_eq!(told.count(), WAITING);
     }
 }

@@ -240,6 +240,9 @@ impl Pipeline {
     }
 
     fn finish_passages(&mut self, now: Stamp<HostClock>) {
+        if self.passages.is_empty() {
+            return;
+        }
         let mut passages = std::mem::take(&mut self.passages);
         for (link, seen) in passages.drain(..) {
             self.finish_passage(now, link, &seen);

@@ -127,6 +127,11 @@ impl Link {
         Some((Speaker::Robot, output))
     }
 
+    /// Whether the conversations on the link want nothing.
+    pub(crate) fn is_silent(&self) -> bool {
+        self.session.is_silent() && self.voice.as_ref().is_none_or(RobotVoice::is_silent)
+    }
+
     /// The conversation of one of them; `None` if the robot has no voice there.
     pub(crate) fn conversation(&mut self, speaker: Speaker) -> Option<&mut Session<HostClock>> {
         match speaker {

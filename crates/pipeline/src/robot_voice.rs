@@ -86,6 +86,13 @@ impl RobotVoice {
         self.known.as_ref()?.session.deadline()
     }
 
+    /// Whether the conversation wants nothing.
+    pub(crate) fn is_silent(&self) -> bool {
+        self.known
+            .as_ref()
+            .is_none_or(|known| known.session.is_silent())
+    }
+
     /// Whether the conversation waits for an instant that has come.
     pub(crate) fn is_due(&mut self, now: Stamp<HostClock>) -> bool {
         self.session().is_some_and(|session| session.is_due(now))

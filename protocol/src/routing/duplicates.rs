@@ -27,7 +27,7 @@ use crate::framing::FrameRef;
 const MOST_KEYS: usize = 16_384;
 /// For so many keys there is room from the start: what a brick has said in ten seconds comes at once after a stall, and a station's memory
 /// should not grow by it.
-const RESERVED_KEYS: usize = 2_048;
+const RESERVED_KEYS: usize = 4_096;
 /// So many keys may wait to be sorted in.
 const MOST_WAITING: usize = 64;
 /// FNV-1a: offset basis for 64 bits.
@@ -108,7 +108,7 @@ impl DuplicateGuard {
             window,
             noted: BTreeMap::new(),
             order: VecDeque::with_capacity(RESERVED_KEYS),
-            waiting: VecDeque::with_capacity(RESERVED_KEYS),
+            waiting: VecDeque::with_capacity(MOST_WAITING),
             last_way: None,
             last_change: Stamp::ZERO,
         }

@@ -290,6 +290,12 @@ impl<C: Clock> Session<C> {
         self.outputs.pop_front()
     }
 
+    /// Whether [`Self::poll`] has nothing.
+    #[must_use]
+    pub fn is_silent(&self) -> bool {
+        self.outputs.is_empty()
+    }
+
     /// When to call [`Session::tick`]. There is always a next heartbeat.
     #[must_use]
     pub fn deadline(&self) -> Option<Stamp<C>> {

@@ -6,6 +6,7 @@ use anyhow::Context;
 use posebridge_analysis::report::page::{Page, Part, Picture};
 
 use crate::commands::{Failure, Stage};
+use crate::raster;
 use crate::stderr::say;
 use crate::stdout;
 
@@ -15,6 +16,9 @@ pub struct OutputArgs {
     /// Folder for the page and the pictures, instead of the current one.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Write every picture as PNG, too; needs a program built with the feature `png`.
+    #[arg(long)]
+    pub png: bool,
     /// Print one JSON object instead of tables.
     #[arg(long)]
     pub json: bool,
@@ -38,8 +42,11 @@ impl OutputArgs {
     /// Makes the folder, before minutes are spent on what could not be kept.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// It cannot be made, or this program cannot write what is asked for.
     pub fn folder(&self) -> Result<PathBuf, Failure> {
+        if self.png {
+            raster::check().at_start()?;
+        }
         let folder = self.out.clone().unwrap_or_else(|| PathBuf::from("."));
         std::fs::create_dir_all(&folder)
             .with_context(|| format!("making the folder `{}`", folder.display()))
@@ -59,14 +66,14 @@ impl OutputArgs {
             } else {
                 String::new()
             };
-            write(&folder.join(format!("{}{number}.svg", outcome.name)), svg)?;
+            self.write_picture(folder, &format!("{}{number}", outcome.name), svg)?;
         }
         for picture in outcome.page.parts.iter().flat_map(pictures_of) {
-            let name = format!("{}-{}.svg", outcome.name, picture.name);
-            write(&folder.join(name), &picture.svg)?;
+            let name = format!("{}-{}", outcome.name, picture.name);
+            self.write_picture(folder, &name, &picture.svg)?;
         }
         let page = folder.join(format!("{}.html", outcome.name));
-        write(&page, &outcome.page.html())?;
+        write(&page, outcome.page.html().as_bytes())?;
         let text = if self.json {
             format!("{}\n", outcome.json)
         } else {
@@ -74,6 +81,17 @@ impl OutputArgs {
         };
         stdout::print(&text).while_running()?;
         say(&format!("page: {}", page.display()));
+        Ok(())
+    }
+
+    fn write_picture(&self, folder: &Path, name: &str, svg: &str) -> Result<(), Failure> {
+        write(&folder.join(format!("{name}.svg")), svg.as_bytes())?;
+        if self.png {
+            let png = raster::png(svg)
+                .with_context(|| format!("drawing `{name}.png`"))
+                .while_running()?;
+            write(&folder.join(format!("{name}.png")), &png)?;
+        }
         Ok(())
     }
 }
@@ -93,8 +111,8 @@ const fn picture(part: &Part) -> Option<&String> {
     Some(svg)
 }
 
-fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(path, text)
+fn write(path: &Path, content: &[u8]) -> Result<(), Failure> {
+    std::fs::write(path, content)
         .with_context(|| format!("writing `{}`", path.display()))
         .while_running()
 }

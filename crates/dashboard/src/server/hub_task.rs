@@ -1,7 +1,6 @@
 //! The task that owns the hub: takes what the shard tells, sends what is new, answers questions.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError};
 
 use axum::extract::ws::Utf8Bytes;
 use tokio::sync::{broadcast, mpsc, oneshot};
@@ -50,7 +49,7 @@ pub(crate) struct Greeting {
 
 /// Where what is known comes from.
 pub(crate) struct Inlets {
-    pub(crate) batches: Receiver<Batch>,
+    pub(crate) batches: mpsc::Receiver<Batch>,
     pub(crate) truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
     pub(crate) clock: Arc<Clock>,
     pub(crate) questions: mpsc::Receiver<Question>,
@@ -88,8 +87,8 @@ fn take_all(hub: &mut Hub, inlets: &mut Inlets) -> bool {
     for _ in 0..MOST_BATCHES {
         match inlets.batches.try_recv() {
             Ok(batch) => hub.take(&batch),
-            Err(TryRecvError::Empty) => break,
-            Err(TryRecvError::Disconnected) => return false,
+            Err(mpsc::error::TryRecvError::Empty) => break,
+            Err(mpsc::error::TryRecvError::Disconnected) => return false,
         }
     }
     true

@@ -19,7 +19,7 @@ pub(super) struct Calibrations {
 }
 
 impl Calibrations {
-    pub(super) const fn new(setting: &Setting) -> Self {
+    pub(super) fn new(setting: &Setting) -> Self {
         let keep = match setting.keep {
             Keep::Latest { span, .. } => Keep::Latest { span, most: 1 },
             Keep::Whole { most } => Keep::Whole { most: most / SHARE },

@@ -16,7 +16,7 @@ pub(super) struct Estimates {
 }
 
 impl Estimates {
-    pub(super) const fn new(setting: &Setting) -> Self {
+    pub(super) fn new(setting: &Setting) -> Self {
         Self {
             trails: Trails::new(setting.keep, MOST_ROBOTS),
         }

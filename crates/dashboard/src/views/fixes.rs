@@ -22,7 +22,7 @@ pub(super) struct Fixes {
 }
 
 impl Fixes {
-    pub(super) const fn new(setting: &Setting) -> Self {
+    pub(super) fn new(setting: &Setting) -> Self {
         Self {
             trails: Trails::new(setting.keep, MOST_ROBOTS),
             open: VecDeque::new(),

@@ -21,7 +21,7 @@ pub(super) struct Fusion {
 }
 
 impl Fusion {
-    pub(super) const fn new(setting: &Setting) -> Self {
+    pub(super) fn new(setting: &Setting) -> Self {
         let keep = match setting.keep {
             Keep::Latest { span, most } => Keep::Latest {
                 span,

@@ -41,7 +41,7 @@ pub(super) struct Tallies {
 }
 
 impl Tallies {
-    pub(super) const fn new(setting: &Setting) -> Self {
+    pub(super) fn new(setting: &Setting) -> Self {
         let keep = match setting.keep {
             Keep::Latest { span, .. } => Keep::Latest { span, most: 0 },
             Keep::Whole { most } => Keep::Whole { most: most / SHARE },

@@ -10,6 +10,9 @@ const MOST_NEWS: usize = 256;
 /// So many robots are shown; a class has fewer, and a sender that makes up addresses must not fill the memory.
 pub(super) const MOST_ROBOTS: usize = 64;
 
+/// Room for more points than these is made when they come.
+const LARGEST_ROOM: usize = 4_096;
+
 /// What is kept for the history.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Keep {
@@ -26,6 +29,16 @@ pub enum Keep {
         /// So many.
         most: usize,
     },
+}
+
+impl Keep {
+    /// Room for so many points is made at once: what is full within a minute and then stays full had better not grow by doubling.
+    const fn room(self) -> usize {
+        match self {
+            Self::Latest { most, .. } if most <= LARGEST_ROOM => most + 1,
+            Self::Latest { .. } | Self::Whole { .. } => 0,
+        }
+    }
 }
 
 /// How much a point matters when points are thinned.
@@ -85,10 +98,10 @@ pub(super) struct Trail<T> {
 }
 
 impl<T: Clone> Trail<T> {
-    pub(super) const fn new(keep: Keep) -> Self {
+    pub(super) fn new(keep: Keep) -> Self {
         Self {
             keep,
-            kept: VecDeque::new(),
+            kept: VecDeque::with_capacity(keep.room()),
             last: None,
             usual: Thinned::NONE,
             rare: Thinned::NONE,

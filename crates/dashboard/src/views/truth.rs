@@ -49,7 +49,7 @@ struct Estimated {
 }
 
 impl Truth {
-    pub(super) const fn new(setting: &Setting) -> Self {
+    pub(super) fn new(setting: &Setting) -> Self {
         Self {
             trail: Trail::new(setting.keep),
             scores: Trails::new(setting.keep, MOST_ROBOTS),

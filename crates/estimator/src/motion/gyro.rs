@@ -119,6 +119,35 @@ impl GyroTrack {
         turn
     }
 
+    /// The turn between two instants, the first before the second, if the whole span is covered: as [`Self::covers`] and
+    /// [`Self::turn_between`] say, in one pass.
+    #[must_use]
+    pub fn covered_turn(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> Option<GyroTurn> {
+        let next = count_before(&self.samples, |sample| sample.0 <= from);
+        let mut last = self.samples.get(next.checked_sub(1)?)?.0;
+        let mut held = self.samples.back()?.1;
+        let mut turn = GyroTurn {
+            turn_rad: 0.0,
+            squared_secs: 0.0,
+        };
+        let mut at = from;
+        for &(stamp, rate) in self.samples.range(next..) {
+            if stamp - last > LONGEST_MEAN && to > last + HOLD {
+                return None;
+            }
+            let until = stamp.min(to);
+            turn.add(rate, until - at);
+            if stamp >= to {
+                return Some(turn);
+            }
+            held = rate;
+            at = until;
+            last = stamp;
+        }
+        turn.add(held, to - at);
+        (to <= last + HOLD).then_some(turn)
+    }
+
     /// Forgets what is not needed for instants from `horizon` on; the sample before it stays.
     pub fn forget_before(&mut self, horizon: Stamp<BrickClock>) {
         while self
@@ -159,6 +188,18 @@ mod tests {
         let turn = gyro.turn_between(ms(10), ms(50));
         assert!((turn.turn_rad - (0.01 + 0.04 + 0.02)).abs() < 1e-12);
         assert!((turn.squared_secs - (1e-4 + 4e-4 + 1e-4)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_turn_over_a_covered_span_is_the_turn_between_its_ends() {
+        let gyro = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0), (400, 3.0), (420, 4.0)]);
+        for from in -10..500 {
+            for to in from + 1..500 {
+                let (from, to) = (ms(from), ms(to));
+                let expected = gyro.covers(from, to).then(|| gyro.turn_between(from, to));
+                assert_eq!(gyro.covered_turn(from, to), expected, "{from:?} {to:?}");
+            }
+        }
     }
 
     #[test]

@@ -8,8 +8,9 @@ use std::collections::VecDeque;
 use super::history::Told;
 use super::state::PoseState;
 
-/// Room for so many states is made first.
-const LEAST_ROOM: usize = 16;
+/// Room for so many states is made first: ten seconds of a brick that is read 50 times a second, more than a history holds as a rule. A state
+/// takes over a kilobyte, and a ring that grows later leaves a hole as large as it was in the memory of a station that runs for weeks.
+const FIRST_ROOM: usize = 512;
 
 /// What was told, with the states.
 pub(super) struct Entries<const N: usize> {
@@ -127,16 +128,25 @@ impl<const N: usize> Entries<N> {
         self.base = base;
     }
 
-    /// There are as many places as a power of two.
+    /// Where a state stands, or where the one behind the last would.
     const fn place(&self, index: usize) -> usize {
-        (self.first + index) & self.states.len().wrapping_sub(1)
+        let place = self.first + index;
+        if place < self.states.len() {
+            place
+        } else {
+            place - self.states.len()
+        }
     }
 
     fn make_room(&mut self) {
         self.states.rotate_left(self.first);
         self.first = 0;
-        let room = (2 * self.states.len()).max(LEAST_ROOM);
-        self.states.resize(room, self.base);
+        let room = match self.states.len() {
+            0 => FIRST_ROOM,
+            full => full / 4,
+        };
+        self.states.reserve_exact(room);
+        self.states.resize(self.states.len() + room, self.base);
     }
 }
 

@@ -235,10 +235,10 @@ pub(super) fn judged_gyro<const N: usize>(
     context: &Context<'_>,
 ) -> Option<(Scalar<3>, ScalarOutcome)> {
     let window = state.window?;
-    if window.until <= window.start || !context.gyro.covers(window.start, window.until) {
+    if window.until <= window.start {
         return None;
     }
-    let turn = context.gyro.turn_between(window.start, window.until);
+    let turn = context.gyro.covered_turn(window.start, window.until)?;
     let noise = &context.config.noise;
     let scalar = gyro_window::measurement(state, &window, &turn, noise, rounded(state, context));
     let s = scalar.innovation_variance(&state.covariance);
