@@ -304,6 +304,7 @@ fn start_station(
                     stop,
                     at: None,
                     silence: None,
+                    progress: None,
                 })
                 .await;
             let Shard {

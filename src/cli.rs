@@ -50,10 +50,10 @@ pub enum Command {
     #[command(after_long_help = links_help())]
     Run(RunArgs),
     /// Run the simulated brick as a process of its own.
-    #[command(after_long_help = links_help())]
+    #[command(after_long_help = plain_links_help())]
     Sim(SimArgs),
     /// Play a recording of a real robot out of a link, as a brick would.
-    #[command(after_long_help = links_help())]
+    #[command(after_long_help = plain_links_help())]
     Play(PlayArgs),
     /// Pass bytes between two links as a bad link would: late, in pieces, damaged, or not at all.
     ///
@@ -475,16 +475,26 @@ fn relay_help() -> String {
     format!(
         "Profiles:\n  none, {}\n\n{}",
         names.join(", "),
-        links_help()
+        plain_links_help()
     )
 }
 
 /// The kinds of link, from the table.
 fn links_help() -> String {
+    format!(
+        "Links:\n  sim://NAME             a simulated brick of our own, on a pseudo-terminal (sim://square)\n{}",
+        transports_help()
+    )
+}
+
+/// The kinds of link of a command that has no simulated brick of its own.
+fn plain_links_help() -> String {
+    format!("Links:\n{}", transports_help())
+}
+
+fn transports_help() -> String {
     use std::fmt::Write as _;
-    let mut help = String::from(
-        "Links:\n  sim://NAME             a simulated brick of our own, on a pseudo-terminal (sim://square)\n",
-    );
+    let mut help = String::new();
     for transport in TRANSPORTS {
         // Writing to a String cannot fail.
         let _ = writeln!(

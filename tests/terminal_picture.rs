@@ -12,13 +12,14 @@ mod terminal_svg;
 #[path = "support/virtual_drive.rs"]
 mod virtual_drive;
 
+use posebridge::link_target::load_scenario;
 use posebridge::trails;
 use posebridge::tui::look::Look;
 use posebridge::tui::model::Model;
 use posebridge::tui::panels::PANELS;
 use posebridge::tui::render::render;
 use posebridge_dashboard::model::{LogLine, RecordingNow, SimulatorFacts};
-use posebridge_sim::{Scenario, Simulation};
+use posebridge_sim::Simulation;
 use posebridge_telemetry::Span;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -31,7 +32,7 @@ const SIZE: Rect = Rect::new(0, 0, 112, 34);
 fn model() -> Model {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let scenario = Scenario::default();
+    let scenario = load_scenario("square").unwrap();
     record_drive_and_truth(&path, scenario.clone(), Span::from_millis(100));
     let history = trails::of(&path).unwrap();
     let driven = Simulation::new(scenario.with_laps(1));

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
-use posebridge_estimator::{FILTERS, FilterConfig, FilterEntry, Params, filter_named};
+use posebridge_estimator::{FILTERS, FilterConfig, FilterEntry, Params, Placing, filter_named};
 use posebridge_telemetry::World;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -38,13 +38,28 @@ impl FilterSection {
     /// There is no such filter; the message lists those that there are.
     pub fn entry(&self) -> Result<&'static FilterEntry> {
         filter_named(&self.name).ok_or_else(|| {
-            let known: Vec<_> = FILTERS.iter().map(|entry| entry.name).collect();
             anyhow!(
                 "`filter.name` is `{}`; there are: {}",
                 self.name,
-                known.join(", ")
+                names_of_filters()
             )
         })
+    }
+
+    /// Why it would never tell a pose, where that is so; with what to do about it.
+    #[must_use]
+    pub fn warning(&self, robot: &RobotFile) -> Option<String> {
+        let name = &self.name;
+        match filter_named(name)?.placing {
+            Placing::Start if robot.start.is_none() => Some(format!(
+                "the filter `{name}` uses no fixes and is not told where the robot starts, so it knows no pose: give `[robot.start]` with x_m, \
+                 y_m, heading_deg, position_sigma_m and heading_sigma_deg, or take another filter, such as `pose`"
+            )),
+            Placing::Nowhere => Some(format!(
+                "the filter `{name}` estimates one quantity and no pose; `pose` does"
+            )),
+            Placing::Fix | Placing::Start => None,
+        }
     }
 
     /// The tunables, the defaults where none is given.
@@ -58,6 +73,13 @@ impl FilterSection {
         }
         Ok(params)
     }
+}
+
+/// All filters, for people.
+#[must_use]
+pub fn names_of_filters() -> String {
+    let names: Vec<_> = FILTERS.iter().map(|entry| entry.name).collect();
+    names.join(", ")
 }
 
 /// What a filter of this robot is built from: a live station and a replayed recording both come through here, so that the same

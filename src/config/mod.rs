@@ -30,7 +30,7 @@ pub use bricks::{
 pub use calibrated::{CalibratedRobot, Provenance, utc_date};
 pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration};
 pub use dashboard::DashboardSection;
-pub use filter::{FilterSection, filter_config};
+pub use filter::{FilterSection, filter_config, names_of_filters};
 pub use load::{ConfigError, Loaded, lay_over, load, load_text};
 pub use merge::{Origin, Setting, print};
 pub use noise::RobotNoise;

@@ -119,8 +119,8 @@ pub(super) fn rules_of(links: &[LinkSection]) -> Result<Vec<LinkRules>> {
                 groups.len() - 1
             }) as u16
         });
-        let of_link = rules_of_link(link, group)
-            .with_context(|| format!("link {} `{}`", index + 1, link.url))?;
+        let of_link =
+            rules_of_link(link, group).with_context(|| format!("link {index} `{}`", link.url))?;
         rules.push(of_link);
     }
     Ok(rules)
@@ -293,7 +293,7 @@ mod tests {
                 r"limits = { min_interval_ms = { NONE = 1 } }",
                 ["limits", "min_interval_ms"],
             ),
-            (r#"group = """#, ["link 1", "group"]),
+            (r#"group = """#, ["link 0", "group"]),
             (r#"forward = "some""#, ["line 3", "forward"]),
             (
                 r"filter_in = { block_messages = [1.5] }",

@@ -151,7 +151,7 @@ impl Config {
             let Some(signing) = &link.signing else {
                 continue;
             };
-            let name = format!("link {} `{}`", index + 1, link.url);
+            let name = format!("link {index} `{}`", link.url);
             ensure!(
                 !link.send_mavlink1,
                 "{name}: MAVLink 1 cannot be signed; take away `send_mavlink1` or `signing`"
@@ -160,7 +160,7 @@ impl Config {
                 !matches!(LinkTarget::parse(&link.url), Ok(LinkTarget::Sim(_))),
                 "{name}: the simulated brick does not sign; take away `signing`"
             );
-            let before = used.insert((&signing.key_file, signing.link_id), index + 1);
+            let before = used.insert((&signing.key_file, signing.link_id), index);
             if let Some(other) = before {
                 ensure!(
                     false,

@@ -395,7 +395,7 @@ impl Config {
             .enumerate()
             .map(|(index, (link, rules))| {
                 let brick = brick_link(link, &self.robot, &self.camera.json);
-                let brick = brick.with_context(|| format!("link {} `{}`", index + 1, link.url))?;
+                let brick = brick.with_context(|| format!("link {index} `{}`", link.url))?;
                 let pipeline = link.pipeline(index, rules)?;
                 Ok(LinkConfig { brick, ..pipeline })
             });
@@ -453,7 +453,7 @@ impl Config {
         );
         let target = |(index, link): (usize, &LinkSection)| {
             let target = LinkTarget::parse(&link.url)
-                .with_context(|| format!("link {} `{}`", index + 1, link.url))?;
+                .with_context(|| format!("link {index} `{}`", link.url))?;
             Ok((
                 target,
                 if link.listen {
@@ -487,7 +487,7 @@ impl LinkSection {
             },
             outputs: outputs
                 .collect::<Result<_>>()
-                .with_context(|| format!("link {} `{}`", index + 1, self.url))?,
+                .with_context(|| format!("link {index} `{}`", self.url))?,
             voices: if self.ground_station {
                 Voices::OwnAndRobot
             } else {

@@ -33,9 +33,8 @@ fn warning(index: usize, section: &LinkSection, address: SocketAddr) -> Option<S
         ),
     };
     Some(format!(
-        "WARNING: link {} `{}` listens on {address} and {state}: anybody who can reach it can speak as the robot. To keep others \
+        "WARNING: link {index} `{}` listens on {address} and {state}: anybody who can reach it can speak as the robot. To keep others \
          out, {cure}, or listen on 127.0.0.1.",
-        index + 1,
         section.url
     ))
 }
@@ -58,7 +57,7 @@ mod tests {
         };
         let warning = warning(0, &section, address.parse().unwrap());
         if let Some(text) = &warning {
-            assert!(text.contains("link 1 `udp://:14550`"), "{text}");
+            assert!(text.contains("link 0 `udp://:14550`"), "{text}");
             assert!(text.contains(address), "{text}");
         }
         warning.is_some()

@@ -36,7 +36,7 @@ impl SigningSession {
             let Some(section) = &link.signing else {
                 continue;
             };
-            let name = format!("link {} `{}`", index + 1, link.url);
+            let name = format!("link {index} `{}`", link.url);
             let key = key_of(section).with_context(|| name.clone())?;
             session.check_unused(&key, section.link_id, &name)?;
             let (memory, file) = resume(section, &key, date).with_context(|| name.clone())?;
@@ -147,7 +147,7 @@ pub fn recall(config: &Config, files: &[PathBuf], pipeline: &mut PipelineConfig)
         let Some(section) = &link.signing else {
             continue;
         };
-        let name = format!("link {} `{}`", index + 1, link.url);
+        let name = format!("link {index} `{}`", link.url);
         let Some(begun) = &section.begun else {
             bail!("{name}: the recording does not say with which stamps its signing began");
         };
@@ -219,8 +219,8 @@ mod tests {
         for other in [&copy, &dotted] {
             let error = open(&(link(1, &path, 7) + &link(2, other, 7))).unwrap_err();
             let error = format!("{error:#}");
-            assert!(error.contains("link 1 `udp://127.0.0.1:1`"), "{error}");
-            assert!(error.contains("link 2 `udp://127.0.0.1:2`"), "{error}");
+            assert!(error.contains("link 0 `udp://127.0.0.1:1`"), "{error}");
+            assert!(error.contains("link 1 `udp://127.0.0.1:2`"), "{error}");
             assert!(error.contains("`signing.link_id` 7"), "{error}");
             assert!(open(&(link(1, &path, 7) + &link(2, other, 8))).is_ok());
         }

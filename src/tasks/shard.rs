@@ -8,6 +8,7 @@ use posebridge_recording::container::TruthSample;
 use posebridge_telemetry::{
     Event, HostClock, Input, LinkId, LinkState, Output, Priority, Span, Stamp,
 };
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::calendar::CalendarWatch;
@@ -31,10 +32,20 @@ const USUAL_EVENTS: usize = 4;
 pub struct Ending {
     /// Somebody asked for it, or the simulated brick has finished.
     pub stop: CancellationToken,
+    /// How much of its drive the simulated brick has done, if there is one; at 1 it pulls its plug.
+    pub progress: Option<watch::Receiver<f64>>,
     /// The session is over at this instant.
     pub at: Option<Stamp<HostClock>>,
     /// No byte for this long, once one has come.
     pub silence: Option<Span>,
+}
+
+impl Ending {
+    /// Whether the simulated brick has driven all that it was to drive.
+    fn is_driven(&self) -> bool {
+        let progress = self.progress.as_ref();
+        progress.is_some_and(|progress| *progress.borrow() >= 1.0)
+    }
 }
 
 /// A pipeline with its links and what hangs off it.
@@ -91,7 +102,7 @@ impl Shard {
                     if matches!(event, PortEvent::Finished { .. }) {
                         finished.insert(link);
                     }
-                    let (at, input) = input_of(link, event);
+                    let (at, input) = input_of(link, event, ending);
                     if !changes_state(link, &input, &mut states) {
                         continue;
                     }
@@ -321,7 +332,7 @@ fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, Link
 }
 
 /// What a port's event is to the pipeline.
-fn input_of(link: LinkId, event: PortEvent) -> (Stamp<HostClock>, Input) {
+fn input_of(link: LinkId, event: PortEvent, ending: &Ending) -> (Stamp<HostClock>, Input) {
     match event {
         PortEvent::Bytes {
             peer,
@@ -343,12 +354,12 @@ fn input_of(link: LinkId, event: PortEvent) -> (Stamp<HostClock>, Input) {
             reason,
             retry_in,
         } => {
-            tracing::warn!(
-                link = link.0,
-                reason,
-                retry_ms = retry_in.as_millis_f64(),
-                "link down"
-            );
+            if ending.is_driven() {
+                tracing::info!(link = link.0, reason, "link down at the end of the drive");
+            } else {
+                let retry_ms = retry_in.as_millis_f64().round();
+                tracing::warn!(link = link.0, reason, retry_ms, "link down");
+            }
             (
                 at,
                 Input::Link {

@@ -25,7 +25,7 @@ pub mod params;
 pub mod update;
 
 pub use filters::{
-    Adjustment, Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, StartPose,
+    Adjustment, Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, Placing, StartPose,
     filter_named,
 };
 pub use params::{PARAMS, Param, Params};

@@ -15,7 +15,7 @@ use std::f64::consts::PI;
 
 use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
 use nalgebra::Matrix5;
-use posebridge_estimator::{Filter, FilterConfig, Late, StartPose};
+use posebridge_estimator::{Filter, FilterConfig, Late, Placing, StartPose};
 use posebridge_telemetry::{
     Estimate, Fix, Heading, Meters, MetersPerSecond, Observed, Point2, PositionCovariance, Radians,
     RadiansPerSecond, SensorId, Span, Verdict,
@@ -58,6 +58,21 @@ fn nothing_is_valid_before_a_fix_or_a_start_and_a_pose_that_is_set_is_a_start() 
             "{}: a start is no fix",
             entry.name
         );
+    });
+}
+
+#[test]
+fn a_fix_places_the_filters_that_say_so_and_no_others() {
+    for_each(&without_start(), |entry, mut filter| {
+        drive_straight(filter.as_mut(), 2_000);
+        for millis in (2_050..=4_000).step_by(50) {
+            filter.observe(&fix(millis, fix_of(1.0, 2.0, 0.0)));
+            let rad = 0.4 / RADIUS_M;
+            filter.observe(&gyro(millis, 0.0));
+            filter.observe(&wheels(millis, rad, rad));
+        }
+        let is_placed = latest(filter.as_ref()).validity.position;
+        assert_eq!(is_placed, entry.placing == Placing::Fix, "{}", entry.name);
     });
 }
 

@@ -12,6 +12,7 @@ use super::{Outcome, Replayed, Seen, SmoothedRun, draw, finish_events, robot};
 use crate::cli::{DataFlags, ReplayArgs, SessionFlags};
 use crate::collect::{Collector, LONGEST_GAP};
 use crate::commands::{Failure, Stage};
+use crate::config::names_of_filters;
 use crate::data::{DataSet, RobotRun, tell_bad_rows};
 use crate::learned::Learned;
 use crate::progress;
@@ -135,7 +136,8 @@ fn filters_of(args: &ReplayArgs) -> Result<Vec<String>> {
 pub fn check_filter(filter: &str) -> Result<()> {
     ensure!(
         posebridge_estimator::filter_named(filter).is_some(),
-        "unknown filter `{filter}`; `posebridge config schema` lists them"
+        "unknown filter `{filter}`; there are: {}",
+        names_of_filters()
     );
     Ok(())
 }

@@ -128,7 +128,7 @@ pub(super) async fn open_links(
     }
     let mut ports = PortSet::new(ports);
     ports.open_first().await.map_err(|(id, error)| {
-        anyhow::Error::from(error).context(format!("opening link {}", id.0 + 1))
+        anyhow::Error::from(error).context(format!("opening link {}", id.0))
     })?;
     for port in &ports {
         if let (true, Some(address)) = (port.is_listening(), port.local_address()) {

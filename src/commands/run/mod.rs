@@ -24,6 +24,7 @@ use crate::config::{self, Config, LinkSection, RobotProfile, Setting};
 use crate::failures::Failures;
 use crate::link_target::{LinkTarget, load_scenario};
 use crate::report::run as report;
+use crate::stderr::say;
 use crate::tasks::desk::RECORDING;
 use crate::tui::tty::ensure_terminal;
 
@@ -48,7 +49,13 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
         &session.recorded,
     ));
     failures.note(report_learned(args, &config, &session));
+    let has_heard = session.collector.observations > 0;
     failures.note(session.whole());
+    if !has_heard {
+        say(
+            "no robot was heard; `posebridge doctor` looks for ports, rights and settings, and `posebridge doctor URL` listens on a link",
+        );
+    }
     failures.told().while_running()
 }
 

@@ -66,6 +66,9 @@ pub(super) async fn session(
     let timer = HostTimer::start();
     let signing = SigningSession::open(config, timer.utc_start()).at_start()?;
     let pipeline = pipeline(args, config, &signing).at_start()?;
+    if let Some(warning) = config.filter.warning(&config.robot) {
+        say(&warning);
+    }
     let reserved = dashboard::reserve(&args.page, config).at_start()?;
     let folder = output_folder(args, config, &timer).at_start()?;
     let stop = CancellationToken::new();
@@ -187,6 +190,7 @@ fn live_view(embedded: Option<&Embedded>) -> LiveView {
 fn ending(args: &RunArgs, embedded: Option<&Embedded>, stop: &CancellationToken) -> Ending {
     Ending {
         stop: embedded.map_or_else(|| stop.clone(), |embedded| embedded.brick.finished.clone()),
+        progress: embedded.map(|embedded| embedded.brick.progress.clone()),
         at: args.duration.map(Stamp::from_secs_f64),
         silence: args.until_silent.map(Span::from_secs_f64),
     }

@@ -25,7 +25,8 @@ const WIDTHS: [Constraint; 6] = [
     Constraint::Length(5),
     Constraint::Length(5),
     Constraint::Length(10),
-    Constraint::Min(0),
+    // `accepted` is whole; a long name gives way.
+    Constraint::Min(8),
 ];
 
 fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {

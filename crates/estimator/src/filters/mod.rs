@@ -122,6 +122,8 @@ pub struct FilterEntry {
     pub estimates: Estimates,
     /// What it does with an observation that comes late.
     pub late: Late,
+    /// How it comes to know where the robot is.
+    pub placing: Placing,
     /// Builds one.
     pub build: fn(&FilterConfig) -> Box<dyn Filter>,
 }
@@ -133,6 +135,17 @@ pub enum Estimates {
     Pose,
     /// One quantity, by [`Filter::scalar_at`].
     Scalar,
+}
+
+/// How a filter comes to know where the robot is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Placing {
+    /// By the first fix, or by [`FilterConfig::start`].
+    Fix,
+    /// By [`FilterConfig::start`] or [`Filter::set_pose`] alone: it uses no fixes, and without either its pose is never valid.
+    Start,
+    /// It estimates no pose.
+    Nowhere,
 }
 
 /// What a filter does with an observation that comes late.
@@ -151,6 +164,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "dead reckoning by the wheels alone, as a brick does it",
         estimates: Estimates::Pose,
         late: Late::Replayed,
+        placing: Placing::Start,
         build: |config| Box::new(odometry::OdometryFilter::new(config)),
     },
     FilterEntry {
@@ -158,6 +172,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "error-state EKF on SE(2) that learns gyro bias, wheels and track, with exact replay of late fixes",
         estimates: Estimates::Pose,
         late: Late::Replayed,
+        placing: Placing::Fix,
         build: pose::build,
     },
     FilterEntry {
@@ -165,6 +180,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 1: a Kalman filter per wheel, then odometry",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Start,
         build: wheel_kf::build,
     },
     FilterEntry {
@@ -172,6 +188,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 1: a Kalman filter for both speeds with the accelerations as input, then odometry",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Start,
         build: velocity_kf::build,
     },
     FilterEntry {
@@ -179,6 +196,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 1: pose and speeds in one EKF, with integrated headings as observations",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Start,
         build: |config| ekf5::build(config, SpeedOrder::Printed, Fixes::Unused),
     },
     FilterEntry {
@@ -186,6 +204,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 1 and its outlook: ekf5 with gated fixes, used when they come",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Fix,
         build: |config| ekf5::build(config, SpeedOrder::Printed, Fixes::Used),
     },
     FilterEntry {
@@ -193,6 +212,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "ekf5 with the errors of its integrated headings as states and configured noise",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Start,
         build: ekf5_corrected::build,
     },
     FilterEntry {
@@ -200,6 +220,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "ekf5 with sigma points in place of the Jacobian",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Start,
         build: ukf5::build,
     },
     FilterEntry {
@@ -207,6 +228,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 2: the final value of a slow thermometer, from its approach",
         estimates: Estimates::Scalar,
         late: Late::OnArrival,
+        placing: Placing::Nowhere,
         build: |config| Box::new(dynamic::DynamicFilter::new(config)),
     },
     FilterEntry {
@@ -214,6 +236,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 2 left running: finds each new approach, and learns how slow the thermometer is",
         estimates: Estimates::Scalar,
         late: Late::OnArrival,
+        placing: Placing::Nowhere,
         build: |config| {
             let settings = thermometer::ThermometerSettings::default();
             Box::new(thermometer::Thermometer::new(config, &settings))
@@ -224,6 +247,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 3: distance to a wall from time of flight and motor input, as printed",
         estimates: Estimates::Scalar,
         late: Late::OnArrival,
+        placing: Placing::Nowhere,
         build: |config| Box::new(range_kf::RangeFilter::new(config, range_kf::Variant::Paper)),
     },
     FilterEntry {
@@ -231,6 +255,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 3 with noise per second, an exact hold and readings at their own time",
         estimates: Estimates::Scalar,
         late: Late::OnArrival,
+        placing: Placing::Nowhere,
         build: |config| {
             Box::new(range_kf::RangeFilter::new(
                 config,
@@ -243,6 +268,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "paper 4: errors of the wheels' path by accelerometers and gyro, fed forward",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Fix,
         build: |config| {
             let correction = indirect::Correction::FeedForward;
             Box::new(indirect::IndirectFilter::new(config, correction))
@@ -253,6 +279,7 @@ pub const FILTERS: &[FilterEntry] = &[
         summary: "the same with the errors fed back into the path",
         estimates: Estimates::Pose,
         late: Late::OnArrival,
+        placing: Placing::Fix,
         build: |config| {
             let correction = indirect::Correction::Feedback;
             Box::new(indirect::IndirectFilter::new(config, correction))
