@@ -18,22 +18,21 @@ pub(super) const PANEL: Panel = Panel {
     draw,
 };
 
-/// Name, seen, gated, NIS, claims, last.
+/// Name, seen, gated, NIS, claims, last: in a terminal of 80 columns `accepted` is still whole.
 const WIDTHS: [Constraint; 6] = [
-    Constraint::Length(13),
-    Constraint::Length(6),
+    Constraint::Length(9),
     Constraint::Length(5),
     Constraint::Length(5),
+    Constraint::Length(4),
     Constraint::Length(10),
-    // `accepted` is whole; a long name gives way.
-    Constraint::Min(8),
+    Constraint::Min(0),
 ];
 
 fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
     let robot = model.robot_shown();
     let rows = robot.into_iter().flat_map(|robot| &robot.sources);
     let rows = rows.map(|(name, source)| row_of(name, source, look));
-    let head = Row::new(["source", "  seen", "gated", "  NIS", "filter is", "last"]);
+    let head = Row::new(["source", " seen", "gated", " NIS", "filter is", "last"]);
     Table::new(rows, WIDTHS)
         .header(head.style(look.style(Role::Quiet)))
         .render(area, buffer);
@@ -41,7 +40,7 @@ fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
 
 fn row_of(name: &str, source: &Source, look: Look) -> Row<'static> {
     let nis = source.nis.mean_per_degree();
-    let nis = nis.map_or_else(|| "–".to_owned(), |nis| format!("{nis:.2}"));
+    let nis = nis.map_or_else(|| "–".to_owned(), in_four);
     let (claims, role) = in_words(source.nis.verdict());
     let right = |text: String| Cell::from(Text::from(text).right_aligned());
     let last_role = match source.last_verdict.as_str() {
@@ -58,6 +57,15 @@ fn row_of(name: &str, source: &Source, look: Look) -> Row<'static> {
     ])
 }
 
+/// A number of zero or more in four characters, as long as it has no more digits than that.
+fn in_four(number: f64) -> String {
+    match number {
+        ..9.995 => format!("{number:.2}"),
+        ..99.95 => format!("{number:.1}"),
+        _ => format!("{number:.0}"),
+    }
+}
+
 /// What the filter is, going by one source: the words of docs/page.md, which are short.
 const fn in_words(verdict: Consistency) -> (&'static str, Role) {
     match verdict {
@@ -65,5 +73,19 @@ const fn in_words(verdict: Consistency) -> (&'static str, Role) {
         Consistency::Consistent => ("honest", Role::Good),
         Consistency::UnderConfident => ("too unsure", Role::Late),
         Consistency::Undetermined => ("–", Role::Quiet),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::in_four;
+
+    #[test]
+    fn a_number_takes_four_characters() {
+        let texts = [0.0, 1.006, 9.994, 9.996, 99.94, 99.96, 9_999.0].map(in_four);
+        assert_eq!(
+            texts,
+            ["0.00", "1.01", "9.99", "10.0", "99.9", "100", "9999"]
+        );
     }
 }

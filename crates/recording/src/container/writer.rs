@@ -14,8 +14,9 @@ use crate::foxglove::{self, Message, Outputs};
 /// The largest chunk of bytes that one input may hold. A read from a link returns at most some kilobytes.
 pub(super) const MAX_INPUT_BYTES: usize = 16 << 20;
 
-/// A chunk is written at the latest when it is so large, bytes: more than a second of a busy session.
-const CHUNK_BYTES: u64 = 512 << 10;
+/// A chunk is written at the latest when it is so large, bytes: more than a second of a usual session. It has its room from the start, and a new
+/// part has it while the one before still has its own.
+const CHUNK_BYTES: u64 = 96 << 10;
 
 /// Estimates beside the inputs lie so far apart unless the caller says otherwise: a person follows ten a second, and an hour of them
 /// takes some hundred megabytes.
