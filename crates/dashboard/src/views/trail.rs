@@ -98,10 +98,10 @@ pub(super) struct Trail<T> {
 }
 
 impl<T: Clone> Trail<T> {
-    pub(super) fn new(keep: Keep) -> Self {
+    pub(super) const fn new(keep: Keep) -> Self {
         Self {
             keep,
-            kept: VecDeque::with_capacity(keep.room()),
+            kept: VecDeque::new(),
             last: None,
             usual: Thinned::NONE,
             rare: Thinned::NONE,
@@ -137,9 +137,19 @@ impl<T: Clone> Trail<T> {
         self.dropped
     }
 
+    /// Writes to all of the room once, so that the system gives it now and not page by page in the next minutes.
+    fn take_room(&mut self, first: &Kept<T>) {
+        self.kept.reserve_exact(self.keep.room());
+        self.kept.resize(self.keep.room(), first.clone());
+        self.kept.clear();
+    }
+
     fn keep_latest(&mut self, one: Kept<T>, (span, most): (Span, usize)) {
         let spacing = Span::from_nanos(span.as_nanos() / most.max(1) as i64);
         let now = one.at;
+        if self.last.is_none() {
+            self.take_room(&one);
+        }
         if one.weight == Weight::Usual && self.last.is_some_and(|last| now - last < spacing) {
             return;
         }
