@@ -3,10 +3,12 @@
 //! # Model
 //! ```text
 //! expected = pace t            pace: frames per second of the sender's clock, averaged over some twenty seconds
-//! n = a + 256 k nearest to expected,  known while  0.12 expected < 128
+//! n = a + 256 k nearest to expected,         known while  0.12 expected < 128
+//! n = a + 256 k nearest to 0.95 expected,    beyond that, known while  0.07 expected < 128
 //! ```
 //! The pace is that of everything that the sender says. It varies with what others ask of it: in an outage nobody asks for the time,
-//! and a brick of 42 frames per second that otherwise answers five requests falls short of its mean by a tenth.
+//! and a brick of 42 frames per second that otherwise answers five requests falls short of its mean by a tenth. It does not exceed its mean
+//! then, so a long silence has between 0.88 and 1.02 of what is expected.
 
 /// Time over which the pace is averaged, s of the sender's clock: longer than an outage, shorter than a person's patience.
 const AVERAGE_S: f64 = 20.0;
@@ -14,6 +16,10 @@ const AVERAGE_S: f64 = 20.0;
 const GATHER_S: f64 = 1.0;
 /// A sender may be this much slower or faster than its pace through a silence: what the answers to time requests make of a brick.
 const VARIATION: f64 = 0.12;
+/// Through a long silence it lies so near to [`LONG_SHARE`] of its pace: from 0.88 to 1.02.
+const LONG_VARIATION: f64 = 0.07;
+/// See [`LONG_VARIATION`].
+const LONG_SHARE: f64 = 0.95;
 /// What comes once per second or more rarely may fall on either side of an end of the silence.
 const VARIATION_FRAMES: f64 = 8.0;
 /// Half the circle: a number further off from what is expected is nearer to the next turn.
@@ -38,10 +44,14 @@ impl Pace {
             let is_newer = f64::from(advance) <= HALF_CIRCLE;
             return Some(if is_newer { u32::from(advance) } else { 0 });
         };
-        let expected = per_s * elapsed_s;
-        if expected * VARIATION > HALF_CIRCLE {
+        let by_pace = per_s * elapsed_s;
+        let expected = if by_pace * VARIATION <= HALF_CIRCLE {
+            by_pace
+        } else if by_pace * LONG_VARIATION <= HALF_CIRCLE {
+            LONG_SHARE * by_pace
+        } else {
             return None;
-        }
+        };
         let turns = ((expected - f64::from(advance)) / 256.0).round().max(0.0);
         let sent = u32::from(advance) + 256 * turns as u32;
         let is_off = (expected - f64::from(sent)).abs() > VARIATION_FRAMES + VARIATION * expected;
@@ -110,6 +120,20 @@ mod tests {
                 of(46).sent(f64::from(sent) / 41.0, sent as u8, 1),
                 Some(sent)
             );
+        }
+    }
+
+    #[test]
+    fn a_long_silence_is_told_of_a_brick_that_nobody_asks_for_the_time() {
+        for sent in (1_080_u32..1_700).step_by(7) {
+            for of_pace in [0.89, 0.95, 1.01] {
+                let elapsed_s = f64::from(sent) / 45.0 / of_pace;
+                assert_eq!(
+                    of(45).sent(elapsed_s, sent as u8, 1),
+                    Some(sent),
+                    "{of_pace}"
+                );
+            }
         }
     }
 
