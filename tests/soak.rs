@@ -330,7 +330,10 @@ impl Soak {
         assert!(counts.lost > 0);
         // One may wait behind a torn one for the brick's next bytes.
         let came = counts.whole + counts.repeated;
-        assert!(came - self.simulation.heard().frames <= 1);
+        let heard = self.simulation.heard().frames;
+        assert!(came <= heard + 1, "{came} {heard}");
+        let formed = heard.saturating_sub(came);
+        assert!(formed as f64 <= unseen_at_most(self.now.as_secs_f64() / 3_600.0));
         let Outages {
             begun,
             recovered,
