@@ -151,7 +151,7 @@ fn every_robot_has_a_file_that_loads_and_says_that_its_link_is_a_guess() {
         let named = format!("robot.name = \"{}\"    # file", robot.name);
         assert!(printed.contains(&named), "{printed}");
         // What stands there as a comment only is still the default.
-        let still = "record.part_max_minutes = 10    # default";
+        let still = "record.part_max_minutes = 5    # default";
         assert!(printed.contains(still), "{printed}");
         let shown = stdout_of(posebridge(folder).args(["init", robot.name, "--out", "-"]));
         let (_, link) = shown.split_once("[[link]]\nurl = ").unwrap();

@@ -107,6 +107,26 @@ fn a_large_recording_goes_on_in_another_file_without_a_gap() {
 }
 
 #[test]
+fn a_part_that_cannot_be_begun_leaves_the_one_before_complete() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("recording.mcap");
+    let limits = Limits {
+        part_span: Some(Span::from_millis(2_000)),
+        ..UNLIMITED
+    };
+    std::fs::write(folder.path().join("recording.2.mcap"), "somebody's").unwrap();
+    let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
+    let told = record(&mut parts, &inputs(1_000)).unwrap_err();
+    assert!(format!("{told:#}").contains("recording.2.mcap"), "{told:#}");
+    let told = parts.flush().unwrap_err().to_string();
+    assert!(told.contains("could not be begun"), "{told}");
+    drop(parts);
+    assert!((100..300).contains(&whole(&path).len()));
+    let others = std::fs::read_to_string(folder.path().join("recording.2.mcap"));
+    assert_eq!(others.unwrap(), "somebody's");
+}
+
+#[test]
 fn an_old_recording_goes_on_in_another_file_without_a_gap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");

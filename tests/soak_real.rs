@@ -60,11 +60,14 @@ fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() 
         .ok()
         .map(|hours| hours.parse::<f64>().expect("a number of hours"));
     let length_s = hours.map_or(SHORT_S, |hours| hours * 3_600.0);
-    let folder = tempfile::tempdir().unwrap();
-    let mut scene = Scene::set(folder.path());
+    let mut folder = tempfile::tempdir().unwrap();
+    let is_long = length_s >= LONG_S;
+    // What a long run has found out is not thrown away if it fails.
+    folder.disable_cleanup(is_long);
+    println!("in {}", folder.path().display());
+    let mut scene = Scene::set(folder.path(), is_long);
     let watched = scene.watch(length_s);
     println!("{watched:?}");
-    let is_long = length_s >= LONG_S;
     // A torn frame whose checksum fits by chance is not to be expected of a quarter of a minute.
     let unseen = if is_long {
         unseen_at_most(length_s / 3_600.0)
@@ -79,6 +82,7 @@ fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() 
         println!("memory grew by {:.2} %", growth * 100.0);
         assert!(growth <= GROWTH, "{watched:?}");
     }
+    folder.disable_cleanup(false);
 }
 
 /// Two bricks, two relays, one station.
@@ -98,7 +102,8 @@ struct Watched {
 }
 
 impl Scene {
-    fn set(folder: &Path) -> Self {
+    /// Sets it up; the relays record what they hand over if they shall.
+    fn set(folder: &Path, record: bool) -> Self {
         std::fs::write(folder.join("datagrams.toml"), HARSH_DATAGRAMS).expect("it can be written");
         let start = |args: &[&str]| Running::start(posebridge(folder).args(args));
         let laps = ["--laps", "10000"];
@@ -116,7 +121,10 @@ impl Scene {
         let brick = address(&wireless.wait_for("listening on"));
         let relay = |ends: &[&str], profile: &str, seed: &str| {
             let options = ["--impair", profile, "--seed", seed, "--json"];
-            start(&[&["relay"], ends, &options[..]].concat())
+            let path = format!("relay-{seed}.mcap");
+            let recorded = ["--record", &path];
+            let recorded = &recorded[..if record { 2 } else { 0 }];
+            start(&[&["relay"], ends, &options[..], recorded].concat())
         };
         let brick = format!("udp://{brick}");
         let mut by_air = relay(&[&brick, "--listen", udp], "datagrams.toml", "4");

@@ -137,8 +137,6 @@ pub struct Source {
     pub messages: BTreeMap<u32, Tally>,
     /// Frames missing by its sequence numbers, were they of one link.
     lost: u64,
-    /// The same with the numbers of each link of a log followed for themselves; `None` where a log tells none.
-    lost_by_link: Option<u64>,
     /// The same with every step of the numbers taken for a loss, as simple counters do; absurd for a sender that does not count by one.
     pub sequence_steps: u64,
     /// Its clock, if it sends stamps and the times of arrival are known.
@@ -146,8 +144,17 @@ pub struct Source {
     last_sequence: u8,
     /// Its numbers, were they of one link.
     numbers: SequenceCounter,
-    /// The same of each link of a log.
-    numbers_by_link: [SequenceCounter; LINKS_OF_A_LOG],
+    /// The only link of a log on which it was met.
+    only_link: Option<usize>,
+    /// Once it was met on a second one.
+    by_link: Option<Box<ByLink>>,
+}
+
+/// A sender's numbers with each link of a log followed for itself.
+#[derive(Clone, Debug, Default)]
+struct ByLink {
+    lost: u64,
+    numbers: [SequenceCounter; LINKS_OF_A_LOG],
 }
 
 /// How many links a log can tell apart: two bits. A sender counts for each link for itself.
@@ -186,34 +193,36 @@ impl Census {
     /// Counts a frame of a log that may tell its links apart by a number, but may also mean nothing by it. The losses are then those
     /// of the reading that has fewer: numbers that mean nothing tear a sequence apart, and links that are not told apart tangle several.
     pub fn take_logged(&mut self, number: usize, frame: &FrameRef<'_>, at: Stamp<HostClock>) {
-        self.take(LinkId(0), frame, Some(at));
-        let is_it = |source: &&mut Source| source.address == frame.source;
-        let Some(source) = self.sources.get_mut(self.latest).filter(is_it) else {
-            return;
-        };
-        if let Some(numbers) = source.numbers_by_link.get_mut(number) {
-            let missing = numbers.missing_before(frame.sequence);
-            *source.lost_by_link.get_or_insert(0) += u64::from(missing);
+        if let Some(source) = self.counted(LinkId(0), frame, Some(at)) {
+            source.follow_by_link(number, frame.sequence);
+            source.take(frame, Some(at));
         }
     }
 
     /// Counts a frame; `at` is when it was received or sent.
     pub fn take(&mut self, link: LinkId, frame: &FrameRef<'_>, at: Option<Stamp<HostClock>>) {
+        if let Some(source) = self.counted(link, frame, at) {
+            source.take(frame, at);
+        }
+    }
+
+    /// Counts it among all and gives its sender; `None` if it is of the crowd.
+    fn counted(
+        &mut self,
+        link: LinkId,
+        frame: &FrameRef<'_>,
+        at: Option<Stamp<HostClock>>,
+    ) -> Option<&mut Source> {
         self.note_time(at);
-        let bytes = frame.raw.len();
-        self.all.take(bytes, at);
+        self.all.take(frame.raw.len(), at);
         match frame.version {
             WireVersion::V1 => self.versions[0] += 1,
             WireVersion::V2 => self.versions[1] += 1,
         }
         self.signed += u64::from(frame.is_signed());
-        let Some(index) = self.source_index(link, frame) else {
-            self.crowd += 1;
-            return;
-        };
-        if let Some(source) = self.sources.get_mut(index) {
-            source.take(frame, at);
-        }
+        let index = self.source_index(link, frame);
+        self.crowd += u64::from(index.is_none());
+        self.sources.get_mut(index?)
     }
 
     /// Every sender, in the order in which they were first heard.
@@ -308,12 +317,12 @@ impl Census {
             all: Tally::default(),
             messages: BTreeMap::new(),
             lost: 0,
-            lost_by_link: None,
             sequence_steps: 0,
             clock: None,
             last_sequence: frame.sequence.wrapping_sub(1),
             numbers: SequenceCounter::default(),
-            numbers_by_link: std::array::from_fn(|_| SequenceCounter::default()),
+            only_link: None,
+            by_link: None,
         });
         Some(self.latest)
     }
@@ -323,7 +332,27 @@ impl Source {
     /// Frames missing by its sequence numbers; up to half the circle is a loss, more is an old frame.
     #[must_use]
     pub fn lost(&self) -> u64 {
-        self.lost.min(self.lost_by_link.unwrap_or(u64::MAX))
+        let by_link = self.by_link.as_ref().map(|by_link| by_link.lost);
+        self.lost.min(by_link.unwrap_or(u64::MAX))
+    }
+
+    /// Follows the next number as one of this link's. On one link alone that is what is done anyway.
+    fn follow_by_link(&mut self, link: usize, sequence: u8) {
+        let only = *self.only_link.get_or_insert(link);
+        if only == link && self.by_link.is_none() {
+            return;
+        }
+        let by_link = self.by_link.get_or_insert_with(|| {
+            let mut by_link = Box::<ByLink>::default();
+            by_link.lost = self.lost;
+            if let Some(numbers) = by_link.numbers.get_mut(only) {
+                numbers.clone_from(&self.numbers);
+            }
+            by_link
+        });
+        if let Some(numbers) = by_link.numbers.get_mut(link) {
+            by_link.lost += u64::from(numbers.missing_before(sequence));
+        }
     }
 
     fn take(&mut self, frame: &FrameRef<'_>, at: Option<Stamp<HostClock>>) {

@@ -347,7 +347,7 @@ impl Default for RecordSection {
             enabled: true,
             directory: "posebridge-runs".to_owned(),
             part_max_mb: 1_000,
-            part_max_minutes: 10,
+            part_max_minutes: 5,
             min_free_mb: 200,
             outputs_interval_ms: 100,
             tlog: false,

@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
 use posebridge_dashboard::model::{
@@ -295,12 +296,11 @@ pub fn standing_of(pipeline: &Pipeline, recorder: Option<&Recorder>) -> Standing
 
 impl Outlet {
     /// Tells what an input has led to; drops it if the dashboard is behind.
-    pub fn tell(&self, now: Stamp<HostClock>, events: &[Event]) {
-        let wanted = events.iter().filter(|event| event.is_for_viewers());
+    pub fn tell(&self, now: Stamp<HostClock>, events: &Arc<[Event]>) {
         self.feed.tell(Batch {
             now,
             took: self.timer.now() - now,
-            events: wanted.cloned().collect(),
+            events: Arc::clone(events),
             standing: None,
         });
     }
@@ -320,7 +320,7 @@ impl Outlet {
         self.feed.tell(Batch {
             now,
             took: Span::ZERO,
-            events: Vec::new(),
+            events: Arc::default(),
             standing: Some(standing),
         });
     }

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -14,15 +15,15 @@ use super::gulps::Gulps;
 use crate::collect::Collector;
 use crate::report::live::LiveView;
 
-/// So many events wait for the terminal before they are dropped and counted: ten seconds of a brick that is read 100 times a second.
+/// What so many inputs have led to waits for the terminal before it is dropped and counted: forty seconds of a brick that is read 100
+/// times a second.
 const WAITING: usize = 4_096;
 /// The status block is drawn this often.
 const DRAW_PERIOD: Span = Span::from_millis(200);
 
 /// A running observer.
 pub struct Observer {
-    /// Boxed: the channel is a ring of as many places as may wait, and all of them come into memory one after the other.
-    sender: SyncSender<Box<(Stamp<HostClock>, Event)>>,
+    sender: SyncSender<(Stamp<HostClock>, Arc<[Event]>)>,
     thread: JoinHandle<Result<Collector>>,
     dropped: u64,
     /// With an event file nothing may be missing: then the shard waits for the disk.
@@ -58,15 +59,19 @@ impl Observer {
         })
     }
 
-    /// Shows an event; drops it if the terminal is far behind, unless there is an event file.
-    pub fn show(&mut self, now: Stamp<HostClock>, event: Event) {
-        let taken = if self.waits {
-            self.sender.send(Box::new((now, event))).is_ok()
+    /// Shows what an input has led to; drops it if the terminal is far behind, unless there is an event file.
+    pub fn show(&mut self, now: Stamp<HostClock>, events: &Arc<[Event]>) {
+        if events.is_empty() {
+            return;
+        }
+        let seen = (now, Arc::clone(events));
+        let is_taken = if self.waits {
+            self.sender.send(seen).is_ok()
         } else {
-            self.sender.try_send(Box::new((now, event))).is_ok()
+            self.sender.try_send(seen).is_ok()
         };
-        if !taken {
-            self.dropped += 1;
+        if !is_taken {
+            self.dropped += events.len() as u64;
         }
     }
 
@@ -103,21 +108,22 @@ pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> 
 }
 
 fn watch(
-    mut events: Gulps<Box<(Stamp<HostClock>, Event)>>,
+    mut seen: Gulps<(Stamp<HostClock>, Arc<[Event]>)>,
     mut file: Option<BufWriter<File>>,
     mut view: LiveView,
 ) -> Result<Collector> {
     let mut collector = Collector::live();
     let mut drawn = Stamp::<HostClock>::ZERO;
     loop {
-        match events.next(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
-            Ok(seen) => {
-                let (now, event) = *seen;
-                if let Some(file) = &mut file {
-                    write_event(file, &event).context("writing the event file")?;
+        match seen.next(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
+            Ok((now, events)) => {
+                for event in events.iter() {
+                    if let Some(file) = &mut file {
+                        write_event(file, event).context("writing the event file")?;
+                    }
+                    collector.take(event);
+                    view.take(now, event);
                 }
-                collector.take(&event);
-                view.take(now, &event);
                 if now - drawn >= DRAW_PERIOD {
                     view.draw();
                     drawn = now;

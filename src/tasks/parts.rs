@@ -7,7 +7,9 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use posebridge_recording::container::{Beginning, Gap, Header, TruthSample, Writer};
+use posebridge_recording::container::{
+    Beginning, Gap, Handover, Header, TruthSample, WriteError, Writer,
+};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
 
 use super::watched::Watched;
@@ -16,6 +18,8 @@ use super::watched::Watched;
 /// included. Each time a chunk ends, and what the file's index needs of it stays in memory until the part ends: more often would let a long
 /// recording's memory grow.
 pub const FLUSH_PERIOD: Span = Span::from_millis(600);
+/// What is said of everything that comes after a part that could not be begun.
+const HAS_ENDED: &str = "the recording ended when its next part could not be begun";
 /// File and disk are looked at this often.
 const LOOK_PERIOD: Span = Span::from_millis(1_000);
 
@@ -70,7 +74,8 @@ pub struct Parts {
     first: PathBuf,
     header: Header,
     limits: Limits,
-    part: Part,
+    /// The part that is being written; none once a part could not be begun.
+    part: Option<Part>,
     kept: Kept,
     /// Number of the next input of the session.
     next: u64,
@@ -114,7 +119,7 @@ impl Parts {
             first: path.to_owned(),
             header,
             limits,
-            part,
+            part: Some(part),
             kept: Kept {
                 parts: 1,
                 ..Kept::default()
@@ -133,11 +138,8 @@ impl Parts {
     pub fn record(&mut self, now: Stamp<HostClock>, number: u64, input: &Input) -> Result<()> {
         self.note_gap(now, number)?;
         self.look(now)?;
-        self.part.begun.get_or_insert(now);
-        self.part
-            .writer
-            .record(now, input)
-            .with_context(|| self.name())?;
+        self.open()?.begun.get_or_insert(now);
+        self.write(|writer| writer.record(now, input))?;
         self.kept.inputs += 1;
         self.next = number + 1;
         self.last = now;
@@ -155,8 +157,7 @@ impl Parts {
     /// As [`Self::record`].
     pub fn show(&mut self, now: Stamp<HostClock>, events: &[Event]) -> Result<()> {
         for event in events {
-            let written = self.part.writer.record_event(now, event);
-            written.with_context(|| self.name())?;
+            self.write(|writer| writer.record_event(now, event))?;
         }
         Ok(())
     }
@@ -170,8 +171,7 @@ impl Parts {
         now: Stamp<HostClock>,
         calibration: &Calibration,
     ) -> Result<()> {
-        let written = self.part.writer.record_calibration(now, calibration);
-        written.with_context(|| self.name())
+        self.write(|writer| writer.record_calibration(now, calibration))
     }
 
     /// Records a line for people, with its MAVLink severity.
@@ -179,8 +179,7 @@ impl Parts {
     /// # Errors
     /// As [`Self::record`].
     pub fn show_line(&mut self, now: Stamp<HostClock>, severity: u8, text: &str) -> Result<()> {
-        let written = self.part.writer.record_line(now, severity, text);
-        written.with_context(|| self.name())
+        self.write(|writer| writer.record_line(now, severity, text))
     }
 
     /// Records where a simulated robot really was.
@@ -188,8 +187,8 @@ impl Parts {
     /// # Errors
     /// As [`Self::record`].
     pub fn record_truth(&mut self, truth: &[TruthSample]) -> Result<()> {
-        let written = self.part.writer.record_truth(self.last, truth);
-        written.with_context(|| self.name())
+        let last = self.last;
+        self.write(|writer| writer.record_truth(last, truth))
     }
 
     /// Hands over to the system what waits.
@@ -197,7 +196,7 @@ impl Parts {
     /// # Errors
     /// As [`Self::record`].
     pub fn flush(&mut self) -> Result<()> {
-        self.part.writer.flush().with_context(|| self.name())
+        self.write(Writer::flush)
     }
 
     /// Ends the file; `given` is the number of the session's inputs up to here.
@@ -206,8 +205,7 @@ impl Parts {
     /// The file could not be written.
     pub fn finish(mut self, given: u64) -> Result<Kept> {
         self.note_gap(self.last, given)?;
-        let name = self.name();
-        self.part.writer.finish().context(name)?;
+        self.end_part()?;
         Ok(self.kept)
     }
 
@@ -223,9 +221,26 @@ impl Parts {
         self.kept.parts
     }
 
-    /// What is said of an error.
-    fn name(&self) -> String {
-        self.part.file.name()
+    /// The part that is being written.
+    fn open(&mut self) -> Result<&mut Part> {
+        self.part.as_mut().context(HAS_ENDED)
+    }
+
+    /// Writes something into it.
+    fn write(
+        &mut self,
+        one: impl FnOnce(&mut Writer<File>) -> Result<(), WriteError>,
+    ) -> Result<()> {
+        let part = self.open()?;
+        one(&mut part.writer).with_context(|| part.file.name())
+    }
+
+    /// Ends it; gives back its path and what the next part has to know.
+    fn end_part(&mut self) -> Result<(PathBuf, Handover)> {
+        let ended = self.part.take().context(HAS_ENDED)?;
+        let handover = ended.writer.finish_part();
+        let handover = handover.with_context(|| ended.file.name())?;
+        Ok((ended.file.path().to_owned(), handover))
     }
 
     fn note_gap(&mut self, now: Stamp<HostClock>, number: u64) -> Result<()> {
@@ -240,10 +255,7 @@ impl Parts {
             from: self.last,
             to: now,
         };
-        self.part
-            .writer
-            .record_gap(&gap)
-            .with_context(|| self.name())
+        self.write(|writer| writer.record_gap(&gap))
     }
 
     /// Looks at the file and its disk when it is time for it.
@@ -252,11 +264,13 @@ impl Parts {
             return Ok(());
         }
         self.looked = now;
-        let bytes = self.part.file.bytes_there()?;
-        self.part.file.look_at_the_disk(self.limits.floor_bytes)?;
-        let age = self.part.begun.map_or(Span::ZERO, |begun| now - begun);
-        let is_full = self.limits.part_bytes.is_some_and(|most| bytes >= most)
-            || self.limits.part_span.is_some_and(|most| age >= most);
+        let limits = self.limits;
+        let part = self.open()?;
+        let bytes = part.file.bytes_there()?;
+        part.file.look_at_the_disk(limits.floor_bytes)?;
+        let age = part.begun.map_or(Span::ZERO, |begun| now - begun);
+        let is_full = limits.part_bytes.is_some_and(|most| bytes >= most)
+            || limits.part_span.is_some_and(|most| age >= most);
         if is_full {
             self.begin_next_part()
         } else {
@@ -264,21 +278,21 @@ impl Parts {
         }
     }
 
+    /// The one before ends first, so that never two of them are in memory: what a file's index needs is the most that a recorder keeps.
     fn begin_next_part(&mut self) -> Result<()> {
         let number = self.kept.parts + 1;
-        let name = self.part.file.path().file_name();
+        let (before, handover) = self.end_part()?;
         let begins = Beginning {
             part: number,
             inputs_before: self.next,
-            continues: name.map(|name| name.to_string_lossy().into_owned()),
+            continues: before
+                .file_name()
+                .map(|name| name.to_string_lossy().into_owned()),
         };
         let path = part_path(&self.first, number);
-        let spacing = self.limits.output_spacing;
-        let mut next = Part::create(&path, &self.header, &begins, spacing)?;
-        next.writer.take_over(&mut self.part.writer);
-        let ended = std::mem::replace(&mut self.part, next);
-        let name = ended.file.name();
-        ended.writer.finish().context(name)?;
+        let mut next = Part::create(&path, &self.header, &begins, self.limits.output_spacing)?;
+        next.writer.take_over(handover);
+        self.part = Some(next);
         self.kept.parts = number;
         Ok(())
     }

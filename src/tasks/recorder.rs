@@ -26,7 +26,7 @@ const WAITING_OUTPUTS: usize = WAITING / 2;
 /// What goes to the thread.
 enum Item {
     Input(Stamp<HostClock>, u64, Input),
-    Events(Stamp<HostClock>, Vec<Event>),
+    Events(Stamp<HostClock>, Arc<[Event]>),
     Calibration(Stamp<HostClock>, Box<Calibration>),
     Line(Stamp<HostClock>, u8, String),
     Truth(Vec<TruthSample>),
@@ -135,9 +135,9 @@ impl Recorder {
     }
 
     /// Records what came out of the pipeline for viewers; never waits, and gives way to the inputs.
-    pub fn show(&mut self, now: Stamp<HostClock>, events: Vec<Event>) {
-        if !events.is_empty() {
-            self.offer(Item::Events(now, events));
+    pub fn show(&mut self, now: Stamp<HostClock>, events: &Arc<[Event]>) {
+        if events.iter().any(Event::is_for_viewers) {
+            self.offer(Item::Events(now, Arc::clone(events)));
         }
     }
 
@@ -302,11 +302,11 @@ mod tests {
         (recorder.unwrap(), stuck)
     }
 
-    fn seen() -> Vec<Event> {
-        vec![Event::Link {
+    fn seen() -> Arc<[Event]> {
+        Arc::from([Event::Link {
             link: LinkId(0),
             state: LinkState::Up,
-        }]
+        }])
     }
 
     #[test]
@@ -318,7 +318,7 @@ mod tests {
         let given = WAITING as u64 + 500;
         for n in 0..given {
             recorder.record(now(n), Input::Tick).unwrap();
-            recorder.show(now(n), seen());
+            recorder.show(now(n), &seen());
         }
         let (lost, lost_outputs) = recorder.losses();
         // What came out gives way at half the queue, and the inputs have the other half to themselves.

@@ -1,6 +1,7 @@
 //! The loop that owns a pipeline and its ports: bytes in, reply out, in one wake-up.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use posebridge_link::{Alarm, HostTimer, Outgoing, PortEvent, PortSet};
 use posebridge_pipeline::Pipeline;
@@ -238,6 +239,8 @@ impl Shard {
                 Output::Request(request) => requests.push(request),
             }
         }
+        // One copy for all that watch and record: what a stall has held back comes at once, and waits for each of them.
+        let events: Arc<[Event]> = events.into();
         if let Some(dashboard) = &self.dashboard {
             dashboard.tell(now, &events);
         }
@@ -245,9 +248,7 @@ impl Shard {
         let logged = self.log_traffic(now, &input, &sent);
         self.desk.note(&input);
         let recorded = self.record(now, input, &events);
-        for event in events {
-            self.observer.show(now, event);
-        }
+        self.observer.show(now, &events);
         if let Some(keeper) = &mut self.signing {
             keeper.offer(now, &self.pipeline);
         }
@@ -271,11 +272,15 @@ impl Shard {
     }
 
     /// Hands the recorder what came in and what came out. One that has failed is put away; then gives what is to be said.
-    fn record(&mut self, now: Stamp<HostClock>, input: Input, events: &[Event]) -> Option<Input> {
+    fn record(
+        &mut self,
+        now: Stamp<HostClock>,
+        input: Input,
+        events: &Arc<[Event]>,
+    ) -> Option<Input> {
         let recorder = self.recorder.as_mut()?;
         if recorder.record(now, input).is_ok() {
-            let wanted = events.iter().filter(|event| event.is_for_viewers());
-            recorder.show(now, wanted.cloned().collect());
+            recorder.show(now, events);
             return None;
         }
         let ended = self.recorder.take().map(Recorder::finish);

@@ -19,8 +19,8 @@ pub struct Batch {
     pub now: Stamp<HostClock>,
     /// From its arrival until everything that it led to was handed to the links.
     pub took: Span,
-    /// What happened.
-    pub events: Vec<Event>,
+    /// What happened, as everybody is told who watches or records.
+    pub events: Arc<[Event]>,
     /// What stands, now and then.
     pub standing: Option<Standing>,
 }
@@ -69,8 +69,9 @@ impl Feed {
 
     /// Tells what an input has led to. Whoever reads looks by itself: this only stores and wakes nobody.
     pub fn tell(&self, batch: Batch) {
-        let lost = batch.events.len() as u64;
-        if !batch.events.is_empty() || batch.standing.is_some() {
+        let wanted = |event: &&Event| event.is_for_viewers();
+        let lost = batch.events.iter().filter(wanted).count() as u64;
+        if lost > 0 || batch.standing.is_some() {
             let is_told = self.sender.try_send(batch).is_ok();
             if !is_told {
                 self.counts.add(Count::EventsDropped, lost.max(1));
@@ -97,7 +98,7 @@ mod tests {
             feed.tell(Batch {
                 now: Stamp::ZERO,
                 took: Span::ZERO,
-                events: vec![event.clone(); 2],
+                events: Arc::from([event.clone(), event.clone()]),
                 standing: None,
             });
         }

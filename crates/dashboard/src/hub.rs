@@ -65,7 +65,7 @@ impl Hub {
 
     /// Takes what an input has led to.
     pub(crate) fn take(&mut self, batch: &Batch) {
-        for event in &batch.events {
+        for event in batch.events.iter().filter(|event| event.is_for_viewers()) {
             self.count(event, batch);
             self.tell(batch.now, Told::Event(event));
         }

@@ -304,7 +304,7 @@ fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
     feed.tell(Batch {
         now: Stamp::from_millis(5),
         took: Span::ZERO,
-        events: vec![says("hello")],
+        events: [says("hello")].into(),
         standing: None,
     });
     let heard = std::iter::from_fn(|| tap.wait()).find(|frame| !frame.log.is_empty());

@@ -11,8 +11,10 @@ use mavlink_core::{MavlinkVersion, Message};
 use super::foreign::FOREIGN;
 use super::generated::posebridge;
 
-/// Ids below this are looked up directly; nearly all telemetry has one.
-const DENSE: usize = 512;
+/// Ids are looked up by pages of so many: those of the standard dialects lie on two, ours on one.
+const PAGE: usize = 256;
+/// Ids have 24 bits.
+const PAGES: usize = 1 << 16;
 /// A payload is at most this long.
 const MAX_PAYLOAD: usize = 255;
 
@@ -73,34 +75,35 @@ pub(crate) struct Shape {
 /// Every message that this station can verify.
 #[derive(Debug)]
 pub(crate) struct Catalogue {
-    dense: Box<[Option<Shape>; DENSE]>,
-    /// The rest, sorted by id.
-    sparse: Vec<(u32, Shape)>,
+    /// Which page of `shapes` is that of the ids from `PAGE` times the index; page 0 is empty.
+    pages: Vec<u8>,
+    shapes: Vec<[Option<Shape>; PAGE]>,
 }
 
 impl Catalogue {
     fn build(shapes: impl Iterator<Item = (u32, Shape)>) -> Self {
-        let mut shapes: Vec<(u32, Shape)> = shapes.collect();
-        shapes.sort_unstable_by_key(|&(id, _)| id);
-        let mut dense = Box::new([None; DENSE]);
-        for &(id, shape) in shapes.iter().filter(|&&(id, _)| (id as usize) < DENSE) {
-            dense[id as usize] = Some(shape);
+        let mut catalogue = Self {
+            pages: vec![0; PAGES],
+            shapes: vec![[None; PAGE]],
+        };
+        for (id, shape) in shapes {
+            let id = id as usize;
+            if catalogue.pages[id / PAGE] == 0 {
+                catalogue.pages[id / PAGE] = catalogue.shapes.len() as u8;
+                catalogue.shapes.push([None; PAGE]);
+            }
+            let page = usize::from(catalogue.pages[id / PAGE]);
+            catalogue.shapes[page][id % PAGE] = Some(shape);
         }
-        shapes.retain(|&(id, _)| id as usize >= DENSE);
-        Self {
-            dense,
-            sparse: shapes,
-        }
+        catalogue
     }
 
     /// The shape of the message `id`; `None` when it is in no dialect.
     #[inline]
     pub(crate) fn shape(&self, id: u32) -> Option<Shape> {
-        if let Some(shape) = self.dense.get(id as usize) {
-            return *shape;
-        }
-        let index = self.sparse.binary_search_by_key(&id, |&(id, _)| id).ok()?;
-        Some(self.sparse[index].1)
+        let id = id as usize;
+        let page = *self.pages.get(id / PAGE)?;
+        self.shapes.get(usize::from(page))?[id % PAGE]
     }
 }
 
@@ -131,6 +134,20 @@ fn written<M: Message>(message: &M, version: MavlinkVersion) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_message_is_found_and_none_between_them() {
+        let foreign = FOREIGN.iter().map(|message| message.id);
+        let known: BTreeSet<u32> = spoken().map(|(id, _)| id).chain(foreign).collect();
+        assert!(known.len() > 300);
+        for id in (0..70_000).chain([0x00FF_FFFF, u32::MAX]) {
+            assert_eq!(EVERYTHING.shape(id).is_some(), known.contains(&id), "{id}");
+        }
+        for (id, shape) in spoken() {
+            assert_eq!(CATALOGUE.shape(id), Some(shape), "{id}");
+        }
+    }
 
     /// Lengths and seeds as the MAVLink project publishes them (minimal.xml, common.xml).
     #[test]

@@ -83,6 +83,7 @@ pub fn verify(raw: &[u8]) -> Verified<'_> {
 /// The frame that these bytes are, by its header alone; `None` if their number is not what it says. For bytes that [`verify`] has
 /// seen, which need not be summed up again.
 #[must_use]
+#[inline]
 pub fn verified_before(raw: &[u8]) -> Option<FrameRef<'_>> {
     let header = match raw {
         [START_V2, rest @ ..] => header_v2(rest),

@@ -23,7 +23,7 @@ fn batch(millis: i64, events: Vec<Event>) -> Batch {
     Batch {
         now: Stamp::from_millis(millis),
         took: Span::from_micros(20),
-        events,
+        events: events.into(),
         standing: None,
     }
 }

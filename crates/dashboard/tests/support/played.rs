@@ -112,7 +112,7 @@ impl Played {
         self.feed.tell(Batch {
             now: Stamp::from_millis(self.clock.advance(0)),
             took: Span::from_micros(15),
-            events,
+            events: events.into(),
             standing: None,
         });
     }

@@ -20,7 +20,7 @@ mod writer;
 pub use encoding::DecodeError;
 pub use reader::{Ending, ReadError, Reader};
 pub use truth::{TruthSample, truth};
-pub use writer::{WriteError, Writer};
+pub use writer::{Handover, WriteError, Writer};
 
 use posebridge_telemetry::{HostClock, Stamp};
 

@@ -65,6 +65,10 @@ pub struct Writer<W: Write> {
     scratch: Vec<u8>,
 }
 
+/// What the writer of one part knows and that of the next needs: the alignment of the brick's clock, where the robot has been, and how far
+/// apart estimates lie.
+pub struct Handover(Box<Outputs>);
+
 /// A channel beside the inputs.
 #[derive(Clone, Copy)]
 struct Beside {
@@ -120,9 +124,20 @@ impl<W: Write> Writer<W> {
         self.outputs.set_spacing(spacing);
     }
 
-    /// Goes on with what the writer of the part before knew: the alignment of the brick's clock, and where the robot has been.
-    pub fn take_over(&mut self, before: &mut Self) {
-        std::mem::swap(&mut self.outputs, &mut before.outputs);
+    /// Ends the file as [`Self::finish`] does and gives back what the next part has to know.
+    ///
+    /// # Errors
+    /// When `W` cannot be written.
+    pub fn finish_part(mut self) -> Result<Handover, WriteError> {
+        let fresh = Outputs::new(self.zero_nanos, OUTPUT_SPACING);
+        let outputs = std::mem::replace(&mut self.outputs, fresh);
+        self.finish()?;
+        Ok(Handover(Box::new(outputs)))
+    }
+
+    /// Goes on with what the writer of the part before knew.
+    pub fn take_over(&mut self, before: Handover) {
+        self.outputs = *before.0;
     }
 
     /// Records that `input` was given to the pipeline at `now`; a command is shown beside the inputs as well.
