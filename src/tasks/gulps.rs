@@ -4,38 +4,110 @@
 //! next telemetry may come. A thread that may be a little late therefore naps before it looks again, and waits on the channel only
 //! when nothing has come in the meantime: under steady telemetry the shard's sends then only store.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{
+    Receiver, RecvTimeoutError, SendError, SyncSender, TryRecvError, TrySendError, sync_channel,
+};
+use std::sync::{Arc, OnceLock};
+use std::thread::Thread;
 use std::time::Duration;
 
 /// A nap: below what an eye sees, and the queues of recorder and observer hold far more than comes in it.
 const NAP: Duration = Duration::from_millis(10);
 
+/// When so many wait the reader is woken from its nap: what a stall has held back comes within a few milliseconds, and all of it would
+/// be in memory at once.
+const CROWDED: usize = 64;
+
+/// What both ends know.
+#[derive(Debug, Default)]
+struct Shared {
+    waiting: AtomicUsize,
+    /// Whoever reads, from its first look on.
+    reader: OnceLock<Thread>,
+}
+
+/// The sending end of such a channel.
+#[derive(Debug)]
+pub(super) struct Sender<T> {
+    sender: SyncSender<T>,
+    shared: Arc<Shared>,
+}
+
 /// The receiving end of a channel, emptied in gulps.
 pub(super) struct Gulps<T> {
     receiver: Receiver<T>,
+    shared: Arc<Shared>,
     /// It was empty a nap ago.
     has_napped: bool,
 }
 
-impl<T> Gulps<T> {
-    /// Over the receiving end of a channel.
-    pub(super) const fn new(receiver: Receiver<T>) -> Self {
-        Self {
-            receiver,
-            has_napped: false,
+/// A channel in which at most so many items wait.
+pub(super) fn channel<T>(places: usize) -> (Sender<T>, Gulps<T>) {
+    let (sender, receiver) = sync_channel(places);
+    let shared = Arc::new(Shared::default());
+    let gulps = Gulps {
+        receiver,
+        shared: Arc::clone(&shared),
+        has_napped: false,
+    };
+    (Sender { sender, shared }, gulps)
+}
+
+impl<T> Sender<T> {
+    /// Sends without waiting.
+    ///
+    /// # Errors
+    /// There is no room, or nobody who reads.
+    pub(super) fn try_send(&self, item: T) -> Result<(), TrySendError<T>> {
+        self.count_in();
+        let sent = self.sender.try_send(item);
+        if sent.is_err() {
+            self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
         }
+        sent
     }
 
+    /// Sends when there is room.
+    ///
+    /// # Errors
+    /// Nobody reads any more.
+    pub(super) fn send(&self, item: T) -> Result<(), SendError<T>> {
+        self.count_in();
+        let sent = self.sender.send(item);
+        if sent.is_err() {
+            self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
+        }
+        sent
+    }
+
+    /// How many wait.
+    pub(super) fn waiting(&self) -> usize {
+        self.shared.waiting.load(Ordering::Relaxed)
+    }
+
+    fn count_in(&self) {
+        let waiting = self.shared.waiting.fetch_add(1, Ordering::Relaxed);
+        if waiting == CROWDED
+            && let Some(reader) = self.shared.reader.get()
+        {
+            reader.unpark();
+        }
+    }
+}
+
+impl<T> Gulps<T> {
     /// The next item, oldest first; waits for it no longer than `patience` after a nap.
     ///
     /// # Errors
     /// Nothing came for so long, or all senders are gone and everything has been received.
     pub(super) fn next(&mut self, patience: Duration) -> Result<T, RecvTimeoutError> {
+        self.shared.reader.get_or_init(std::thread::current);
         loop {
             match self.receiver.try_recv() {
                 Ok(item) => {
                     self.has_napped = false;
-                    return Ok(item);
+                    return Ok(self.counted_out(item));
                 }
                 Err(TryRecvError::Disconnected) => return Err(RecvTimeoutError::Disconnected),
                 Err(TryRecvError::Empty) if !self.has_napped => {
@@ -45,23 +117,26 @@ impl<T> Gulps<T> {
                 Err(TryRecvError::Empty) => {
                     let received = self.receiver.recv_timeout(patience);
                     self.has_napped = received.is_err();
-                    return received;
+                    return received.map(|item| self.counted_out(item));
                 }
             }
         }
+    }
+
+    fn counted_out(&self, item: T) -> T {
+        self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
+        item
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::mpsc::sync_channel;
 
     #[test]
     fn everything_comes_in_order_and_the_end_after_it() {
-        let (sender, receiver) = sync_channel(100);
+        let (sender, mut gulps) = channel(100);
         let sending = std::thread::spawn(move || (0..1_000).try_for_each(|i| sender.send(i)));
-        let mut gulps = Gulps::new(receiver);
         let patience = Duration::from_secs(60);
         let received: Vec<i32> = std::iter::from_fn(|| gulps.next(patience).ok()).collect();
         assert_eq!(received, (0..1_000).collect::<Vec<_>>());
@@ -71,13 +146,43 @@ mod tests {
 
     #[test]
     fn patience_ends_while_somebody_could_still_send() {
-        let (_sender, receiver) = sync_channel::<i32>(1);
-        let mut gulps = Gulps::new(receiver);
+        let (_sender, mut gulps) = channel::<i32>(1);
         for _ in 0..3 {
             assert_eq!(
                 gulps.next(Duration::from_millis(1)),
                 Err(RecvTimeoutError::Timeout)
             );
         }
+    }
+
+    #[test]
+    fn what_waits_is_counted_and_a_crowd_wakes_the_reader() {
+        let (sender, mut gulps) = channel(2 * CROWDED);
+        let (tell, told) = sync_channel(1);
+        let reading = std::thread::spawn(move || {
+            assert_eq!(gulps.next(Duration::ZERO), Err(RecvTimeoutError::Timeout));
+            tell.send(()).unwrap();
+            std::thread::park();
+            tell.send(()).unwrap();
+            gulps
+        });
+        told.recv().unwrap();
+        for item in 0..=CROWDED {
+            assert_eq!(sender.waiting(), item);
+            sender.try_send(item).unwrap();
+        }
+        told.recv_timeout(Duration::from_secs(60)).unwrap();
+        let mut gulps = reading.join().unwrap();
+        let received = std::iter::from_fn(|| gulps.next(Duration::ZERO).ok());
+        assert_eq!(received.count(), CROWDED + 1);
+        assert_eq!(sender.waiting(), 0);
+        for item in 0..2 * CROWDED {
+            sender.try_send(item).unwrap();
+        }
+        assert!(sender.try_send(0).is_err());
+        assert_eq!(sender.waiting(), 2 * CROWDED);
+        drop(gulps);
+        assert!(sender.send(0).is_err());
+        assert_eq!(sender.waiting(), 2 * CROWDED);
     }
 }

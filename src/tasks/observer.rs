@@ -4,14 +4,14 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::RecvTimeoutError;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_telemetry::{Event, HostClock, Span, Stamp};
 
-use super::gulps::Gulps;
+use super::gulps::{Gulps, Sender, channel};
 use crate::collect::Collector;
 use crate::report::live::LiveView;
 
@@ -23,7 +23,7 @@ const DRAW_PERIOD: Span = Span::from_millis(200);
 
 /// A running observer.
 pub struct Observer {
-    sender: SyncSender<(Stamp<HostClock>, Arc<[Event]>)>,
+    sender: Sender<(Stamp<HostClock>, Arc<[Event]>)>,
     thread: JoinHandle<Result<Collector>>,
     dropped: u64,
     /// With an event file nothing may be missing: then the shard waits for the disk.
@@ -45,11 +45,11 @@ impl Observer {
     /// The event file cannot be created.
     pub fn start(config: ObserverConfig<'_>) -> Result<Self> {
         let events = config.events.map(create).transpose()?;
-        let (sender, receiver) = sync_channel(WAITING);
+        let (sender, seen) = channel(WAITING);
         let view = config.view;
         let thread = std::thread::Builder::new()
             .name("observer".to_owned())
-            .spawn(move || watch(Gulps::new(receiver), events, view))
+            .spawn(move || watch(seen, events, view))
             .context("starting the observer's thread")?;
         Ok(Self {
             sender,

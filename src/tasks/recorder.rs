@@ -5,8 +5,8 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, TrySendError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use anyhow::{Context, Result, anyhow};
 use posebridge_recording::container::{Header, TruthSample};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, Stamp};
 
-use super::gulps::Gulps;
+use super::gulps::{Gulps, Sender, channel};
 use super::parts::{FLUSH_PERIOD, Parts, part_path};
 pub use super::parts::{Kept, Limits};
 
@@ -37,9 +37,8 @@ enum Item {
 /// A running recorder.
 pub struct Recorder {
     /// Boxed: the channel is a ring of as many places as may wait, and all of them come into memory one after the other.
-    sender: SyncSender<Box<Item>>,
+    sender: Sender<Box<Item>>,
     thread: JoinHandle<Result<Kept>>,
-    waiting: Arc<AtomicUsize>,
     /// The first file.
     first: PathBuf,
     /// Which part is being written; the thread tells.
@@ -92,18 +91,16 @@ impl Recorder {
         given: u64,
         open: impl FnOnce() -> Result<Parts> + Send + 'static,
     ) -> Result<Self> {
-        let (sender, receiver) = sync_channel(WAITING);
-        let waiting = Arc::new(AtomicUsize::new(0));
+        let (sender, items) = channel(WAITING);
         let part = Arc::new(AtomicU32::new(1));
-        let told = (Arc::clone(&waiting), Arc::clone(&part));
+        let told = Arc::clone(&part);
         let thread = std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || write(open()?, Gulps::new(receiver), &told.0, &told.1))
+            .spawn(move || write(open()?, items, &told))
             .context("starting the recorder's thread")?;
         Ok(Self {
             sender,
             thread,
-            waiting,
             first: first.to_owned(),
             part,
             given,
@@ -173,7 +170,6 @@ impl Recorder {
     /// Ends the recording without waiting for the disk.
     pub fn stop(self) -> Stopping {
         let end = Box::new(Item::End(self.given));
-        self.waiting.fetch_add(1, Ordering::Relaxed);
         // With a full queue the last gap is not told; it ends where its channel does.
         drop(self.sender.try_send(end));
         Stopping {
@@ -186,7 +182,6 @@ impl Recorder {
     /// # Errors
     /// The file could not be written.
     pub fn finish(self) -> Result<Kept> {
-        self.waiting.fetch_add(1, Ordering::Relaxed);
         // A thread that has gone says why when it is joined.
         drop(self.sender.send(Box::new(Item::End(self.given))));
         drop(self.sender);
@@ -198,19 +193,14 @@ impl Recorder {
 
     /// Hands over something that gives way to the inputs.
     fn offer(&mut self, item: Item) {
-        let is_crowded = self.waiting.load(Ordering::Relaxed) >= WAITING_OUTPUTS;
+        let is_crowded = self.sender.waiting() >= WAITING_OUTPUTS;
         if is_crowded || self.give(item).is_err() {
             self.lost_outputs += 1;
         }
     }
 
     fn give(&self, item: Item) -> Result<(), TrySendError<Box<Item>>> {
-        self.waiting.fetch_add(1, Ordering::Relaxed);
-        let given = self.sender.try_send(Box::new(item));
-        if given.is_err() {
-            self.waiting.fetch_sub(1, Ordering::Relaxed);
-        }
-        given
+        self.sender.try_send(Box::new(item))
     }
 }
 
@@ -237,12 +227,7 @@ impl Stopping {
     }
 }
 
-fn write(
-    mut parts: Parts,
-    mut items: Gulps<Box<Item>>,
-    waiting: &AtomicUsize,
-    part: &AtomicU32,
-) -> Result<Kept> {
+fn write(mut parts: Parts, mut items: Gulps<Box<Item>>, part: &AtomicU32) -> Result<Kept> {
     let mut given = None;
     loop {
         let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
@@ -254,7 +239,6 @@ fn write(
             }
             Err(RecvTimeoutError::Disconnected) => break,
         };
-        waiting.fetch_sub(1, Ordering::Relaxed);
         match *item {
             Item::Input(now, number, input) => {
                 parts.record(now, number, &input)?;
@@ -279,6 +263,7 @@ mod tests {
     use posebridge_pipeline::Pipeline;
     use posebridge_recording::container::{FORMAT, ReadError, Reader};
     use posebridge_telemetry::{LinkId, LinkState, Span};
+    use std::sync::mpsc::{SyncSender, sync_channel};
 
     const LIMITS: Limits = Limits {
         part_bytes: None,
@@ -326,7 +311,7 @@ mod tests {
         assert_eq!(lost_outputs, given - outputs);
         assert_eq!(lost, outputs + 500);
         drop(stuck);
-        while recorder.waiting.load(Ordering::Relaxed) > 0 {
+        while recorder.sender.waiting() > 0 {
             assert!(!recorder.thread.is_finished(), "the recorder has stopped");
             std::thread::yield_now();
         }

@@ -9,7 +9,7 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, TrySendError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ use anyhow::{Context, Result, anyhow};
 use posebridge_pipeline::LinkConfig;
 use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, Span, Stamp};
 
-use super::gulps::Gulps;
+use super::gulps::{Gulps, Sender, channel};
 use super::watched::Watched;
 use crate::tlog::TrafficLog;
 
@@ -46,7 +46,7 @@ enum Direction {
 pub struct TlogRecorder {
     /// Where it is written.
     pub path: PathBuf,
-    sender: SyncSender<Traffic>,
+    sender: Sender<Traffic>,
     thread: JoinHandle<Result<u64>>,
     dropped: u64,
 }
@@ -75,11 +75,11 @@ impl TlogRecorder {
         floor_bytes: u64,
     ) -> Result<Self> {
         let (out, file) = Watched::create("telemetry log", path)?;
-        let (sender, receiver) = sync_channel(WAITING);
+        let (sender, traffic) = channel(WAITING);
         let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, links);
         let thread = std::thread::Builder::new()
             .name("tlog".to_owned())
-            .spawn(move || write(log, Gulps::new(receiver), &file, floor_bytes))
+            .spawn(move || write(log, traffic, &file, floor_bytes))
             .context("starting the telemetry log's thread")?;
         Ok(Self {
             path: path.to_owned(),

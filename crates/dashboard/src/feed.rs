@@ -3,6 +3,8 @@
 use std::sync::Arc;
 
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, Span, Stamp};
+use tokio::sync::Notify;
+use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 
 use crate::counts::{Count, Counts};
@@ -11,6 +13,9 @@ use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
 /// So many batches wait before they are dropped and counted: half a minute of a brick that sends 200 times a second. The reader
 /// looks fifty times a second.
 const WAITING: usize = 6_000;
+/// When so many wait the reader is woken: what a stall has held back comes within a few milliseconds, and all of it would be in memory
+/// at once.
+const CROWDED: usize = 64;
 
 /// What one input has led to.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,16 +63,46 @@ pub struct TruthSample {
 pub struct Feed {
     sender: Sender<Batch>,
     counts: Arc<Counts>,
+    crowd: Arc<Notify>,
+}
+
+/// The reader's end of it.
+#[derive(Debug)]
+pub(crate) struct Batches {
+    receiver: Receiver<Batch>,
+    crowd: Arc<Notify>,
+}
+
+impl Batches {
+    /// The next one, if there is one.
+    pub(crate) fn try_recv(&mut self) -> Result<Batch, TryRecvError> {
+        self.receiver.try_recv()
+    }
+
+    /// Until more wait than should.
+    pub(crate) async fn crowd(&self) {
+        self.crowd.notified().await;
+    }
 }
 
 impl Feed {
     /// The two ends. Tokio's channel has memory for what waits; the standard library's would come to use room for all [`WAITING`].
-    pub(crate) fn pair(counts: Arc<Counts>) -> (Self, Receiver<Batch>) {
+    pub(crate) fn pair(counts: Arc<Counts>) -> (Self, Batches) {
         let (sender, receiver) = mpsc::channel(WAITING);
-        (Self { sender, counts }, receiver)
+        let crowd = Arc::new(Notify::new());
+        let batches = Batches {
+            receiver,
+            crowd: Arc::clone(&crowd),
+        };
+        let feed = Self {
+            sender,
+            counts,
+            crowd,
+        };
+        (feed, batches)
     }
 
-    /// Tells what an input has led to. Whoever reads looks by itself: this only stores and wakes nobody.
+    /// Tells what an input has led to. Whoever reads looks by itself: this only stores, and wakes nobody unless there is a crowd.
     pub fn tell(&self, batch: Batch) {
         let wanted = |event: &&Event| event.is_for_viewers();
         let lost = batch.events.iter().filter(wanted).count() as u64;
@@ -75,6 +110,9 @@ impl Feed {
             let is_told = self.sender.try_send(batch).is_ok();
             if !is_told {
                 self.counts.add(Count::EventsDropped, lost.max(1));
+            }
+            if self.sender.capacity() == WAITING - CROWDED {
+                self.crowd.notify_one();
             }
         }
     }

@@ -12,6 +12,7 @@ mod fix_requests;
 mod forward;
 mod ground_station;
 mod intake;
+mod outbox;
 mod receive;
 mod requests;
 mod slip_watch;
@@ -32,6 +33,7 @@ use self::commands::Standing;
 use self::fix_requests::FixRequests;
 use self::ground_station::LastRange;
 use self::intake::{Arrival, Arrived, Came};
+use self::outbox::Outbox;
 use self::slip_watch::SlipWatch;
 use crate::clock::align::ClockAligner;
 use crate::config::PipelineConfig;
@@ -117,7 +119,7 @@ pub struct Pipeline {
     next_health: Option<Stamp<HostClock>>,
     /// The latest instant of any input so far: everything is planned, signed and limited by it. It never falls.
     now: Stamp<HostClock>,
-    outputs: VecDeque<Output>,
+    outputs: Outbox,
     /// Frames of others on their way to another link. They leave after what is our own: nobody steers by them.
     passed_on: VecDeque<Output>,
 }
@@ -178,7 +180,7 @@ impl Pipeline {
             is_complete: true,
             next_health: (!config.links.is_empty()).then(|| now + HEALTH_PERIOD),
             now,
-            outputs: VecDeque::new(),
+            outputs: Outbox::default(),
             passed_on: VecDeque::new(),
             config,
         })
@@ -259,7 +261,7 @@ impl Pipeline {
         if self.outputs.is_empty() {
             return self.passed_on.pop_front();
         }
-        self.outputs.pop_front()
+        self.outputs.pop()
     }
 
     /// The same where it stands, for who only looks at it; it stays until [`Self::pass_over`]. An output is large.
@@ -272,7 +274,7 @@ impl Pipeline {
 
     /// Leaves out the next output, after [`Self::peek`].
     pub fn pass_over(&mut self) {
-        if self.outputs.pop_front().is_none() {
+        if !self.outputs.pass_over() {
             self.passed_on.pop_front();
         }
     }
@@ -429,7 +431,7 @@ impl Pipeline {
         if self.voices > 0 {
             self.announce(&event);
         }
-        self.outputs.push_back(Output::Event(event));
+        self.outputs.tell(event);
     }
 }
 

@@ -8,7 +8,7 @@ use tokio::time::{MissedTickBehavior, interval};
 
 use super::Clock;
 use crate::counts::{Count, Counts};
-use crate::feed::{Batch, TruthSample};
+use crate::feed::{Batches, TruthSample};
 use crate::hub::Hub;
 use crate::limits::{TICK, WAITING_FRAMES};
 use crate::metrics;
@@ -49,7 +49,7 @@ pub(crate) struct Greeting {
 
 /// Where what is known comes from.
 pub(crate) struct Inlets {
-    pub(crate) batches: mpsc::Receiver<Batch>,
+    pub(crate) batches: Batches,
     pub(crate) truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
     pub(crate) clock: Arc<Clock>,
     pub(crate) questions: mpsc::Receiver<Question>,
@@ -66,14 +66,17 @@ pub(crate) async fn run_hub(mut hub: Hub, mut inlets: Inlets) {
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
-            _ = ticks.tick() => {
-                if !take_all(&mut hub, &mut inlets) {
-                    return;
-                }
-                send_news(&mut hub, &mut inlets, &frames);
+            () = inlets.batches.crowd() => {}
+            _ = ticks.tick() => {}
+            Some(question) = inlets.questions.recv() => {
+                answer(&hub, &inlets.counts, question, &frames);
+                continue;
             }
-            Some(question) = inlets.questions.recv() => answer(&hub, &inlets.counts, question, &frames),
         }
+        if !take_all(&mut hub, &mut inlets) {
+            return;
+        }
+        send_news(&mut hub, &mut inlets, &frames);
     }
 }
 

@@ -131,7 +131,7 @@ impl Pipeline {
             }
             link.health.bytes_out += bytes.len() as u64;
             link.health.frames_out += 1;
-            self.outputs.push_back(Output::Transmit {
+            self.outputs.push(Output::Transmit {
                 link: id,
                 to,
                 // Nothing takes its place: the brick would wait for ever.

@@ -72,11 +72,11 @@ impl Pipeline {
     /// What became of something that the program did.
     pub(super) fn handle_report(&mut self, severity: u8, text: &str) {
         self.announce_report(severity, text);
-        self.outputs.push_back(Output::Event(Event::Text {
+        self.outputs.tell(Event::Text {
             source: self.config.own,
             severity,
             text: text.to_owned(),
-        }));
+        });
         if let Some(link) = self.standing.asked_on {
             self.answer_in_words(link, severity, text);
         }
@@ -331,7 +331,7 @@ impl Pipeline {
     }
 
     fn request(&mut self, request: Request) {
-        self.outputs.push_back(Output::Request(request));
+        self.outputs.push(Output::Request(request));
     }
 
     /// A line to whom a question came from; ground stations read it anyway, as they do all that the station tells.

@@ -25,14 +25,17 @@ impl Pipeline {
         let latest = self.filter.latest();
         let estimate = latest.and_then(|latest| self.filter.estimate_at(latest));
         self.ask_for_fix(now, estimate.as_ref());
-        let Some(estimate) = estimate else {
+        let Some(estimate) = &estimate else {
             return;
         };
         let robot = self.robot.unwrap_or_default();
-        self.tell(Event::Estimated { robot, estimate });
-        self.publish_on(robot.link, &estimate, now);
+        self.tell(Event::Estimated {
+            robot,
+            estimate: *estimate,
+        });
+        self.publish_on(robot.link, estimate, now);
         let has_others = self.links.len() > 1 || !self.links.contains_key(&robot.link);
-        self.for_others = has_others.then_some(estimate);
+        self.for_others = has_others.then_some(*estimate);
     }
 
     /// To all others when nobody waits.
@@ -169,7 +172,7 @@ impl Pipeline {
         }
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
-        self.outputs.push_back(Output::Transmit {
+        self.outputs.push(Output::Transmit {
             link: id,
             to: Audience::All,
             priority,

@@ -193,7 +193,7 @@ impl Pipeline {
         link.health.forwarded += 1;
         // Among our own, because the robot's count is ours, too, and what is counted first must leave first. To all peers of the link,
         // because whoever does not get a frame would take it for lost.
-        self.outputs.push_back(Output::Transmit {
+        self.outputs.push(Output::Transmit {
             link: id,
             to: Audience::All,
             priority: frame.priority,

@@ -7,9 +7,7 @@ use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{FrameRef, Scanned};
 use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::{Occurrence, Way};
-use posebridge_telemetry::{
-    Address, Defect, Event, HostClock, LinkId, Output, PeerId, Refusal, Stamp,
-};
+use posebridge_telemetry::{Address, Defect, Event, HostClock, LinkId, PeerId, Refusal, Stamp};
 
 use super::bricks::Noted;
 use super::forward::{Passage, sharing_of};
@@ -110,7 +108,9 @@ impl Pipeline {
         if seen.is_something() {
             self.passages.push((id, seen));
         }
-        self.outputs.extend(events.into_iter().map(Output::Event));
+        for event in events {
+            self.outputs.tell(event);
+        }
         for complaint in complaints {
             self.complain(id, complaint);
         }

@@ -5,7 +5,7 @@
 
 use posebridge_protocol::message::{Message, WireStamp};
 use posebridge_protocol::routing::Occurrence;
-use posebridge_telemetry::{BrickClock, Event, LinkId, Output, RobotId, Stamp};
+use posebridge_telemetry::{BrickClock, Event, LinkId, RobotId, Stamp};
 
 use super::intake::{Arrival, Arrived};
 use super::{Pipeline, SEVERITY_WARNING};
@@ -92,7 +92,7 @@ impl Pipeline {
         let (filter, known) = (&self.config.filter_config, &self.config.thermometers);
         let outputs = &mut self.outputs;
         self.thermometers.settle(filter, known, |event| {
-            outputs.push_back(Output::Event(event));
+            outputs.tell(event);
         });
         if self.thermometers.take_refusal() {
             self.tell(Event::Text {
