@@ -65,7 +65,7 @@ fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() 
     // What a long run has found out is not thrown away if it fails.
     folder.disable_cleanup(is_long);
     println!("in {}", folder.path().display());
-    let mut scene = Scene::set(folder.path(), is_long);
+    let mut scene = Scene::set(folder.path(), length_s);
     let watched = scene.watch(length_s);
     println!("{watched:?}");
     // A torn frame whose checksum fits by chance is not to be expected of a quarter of a minute.
@@ -102,8 +102,8 @@ struct Watched {
 }
 
 impl Scene {
-    /// Sets it up; the relays record what they hand over if they shall.
-    fn set(folder: &Path, record: bool) -> Self {
+    /// Sets it up for a run of so many seconds; in a long one the relays record what they hand over.
+    fn set(folder: &Path, length_s: f64) -> Self {
         std::fs::write(folder.join("datagrams.toml"), HARSH_DATAGRAMS).expect("it can be written");
         let start = |args: &[&str]| Running::start(posebridge(folder).args(args));
         let laps = ["--laps", "10000"];
@@ -123,7 +123,11 @@ impl Scene {
             let options = ["--impair", profile, "--seed", seed, "--json"];
             let path = format!("relay-{seed}.mcap");
             let recorded = ["--record", &path];
-            let recorded = &recorded[..if record { 2 } else { 0 }];
+            let recorded = if length_s >= LONG_S {
+                &recorded[..]
+            } else {
+                &[]
+            };
             start(&[&["relay"], ends, &options[..], recorded].concat())
         };
         let brick = format!("udp://{brick}");

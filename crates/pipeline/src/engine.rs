@@ -426,11 +426,18 @@ impl Pipeline {
         });
     }
 
-    #[inline]
     fn tell(&mut self, event: Event) {
         if self.voices > 0 {
-            self.announce(&event);
+            self.announce_and_tell(event);
+        } else {
+            // On this way nobody has a reference to the event, so that it is copied once only: to where it waits.
+            self.outputs.tell(event);
         }
+    }
+
+    #[inline(never)]
+    fn announce_and_tell(&mut self, event: Event) {
+        self.announce(&event);
         self.outputs.tell(event);
     }
 }

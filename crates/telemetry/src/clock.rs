@@ -78,7 +78,7 @@ impl<C: Clock> Stamp<C> {
     /// An instant in seconds since the clock's zero, rounded to the nearest nanosecond; saturates, NaN gives zero.
     #[must_use]
     pub fn from_secs_f64(secs: f64) -> Self {
-        Self::from_nanos((secs * 1e9).round() as i64)
+        Self::from_nanos(nearest(secs * 1e9))
     }
 
     /// Nanoseconds since the clock's zero.
@@ -177,7 +177,7 @@ impl Span {
     /// A span in seconds, rounded to the nearest nanosecond; saturates, NaN gives zero.
     #[must_use]
     pub fn from_secs_f64(secs: f64) -> Self {
-        Self((secs * 1e9).round() as i64)
+        Self(nearest(secs * 1e9))
     }
     /// The span in nanoseconds.
     #[must_use]
@@ -220,9 +220,56 @@ impl Neg for Span {
     }
 }
 
+/// The nearest whole number, halves away from zero; saturates, NaN gives zero. What `f64::round` gives, which is a call of the C library
+/// where the processor is not known to round by itself: a robot's every message is stamped a dozen times.
+#[inline]
+fn nearest(value: f64) -> i64 {
+    let whole = value as i64;
+    // Exact: beyond 2^53 there is no fraction.
+    let fraction = value - whole as f64;
+    whole
+        .saturating_add(i64::from(fraction >= 0.5))
+        .saturating_sub(i64::from(fraction <= -0.5))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_nearest_number_is_that_of_the_standard_library() {
+        let mut state = 1_u64;
+        let mut values = vec![
+            0.0,
+            -0.0,
+            0.5,
+            -0.5,
+            0.499_999_999_999_999_94,
+            -0.499_999_999_999_999_94,
+            1.5,
+            2.5,
+            -2.5,
+            4_503_599_627_370_495.5,
+            9_007_199_254_740_993.0,
+            9.3e18,
+            -9.3e18,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            f64::NAN,
+            f64::MIN_POSITIVE,
+        ];
+        for _ in 0..200_000 {
+            // Any bits at all, and what is usual.
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            values.push(f64::from_bits(state));
+            values.push((state >> 20) as f64 / 64.0 - 1e11);
+        }
+        for value in values {
+            assert_eq!(nearest(value), value.round() as i64, "{value:e}");
+        }
+    }
 
     #[test]
     fn stamps_of_one_clock_subtract_and_saturate() {

@@ -22,8 +22,10 @@ impl Pipeline {
         if !std::mem::take(&mut self.is_news) {
             return;
         }
-        let latest = self.filter.latest();
-        let estimate = latest.and_then(|latest| self.filter.estimate_at(latest));
+        let estimate = match self.filter.latest() {
+            Some(latest) => self.filter.estimate_at(latest),
+            None => None,
+        };
         self.ask_for_fix(now, estimate.as_ref());
         let Some(estimate) = &estimate else {
             return;
