@@ -11,6 +11,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use posebridge_dashboard::room::Room;
 use posebridge_recording::container::{Header, TruthSample};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, Stamp};
 
@@ -22,6 +23,9 @@ pub use super::parts::{Kept, Limits};
 const WAITING: usize = 8_192;
 /// With so many waiting only inputs are still taken.
 const WAITING_OUTPUTS: usize = WAITING / 2;
+
+/// What the thread has in use from its start: the index of a part of five minutes, twice while the part ends, and its chunk.
+const ROOM_BYTES: usize = 1_000_000;
 
 /// What goes to the thread.
 enum Item {
@@ -96,7 +100,10 @@ impl Recorder {
         let told = Arc::clone(&part);
         let thread = std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || write(open()?, items, &told))
+            .spawn(move || {
+                let _room = Room::take(ROOM_BYTES);
+                write(open()?, items, &told)
+            })
             .context("starting the recorder's thread")?;
         Ok(Self {
             sender,

@@ -24,6 +24,7 @@ pub mod model;
 mod negotiation;
 mod reach;
 mod recordings;
+pub mod room;
 mod schema;
 mod server;
 mod state;

@@ -22,9 +22,13 @@ use crate::limits::{
 };
 use crate::model::{ParameterRow, SimulatorFacts};
 use crate::recordings::Recordings;
+use crate::room::Room;
 use crate::server::{App, Clock, Guard, Inlets, Rate, Replay, router, run_hub, serve};
 use crate::taps::Taps;
 use crate::token::Token;
+
+/// What the thread has in use from its start: trails of a robot and what a stall of ten seconds adds for a moment, measured.
+const ROOM_BYTES: usize = 1_500_000;
 
 /// The next free port is looked for among so many.
 pub(crate) const PORTS_TRIED: u16 = 20;
@@ -275,6 +279,7 @@ impl Work {
     }
 
     fn run(self) {
+        let _room = Room::take(ROOM_BYTES);
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(2)
