@@ -25,9 +25,10 @@ const LATENCY_GROWTH_MS = 1;
 const READERS = 10;
 const SOAK_S = Number(process.env.BROWSER_SOAK_S ?? 10);
 const SOAK_GROWTH_BYTES = 2_000_000;
-// A long run begins when the page's tracks are full: those of learned numbers hold five minutes. From then on nothing may grow.
+// A long run begins when everything is full: tracks of learned numbers hold five minutes, and the simulated brick remembers ten of the
+// truth. From then on nothing may grow.
 const LONG_S = 600;
-const FULL_S = 330;
+const FULL_S = 660;
 const LONG_GROWTH = 0.05;
 
 let station;
