@@ -74,8 +74,6 @@ pub(crate) struct Camera {
     is_covered: bool,
 }
 
-/// Of a drive without an end at least so many fixes are remembered: ten minutes at 20 per second.
-const REMEMBERED_FIXES: usize = 12_000;
 /// So many images wait for whoever looks; older ones are of no use to anybody.
 const MOST_IMAGES: usize = 64;
 
@@ -134,7 +132,7 @@ impl Camera {
             let message = self.message(&fix);
             self.node.send(&message);
             if self.history != History::Forgotten {
-                forget_oldest(self.history, REMEMBERED_FIXES, &mut self.log);
+                forget_oldest(self.history, world, &mut self.log, |fix| fix.sent);
                 self.log.push(fix);
             }
         }

@@ -50,5 +50,7 @@ pub use camera::{CAMERA, CameraFix};
 pub use firmware::BRICK;
 pub use personality::ev3_beacon;
 pub use scenario::{BUNDLED, Scenario, ScenarioError, Steering};
-pub use simulation::{Doer, REMEMBERED, ReceivedEstimate, Simulation, TruthSample};
+pub use simulation::{
+    Doer, FORGOTTEN_AT_ONCE, REMEMBERED, ReceivedEstimate, Simulation, TruthSample,
+};
 pub use world::STEP;

@@ -73,15 +73,30 @@ impl ReceivedEstimate {
     }
 }
 
-/// A drive without an end remembers at least this much of what has been, and at most twice as much.
+/// A drive without an end remembers this much of what has been, and at most [`FORGOTTEN_AT_ONCE`] more.
 pub const REMEMBERED: Span = Span::from_millis(600_000);
-/// Of estimates and fixes, which come at other rates, it remembers at least so many: ten minutes at 20 per second.
-const REMEMBERED_ITEMS: usize = 12_000;
+/// So much is forgotten at once: to move what stays for each item would cost more than it saves.
+pub const FORGOTTEN_AT_ONCE: Span = Span::from_millis(20_000);
+/// No list grows beyond so many items, however fast they come: ten minutes at 200 per second.
+const MOST_ITEMS: usize = 120_000;
 
-/// Forgets the oldest half once there are twice as many as have to be remembered.
-pub(crate) fn forget_oldest<T>(history: History, most: usize, list: &mut Vec<T>) {
-    if history == History::Recent && list.len() >= 2 * most {
-        list.drain(..most);
+/// Forgets the oldest items of a list that is in the order of the world's time.
+pub(crate) fn forget_oldest<T>(
+    history: History,
+    world: Span,
+    list: &mut Vec<T>,
+    world_of: fn(&T) -> Span,
+) {
+    if history != History::Recent {
+        return;
+    }
+    let begins = world - REMEMBERED;
+    let oldest = list.first().map(world_of);
+    if oldest.is_some_and(|oldest| oldest < begins - FORGOTTEN_AT_ONCE) {
+        list.drain(..list.partition_point(|item| world_of(item) < begins));
+    }
+    if list.len() >= MOST_ITEMS {
+        list.drain(..MOST_ITEMS / 16);
     }
 }
 
@@ -303,7 +318,7 @@ impl Simulation {
         self.samples
     }
 
-    /// The usable estimates that reached the brick, in the order of their arrival.
+    /// The usable estimates that reached the brick, in the order of their arrival; of a drive without an end the last of them.
     pub fn received_estimates(&self) -> &[ReceivedEstimate] {
         &self.received
     }
@@ -313,7 +328,7 @@ impl Simulation {
         &self.polyline
     }
 
-    /// Everything that the camera sent so far, outliers marked.
+    /// Everything that the camera sent so far, outliers marked; of a drive without an end the last of it.
     pub fn camera_fixes(&self) -> &[CameraFix] {
         self.camera.as_ref().map_or(&[], Camera::log)
     }
@@ -352,7 +367,9 @@ impl Simulation {
 
     fn log_estimate(&mut self, instant: Stamp<BrickClock>, pose: Pose<Arena>) {
         if self.history != History::Forgotten {
-            forget_oldest(self.history, REMEMBERED_ITEMS, &mut self.received);
+            forget_oldest(self.history, self.world, &mut self.received, |heard| {
+                heard.world
+            });
             self.received.push(ReceivedEstimate {
                 world: self.world,
                 arrival: self.brick_clock.exact(self.world),
@@ -381,8 +398,9 @@ impl Simulation {
             return;
         }
         self.samples += 1;
-        let most = (REMEMBERED.as_secs_f64() / period_s) as usize;
-        forget_oldest(self.history, most, &mut self.truth);
+        forget_oldest(self.history, self.world, &mut self.truth, |sample| {
+            sample.world
+        });
         let pose = self.body.pose();
         self.truth.push(TruthSample {
             world: self.world,

@@ -5,7 +5,7 @@
 )]
 
 use posebridge_sim::scenario::ErrorSettings;
-use posebridge_sim::{Doer, REMEMBERED, Scenario, Simulation};
+use posebridge_sim::{Doer, FORGOTTEN_AT_ONCE, REMEMBERED, Scenario, Simulation};
 use posebridge_telemetry::{SimulatorCommand, SlippingWheel, Span, Switch};
 
 /// A robot without errors on a long straight way.
@@ -215,7 +215,7 @@ fn the_same_commands_give_the_same_bytes() {
 }
 
 #[test]
-fn a_drive_without_an_end_remembers_ten_minutes_and_not_more_than_twenty() {
+fn a_drive_without_an_end_remembers_ten_minutes_and_little_more() {
     let mut scenario = Scenario::default().without_end();
     scenario.brick.telemetry_hz = 1.0;
     let mut simulation = Simulation::new(scenario);
@@ -231,6 +231,14 @@ fn a_drive_without_an_end_remembers_ten_minutes_and_not_more_than_twenty() {
             "{kept:?} of {elapsed:?}"
         );
     }
-    assert!(longest <= REMEMBERED + REMEMBERED, "{longest:?}");
+    let most = REMEMBERED + FORGOTTEN_AT_ONCE + Span::from_millis(1_000);
+    assert!(longest <= most, "{longest:?}");
+    let fixes = simulation.camera_fixes();
+    let kept = fixes.last().unwrap().sent - fixes.first().unwrap().sent;
+    assert!(kept <= most, "{kept:?} of fixes");
+    assert!(
+        kept >= REMEMBERED - Span::from_millis(5_000),
+        "{kept:?} of fixes"
+    );
     assert_eq!(simulation.truth_samples(), 25 * 60 + 1);
 }

@@ -60,12 +60,7 @@ impl<T> Sender<T> {
     /// # Errors
     /// There is no room, or nobody who reads.
     pub(super) fn try_send(&self, item: T) -> Result<(), TrySendError<T>> {
-        self.count_in();
-        let sent = self.sender.try_send(item);
-        if sent.is_err() {
-            self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
-        }
-        sent
+        self.counted_in(|| self.sender.try_send(item))
     }
 
     /// Sends when there is room.
@@ -73,12 +68,7 @@ impl<T> Sender<T> {
     /// # Errors
     /// Nobody reads any more.
     pub(super) fn send(&self, item: T) -> Result<(), SendError<T>> {
-        self.count_in();
-        let sent = self.sender.send(item);
-        if sent.is_err() {
-            self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
-        }
-        sent
+        self.counted_in(|| self.sender.send(item))
     }
 
     /// How many wait.
@@ -86,13 +76,19 @@ impl<T> Sender<T> {
         self.shared.waiting.load(Ordering::Relaxed)
     }
 
-    fn count_in(&self) {
+    /// Counted before it is sent: the reader may count it out at once.
+    fn counted_in<E>(&self, send: impl FnOnce() -> Result<(), E>) -> Result<(), E> {
         let waiting = self.shared.waiting.fetch_add(1, Ordering::Relaxed);
         if waiting == CROWDED
             && let Some(reader) = self.shared.reader.get()
         {
             reader.unpark();
         }
+        let sent = send();
+        if sent.is_err() {
+            self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
+        }
+        sent
     }
 }
 
