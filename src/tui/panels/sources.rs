@@ -18,27 +18,44 @@ pub(super) const PANEL: Panel = Panel {
     draw,
 };
 
-/// Name, seen, gated, NIS, claims, last: in a terminal of 80 columns `accepted` is still whole.
-const WIDTHS: [Constraint; 6] = [
-    Constraint::Length(9),
-    Constraint::Length(5),
-    Constraint::Length(5),
-    Constraint::Length(4),
-    Constraint::Length(10),
-    Constraint::Min(0),
-];
+/// Seen, gated, NIS, claims, last.
+const WIDTHS: [u16; 5] = [5, 5, 4, 10, 8];
+/// Blanks between the columns.
+const GAPS: u16 = WIDTHS.len() as u16;
+/// `landmarks`: in a terminal of 80 columns so long a name leaves the other columns whole.
+const NAME_AT_LEAST: usize = 9;
 
 fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
-    let robot = model.robot_shown();
-    let rows = robot.into_iter().flat_map(|robot| &robot.sources);
-    let rows = rows.map(|(name, source)| row_of(name, source, look));
+    let sources: Vec<_> = model
+        .robot_shown()
+        .into_iter()
+        .flat_map(|robot| &robot.sources)
+        .collect();
+    let longest = sources.iter().map(|(name, _)| name.chars().count()).max();
+    let room = area.width.saturating_sub(WIDTHS.iter().sum::<u16>() + GAPS);
+    let most = usize::from(room).max(NAME_AT_LEAST);
+    let name_width = longest.unwrap_or(0).clamp(NAME_AT_LEAST, most);
+    let rows = sources
+        .into_iter()
+        .map(|(name, source)| row_of(cut(name, name_width), source, look));
     let head = Row::new(["source", " seen", "gated", " NIS", "filter is", "last"]);
-    Table::new(rows, WIDTHS)
+    let [seen, gated, nis, claims, _last] = WIDTHS.map(Constraint::Length);
+    let name = Constraint::Length(name_width as u16);
+    Table::new(rows, [name, seen, gated, nis, claims, Constraint::Min(0)])
         .header(head.style(look.style(Role::Quiet)))
         .render(area, buffer);
 }
 
-fn row_of(name: &str, source: &Source, look: Look) -> Row<'static> {
+/// A name in so many columns, with a sign where it is cut.
+fn cut(name: &str, columns: usize) -> String {
+    let name = harmless(name);
+    if name.chars().count() <= columns {
+        return name;
+    }
+    name.chars().take(columns - 1).chain(['…']).collect()
+}
+
+fn row_of(name: String, source: &Source, look: Look) -> Row<'static> {
     let nis = source.nis.mean_per_degree();
     let nis = nis.map_or_else(|| "–".to_owned(), in_four);
     let (claims, role) = in_words(source.nis.verdict());
@@ -48,7 +65,7 @@ fn row_of(name: &str, source: &Source, look: Look) -> Row<'static> {
         _ => Role::Bad,
     };
     Row::new([
-        Cell::from(harmless(name)),
+        Cell::from(name),
         right(source.seen.to_string()),
         right(source.gated.to_string()),
         right(nis),
@@ -78,7 +95,14 @@ const fn in_words(verdict: Consistency) -> (&'static str, Role) {
 
 #[cfg(test)]
 mod tests {
-    use super::in_four;
+    use super::{cut, in_four};
+
+    #[test]
+    fn a_name_is_whole_or_says_that_it_is_cut() {
+        assert_eq!(cut("landmarks", 9), "landmarks");
+        assert_eq!(cut("accelerometer", 9), "accelero…");
+        assert_eq!(cut("accelerometer", 13), "accelerometer");
+    }
 
     #[test]
     fn a_number_takes_four_characters() {
