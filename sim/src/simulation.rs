@@ -77,8 +77,9 @@ impl ReceivedEstimate {
 pub const REMEMBERED: Span = Span::from_millis(600_000);
 /// So much is forgotten at once: to move what stays for each item would cost more than it saves.
 pub const FORGOTTEN_AT_ONCE: Span = Span::from_millis(20_000);
-/// No list grows beyond so many items, however fast they come: ten minutes at 200 per second.
-const MOST_ITEMS: usize = 120_000;
+/// No list grows beyond so many items, however fast they come: more than come in that time at 200 per second, as often as a
+/// scenario can ask for.
+const MOST_ITEMS: usize = 130_000;
 
 /// Forgets the oldest items of a list that is in the order of the world's time.
 pub(crate) fn forget_oldest<T>(

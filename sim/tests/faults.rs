@@ -216,8 +216,14 @@ fn the_same_commands_give_the_same_bytes() {
 
 #[test]
 fn a_drive_without_an_end_remembers_ten_minutes_and_little_more() {
+    for telemetry_hz in [1.0, 200.0] {
+        remembers_ten_minutes_at(telemetry_hz);
+    }
+}
+
+fn remembers_ten_minutes_at(telemetry_hz: f64) {
     let mut scenario = Scenario::default().without_end();
-    scenario.brick.telemetry_hz = 1.0;
+    scenario.brick.telemetry_hz = telemetry_hz;
     let mut simulation = Simulation::new(scenario);
     let mut longest = Span::ZERO;
     for _ in 0..25 {
@@ -240,5 +246,8 @@ fn a_drive_without_an_end_remembers_ten_minutes_and_little_more() {
         kept >= REMEMBERED - Span::from_millis(5_000),
         "{kept:?} of fixes"
     );
-    assert_eq!(simulation.truth_samples(), 25 * 60 + 1);
+    assert_eq!(
+        simulation.truth_samples(),
+        25 * 60 * telemetry_hz as u64 + 1
+    );
 }

@@ -38,6 +38,7 @@ pub(super) struct Sender<T> {
 pub(super) struct Gulps<T> {
     receiver: Receiver<T>,
     shared: Arc<Shared>,
+    nap: Duration,
     /// It was empty a nap ago.
     has_napped: bool,
 }
@@ -49,6 +50,7 @@ pub(super) fn channel<T>(places: usize) -> (Sender<T>, Gulps<T>) {
     let gulps = Gulps {
         receiver,
         shared: Arc::clone(&shared),
+        nap: NAP,
         has_napped: false,
     };
     (Sender { sender, shared }, gulps)
@@ -79,7 +81,7 @@ impl<T> Sender<T> {
     /// Counted before it is sent: the reader may count it out at once.
     fn counted_in<E>(&self, send: impl FnOnce() -> Result<(), E>) -> Result<(), E> {
         let waiting = self.shared.waiting.fetch_add(1, Ordering::Relaxed);
-        if waiting == CROWDED
+        if waiting + 1 == CROWDED
             && let Some(reader) = self.shared.reader.get()
         {
             reader.unpark();
@@ -108,7 +110,7 @@ impl<T> Gulps<T> {
                 Err(TryRecvError::Disconnected) => return Err(RecvTimeoutError::Disconnected),
                 Err(TryRecvError::Empty) if !self.has_napped => {
                     self.has_napped = true;
-                    std::thread::park_timeout(NAP);
+                    std::thread::park_timeout(self.nap);
                 }
                 Err(TryRecvError::Empty) => {
                     let received = self.receiver.recv_timeout(patience);
@@ -152,33 +154,42 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_is_counted_and_a_crowd_wakes_the_reader() {
+    fn what_waits_is_counted() {
         let (sender, mut gulps) = channel(2 * CROWDED);
-        let (tell, told) = sync_channel(1);
-        let reading = std::thread::spawn(move || {
-            assert_eq!(gulps.next(Duration::ZERO), Err(RecvTimeoutError::Timeout));
-            tell.send(()).unwrap();
-            std::thread::park();
-            tell.send(()).unwrap();
-            gulps
-        });
-        told.recv().unwrap();
-        for item in 0..=CROWDED {
-            assert_eq!(sender.waiting(), item);
-            sender.try_send(item).unwrap();
-        }
-        told.recv_timeout(Duration::from_secs(60)).unwrap();
-        let mut gulps = reading.join().unwrap();
-        let received = std::iter::from_fn(|| gulps.next(Duration::ZERO).ok());
-        assert_eq!(received.count(), CROWDED + 1);
-        assert_eq!(sender.waiting(), 0);
         for item in 0..2 * CROWDED {
+            assert_eq!(sender.waiting(), item);
             sender.try_send(item).unwrap();
         }
         assert!(sender.try_send(0).is_err());
         assert_eq!(sender.waiting(), 2 * CROWDED);
+        let received = std::iter::from_fn(|| gulps.next(Duration::ZERO).ok());
+        assert_eq!(received.count(), 2 * CROWDED);
+        assert_eq!(sender.waiting(), 0);
         drop(gulps);
         assert!(sender.send(0).is_err());
-        assert_eq!(sender.waiting(), 2 * CROWDED);
+        assert_eq!(sender.waiting(), 0);
+    }
+
+    #[test]
+    fn a_crowd_ends_a_nap() {
+        let (tell, told) = sync_channel(1);
+        // Who is woken before the nap begins does not nap at all: so the order of two threads does not matter.
+        let reading = std::thread::spawn(move || {
+            let (sender, mut gulps) = channel(CROWDED);
+            let nothing = Err(RecvTimeoutError::Timeout);
+            assert_eq!(gulps.next(Duration::ZERO), nothing, "known from now on");
+            for item in 0..CROWDED {
+                sender.try_send(item).unwrap();
+            }
+            for item in 0..CROWDED {
+                assert_eq!(gulps.next(Duration::ZERO), Ok(item));
+            }
+            gulps.nap = Duration::from_secs(3_600);
+            assert_eq!(gulps.next(Duration::ZERO), nothing);
+            tell.send(()).unwrap();
+        });
+        let is_awake = told.recv_timeout(Duration::from_secs(60));
+        assert!(is_awake.is_ok(), "{:?}", reading.is_finished());
+        reading.join().unwrap();
     }
 }

@@ -18,8 +18,8 @@ use super::watched::Watched;
 /// included. Each time a chunk ends, and what the file's index needs of it stays in memory until the part ends: more often would let a long
 /// recording's memory grow.
 pub const FLUSH_PERIOD: Span = Span::from_millis(600);
-/// What is said of everything that comes after a part that could not be begun.
-const HAS_ENDED: &str = "the recording ended when its next part could not be begun";
+/// What is said of everything that comes after a part that could not be ended, or the next one begun.
+const HAS_ENDED: &str = "the recording has ended: it could not go on in another file";
 /// File and disk are looked at this often.
 const LOOK_PERIOD: Span = Span::from_millis(1_000);
 
@@ -74,7 +74,7 @@ pub struct Parts {
     first: PathBuf,
     header: Header,
     limits: Limits,
-    /// The part that is being written; none once a part could not be begun.
+    /// The part that is being written; none once it could not go on in another one.
     part: Option<Part>,
     kept: Kept,
     /// Number of the next input of the session.

@@ -120,25 +120,46 @@ impl Feed {
 
 #[cfg(test)]
 mod tests {
+    use std::future::Future;
+    use std::pin::pin;
+    use std::task::{Context, Waker};
+
     use super::*;
     use posebridge_telemetry::Address;
 
-    #[test]
-    fn a_reader_that_hangs_costs_events_and_they_are_counted() {
-        let counts = Arc::new(Counts::default());
-        let (feed, mut receiver) = Feed::pair(Arc::clone(&counts));
+    fn batch_of_two() -> Batch {
         let event = Event::Text {
             source: Address::new(1, 1),
             severity: 6,
             text: String::new(),
         };
+        Batch {
+            now: Stamp::ZERO,
+            took: Span::ZERO,
+            events: Arc::from([event.clone(), event]),
+            standing: None,
+        }
+    }
+
+    #[test]
+    fn a_crowd_wakes_the_reader_and_fewer_do_not() {
+        let (feed, receiver) = Feed::pair(Arc::default());
+        let mut crowd = pin!(receiver.crowd());
+        let mut context = Context::from_waker(Waker::noop());
+        for _ in 1..CROWDED {
+            feed.tell(batch_of_two());
+            assert!(crowd.as_mut().poll(&mut context).is_pending());
+        }
+        feed.tell(batch_of_two());
+        assert!(crowd.as_mut().poll(&mut context).is_ready());
+    }
+
+    #[test]
+    fn a_reader_that_hangs_costs_events_and_they_are_counted() {
+        let counts = Arc::new(Counts::default());
+        let (feed, mut receiver) = Feed::pair(Arc::clone(&counts));
         for _ in 0..WAITING + 7 {
-            feed.tell(Batch {
-                now: Stamp::ZERO,
-                took: Span::ZERO,
-                events: Arc::from([event.clone(), event.clone()]),
-                standing: None,
-            });
+            feed.tell(batch_of_two());
         }
         assert_eq!(counts.of(Count::EventsDropped), 14);
         let told = std::iter::from_fn(|| receiver.try_recv().ok());

@@ -8,8 +8,8 @@ use std::time::UNIX_EPOCH;
 
 use crate::model::{RecordingNow, RecordingRow};
 
-/// So many are listed; a run that goes on in a new file every ten minutes has a week in them.
-const MOST_LISTED: usize = 1_000;
+/// So many are listed; a run that goes on in a new file every five minutes has a week in them.
+const MOST_LISTED: usize = 2_100;
 /// How their names end.
 const ENDING: &str = ".mcap";
 

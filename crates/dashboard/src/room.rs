@@ -1,8 +1,8 @@
 //! Memory that a thread has in use from its start.
 //!
 //! What a stall has held back comes at once, and the index of a recording's part is whole when the part ends: a station needs its most
-//! memory for moments, and what the allocator takes from the system for such a moment mostly stays with the process. So each thread takes
-//! that much when it begins. A station's memory is then known after its first minute, and not after its first bad hour.
+//! memory for moments, and what the allocator takes from the system for such a moment mostly stays with the process. So threads that
+//! need much for a moment take it when they begin. A station's memory is then known after its first minute, and not after its first bad hour.
 
 use std::hint::black_box;
 

@@ -11,7 +11,7 @@ use mavlink_core::{MavlinkVersion, Message};
 use super::foreign::FOREIGN;
 use super::generated::posebridge;
 
-/// Ids are looked up by pages of so many: those of the standard dialects lie on two, ours on one.
+/// Ids are looked up by pages of so many: those of the standard dialects lie on four, ours on one.
 const PAGE: usize = 256;
 /// Ids have 24 bits.
 const PAGES: usize = 1 << 16;
