@@ -5,6 +5,7 @@ import csv
 import json
 import math
 import os
+import struct
 import sys
 import tempfile
 import time
@@ -45,6 +46,8 @@ KILLS = 10
 # How long a file is when the first program is killed, and how much longer for each that follows.
 FIRST_KILL_BYTES = 40_000
 BYTES_BETWEEN_KILLS = 13_000
+# In how many places a recording is cut.
+CUTS = 150
 
 
 class Recording(unittest.TestCase):
@@ -138,6 +141,21 @@ class Killed(unittest.TestCase):
         self.assertEqual(torn, KILLS)
         print(f"\n  killed at bytes {sizes}", file=sys.stderr)
 
+    def test_a_cut_anywhere_is_an_end_and_no_defect(self):
+        with open(os.path.join(finished_drive(), "run", "recording.mcap"), "rb") as file:
+            whole = file.read()
+        cut = tempfile.NamedTemporaryFile()
+        self.addCleanup(cut.close)
+        before = 0
+        for length in range(FIRST_KILL_BYTES, len(whole), len(whole) // CUTS):
+            with open(cut.name, "wb") as file:
+                file.write(whole[:length])
+            messages, _, is_torn = self.messages(cut.name)
+            self.assertTrue(is_torn, length)
+            self.assertGreaterEqual(len(messages), before, length)
+            before = len(messages)
+        self.assertGreater(before, 1000)
+
     def station(self, number):
         """A station with a robot that drives, and the recording that it writes."""
         folder = tempfile.TemporaryDirectory()
@@ -165,7 +183,9 @@ class Killed(unittest.TestCase):
                         found.append(record)
                     elif hasattr(record, "topic"):
                         channels[record.id] = record.topic
-            except EndOfFile:
+            except (EndOfFile, struct.error):
+                # By what lacks, the next field or a part of a number, the reader notices the cut. A defect has something behind it.
+                self.assertEqual(file.read(1), b"", recording)
                 is_torn = True
         return found, sum(channels[message.channel_id] == INPUTS for message in found), is_torn
 
