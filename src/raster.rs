@@ -1,15 +1,15 @@
 //! Pictures as pixels, for programs that do not show SVG.
 //!
-//! Only with the feature `png`: the rasteriser takes longer to build than most of the rest. It knows one font, which is in the program, so that
-//! a picture is the same on every computer.
+//! Only with the feature `png`, and in tests: the rasteriser takes longer to build than most of the rest. It knows one font, which is in the
+//! program, so that a picture is the same on every computer.
 
 use anyhow::Result;
 
 /// Pixels for each of the picture's units, so that small letters can be read on paper and on a dense screen.
-#[cfg(feature = "png")]
+#[cfg(any(test, feature = "png"))]
 const SCALE: f32 = 2.0;
 /// The font of all letters, under the Ubuntu font licence.
-#[cfg(feature = "png")]
+#[cfg(any(test, feature = "png"))]
 const FAMILY: &str = "Ubuntu";
 
 /// Whether this program can draw.
@@ -41,6 +41,11 @@ pub fn png(_svg: &str) -> Result<Vec<u8>> {
 /// It is no SVG, or too large.
 #[cfg(feature = "png")]
 pub fn png(svg: &str) -> Result<Vec<u8>> {
+    drawn(svg)
+}
+
+#[cfg(any(test, feature = "png"))]
+fn drawn(svg: &str) -> Result<Vec<u8>> {
     use anyhow::Context as _;
     use resvg::tiny_skia::{Color, Pixmap, Transform};
     use resvg::usvg::{FontResolver, Options, Tree};
@@ -71,7 +76,6 @@ pub fn png(svg: &str) -> Result<Vec<u8>> {
 
 #[cfg(test)]
 mod tests {
-    #[cfg(feature = "png")]
     #[test]
     fn a_picture_has_its_size_its_colours_and_its_letters() {
         let svg = |text: &str| {
@@ -80,11 +84,11 @@ mod tests {
                  <rect width=\"10\" height=\"20\" fill=\"#f00\"/><text x=\"14\" y=\"16\">{text}</text></svg>"
             )
         };
-        let drawn = |text: &str| {
-            let png = super::png(&svg(text)).expect("it is an SVG");
+        let pixels = |text: &str| {
+            let png = super::drawn(&svg(text)).expect("it is an SVG");
             resvg::tiny_skia::Pixmap::decode_png(&png).expect("it is a PNG")
         };
-        let (blank, lettered) = (drawn(""), drawn("m"));
+        let (blank, lettered) = (pixels(""), pixels("m"));
         assert_eq!((blank.width(), blank.height()), (80, 40));
         let colour = |x, y| {
             blank
@@ -96,11 +100,10 @@ mod tests {
         assert_ne!(blank, lettered, "letters are drawn");
     }
 
-    #[cfg(feature = "png")]
     #[test]
     fn what_is_no_picture_is_an_error() {
-        assert!(super::png("<svg").is_err());
-        assert!(super::png("").is_err());
+        assert!(super::drawn("<svg").is_err());
+        assert!(super::drawn("").is_err());
     }
 
     #[cfg(not(feature = "png"))]
