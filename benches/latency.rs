@@ -1,8 +1,9 @@
 //! From the last byte of a telemetry frame to the estimate's datagram, beside a bare echo of the same sizes.
 //!
 //! A brick on a loopback UDP socket sends PB_WHEEL_TICKS and waits for PB_PLANAR_POSE; the station is the program's own shard with its
-//! recorder, its observer and a ground station on a second UDP link attached, which gets what such programs show. The echo answers each datagram with one as long as the estimate, on a runtime of the same kind. Both
-//! take turns in one run, so that a busy machine slows both. Run with `cargo bench --bench latency`.
+//! recorder, its observer and a ground station on a second UDP link attached, which gets what such programs show. The echo answers each
+//! datagram with one as long as the estimate, on a runtime of the same kind. Both take turns in one run, so that a busy machine
+//! slows both. Run with `cargo bench --bench latency`.
 //!
 //! Most of what is measured is the wake-up of a sleeping thread by the kernel; the ratio is what the station adds.
 
