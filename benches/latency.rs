@@ -44,16 +44,8 @@ struct Pace {
 
 /// 100 Hz is what the quickest weak bricks reach (EV3, Arduino-class); 1 kHz shows what a crowd on one link meets.
 const PACES: [Pace; 2] = [
-    Pace {
-        period_micros: 10_000,
-        rounds: 10,
-        exchanges_per_round: 100,
-    },
-    Pace {
-        period_micros: 1_000,
-        rounds: 20,
-        exchanges_per_round: 500,
-    },
+    Pace { period_micros: 10_000, rounds: 10, exchanges_per_round: 100 },
+    Pace { period_micros: 1_000, rounds: 20, exchanges_per_round: 500 },
 ];
 /// PB_PLANAR_POSE with its envelope.
 const ESTIMATE_BYTES: usize = 64;
@@ -85,22 +77,12 @@ fn measure(pace: Pace) {
     thread.join().expect("the station's thread ends");
     println!("\na frame each {} us", pace.period_micros);
     report(&mut ours, &mut bare, &mut bare_one);
-    println!(
-        "{} exchanges each; {} datagrams reached the ground station",
-        ours.len(),
-        brick.ground.heard
-    );
-    assert!(
-        brick.ground.heard >= ours.len(),
-        "the ground station must be served as well"
-    );
+    println!("{} exchanges each; {} datagrams reached the ground station", ours.len(), brick.ground.heard);
+    assert!(brick.ground.heard >= ours.len(), "the ground station must be served as well");
 }
 
 fn report(ours: &mut [Duration], bare: &mut [Duration], bare_one: &mut [Duration]) {
-    println!(
-        "{:<34} {:>9} {:>9}",
-        "telemetry to estimate, UDP", "p50 us", "p99 us"
-    );
+    println!("{:<34} {:>9} {:>9}", "telemetry to estimate, UDP", "p50 us", "p99 us");
     let told = [
         ("station, recorder and output", ours),
         ("bare echo, multi-threaded runtime", bare),
@@ -108,22 +90,14 @@ fn report(ours: &mut [Duration], bare: &mut [Duration], bare_one: &mut [Duration
     ]
     .map(|(name, sample)| {
         sample.sort_unstable();
-        let micros =
-            |share: f64| sample[((sample.len() - 1) as f64 * share) as usize].as_secs_f64() * 1e6;
+        let micros = |share: f64| sample[((sample.len() - 1) as f64 * share) as usize].as_secs_f64() * 1e6;
         let [p50, p99] = [micros(0.5), micros(0.99)];
         println!("{name:<34} {p50:>9.1} {p99:>9.1}");
         [p50, p99]
     });
     let [station, many, one] = told;
-    for (name, echo) in [
-        ("ratio to the first echo", many),
-        ("ratio to the second", one),
-    ] {
-        println!(
-            "{name:<34} {:>9.2} {:>9.2}",
-            station[0] / echo[0],
-            station[1] / echo[1]
-        );
+    for (name, echo) in [("ratio to the first echo", many), ("ratio to the second", one)] {
+        println!("{name:<34} {:>9.2} {:>9.2}", station[0] / echo[0], station[1] / echo[1]);
     }
 }
 
@@ -144,15 +118,9 @@ struct GroundStation {
 impl GroundStation {
     fn new() -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
-        socket
-            .set_nonblocking(true)
-            .expect("a socket that does not wait");
+        socket.set_nonblocking(true).expect("a socket that does not wait");
         let address = socket.local_addr().expect("an address");
-        Self {
-            socket,
-            address,
-            heard: 0,
-        }
+        Self { socket, address, heard: 0 }
     }
 
     fn read(&mut self) {
@@ -175,23 +143,12 @@ struct Brick {
 impl Brick {
     fn new(ground: GroundStation, pace: Pace) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
-        socket
-            .set_read_timeout(Some(Duration::from_secs(5)))
-            .expect("a time limit");
-        Self {
-            pace,
-            ground,
-            socket,
-            encoder: Encoder::new(WireVersion::V2),
-            micros: 0,
-            ticks: 0,
-        }
+        socket.set_read_timeout(Some(Duration::from_secs(5))).expect("a time limit");
+        Self { pace, ground, socket, encoder: Encoder::new(WireVersion::V2), micros: 0, ticks: 0 }
     }
 
     fn exchange_with(&mut self, peer: SocketAddr, wanted: Answer) -> Vec<Duration> {
-        (0..self.pace.exchanges_per_round)
-            .map(|_| self.exchange(peer, wanted))
-            .collect()
+        (0..self.pace.exchanges_per_round).map(|_| self.exchange(peer, wanted)).collect()
     }
 
     fn exchange(&mut self, peer: SocketAddr, wanted: Answer) -> Duration {
@@ -204,16 +161,12 @@ impl Brick {
             right: EncoderTicks(self.ticks),
         });
         let mut frame = Vec::new();
-        self.encoder
-            .encode(Address::new(1, 1), &message, &mut frame);
+        self.encoder.encode(Address::new(1, 1), &message, &mut frame);
         let mut buffer = [0; 512];
         let sent = Instant::now();
         self.socket.send_to(&frame, peer).expect("the frame leaves");
         let elapsed = loop {
-            let (length, from) = self
-                .socket
-                .recv_from(&mut buffer)
-                .expect("an answer within five seconds");
+            let (length, from) = self.socket.recv_from(&mut buffer).expect("an answer within five seconds");
             let elapsed = sent.elapsed();
             if from == peer && (wanted == Answer::Anything || is_estimate(&buffer[..length])) {
                 break elapsed;
@@ -240,10 +193,7 @@ fn is_estimate(datagram: &[u8]) -> bool {
 }
 
 fn runtime() -> tokio::runtime::Runtime {
-    tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("a runtime")
+    tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime")
 }
 
 /// On which kind of runtime an echo runs.
@@ -259,13 +209,8 @@ fn start_echo(threads: Threads) -> SocketAddr {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
     std::thread::spawn(move || match threads {
         Threads::Many => {
-            let runtime = tokio::runtime::Builder::new_multi_thread()
-                .enable_all()
-                .build()
-                .expect("a runtime");
-            runtime
-                .block_on(runtime.spawn(echo(tell)))
-                .expect("the echo ends");
+            let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+            runtime.block_on(runtime.spawn(echo(tell))).expect("the echo ends");
         }
         Threads::One => runtime().block_on(echo(tell)),
     });
@@ -273,48 +218,26 @@ fn start_echo(threads: Threads) -> SocketAddr {
 }
 
 async fn echo(tell: std::sync::mpsc::SyncSender<SocketAddr>) {
-    let socket = tokio::net::UdpSocket::bind("127.0.0.1:0")
-        .await
-        .expect("a loopback socket");
-    tell.send(socket.local_addr().expect("an address"))
-        .expect("somebody waits");
+    let socket = tokio::net::UdpSocket::bind("127.0.0.1:0").await.expect("a loopback socket");
+    tell.send(socket.local_addr().expect("an address")).expect("somebody waits");
     let mut buffer = [0; 512];
     while let Ok((_, peer)) = socket.recv_from(&mut buffer).await {
-        socket
-            .send_to(&buffer[..ESTIMATE_BYTES], peer)
-            .await
-            .expect("the echo leaves");
+        socket.send_to(&buffer[..ESTIMATE_BYTES], peer).await.expect("the echo leaves");
     }
 }
 
-fn start_station(
-    stop: CancellationToken,
-    ground: SocketAddr,
-) -> (SocketAddr, std::thread::JoinHandle<()>) {
+fn start_station(stop: CancellationToken, ground: SocketAddr) -> (SocketAddr, std::thread::JoinHandle<()>) {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("station".to_owned());
     let thread = thread.spawn(move || {
-        let folder =
-            std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a scratch folder");
         runtime().block_on(async {
             let (mut shard, address) = shard(&folder.join("latency.mcap"), ground).await;
             tell.send(address).expect("somebody waits");
-            shard
-                .run(&Ending {
-                    stop,
-                    at: None,
-                    silence: None,
-                    progress: None,
-                })
-                .await;
-            let Shard {
-                recorder, observer, ..
-            } = shard;
-            recorder
-                .map(Recorder::finish)
-                .transpose()
-                .expect("the recording is whole");
+            shard.run(&Ending { stop, at: None, silence: None, progress: None }).await;
+            let Shard { recorder, observer, .. } = shard;
+            recorder.map(Recorder::finish).transpose().expect("the recording is whole");
             observer.finish().expect("the observer ends");
         });
         std::fs::remove_dir_all(&folder).expect("the scratch folder goes");
@@ -326,11 +249,7 @@ fn start_station(
 /// What a ground station shows of a robot.
 fn shown() -> Vec<OutputSection> {
     ["odometry", "local_position", "attitude", "estimator_status"]
-        .map(|message| OutputSection {
-            message: message.to_owned(),
-            interval_ms: 0,
-            at: AtInstant::Observed,
-        })
+        .map(|message| OutputSection { message: message.to_owned(), interval_ms: 0, at: AtInstant::Observed })
         .to_vec()
 }
 
@@ -338,40 +257,20 @@ fn shown() -> Vec<OutputSection> {
 async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, SocketAddr) {
     let timer = HostTimer::start();
     let (brick, ground) = ("udp://127.0.0.1:0", format!("udp://{ground}"));
-    let to_ground = LinkSection {
-        outputs: Some(shown()),
-        ..LinkSection::new(&ground)
-    };
-    let from_brick = LinkSection {
-        listen: true,
-        ..LinkSection::new(brick)
-    };
-    let config = Config {
-        links: vec![to_ground, from_brick],
-        ..Config::default()
-    };
+    let to_ground = LinkSection { outputs: Some(shown()), ..LinkSection::new(&ground) };
+    let from_brick = LinkSection { listen: true, ..LinkSection::new(brick) };
+    let config = Config { links: vec![to_ground, from_brick], ..Config::default() };
     let port = |id, url: &str, role| {
         let url = LinkUrl::parse(url).expect("a URL");
         let id = LinkId(id);
         Port::new(PortConfig { id, url, role }, timer)
     };
-    let mut ports = PortSet::new(vec![
-        port(0, &ground, Role::Dial),
-        port(1, brick, Role::Listen),
-    ]);
+    let mut ports = PortSet::new(vec![port(0, &ground, Role::Dial), port(1, brick, Role::Listen)]);
     ports.open_first().await.expect("the link opens");
-    let address = ports
-        .iter()
-        .nth(1)
-        .and_then(Port::local_address)
-        .expect("an address");
-    let observed = ObserverConfig {
-        events: None,
-        view: LiveView::silent(),
-    };
+    let address = ports.iter().nth(1).and_then(Port::local_address).expect("an address");
+    let observed = ObserverConfig { events: None, view: LiveView::silent() };
     let shard = Shard {
-        pipeline: Pipeline::new(config.pipeline().expect("a pipeline"), Stamp::ZERO)
-            .expect("a pipeline"),
+        pipeline: Pipeline::new(config.pipeline().expect("a pipeline"), Stamp::ZERO).expect("a pipeline"),
         ports,
         timer,
         recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),

@@ -68,11 +68,7 @@ fn measure(folder: &Path, name: &str) {
 
 fn printed(folder: &Path, args: &[&str]) -> Value {
     let program = env!("CARGO_BIN_EXE_posebridge");
-    let output = Command::new(program)
-        .current_dir(folder)
-        .args(args)
-        .output()
-        .unwrap();
+    let output = Command::new(program).current_dir(folder).args(args).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     serde_json::from_slice(&output.stdout).unwrap()

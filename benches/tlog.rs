@@ -16,9 +16,7 @@ use std::process::{Command, Stdio};
 use nix::sys::resource::{UsageWho, getrusage};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
-use posebridge_protocol::message::{
-    Heartbeat, Inertial, Message, VisionFix, WheelTicks, WireStamp,
-};
+use posebridge_protocol::message::{Heartbeat, Inertial, Message, VisionFix, WheelTicks, WireStamp};
 use posebridge_recording::tlog::Writer;
 use posebridge_telemetry::{Address, EncoderTicks, Heading, Meters, Radians, RadiansPerSecond};
 
@@ -46,10 +44,7 @@ const PYMAVLINK: &str = "import sys\n\
 
 fn main() {
     let folder = tempfile::tempdir().expect("a folder for the logs");
-    let (hour, long) = (
-        folder.path().join("hour.tlog"),
-        folder.path().join("long.tlog"),
-    );
+    let (hour, long) = (folder.path().join("hour.tlog"), folder.path().join("long.tlog"));
     let frames = write(&hour, 1);
     write(&long, HOURS);
     let size = |path: &Path| std::fs::metadata(path).expect("it was just written").len() as f64;
@@ -98,8 +93,7 @@ fn best_cpu_s(command: &mut Command) -> Option<f64> {
 
 fn children_cpu_s() -> f64 {
     let usage = getrusage(UsageWho::RUSAGE_CHILDREN).expect("the system counts");
-    let seconds =
-        |time: nix::sys::time::TimeVal| time.tv_sec() as f64 + 1e-6 * time.tv_usec() as f64;
+    let seconds = |time: nix::sys::time::TimeVal| time.tv_sec() as f64 + 1e-6 * time.tv_usec() as f64;
     seconds(usage.user_time()) + seconds(usage.system_time())
 }
 
@@ -127,10 +121,8 @@ fn write(path: &Path, hours: u64) -> u64 {
 fn messages(step: u64) -> Vec<(u64, Address, Message)> {
     let micros = step * 1_000_000 / RATE_HZ;
     let turned_rad = 0.4 * micros as f64 * 1e-6;
-    let mut messages = vec![
-        (micros, ROBOT, wheel_ticks(micros, turned_rad)),
-        (micros + 2_000, ROBOT, inertial(micros, turned_rad)),
-    ];
+    let mut messages =
+        vec![(micros, ROBOT, wheel_ticks(micros, turned_rad)), (micros + 2_000, ROBOT, inertial(micros, turned_rad))];
     if step.is_multiple_of(10) {
         messages.push((micros + 4_000, CAMERA, fix(micros, turned_rad)));
     }
@@ -173,10 +165,5 @@ fn fix(micros: u64, turned_rad: f64) -> Message {
 
 /// MAV_TYPE and MAV_AUTOPILOT of minimal.xml.
 fn heartbeat(vehicle_type: u8, autopilot: u8) -> Message {
-    Message::Heartbeat(Heartbeat {
-        vehicle_type,
-        autopilot,
-        base_mode: 0,
-        system_status: 4,
-    })
+    Message::Heartbeat(Heartbeat { vehicle_type, autopilot, base_mode: 0, system_status: 4 })
 }

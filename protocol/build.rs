@@ -16,9 +16,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     // The generated module is gated on this name; it is not a choice of the user.
     println!("cargo::rustc-cfg=feature=\"dialect-posebridge\"");
-    mavlink_bindgen::generate(
-        XmlDefinitions::Files(vec![definition]),
-        env::var("OUT_DIR")?,
-    )?;
+    mavlink_bindgen::generate(XmlDefinitions::Files(vec![definition]), env::var("OUT_DIR")?)?;
     Ok(())
 }

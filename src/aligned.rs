@@ -17,18 +17,8 @@ impl Aligned {
     /// What an event says of the clocks, if it does.
     #[must_use]
     pub const fn of(event: &Event) -> Option<Self> {
-        if let Event::BrickClockAligned {
-            host,
-            brick,
-            skew_ppm,
-            ..
-        } = *event
-        {
-            return Some(Self {
-                host,
-                brick,
-                skew_ppm,
-            });
+        if let Event::BrickClockAligned { host, brick, skew_ppm, .. } = *event {
+            return Some(Self { host, brick, skew_ppm });
         }
         None
     }
@@ -58,11 +48,7 @@ mod tests {
 
     #[test]
     fn an_instant_goes_to_the_other_clock_and_back() {
-        let aligned = Aligned {
-            host: Stamp::from_millis(5_000),
-            brick: Stamp::from_millis(1_000),
-            skew_ppm: 1_000.0,
-        };
+        let aligned = Aligned { host: Stamp::from_millis(5_000), brick: Stamp::from_millis(1_000), skew_ppm: 1_000.0 };
         let host = Stamp::from_millis(15_000);
         let brick = aligned.brick_at(host);
         assert_eq!(brick, Stamp::from_millis(11_010));

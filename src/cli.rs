@@ -444,9 +444,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
 fn a_param(text: &str) -> Result<Setting, String> {
     let setting = Setting::parse(text)?;
     let (key, value) = (setting.path.join("."), setting.value.to_string());
-    let value: f64 = value
-        .parse()
-        .map_err(|_not_a_number| format!("`{key}`: `{value}` is no number"))?;
+    let value: f64 = value.parse().map_err(|_not_a_number| format!("`{key}`: `{value}` is no number"))?;
     Params::default().set(&key, value).map_err(|error| {
         let known: Vec<&str> = PARAMS.iter().map(|param| param.key).collect();
         if matches!(error, ParamError::Unknown { .. }) {
@@ -455,10 +453,7 @@ fn a_param(text: &str) -> Result<Setting, String> {
             error.to_string()
         }
     })?;
-    Ok(Setting {
-        path: vec!["filter".to_owned(), key],
-        value: toml::Value::Float(value),
-    })
+    Ok(Setting { path: vec!["filter".to_owned(), key], value: toml::Value::Float(value) })
 }
 
 /// A number of seconds of more than zero and up to an hour.
@@ -472,11 +467,7 @@ fn up_to_an_hour(text: &str) -> Result<f64, String> {
 /// The profiles, and the kinds of link, from their tables.
 fn relay_help() -> String {
     let names: Vec<&str> = PROFILES.iter().map(|(name, _)| *name).collect();
-    format!(
-        "Profiles:\n  none, {}\n\n{}",
-        names.join(", "),
-        plain_links_help()
-    )
+    format!("Profiles:\n  none, {}\n\n{}", names.join(", "), plain_links_help())
 }
 
 /// The kinds of link, from the table.
@@ -497,20 +488,9 @@ fn transports_help() -> String {
     let mut help = String::new();
     for transport in TRANSPORTS {
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            help,
-            "  {}\n      {}",
-            transport.example(),
-            transport.summary()
-        );
+        let _ = writeln!(help, "  {}\n      {}", transport.example(), transport.summary());
         for option in transport.options() {
-            let _ = writeln!(
-                help,
-                "      ?{}={}  {}",
-                option.name,
-                option.kind.default_text(),
-                option.help
-            );
+            let _ = writeln!(help, "      ?{}={}  {}", option.name, option.kind.default_text(), option.help);
         }
     }
     help
@@ -529,10 +509,7 @@ mod tests {
         let help = run.render_long_help().to_string();
         let words: Vec<_> = help.split_whitespace().collect();
         let starts = TRANSPORTS.iter().map(|transport| {
-            words
-                .iter()
-                .position(|word| *word == transport.example())
-                .expect("every transport has its example there")
+            words.iter().position(|word| *word == transport.example()).expect("every transport has its example there")
         });
         let starts: Vec<usize> = starts.chain([words.len()]).collect();
         for (transport, block) in TRANSPORTS.iter().zip(starts.windows(2)) {
@@ -540,10 +517,7 @@ mod tests {
             for option in transport.options() {
                 let wanted = format!("?{}={}", option.name, option.kind.default_text());
                 let scheme = transport.scheme();
-                assert!(
-                    lines.contains(&wanted.as_str()),
-                    "{wanted} of {scheme} in:\n{help}"
-                );
+                assert!(lines.contains(&wanted.as_str()), "{wanted} of {scheme} in:\n{help}");
             }
         }
     }

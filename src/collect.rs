@@ -5,8 +5,7 @@ use std::collections::BTreeMap;
 use posebridge_analysis::{FixMark, SourceTally, TimedPose, Track};
 use posebridge_sim::REMEMBERED;
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, Observed, Point2, Span,
-    Stamp,
+    Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, Observed, Point2, Span, Stamp,
 };
 
 use crate::report::links::LinkReport;
@@ -66,10 +65,7 @@ impl Collector {
     /// One that keeps every observation: for recordings, whose length is known.
     #[must_use]
     pub fn keeping_observations() -> Self {
-        Self {
-            keeping: Keeping::Observations,
-            ..Self::default()
-        }
+        Self { keeping: Keeping::Observations, ..Self::default() }
     }
 
     /// Takes an event.
@@ -80,11 +76,7 @@ impl Collector {
                 if self.keeping == Keeping::Observations {
                     self.kept.push(*observation);
                 }
-                self.last_fix = if let Observed::Fix(fix) = observation.observed {
-                    Some(fix.position)
-                } else {
-                    None
-                };
+                self.last_fix = if let Observed::Fix(fix) = observation.observed { Some(fix.position) } else { None };
             }
             Event::Fused { record, .. } => self.take_record(record),
             Event::Estimated { estimate, .. } => {
@@ -92,15 +84,8 @@ impl Collector {
                     self.estimates.push(*estimate);
                 }
             }
-            Event::Health {
-                link,
-                health,
-                sources,
-            } => {
-                let report = LinkReport {
-                    health: *health,
-                    sources: sources.clone(),
-                };
+            Event::Health { link, health, sources } => {
+                let report = LinkReport { health: *health, sources: sources.clone() };
                 self.links.insert(*link, report);
             }
             Event::BrickRestarted { .. } => self.restarts += 1,
@@ -118,21 +103,15 @@ impl Collector {
     fn take_record(&mut self, record: &FusionRecord) {
         posebridge_analysis::metrics::count_in(&mut self.sources, record);
         if let Some(position) = self.last_fix {
-            self.fixes.push(FixMark {
-                stamp: record.stamp,
-                position,
-                verdict: record.verdict,
-            });
+            self.fixes.push(FixMark { stamp: record.stamp, position, verdict: record.verdict });
         }
     }
 
     /// The estimates as a track.
     #[must_use]
     pub fn track(&self) -> Track {
-        let samples = self.estimates.items().iter().map(|estimate| TimedPose {
-            stamp: estimate.stamp,
-            pose: estimate.pose,
-        });
+        let samples =
+            self.estimates.items().iter().map(|estimate| TimedPose { stamp: estimate.stamp, pose: estimate.pose });
         Track::new(samples, LONGEST_GAP)
     }
 }
@@ -165,22 +144,12 @@ impl<T> Thinned<T> {
     /// An empty list that never holds more than `most` items.
     #[must_use]
     pub fn keeping(most: usize) -> Self {
-        Self {
-            items: Vec::new(),
-            most,
-            stride: 1,
-            seen: 0,
-            recent: None,
-        }
+        Self { items: Vec::new(), most, stride: 1, seen: 0, recent: None }
     }
 
     /// An empty list with room for `most` items that reaches back at least so far.
     fn recent(most: usize, reach: Span, stamp_of: fn(&T) -> Stamp<BrickClock>) -> Self {
-        Self {
-            items: Vec::with_capacity(most),
-            recent: Some(Recent { reach, stamp_of }),
-            ..Self::keeping(most)
-        }
+        Self { items: Vec::with_capacity(most), recent: Some(Recent { reach, stamp_of }), ..Self::keeping(most) }
     }
 
     /// Takes the next item.
@@ -210,9 +179,7 @@ impl<T> Thinned<T> {
             return false;
         };
         let later = self.items.get(self.most / 4).zip(self.items.last());
-        later.is_some_and(|(oldest, newest)| {
-            (recent.stamp_of)(newest) - (recent.stamp_of)(oldest) >= recent.reach
-        })
+        later.is_some_and(|(oldest, newest)| (recent.stamp_of)(newest) - (recent.stamp_of)(oldest) >= recent.reach)
     }
 
     /// The items that were kept, oldest first.
@@ -233,11 +200,7 @@ mod tests {
             list.push(item);
         }
         assert!(list.items().len() < KEPT);
-        let steps: Vec<usize> = list
-            .items()
-            .windows(2)
-            .map(|pair| pair[1] - pair[0])
-            .collect();
+        let steps: Vec<usize> = list.items().windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
     }
 
@@ -254,11 +217,7 @@ mod tests {
         }
         assert!((50..100).contains(&list.items().len()));
         assert_eq!(list.items.capacity(), capacity);
-        let steps: Vec<i64> = list
-            .items()
-            .windows(2)
-            .map(|pair| pair[1] - pair[0])
-            .collect();
+        let steps: Vec<i64> = list.items().windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
     }
 }

@@ -39,31 +39,15 @@ impl DataSet {
     /// The file cannot be read or makes no sense, or no run has such a name.
     pub fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
         let name = path.display();
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("reading the descriptor `{name}`"))?;
-        let descriptor =
-            Descriptor::from_toml(&text).with_context(|| format!("descriptor `{name}`"))?;
-        let prefix = flags
-            .run
-            .clone()
-            .unwrap_or_else(|| descriptor.default_run.clone());
-        let runs: Vec<String> = descriptor
-            .select(&prefix)
-            .into_iter()
-            .map(str::to_owned)
-            .collect();
+        let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{name}`"))?;
+        let descriptor = Descriptor::from_toml(&text).with_context(|| format!("descriptor `{name}`"))?;
+        let prefix = flags.run.clone().unwrap_or_else(|| descriptor.default_run.clone());
+        let runs: Vec<String> = descriptor.select(&prefix).into_iter().map(str::to_owned).collect();
         if runs.is_empty() {
-            bail!(
-                "no run of `{name}` begins with `{prefix}`; there are: {}",
-                descriptor.runs.join(", ")
-            );
+            bail!("no run of `{name}` begins with `{prefix}`; there are: {}", descriptor.runs.join(", "));
         }
         let own_folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        Ok(Self {
-            descriptor,
-            runs,
-            root: flags.data.clone().unwrap_or(own_folder),
-        })
+        Ok(Self { descriptor, runs, root: flags.data.clone().unwrap_or(own_folder) })
     }
 
     /// Loads one run.
@@ -73,24 +57,11 @@ impl DataSet {
     pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
         let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
         let geometry = robot.geometry()?;
-        let options = LoadOptions {
-            run,
-            geometry,
-            use_every: flags.use_every,
-        };
+        let options = LoadOptions { run, geometry, use_every: flags.use_every };
         let mut open = |relative: &Path| std::fs::read(self.root.join(relative));
-        let run = dataset::load(&self.descriptor, options, &mut open).with_context(|| {
-            format!(
-                "recording `{}` in `{}`",
-                self.descriptor.name,
-                self.root.display()
-            )
-        })?;
-        ensure!(
-            !run.observations.is_empty(),
-            "run `{}` holds no observation",
-            run.name
-        );
+        let run = dataset::load(&self.descriptor, options, &mut open)
+            .with_context(|| format!("recording `{}` in `{}`", self.descriptor.name, self.root.display()))?;
+        ensure!(!run.observations.is_empty(), "run `{}` holds no observation", run.name);
         let mut config = filter_config(&robot, &filter, world_of(&run))?;
         let start = run.start.map(|start| StartPose {
             pose: start.pose,
@@ -98,57 +69,34 @@ impl DataSet {
             heading_sigma_rad: start.heading_sigma_rad,
         });
         config.start = start.or(config.start);
-        Ok(RobotRun {
-            run,
-            robot,
-            filter,
-            filter_config: config,
-        })
+        Ok(RobotRun { run, robot, filter, filter_config: config })
     }
 
     /// The robot and the tunables of a run, with the flags laid over them.
-    fn robot_and_filter(
-        &self,
-        run: &str,
-        settings: &[Setting],
-    ) -> Result<(RobotFile, FilterSection)> {
-        let robot: RobotFile = self
-            .descriptor
-            .robot_for(run)
-            .try_into()
-            .with_context(|| format!("robot of run `{run}`"))?;
-        let tunables: ProfileFilter = self
-            .descriptor
-            .filter
-            .clone()
-            .try_into()
-            .context("[filter]")?;
+    fn robot_and_filter(&self, run: &str, settings: &[Setting]) -> Result<(RobotFile, FilterSection)> {
+        let robot: RobotFile =
+            self.descriptor.robot_for(run).try_into().with_context(|| format!("robot of run `{run}`"))?;
+        let tunables: ProfileFilter = self.descriptor.filter.clone().try_into().context("[filter]")?;
         let is_name = |setting: &Setting| setting.path == ["filter", "name"];
         ensure!(
             tunables.name.is_none() && !settings.iter().any(is_name),
             "`filter.name` does not belong to a recording: choose the filter with --filter"
         );
-        let filter = FilterSection {
-            params: tunables.params,
-            ..FilterSection::default()
-        };
+        let filter = FilterSection { params: tunables.params, ..FilterSection::default() };
         let mut all = toml::Table::try_from(&robot)?;
         let mut tunables = toml::Table::try_from(&filter)?;
         for setting in settings {
             let failed = |why: String| anyhow!("`--set {setting}`: {why}");
             match setting.path.split_first() {
-                Some((section, key)) if section == "filter" => Setting {
-                    path: key.to_vec(),
-                    value: setting.value.clone(),
+                Some((section, key)) if section == "filter" => {
+                    Setting { path: key.to_vec(), value: setting.value.clone() }
+                        .lay_over(&mut tunables)
+                        .map_err(failed)?
                 }
-                .lay_over(&mut tunables)
-                .map_err(failed)?,
                 _ => setting.lay_over(&mut all).map_err(failed)?,
             }
         }
-        let robot = all
-            .try_into()
-            .with_context(|| format!("robot of run `{run}`"))?;
+        let robot = all.try_into().with_context(|| format!("robot of run `{run}`"))?;
         let filter = tunables.try_into().context("[filter]")?;
         Ok((robot, filter))
     }
@@ -166,9 +114,7 @@ fn world_of(run: &dataset::Run) -> World {
 /// Says how many readings of a sensor were of no use.
 pub fn tell_left_out(name: &str, left_out: usize) {
     if left_out > 0 {
-        say(&format!(
-            "{name}: {left_out} samples are left out: not finite, or of the very instant of another one"
-        ));
+        say(&format!("{name}: {left_out} samples are left out: not finite, or of the very instant of another one"));
     }
 }
 
@@ -179,11 +125,7 @@ pub fn tell_bad_rows(robot_run: &RobotRun) -> u64 {
         say(&format!("{}: {row}", robot_run.run.name));
     }
     for (reason, count) in &bad.counts {
-        say(&format!(
-            "{}: {count} rows: {}",
-            robot_run.run.name,
-            reason.name()
-        ));
+        say(&format!("{}: {count} rows: {}", robot_run.run.name, reason.name()));
     }
     bad.total() as u64
 }
@@ -199,10 +141,7 @@ mod tests {
             data: Some(root.join("tests/data")),
             run: Some("circular/250620202104/run-01".to_owned()),
             use_every: None,
-            settings: settings
-                .iter()
-                .map(|text| Setting::parse(text).unwrap())
-                .collect(),
+            settings: settings.iter().map(|text| Setting::parse(text).unwrap()).collect(),
         }
     }
 
@@ -219,17 +158,11 @@ mod tests {
     fn a_station_builds_the_filter_of_the_replay_from_the_same_file() {
         let replayed = load(&[]).unwrap().filter_config;
         let profile = RobotProfile::read(&descriptor()).unwrap();
-        let live = Config::default()
-            .with_robot(profile)
-            .filter_config()
-            .unwrap();
+        let live = Config::default().with_robot(profile).filter_config().unwrap();
         let (from_run, from_file) = (replayed.start.unwrap(), live.start.unwrap());
         assert_eq!(from_run.pose, from_file.pose);
         assert!((from_run.heading_sigma_rad - from_file.heading_sigma_rad).abs() < 1e-15);
-        let without_start = |config: FilterConfig| FilterConfig {
-            start: None,
-            ..config
-        };
+        let without_start = |config: FilterConfig| FilterConfig { start: None, ..config };
         assert_eq!(without_start(replayed), without_start(live));
     }
 
@@ -255,10 +188,7 @@ mod tests {
     #[test]
     fn the_places_of_a_recording_are_the_filter_s_world() {
         use posebridge_telemetry::{BeaconId, LandmarkId, Meters, Point2};
-        let (here, there) = (
-            Point2::new(Meters(1.0), Meters(2.0)),
-            Point2::new(Meters(3.0), Meters(4.0)),
-        );
+        let (here, there) = (Point2::new(Meters(1.0), Meters(2.0)), Point2::new(Meters(3.0), Meters(4.0)));
         let run = dataset::Run {
             landmarks: vec![(LandmarkId(6), here)],
             beacons: vec![(BeaconId(0), there)],

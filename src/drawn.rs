@@ -16,19 +16,13 @@ use posebridge_sim::montecarlo::{Drive, SCENARIOS, Scenario, Told};
 pub fn scenario(asked: &str) -> Result<(String, Scenario)> {
     let path = Path::new(asked);
     let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
-    let is_file = path
-        .extension()
-        .is_some_and(|extension| extension == "toml");
+    let is_file = path.extension().is_some_and(|extension| extension == "toml");
     if is_bundled || !is_file {
         return Ok((asked.to_owned(), Scenario::bundled(asked)?));
     }
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
     let scenario = Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))?;
-    let name = path.file_stem().map_or_else(
-        || asked.to_owned(),
-        |stem| stem.to_string_lossy().into_owned(),
-    );
+    let name = path.file_stem().map_or_else(|| asked.to_owned(), |stem| stem.to_string_lossy().into_owned());
     Ok((name, scenario))
 }
 
@@ -52,21 +46,8 @@ pub fn filter_config(told: &Told) -> FilterConfig {
 /// The drive as the scoring wants it.
 #[must_use]
 pub fn known_drive(drive: &Drive) -> KnownDrive {
-    let truth = drive
-        .truth
-        .iter()
-        .enumerate()
-        .map(|(step, pose)| TimedPose {
-            stamp: drive.stamp(step),
-            pose: *pose,
-        });
-    let arrivals = drive.arrivals.iter().map(|arrival| Arrival {
-        step: arrival.step,
-        observation: arrival.observation,
-    });
-    KnownDrive {
-        truth: truth.collect(),
-        arrivals: arrivals.collect(),
-        scored_from: drive.scored_from,
-    }
+    let truth = drive.truth.iter().enumerate().map(|(step, pose)| TimedPose { stamp: drive.stamp(step), pose: *pose });
+    let arrivals =
+        drive.arrivals.iter().map(|arrival| Arrival { step: arrival.step, observation: arrival.observation });
+    KnownDrive { truth: truth.collect(), arrivals: arrivals.collect(), scored_from: drive.scored_from }
 }

@@ -54,10 +54,7 @@ impl InputFile {
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::open(path).with_context(|| format!("reading the recording `{name}`"))?;
-        let size = file
-            .metadata()
-            .with_context(|| format!("looking at `{name}`"))?
-            .len();
+        let size = file.metadata().with_context(|| format!("looking at `{name}`"))?.len();
         let mut plain = BufReader::with_capacity(CHUNK, file);
         let is_packed = beginning(&mut plain, &name)?.starts_with(&GZIP);
         let mut reader: Box<dyn BufRead> = if is_packed {
@@ -66,14 +63,7 @@ impl InputFile {
             Box::new(plain)
         };
         let kind = kind_of(path, beginning(&mut reader, &name)?);
-        Ok(Self {
-            kind,
-            name,
-            size,
-            is_cut: false,
-            is_packed,
-            reader,
-        })
+        Ok(Self { kind, name, size, is_cut: false, is_packed, reader })
     }
 
     /// The first bytes, of which none is taken away.
@@ -120,10 +110,7 @@ impl InputFile {
     /// Says on stderr that the file was cut, if it was.
     pub fn tell_if_cut(&self) {
         if self.is_cut {
-            say(&format!(
-                "`{}`: the packed bytes end in the middle; everything before is used",
-                self.name
-            ));
+            say(&format!("`{}`: the packed bytes end in the middle; everything before is used", self.name));
         }
     }
 
@@ -152,12 +139,7 @@ impl InputFile {
     }
 
     fn check_length(&self, length: u64, most: u64) -> Result<()> {
-        anyhow::ensure!(
-            length <= most,
-            "`{}` holds more than {} MiB: cut it into parts",
-            self.name,
-            most >> 20
-        );
+        anyhow::ensure!(length <= most, "`{}` holds more than {} MiB: cut it into parts", self.name, most >> 20);
         Ok(())
     }
 }
@@ -169,9 +151,7 @@ fn ends_early(error: &std::io::Error) -> bool {
 
 /// What lies ready to be read; nothing at the end.
 fn beginning<'a>(reader: &'a mut impl BufRead, name: &str) -> Result<&'a [u8]> {
-    reader
-        .fill_buf()
-        .with_context(|| format!("reading `{name}`"))
+    reader.fill_buf().with_context(|| format!("reading `{name}`"))
 }
 
 fn kind_of(path: &Path, beginning: &[u8]) -> Kind {
@@ -199,9 +179,7 @@ fn kind_of(path: &Path, beginning: &[u8]) -> Kind {
 }
 
 fn has_extension(path: &Path, wanted: &str) -> bool {
-    path.extension()
-        .and_then(OsStr::to_str)
-        .is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+    path.extension().and_then(OsStr::to_str).is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
 }
 
 #[cfg(test)]

@@ -24,10 +24,7 @@ impl Known {
     /// # Errors
     /// The file cannot be read.
     pub fn of_file(truth: Option<&Path>) -> Result<Self> {
-        Ok(Self {
-            truth: truth.map(truth_file::open).transpose()?,
-            odometry: None,
-        })
+        Ok(Self { truth: truth.map(truth_file::open).transpose()?, odometry: None })
     }
 
     /// What a file tells, else what the recording of this name and these bytes does.
@@ -38,21 +35,14 @@ impl Known {
         if truth.is_some() {
             return Self::of_file(truth);
         }
-        let samples = container::truth(recording)
-            .with_context(|| format!("the truth in `{name}`; give another with --truth"))?;
+        let samples =
+            container::truth(recording).with_context(|| format!("the truth in `{name}`; give another with --truth"))?;
         if samples.is_empty() {
             return Ok(Self::default());
         }
-        let of_truth = samples.iter().map(|sample| TimedPose {
-            stamp: sample.stamp,
-            pose: sample.pose,
-        });
-        let believed = samples.iter().filter_map(|sample| {
-            Some(TimedPose {
-                stamp: sample.stamp,
-                pose: sample.odometry?,
-            })
-        });
+        let of_truth = samples.iter().map(|sample| TimedPose { stamp: sample.stamp, pose: sample.pose });
+        let believed =
+            samples.iter().filter_map(|sample| Some(TimedPose { stamp: sample.stamp, pose: sample.odometry? }));
         let odometry = Track::new(believed, LONGEST_GAP);
         Ok(Self {
             truth: Some(Track::new(of_truth, LONGEST_GAP)),

@@ -25,12 +25,7 @@ pub struct Learned {
 impl Learned {
     /// What a pipeline's filter has learned; `None` if it learns nothing, or nothing was observed.
     #[must_use]
-    pub fn of(
-        pipeline: &Pipeline,
-        run: &str,
-        robot: &RobotFile,
-        prior: &Calibration,
-    ) -> Option<Self> {
+    pub fn of(pipeline: &Pipeline, run: &str, robot: &RobotFile, prior: &Calibration) -> Option<Self> {
         pipeline.latest()?;
         Some(Self {
             run: run.to_owned(),
@@ -61,10 +56,7 @@ pub fn learned_table(runs: &[Learned]) -> String {
     let mut text = String::new();
     for learned in runs {
         for entry in CALIBRATION_KEYS {
-            let (before, after) = (
-                (entry.read)(&learned.prior),
-                (entry.read)(&learned.calibration),
-            );
+            let (before, after) = ((entry.read)(&learned.prior), (entry.read)(&learned.calibration));
             if before.sigma <= 0.0 {
                 continue;
             }
@@ -84,11 +76,8 @@ pub fn learned_table(runs: &[Learned]) -> String {
 /// # Errors
 /// The file cannot be written.
 pub fn save(path: &Path, learned: &Learned, provenance: &Provenance) -> Result<()> {
-    let calibrated = CalibratedRobot {
-        robot: learned.robot.clone(),
-        learned: learned.calibration,
-        provenance: provenance.clone(),
-    };
+    let calibrated =
+        CalibratedRobot { robot: learned.robot.clone(), learned: learned.calibration, provenance: provenance.clone() };
     std::fs::write(path, calibrated.to_toml()?)
         .with_context(|| format!("writing the calibration to `{}`", path.display()))
 }
@@ -104,10 +93,7 @@ mod tests {
         Learned {
             run: "robot4".to_owned(),
             robot: RobotFile::default(),
-            prior: Calibration {
-                track_scale: known(0.0, 0.1),
-                ..Calibration::default()
-            },
+            prior: Calibration { track_scale: known(0.0, 0.1), ..Calibration::default() },
             calibration: Calibration {
                 track_scale: known(0.1161, 0.0042),
                 radius_scale: known(0.0, 0.0),
@@ -129,10 +115,7 @@ mod tests {
         let file = RobotFile::default();
         let own = file.geometry().unwrap();
         assert_eq!(with_geometry(&file, own), file);
-        let described = DriveGeometry {
-            track_width: Meters(0.2),
-            ..own
-        };
+        let described = DriveGeometry { track_width: Meters(0.2), ..own };
         let used = with_geometry(&file, described);
         assert_eq!((used.track_width_m, used.name), (0.2, file.name));
     }

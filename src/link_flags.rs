@@ -8,16 +8,8 @@ use posebridge_link::Role;
 
 /// The flags, their roles, and what the help says of them.
 const FLAGS: [(&str, Role, &str); 2] = [
-    (
-        "link",
-        Role::Dial,
-        "Call this link; may be repeated, replaces the links of the configuration",
-    ),
-    (
-        "listen",
-        Role::Listen,
-        "Wait for a call on this link; may be repeated",
-    ),
+    ("link", Role::Dial, "Call this link; may be repeated, replaces the links of the configuration"),
+    ("listen", Role::Listen, "Wait for a call on this link; may be repeated"),
 ];
 
 /// One link, as it was asked for.
@@ -39,10 +31,7 @@ impl LinkFlags {
         for (name, role, _) in FLAGS {
             let urls = matches.get_many::<String>(name).unwrap_or_default();
             let places = matches.indices_of(name).into_iter().flatten();
-            let flags = urls.map(|url| LinkFlag {
-                url: url.clone(),
-                role,
-            });
+            let flags = urls.map(|url| LinkFlag { url: url.clone(), role });
             placed.extend(places.zip(flags));
         }
         placed.sort_by_key(|(place, _)| *place);
@@ -65,13 +54,11 @@ impl FromArgMatches for LinkFlags {
 
 impl Args for LinkFlags {
     fn augment_args(command: Command) -> Command {
-        command.args(FLAGS.map(|(name, _, help)| {
-            Arg::new(name)
-                .long(name)
-                .value_name("URL")
-                .action(ArgAction::Append)
-                .help(help)
-        }))
+        command.args(
+            FLAGS.map(|(name, _, help)| {
+                Arg::new(name).long(name).value_name("URL").action(ArgAction::Append).help(help)
+            }),
+        )
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -86,22 +73,11 @@ mod tests {
     #[test]
     fn links_stand_in_the_order_of_the_command_line() {
         let command = LinkFlags::augment_args(Command::new("run"));
-        let line = [
-            "run", "--listen", "a", "--link", "b", "--link", "c", "--listen", "d",
-        ];
+        let line = ["run", "--listen", "a", "--link", "b", "--link", "c", "--listen", "d"];
         let matches = command.try_get_matches_from(line).unwrap();
         let flags = LinkFlags::from_arg_matches(&matches).unwrap();
-        let order: Vec<(&str, Role)> = flags
-            .0
-            .iter()
-            .map(|flag| (flag.url.as_str(), flag.role))
-            .collect();
-        let expected = [
-            ("a", Role::Listen),
-            ("b", Role::Dial),
-            ("c", Role::Dial),
-            ("d", Role::Listen),
-        ];
+        let order: Vec<(&str, Role)> = flags.0.iter().map(|flag| (flag.url.as_str(), flag.role)).collect();
+        let expected = [("a", Role::Listen), ("b", Role::Dial), ("c", Role::Dial), ("d", Role::Listen)];
         assert_eq!(order, expected);
     }
 }

@@ -10,13 +10,11 @@ use posebridge_sim::impairment::LinkProfile;
 /// # Errors
 /// There is no such name or file, or the file makes no sense; the message names the file, the line and the key.
 pub fn load(name_or_file: &str) -> Result<LinkProfile> {
-    let is_file = Path::new(name_or_file)
-        .extension()
-        .is_some_and(|extension| extension == "toml");
+    let is_file = Path::new(name_or_file).extension().is_some_and(|extension| extension == "toml");
     if !is_file {
         return Ok(LinkProfile::bundled(name_or_file)?);
     }
-    let text = std::fs::read_to_string(name_or_file)
-        .with_context(|| format!("reading the link profile `{name_or_file}`"))?;
+    let text =
+        std::fs::read_to_string(name_or_file).with_context(|| format!("reading the link profile `{name_or_file}`"))?;
     LinkProfile::from_toml(&text).with_context(|| format!("`{name_or_file}`"))
 }

@@ -53,14 +53,10 @@ impl fmt::Display for LinkTarget {
 /// # Errors
 /// There is no such name or file, or the file makes no sense; the message names both and the key.
 pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
-    if Path::new(name_or_file)
-        .extension()
-        .is_none_or(|extension| extension != "toml")
-    {
+    if Path::new(name_or_file).extension().is_none_or(|extension| extension != "toml") {
         return Ok(Scenario::bundled(name_or_file)?);
     }
-    let text = std::fs::read_to_string(name_or_file)
-        .with_context(|| format!("reading scenario `{name_or_file}`"))?;
+    let text = std::fs::read_to_string(name_or_file).with_context(|| format!("reading scenario `{name_or_file}`"))?;
     // A way-points file lies beside its scenario unless its path says otherwise.
     let folder = Path::new(name_or_file).parent().unwrap_or(Path::new(""));
     let mut read = |path: &Path| std::fs::read_to_string(folder.join(path));

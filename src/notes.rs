@@ -41,17 +41,13 @@ impl Notes {
 
     /// Says what cannot be read; what is whole behind it is still worth replaying.
     pub fn add_damage(&mut self, error: &ReadError) {
-        self.add(format!(
-            "{error}; the replay is not that of the live run any more"
-        ));
+        self.add(format!("{error}; the replay is not that of the live run any more"));
     }
 
     /// Says where the recording was cut off, if it was.
     pub fn add_ending(&mut self, ending: &Ending) {
         if let Ending::Torn { offset, what } = ending {
-            self.add(format!(
-                "cut off at byte {offset} ({what}); everything before was replayed"
-            ));
+            self.add(format!("cut off at byte {offset} ({what}); everything before was replayed"));
         }
     }
 
@@ -59,8 +55,7 @@ impl Notes {
     #[must_use]
     pub fn finish(mut self) -> Vec<String> {
         if self.more > 0 {
-            self.told
-                .push(format!("{} more places are damaged", self.more));
+            self.told.push(format!("{} more places are damaged", self.more));
         }
         self.told
     }

@@ -7,8 +7,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::{Beginning, Ending, Reader};
 use posebridge_telemetry::{
-    BrickClock, ChannelName, Event, HostClock, Observation, Observed, Output, RobotId, SensorId,
-    Span, Stamp,
+    BrickClock, ChannelName, Event, HostClock, Observation, Observed, Output, RobotId, SensorId, Span, Stamp,
 };
 
 use crate::aligned::Aligned;
@@ -96,21 +95,11 @@ struct Heard {
 impl Heard {
     fn take(&mut self, event: &Event) {
         match *event {
-            Event::Observed {
-                arrival,
-                observation,
-                ..
-            } => {
+            Event::Observed { arrival, observation, .. } => {
                 self.observations.push(observation);
                 self.arrivals.push(arrival);
             }
-            Event::Temperature {
-                brick,
-                channel,
-                stamp,
-                shown,
-                ..
-            } => {
+            Event::Temperature { brick, channel, stamp, shown, .. } => {
                 let reading = Observation {
                     sensor: SensorId::THERMOMETER,
                     stamp,
@@ -159,10 +148,7 @@ impl Heard {
         let first = self.aligned.first()?;
         let converted = self.arrivals.iter().map(|arrival| {
             let after = self.aligned.partition_point(|one| one.host <= *arrival);
-            let by = after
-                .checked_sub(1)
-                .and_then(|index| self.aligned.get(index))
-                .unwrap_or(first);
+            let by = after.checked_sub(1).and_then(|index| self.aligned.get(index)).unwrap_or(first);
             by.brick_at(*arrival)
         });
         Some(converted.collect())
@@ -202,21 +188,13 @@ pub fn lack_of(beginning: &Beginning) -> Option<String> {
 /// sense.
 pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRun> {
     let name = path.display().to_string();
-    let station = Station {
-        config: None,
-        robot: overlay.robot,
-        settings: overlay.settings,
-    };
+    let station = Station { config: None, robot: overlay.robot, settings: overlay.settings };
     let (bytes, notes) = import::recording_bytes(path, station)?;
     for note in notes {
         say(&note);
     }
-    let mut reader = Reader::open(&bytes).with_context(|| {
-        format!(
-            "recording `{name}` ({} bytes): `posebridge run` writes recordings",
-            bytes.len()
-        )
-    })?;
+    let mut reader = Reader::open(&bytes)
+        .with_context(|| format!("recording `{name}` ({} bytes): `posebridge run` writes recordings", bytes.len()))?;
     if let Some(lack) = lack_of(reader.beginning()) {
         say(&format!("{name}: {lack}"));
     }
@@ -263,9 +241,7 @@ fn hear(name: &str, reader: &mut Reader<'_>, pipeline: &mut Pipeline) -> Heard {
         }
     }
     if let Ending::Torn { offset, what } = reader.ending() {
-        say(&format!(
-            "{name}: cut off at byte {offset} ({what}); everything before is used"
-        ));
+        say(&format!("{name}: cut off at byte {offset} ({what}); everything before is used"));
     }
     heard
 }
@@ -309,10 +285,7 @@ mod tests {
     }
 
     fn brick(system: u8) -> RobotId {
-        RobotId {
-            link: LinkId(0),
-            address: Address::new(system, 1),
-        }
+        RobotId { link: LinkId(0), address: Address::new(system, 1) }
     }
 
     #[test]

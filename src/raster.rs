@@ -62,11 +62,7 @@ fn drawn(svg: &str) -> Result<Vec<u8>> {
     let font = epaint_default_fonts::UBUNTU_LIGHT.to_vec();
     options.fontdb_mut().load_font_data(font);
     let tree = Tree::from_str(svg, &options).context("reading the SVG")?;
-    let size = tree
-        .size()
-        .to_int_size()
-        .scale_by(SCALE)
-        .context("it has no size")?;
+    let size = tree.size().to_int_size().scale_by(SCALE).context("it has no size")?;
     let mut pixels = Pixmap::new(size.width(), size.height()).context("it is too large")?;
     pixels.fill(Color::WHITE);
     let transform = Transform::from_scale(SCALE, SCALE);
@@ -90,11 +86,7 @@ mod tests {
         };
         let (blank, lettered) = (pixels(""), pixels("m"));
         assert_eq!((blank.width(), blank.height()), (80, 40));
-        let colour = |x, y| {
-            blank
-                .pixel(x, y)
-                .map(|pixel| (pixel.red(), pixel.green(), pixel.blue()))
-        };
+        let colour = |x, y| blank.pixel(x, y).map(|pixel| (pixel.red(), pixel.green(), pixel.blue()));
         assert_eq!(colour(10, 20), Some((255, 0, 0)));
         assert_eq!(colour(60, 20), Some((255, 255, 255)));
         assert_ne!(blank, lettered, "letters are drawn");

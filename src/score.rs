@@ -10,8 +10,8 @@ use posebridge_analysis::PoseError;
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::dataset::{Run, TruthPose, Withheld};
 use posebridge_telemetry::{
-    Arena, Body, BrickClock, Calibration, Estimate, Heading, Meters, Observed, Point2, Pose, Span,
-    Stamp, Tag, Transform2,
+    Arena, Body, BrickClock, Calibration, Estimate, Heading, Meters, Observed, Point2, Pose, Span, Stamp, Tag,
+    Transform2,
 };
 
 /// What an estimator is held against at one instant.
@@ -98,11 +98,7 @@ impl Scorer {
         Self {
             yardsticks,
             next,
-            delay: if is_learned {
-                Delay::Learned
-            } else {
-                Delay::None
-            },
+            delay: if is_learned { Delay::Learned } else { Delay::None },
             errors: Vec::new(),
             uncorrected: Vec::new(),
             pairs: Vec::new(),
@@ -110,17 +106,10 @@ impl Scorer {
     }
 
     /// After an observation was handled.
-    pub fn observed(
-        &mut self,
-        observed: &Observed,
-        stamp: Stamp<BrickClock>,
-        belief: &impl Belief,
-    ) {
+    pub fn observed(&mut self, observed: &Observed, stamp: Stamp<BrickClock>, belief: &impl Belief) {
         let is_motion = matches!(
             observed,
-            Observed::WheelAngles { .. }
-                | Observed::OdometerPose(_)
-                | Observed::BodyVelocity { .. }
+            Observed::WheelAngles { .. } | Observed::OdometerPose(_) | Observed::BodyVelocity { .. }
         );
         if is_motion {
             self.score_until(stamp, belief);
@@ -145,10 +134,7 @@ impl Scorer {
     fn score_until(&mut self, until: Stamp<BrickClock>, belief: &impl Belief) {
         let delay = self.learned_delay(belief);
         let true_at = |yardstick: &Yardstick| yardstick.stamp - delay.unwrap_or(Span::ZERO);
-        while let Some(yardstick) = self
-            .next
-            .filter(|next| next.stamp.max(true_at(next)) <= until)
-        {
+        while let Some(yardstick) = self.next.filter(|next| next.stamp.max(true_at(next)) <= until) {
             let scored_at = |stamp| {
                 let estimate = belief.estimate_at(stamp)?;
                 error(&estimate, &yardstick)
@@ -206,10 +192,7 @@ fn error(estimate: &Estimate, yardstick: &Yardstick) -> Option<(PoseError, Pair)
     let seen = (estimate.pose * yardstick.body_from_point).origin();
     let heading = yardstick.heading.unwrap_or_default();
     let truth = Pose::<Arena>::new(yardstick.position.x, yardstick.position.y, heading);
-    let of_point = Estimate {
-        pose: Pose::new(seen.x, seen.y, estimate.pose.heading),
-        ..*estimate
-    };
+    let of_point = Estimate { pose: Pose::new(seen.x, seen.y, estimate.pose.heading), ..*estimate };
     let mut error = PoseError::of_estimate(&of_point, truth);
     if yardstick.heading.is_none() {
         error.heading_rad = None;
@@ -217,22 +200,14 @@ fn error(estimate: &Estimate, yardstick: &Yardstick) -> Option<(PoseError, Pair)
     if !yardstick.is_truth || yardstick.heading.is_none() {
         error.covariance = None;
     }
-    let pair = Pair {
-        stamp: yardstick.stamp,
-        expected: truth,
-        believed: of_point.pose,
-    };
+    let pair = Pair { stamp: yardstick.stamp, expected: truth, believed: of_point.pose };
     Some((error, pair))
 }
 
 /// A point of the arena as the figures want it.
 #[must_use]
 pub fn pose_at(position: Point2<Arena>, heading: Option<Heading>) -> Pose<Arena> {
-    Pose::new(
-        Meters(position.x.0),
-        Meters(position.y.0),
-        heading.unwrap_or_default(),
-    )
+    Pose::new(Meters(position.x.0), Meters(position.y.0), heading.unwrap_or_default())
 }
 
 #[cfg(test)]
@@ -260,10 +235,7 @@ mod tests {
         }
         fn calibration(&self) -> Option<Calibration> {
             Some(Calibration {
-                fix_delay_s: Known {
-                    value: self.delay.as_secs_f64(),
-                    sigma: 0.01,
-                },
+                fix_delay_s: Known { value: self.delay.as_secs_f64(), sigma: 0.01 },
                 ..Calibration::default()
             })
         }
@@ -284,17 +256,11 @@ mod tests {
                 reset_counter: 0,
             },
         });
-        Run {
-            withheld: withheld.collect(),
-            ..Run::default()
-        }
+        Run { withheld: withheld.collect(), ..Run::default() }
     }
 
     fn prior(sigma: f64) -> Calibration {
-        Calibration {
-            fix_delay_s: Known { value: 0.0, sigma },
-            ..Calibration::default()
-        }
+        Calibration { fix_delay_s: Known { value: 0.0, sigma }, ..Calibration::default() }
     }
 
     fn drive(scorer: &mut Scorer, driver: &mut Driver, until_s: f64) {
@@ -304,17 +270,11 @@ mod tests {
     }
 
     fn driver(delay_s: f64) -> Driver {
-        Driver {
-            delay: Span::from_secs_f64(delay_s),
-            asked: Cell::new(Stamp::ZERO),
-            latest: Stamp::ZERO,
-        }
+        Driver { delay: Span::from_secs_f64(delay_s), asked: Cell::new(Stamp::ZERO), latest: Stamp::ZERO }
     }
 
     fn rms(errors: &[PoseError]) -> f64 {
-        posebridge_analysis::metrics::summarise(errors)
-            .position_rms_m
-            .unwrap()
+        posebridge_analysis::metrics::summarise(errors).position_rms_m.unwrap()
     }
 
     #[test]

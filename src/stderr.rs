@@ -59,19 +59,10 @@ impl Write for LogWriter {
 /// Lets lines go to a receiver instead, until [`give_back`].
 #[must_use]
 pub fn divert() -> Receiver<String> {
-    let route = if std::io::stderr().is_terminal() {
-        Route::Instead
-    } else {
-        Route::Beside
-    };
+    let route = if std::io::stderr().is_terminal() { Route::Instead } else { Route::Beside };
     let (sender, receiver) = sync_channel(WAITING);
     let mut diversion = DIVERSION.lock().unwrap_or_else(PoisonError::into_inner);
-    *diversion = Some(Diversion {
-        lines: sender,
-        kept: VecDeque::new(),
-        gone: 0,
-        route,
-    });
+    *diversion = Some(Diversion { lines: sender, kept: VecDeque::new(), gone: 0, route });
     receiver
 }
 

@@ -37,10 +37,7 @@ pub fn records(mut file: InputFile, mut take: impl FnMut(Record<'_, ()>)) -> Res
 ///
 /// # Errors
 /// As [`records`].
-pub fn first_records(
-    mut file: InputFile,
-    mut wants_more: impl FnMut(Record<'_, ()>) -> bool,
-) -> Result<()> {
+pub fn first_records(mut file: InputFile, mut wants_more: impl FnMut(Record<'_, ()>) -> bool) -> Result<()> {
     let mut reader = Reader::new();
     let mut is_wanted = true;
     file.chunks_while(|chunk| {
@@ -109,10 +106,8 @@ impl<W: Write> TrafficLog<W> {
         if self.heard.len() >= MOST_PEERS && !self.heard.contains_key(&key) {
             forget_most_silent(&mut self.heard);
         }
-        let heard = self.heard.entry(key).or_insert_with(|| Heard {
-            last: now,
-            scanner: Scanner::of_every_dialect(*config),
-        });
+        let heard =
+            self.heard.entry(key).or_insert_with(|| Heard { last: now, scanner: Scanner::of_every_dialect(*config) });
         heard.last = now;
         let (writer, frames) = (&mut self.writer, &mut self.frames);
         let mut written = Ok(());

@@ -24,10 +24,7 @@ const SECOND: Span = Span::from_millis(1_000);
 const WARNING: u8 = 4;
 /// A replay of the page shares memory and cores with a station that steers: more than 256 MiB, some hours of the bundled brick, are replayed
 /// by `posebridge replay`, or from a later part on.
-const ROOM: Room = Room {
-    most_bytes: 256 << 20,
-    beyond: Beyond::LeftOut,
-};
+const ROOM: Room = Room { most_bytes: 256 << 20, beyond: Beyond::LeftOut };
 
 /// Runs a recording through the engine and gathers what it shows. What is missing, damaged or cut off stands first in its log.
 ///
@@ -109,11 +106,7 @@ impl Showing {
     fn align(&mut self, now: Stamp<HostClock>, event: &Event) {
         self.exchanged = Aligned::of(event).or(self.exchanged);
         if let Event::Estimated { estimate, .. } = event {
-            self.heard = Some(Aligned {
-                host: now,
-                brick: estimate.stamp,
-                skew_ppm: 0.0,
-            });
+            self.heard = Some(Aligned { host: now, brick: estimate.stamp, skew_ppm: 0.0 });
         }
     }
 
@@ -138,8 +131,7 @@ impl Showing {
     }
 
     fn show_standing(&mut self) {
-        self.gatherer
-            .take_standing(&standing_of(&self.pipeline, None));
+        self.gatherer.take_standing(&standing_of(&self.pipeline, None));
     }
 
     fn history(mut self, notes: Notes, source: Address) -> Frame {
@@ -148,11 +140,7 @@ impl Showing {
         let mut history = self.gatherer.history();
         let mut noted = Gatherer::new(Vec::new());
         for text in notes.finish() {
-            let said = Event::Text {
-                source,
-                severity: WARNING,
-                text,
-            };
+            let said = Event::Text { source, severity: WARNING, text };
             noted.take(begun, &said);
         }
         history.log.splice(0..0, noted.history().log);
@@ -172,10 +160,7 @@ mod tests {
         let file = std::fs::File::create(&path).unwrap();
         file.set_len(ROOM.most_bytes + 1).unwrap();
         let refused = format!("{:#}", of(&path).unwrap_err());
-        assert!(
-            refused.contains("not begin with the MCAP magic"),
-            "{refused}"
-        );
+        assert!(refused.contains("not begin with the MCAP magic"), "{refused}");
         // One that begins like one is refused for its size.
         std::fs::write(&path, b"\x89MCAP0\r\n").unwrap();
         let file = std::fs::File::options().append(true).open(&path).unwrap();

@@ -11,8 +11,7 @@ use posebridge_telemetry::{Heading, Meters, Pose, Stamp};
 use crate::collect::LONGEST_GAP;
 
 /// The first line.
-const HEADER: &str =
-    "brick_micros,x_m,y_m,heading_rad,odometry_x_m,odometry_y_m,odometry_heading_rad,cross_track_m";
+const HEADER: &str = "brick_micros,x_m,y_m,heading_rad,odometry_x_m,odometry_y_m,odometry_heading_rad,cross_track_m";
 
 /// The truth as text.
 #[must_use]
@@ -43,8 +42,7 @@ pub fn write(samples: &[TruthSample]) -> String {
 /// It cannot be read, or as [`read`] says.
 pub fn open(path: &Path) -> Result<Track> {
     let name = path.display();
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("reading the truth `{name}`"))?;
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading the truth `{name}`"))?;
     read(&text).with_context(|| format!("truth `{name}`"))
 }
 
@@ -63,18 +61,11 @@ pub fn read(text: &str) -> Result<Track> {
         let fields: Vec<&str> = line.split(',').collect();
         let number = |column: usize| -> Result<f64> {
             let field = fields.get(column).copied().unwrap_or_default();
-            field
-                .trim()
-                .parse()
-                .with_context(|| format!("line {}: `{field}` is no number", index + 1))
+            field.trim().parse().with_context(|| format!("line {}: `{field}` is no number", index + 1))
         };
         samples.push(TimedPose {
             stamp: Stamp::from_micros(number(0)? as i64),
-            pose: Pose::new(
-                Meters(number(1)?),
-                Meters(number(2)?),
-                Heading::from_rad(number(3)?),
-            ),
+            pose: Pose::new(Meters(number(1)?), Meters(number(2)?), Heading::from_rad(number(3)?)),
         });
     }
     Ok(Track::new(samples, LONGEST_GAP))

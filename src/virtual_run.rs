@@ -7,13 +7,10 @@ use std::collections::VecDeque;
 
 use posebridge_pipeline::{BuildError, Pipeline, PipelineConfig};
 use posebridge_protocol::framing::Framing;
-use posebridge_sim::impairment::{
-    Counters, End, Fate, ImpairedLink, LinkEvent, LinkKind, LinkProfile, LogEntry,
-};
+use posebridge_sim::impairment::{Counters, End, Fate, ImpairedLink, LinkEvent, LinkKind, LinkProfile, LogEntry};
 use posebridge_sim::{Doer, Scenario, Simulation};
 use posebridge_telemetry::{
-    Command, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Request, SimulatorCommand,
-    Span, Stamp,
+    Command, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Request, SimulatorCommand, Span, Stamp,
 };
 
 use crate::collect::Collector;
@@ -100,10 +97,7 @@ pub fn run_over(
             LinkKind::Datagram => Framing::Datagram,
         };
     }
-    let profile = over
-        .profile
-        .clone()
-        .with_extra(over.extra_loss, over.extra_delay_ms);
+    let profile = over.profile.clone().with_extra(over.extra_loss, over.extra_delay_ms);
     let link = ImpairedLink::new(&profile, over.seed, Stamp::ZERO);
     run_on(scenario, config, link)
 }
@@ -134,28 +128,16 @@ pub struct Deeds<'a> {
 ///
 /// # Errors
 /// The pipeline cannot be built.
-pub fn run_with(
-    scenario: Scenario,
-    config: PipelineConfig,
-    deeds: Deeds<'_>,
-) -> Result<VirtualRun, BuildError> {
+pub fn run_with(scenario: Scenario, config: PipelineConfig, deeds: Deeds<'_>) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Stamp::ZERO);
-    let Deeds {
-        commands,
-        until,
-        look,
-    } = deeds;
+    let Deeds { commands, until, look } = deeds;
     let mut session = Session::new(scenario, config, link)?;
     session.commands = commands.iter().copied().collect();
     session.look = Some(look);
     Ok(session.drive(until))
 }
 
-fn run_on(
-    scenario: Scenario,
-    config: PipelineConfig,
-    link: ImpairedLink,
-) -> Result<VirtualRun, BuildError> {
+fn run_on(scenario: Scenario, config: PipelineConfig, link: ImpairedLink) -> Result<VirtualRun, BuildError> {
     Ok(Session::new(scenario, config, link)?.drive(LONGEST))
 }
 
@@ -202,23 +184,15 @@ impl Journeys {
             let Fate::Delivered { at } = entry.fate else {
                 continue;
             };
-            if let Ok(index) = self
-                .begun
-                .binary_search_by_key(&entry.unit, |begun| begun.0)
-            {
-                self.delays
-                    .extend(self.begun.get(index).map(|begun| at - begun.1));
+            if let Ok(index) = self.begun.binary_search_by_key(&entry.unit, |begun| begun.0) {
+                self.delays.extend(self.begun.get(index).map(|begun| at - begun.1));
             }
         }
     }
 }
 
 impl Session<'_> {
-    fn new(
-        scenario: Scenario,
-        config: PipelineConfig,
-        link: ImpairedLink,
-    ) -> Result<Self, BuildError> {
+    fn new(scenario: Scenario, config: PipelineConfig, link: ImpairedLink) -> Result<Self, BuildError> {
         let camera = config.links.get(1).map(|link| link.id);
         Ok(Self {
             id: config.links.first().map_or(LinkId(0), |link| link.id),
@@ -276,11 +250,7 @@ impl Session<'_> {
         while let Some(command) = self.asked_of_link.pop_front() {
             self.change_link(now, &command);
         }
-        if self
-            .unplugged_until
-            .take_if(|back| *back <= elapsed)
-            .is_some()
-        {
+        if self.unplugged_until.take_if(|back| *back <= elapsed).is_some() {
             self.simulation.reopen_link();
             self.tell(now, self.id, LinkState::Up);
         }
@@ -328,11 +298,7 @@ impl Session<'_> {
             self.give(now, &Input::Bytes { link, peer, bytes });
             self.pass_to(now);
         }
-        if self
-            .pipeline
-            .deadline()
-            .is_some_and(|deadline| deadline <= now)
-        {
+        if self.pipeline.deadline().is_some_and(|deadline| deadline <= now) {
             self.give(now, &Input::Tick);
             self.pass_to(now);
         }
@@ -353,14 +319,8 @@ impl Session<'_> {
         match event {
             LinkEvent::Arrived { end, delivery } => match end {
                 End::Brick => self.simulation.receive(&delivery.bytes),
-                End::Station => self.give(
-                    delivery.at,
-                    &Input::Bytes {
-                        link: self.id,
-                        peer: PeerId::default(),
-                        bytes: delivery.bytes,
-                    },
-                ),
+                End::Station => self
+                    .give(delivery.at, &Input::Bytes { link: self.id, peer: PeerId::default(), bytes: delivery.bytes }),
             },
             LinkEvent::Down { at } => {
                 self.outages += 1;
@@ -398,17 +358,13 @@ impl Session<'_> {
                     }
                     self.collector.take(&event);
                 }
-                Output::Request(Request::Simulator(command)) => {
-                    match self.simulation.carry_out(&command) {
-                        Doer::World => {}
-                        Doer::Link => self.asked_of_link.push_back(command),
-                    }
-                }
+                Output::Request(Request::Simulator(command)) => match self.simulation.carry_out(&command) {
+                    Doer::World => {}
+                    Doer::Link => self.asked_of_link.push_back(command),
+                },
                 // There is no file to write.
                 Output::Request(
-                    Request::SaveParameters { .. }
-                    | Request::StartRecording { .. }
-                    | Request::StopRecording,
+                    Request::SaveParameters { .. } | Request::StartRecording { .. } | Request::StopRecording,
                 ) => {}
             }
         }

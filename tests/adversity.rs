@@ -32,10 +32,7 @@ fn a_player_that_calls_over_udp_is_heard_by_a_station_that_waits() {
     );
     player.output();
     let tables = station.output();
-    let wheels = tables
-        .lines()
-        .find(|line| line.starts_with("wheels"))
-        .expect("the wheels are in the table");
+    let wheels = tables.lines().find(|line| line.starts_with("wheels")).expect("the wheels are in the table");
     let used: usize = wheels.split_whitespace().nth(2).unwrap().parse().unwrap();
     assert!(used > 2_000, "{tables}");
 }
@@ -43,13 +40,8 @@ fn a_player_that_calls_over_udp_is_heard_by_a_station_that_waits() {
 #[test]
 fn another_client_of_our_tcp_server_does_not_mute_the_brick() {
     let folder = tempfile::tempdir().unwrap();
-    let mut station = Running::start(posebridge(folder.path()).args([
-        "run",
-        "--listen",
-        "tcp://127.0.0.1:0",
-        "--out",
-        "run",
-    ]));
+    let mut station =
+        Running::start(posebridge(folder.path()).args(["run", "--listen", "tcp://127.0.0.1:0", "--out", "run"]));
     let address = station.listening_address("");
     let link = format!("tcp://{address}");
     let _brick = Running::start(posebridge(folder.path()).args(["sim", "circle", "--link", &link]));
@@ -73,25 +65,14 @@ fn a_terminal_that_is_gone_does_not_stop_a_run() {
         .output()
         .unwrap();
     assert!(output.status.success(), "{:?}", output.status);
-    assert!(
-        String::from_utf8_lossy(&output.stdout).contains("estimate"),
-        "the table is there"
-    );
+    assert!(String::from_utf8_lossy(&output.stdout).contains("estimate"), "the table is there");
 }
 
 #[test]
 fn an_event_file_on_a_full_disk_is_named_and_the_exit_code_is_one() {
     let folder = tempfile::tempdir().unwrap();
     let output = posebridge(folder.path())
-        .args([
-            "run",
-            "--duration",
-            "3",
-            "--out",
-            "run",
-            "--events",
-            "/dev/full",
-        ])
+        .args(["run", "--duration", "3", "--out", "run", "--events", "/dev/full"])
         .output()
         .unwrap();
     assert_eq!(output.status.code(), Some(1));
@@ -113,11 +94,7 @@ name = "one"
 "#;
     let descriptor = [descriptor, WHEELS_CSV].concat();
     std::fs::write(folder.path().join("short.toml"), descriptor).unwrap();
-    std::fs::write(
-        folder.path().join("wheels.csv"),
-        "t_s,left,right\n0,0,0\n0.1,9,9\n",
-    )
-    .unwrap();
+    std::fs::write(folder.path().join("wheels.csv"), "t_s,left,right\n0,0,0\n0.1,9,9\n").unwrap();
     let replay = |events: &str| {
         posebridge(folder.path())
             .args(["replay", "short.toml", "--filter", "odometry", "--events"])
@@ -138,16 +115,10 @@ fn a_recording_that_is_there_is_never_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("run")).unwrap();
     std::fs::write(folder.path().join("run/recording.mcap"), b"precious").unwrap();
-    let output = posebridge(folder.path())
-        .args(["run", "--duration", "1", "--out", "run"])
-        .output()
-        .unwrap();
+    let output = posebridge(folder.path()).args(["run", "--duration", "1", "--out", "run"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("run/recording.mcap"));
-    assert_eq!(
-        std::fs::read(folder.path().join("run/recording.mcap")).unwrap(),
-        b"precious"
-    );
+    assert_eq!(std::fs::read(folder.path().join("run/recording.mcap")).unwrap(), b"precious");
 }
 
 #[test]
@@ -156,11 +127,7 @@ fn way_points_lie_in_a_file_beside_their_scenario_and_folders_may_have_any_name(
     std::fs::create_dir(folder.path().join("worlds")).unwrap();
     let scenario = "seed = 1\nsteering = \"estimate\"\n[path.waypoints]\nfile = \"triangle.csv\"\n";
     std::fs::write(folder.path().join("worlds/triangle.toml"), scenario).unwrap();
-    std::fs::write(
-        folder.path().join("worlds/triangle.csv"),
-        "x_m,y_m\n0,0\n0.5,0\n0.25,0.3\n",
-    )
-    .unwrap();
+    std::fs::write(folder.path().join("worlds/triangle.csv"), "x_m,y_m\n0,0\n0.5,0\n0.25,0.3\n").unwrap();
     stdout_of(posebridge(folder.path()).args([
         "run",
         "--link",
@@ -172,16 +139,10 @@ fn way_points_lie_in_a_file_beside_their_scenario_and_folders_may_have_any_name(
     ]));
     assert!(folder.path().join("what?&now/track.svg").exists());
     std::fs::write(folder.path().join("worlds/triangle.csv"), "0,0\n0.5,zero\n").unwrap();
-    let output = posebridge(folder.path())
-        .args(["run", "--link", "sim://worlds/triangle.toml"])
-        .output()
-        .unwrap();
+    let output = posebridge(folder.path()).args(["run", "--link", "sim://worlds/triangle.toml"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        said.contains("triangle.csv") && said.contains("line 2"),
-        "{said}"
-    );
+    assert!(said.contains("triangle.csv") && said.contains("line 2"), "{said}");
 }
 
 #[test]

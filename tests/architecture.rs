@@ -42,42 +42,14 @@ const LAYERS: &[Layer] = &[
     pure("estimator", &["telemetry"]),
     pure("recording", &["telemetry"]),
     pure("pipeline", &["telemetry", "protocol", "estimator"]),
-    pure(
-        "analysis",
-        &["telemetry", "estimator", "pipeline", "recording"],
-    ),
+    pure("analysis", &["telemetry", "estimator", "pipeline", "recording"]),
     // Never estimator or pipeline: nobody marks their own exam.
     pure("sim", &["telemetry", "protocol", "brick"]),
     io("link", &["telemetry"]),
     io("dashboard", &["telemetry", "recording"]),
     // Tests of the others; nobody may name it.
-    io(
-        "fuzz-bodies",
-        &[
-            "telemetry",
-            "brick",
-            "protocol",
-            "recording",
-            "link",
-            "sim",
-            "dashboard",
-            ROOT,
-        ],
-    ),
-    io(
-        ROOT,
-        &[
-            "telemetry",
-            "protocol",
-            "estimator",
-            "recording",
-            "pipeline",
-            "analysis",
-            "sim",
-            "link",
-            "dashboard",
-        ],
-    ),
+    io("fuzz-bodies", &["telemetry", "brick", "protocol", "recording", "link", "sim", "dashboard", ROOT]),
+    io(ROOT, &["telemetry", "protocol", "estimator", "recording", "pipeline", "analysis", "sim", "link", "dashboard"]),
 ];
 
 /// The package at the top of the workspace.
@@ -105,28 +77,14 @@ const IO_CRATES: &[&str] = &[
 const SYSTEM_CRATES: &[&str] = &["libudev-sys", "libdbus-sys", "openssl-sys", "bindgen"];
 
 /// Paths that reach the clock or the world, each as it is written where it is used.
-const IMPURE_PATHS: &[&str] = &[
-    "Instant::now",
-    "SystemTime::now",
-    "thread::",
-    "net::",
-    "fs::",
-];
+const IMPURE_PATHS: &[&str] = &["Instant::now", "SystemTime::now", "thread::", "net::", "fs::"];
 
 const fn pure(name: &'static str, may_name: &'static [&'static str]) -> Layer {
-    Layer {
-        name,
-        kind: Kind::Pure,
-        may_name,
-    }
+    Layer { name, kind: Kind::Pure, may_name }
 }
 
 const fn io(name: &'static str, may_name: &'static [&'static str]) -> Layer {
-    Layer {
-        name,
-        kind: Kind::Io,
-        may_name,
-    }
+    Layer { name, kind: Kind::Io, may_name }
 }
 
 #[test]
@@ -136,19 +94,14 @@ fn every_crate_names_only_what_its_row_allows() {
     let mut violations = Vec::new();
     for (name, package) in &members {
         let Some(layer) = layer(name) else {
-            violations.push(format!(
-                "{name} has no row in LAYERS: add one there and in ARCHITECTURE.md"
-            ));
+            violations.push(format!("{name} has no row in LAYERS: add one there and in ARCHITECTURE.md"));
             continue;
         };
         for dependency in &package.dependencies {
             let named = short(&dependency.name);
             let is_ours = members.contains_key(named);
             if is_ours && binds(layer, dependency) && !layer.may_name.contains(&named) {
-                violations.push(format!(
-                    "{name} names {named}, but may name only [{}]",
-                    layer.may_name.join(", ")
-                ));
+                violations.push(format!("{name} names {named}, but may name only [{}]", layer.may_name.join(", ")));
             }
         }
     }
@@ -164,10 +117,8 @@ fn only_io_crates_name_a_runtime_a_socket_or_a_port() {
         for dependency in &package.dependencies {
             let is_io = IO_CRATES.contains(&dependency.name.as_str());
             if is_pure && is_io && dependency.kind == DependencyKind::Normal {
-                violations.push(format!(
-                    "{name} is pure but depends on {}: hand it bytes and time instead",
-                    dependency.name
-                ));
+                violations
+                    .push(format!("{name} is pure but depends on {}: hand it bytes and time instead", dependency.name));
             }
         }
     }
@@ -189,9 +140,7 @@ fn pure_sources_touch_neither_clock_nor_world() {
             for (line, path) in impure_lines(&read(&file)) {
                 violations.push(format!(
                     "{name} is pure but {}:{line} says `{path}`: take time and bytes as arguments",
-                    file.strip_prefix(&metadata.workspace_root)
-                        .unwrap_or(&file)
-                        .display()
+                    file.strip_prefix(&metadata.workspace_root).unwrap_or(&file).display()
                 ));
             }
         }
@@ -218,10 +167,7 @@ fn the_default_build_needs_no_system_library() {
     let complaint = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "cargo tree failed: {complaint}");
     let tree = String::from_utf8_lossy(&output.stdout);
-    let names: Vec<&str> = tree
-        .lines()
-        .filter_map(|line| line.split(' ').next())
-        .collect();
+    let names: Vec<&str> = tree.lines().filter_map(|line| line.split(' ').next()).collect();
     assert!(names.contains(&ROOT), "cargo tree shows no {ROOT}:\n{tree}");
     let violations: Vec<String> = SYSTEM_CRATES
         .iter()
@@ -239,9 +185,7 @@ fn the_architecture_page_has_the_row_of_every_crate() {
     for layer in members(&metadata).keys().filter_map(|name| layer(name)) {
         let row = page_row(layer);
         if !page.lines().any(|line| line.starts_with(&row)) {
-            violations.push(format!(
-                "ARCHITECTURE.md has no line that starts with `{row}`"
-            ));
+            violations.push(format!("ARCHITECTURE.md has no line that starts with `{row}`"));
         }
     }
     assert_none(&violations);
@@ -281,10 +225,7 @@ fn workspace() -> Metadata {
 fn members(metadata: &Metadata) -> BTreeMap<&str, &Package> {
     let packages = metadata.workspace_packages();
     assert!(packages.len() > 1, "the workspace has no members");
-    packages
-        .into_iter()
-        .map(|package| (short(&package.name), package))
-        .collect()
+    packages.into_iter().map(|package| (short(&package.name), package)).collect()
 }
 
 /// A package's name as the table writes it.
@@ -299,10 +240,8 @@ fn layer(name: &str) -> Option<&'static Layer> {
 /// Lines, counted from 1, whose code names an impure path. Unit tests stand last in a file and are left out.
 fn impure_lines(source: &str) -> Vec<(usize, &'static str)> {
     let lines: Vec<&str> = source.lines().map(str::trim).collect();
-    let end = lines
-        .windows(2)
-        .position(|pair| pair[0] == "#[cfg(test)]" && pair[1].ends_with('{'))
-        .unwrap_or(lines.len());
+    let end =
+        lines.windows(2).position(|pair| pair[0] == "#[cfg(test)]" && pair[1].ends_with('{')).unwrap_or(lines.len());
     let mut found = Vec::new();
     for (index, line) in lines[..end].iter().enumerate() {
         let is_code = !line.starts_with("//");
@@ -332,8 +271,7 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
             let path = entry.expect("a source folder can be listed").path();
             if path.is_dir() {
                 folders.push(path);
-            } else if path.extension().is_some_and(|end| end == "rs") && !path.ends_with("tests.rs")
-            {
+            } else if path.extension().is_some_and(|end| end == "rs") && !path.ends_with("tests.rs") {
                 files.push(path);
             }
         }

@@ -1,8 +1,5 @@
 //! What `calibrate rest` and `identify rest` make of the same robot at rest, whose noise is known: the same, or a refusal.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -41,30 +38,11 @@ fn write(folder: &Path, rows: &[Row]) {
         writeln!(table, "{at_s},{counts},{counts},{rate}").unwrap();
     }
     std::fs::write(folder.join("wheels.csv"), table).unwrap();
-    std::fs::write(
-        folder.join("rest.toml"),
-        GYRO_BESIDE_WHEELS.to_owned() + WHEELS_CSV,
-    )
-    .unwrap();
+    std::fs::write(folder.join("rest.toml"), GYRO_BESIDE_WHEELS.to_owned() + WHEELS_CSV).unwrap();
 }
 
-const CALIBRATE: [&str; 7] = [
-    "calibrate",
-    "rest",
-    "rest.toml",
-    "--data",
-    ".",
-    "--save",
-    "robot.toml",
-];
-const IDENTIFY: [&str; 6] = [
-    "identify",
-    "rest",
-    "--recording",
-    "rest.toml",
-    "--data",
-    ".",
-];
+const CALIBRATE: [&str; 7] = ["calibrate", "rest", "rest.toml", "--data", ".", "--save", "robot.toml"];
+const IDENTIFY: [&str; 6] = ["identify", "rest", "--recording", "rest.toml", "--data", "."];
 
 fn found(folder: &Path, args: &[&str]) -> Value {
     serde_json::from_str(&stdout_of(posebridge(folder).args(args).arg("--json"))).unwrap()
@@ -80,17 +58,12 @@ fn refusal(folder: &Path, args: &[&str]) -> (i32, String) {
 fn quantity(found: &Value, name: &str) -> Option<[f64; 2]> {
     let quantities = found["quantities"].as_array().unwrap();
     let one = quantities.iter().find(|one| one["name"] == name).unwrap();
-    Some([
-        one["value"].as_f64()?,
-        one["sigma"].as_f64().unwrap_or(f64::NAN),
-    ])
+    Some([one["value"].as_f64()?, one["sigma"].as_f64().unwrap_or(f64::NAN)])
 }
 
 fn has_note(found: &Value, wanted: &str) -> bool {
     let notes = found["notes"].as_array().unwrap().iter();
-    notes
-        .filter_map(Value::as_str)
-        .any(|note| note.contains(wanted))
+    notes.filter_map(Value::as_str).any(|note| note.contains(wanted))
 }
 
 #[test]
@@ -100,15 +73,10 @@ fn a_coarse_gyro_has_one_noise_and_its_rounding_is_counted_once() {
     write(folder, &standing(rounding(1)));
     let calibrated = found(folder, &CALIBRATE);
     let identified = found(folder, &IDENTIFY);
-    let saved = RobotProfile::read(&folder.join("robot.toml"))
-        .unwrap()
-        .robot;
+    let saved = RobotProfile::read(&folder.join("robot.toml")).unwrap().robot;
     let [noise, sigma] = quantity(&identified, "gyro_rad_per_s").unwrap();
     let truth = 0.45_f64.to_radians();
-    println!(
-        "noise {noise} +- {sigma}, true {truth}; saved {:?}",
-        saved.noise
-    );
+    println!("noise {noise} +- {sigma}, true {truth}; saved {:?}", saved.noise);
     assert!((noise - truth).abs() < 4.0 * sigma, "{noise} {sigma}");
     assert!(sigma < 0.02 * truth, "{sigma}");
     assert_eq!(saved.noise.gyro_rad_per_s, noise);
@@ -117,16 +85,10 @@ fn a_coarse_gyro_has_one_noise_and_its_rounding_is_counted_once() {
     assert!((step.to_degrees() - 1.0).abs() < 1e-6, "{step}");
     assert_eq!(saved.noise.gyro_resolution_rad_per_s, step);
     // A bias that does not walk leaves the walk that the robot had.
-    assert_eq!(
-        quantity(&identified, "gyro_bias_walk_rad_per_s_sqrt_s"),
-        None
-    );
+    assert_eq!(quantity(&identified, "gyro_bias_walk_rad_per_s_sqrt_s"), None);
     assert!(calibrated["channels"][0]["walk_per_sqrt_s"].is_null());
     let usual = posebridge::config::RobotNoise::default();
-    assert_eq!(
-        saved.noise.gyro_bias_walk_rad_per_s_sqrt_s,
-        usual.gyro_bias_walk_rad_per_s_sqrt_s
-    );
+    assert_eq!(saved.noise.gyro_bias_walk_rad_per_s_sqrt_s, usual.gyro_bias_walk_rad_per_s_sqrt_s);
     let bias = saved.calibration.gyro_bias_rad_per_s.unwrap();
     assert!((bias.value.to_degrees() - 0.3).abs() < 0.02, "{bias:?}");
 }
@@ -138,10 +100,7 @@ fn a_gyro_that_never_changes_is_not_a_perfect_one() {
     write(folder, &standing(|_| 3.0_f64.to_radians()));
     for args in [&CALIBRATE[..], &IDENTIFY] {
         let (code, said) = refusal(folder, args);
-        assert!(
-            code == 1 && said.contains("every sample is the same"),
-            "{said}"
-        );
+        assert!(code == 1 && said.contains("every sample is the same"), "{said}");
     }
     assert!(!folder.join("robot.toml").exists());
 }
@@ -160,10 +119,7 @@ fn a_robot_that_drives_does_not_rest() {
     let identified = found(folder, &IDENTIFY);
     let [bias, sigma] = quantity(&identified, "bias, mean over the rest").unwrap();
     assert!((bias.to_degrees() - 0.3).abs() < 0.05 && sigma < 0.01);
-    assert!(
-        has_note(&identified, "6009 more lie outside of rest"),
-        "{identified}"
-    );
+    assert!(has_note(&identified, "6009 more lie outside of rest"), "{identified}");
     let driven = [&IDENTIFY[..], &["--from", "310"]].concat();
     let (code, said) = refusal(folder, &driven);
     assert!(code == 1 && said.contains("never stood"), "{said}");

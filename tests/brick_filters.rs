@@ -1,24 +1,17 @@
 //! The filters for a brick, brick/filters/: compiled by the system's C compiler, held step by step against those of the station.
 //!
 //! Every quantity must agree to 1e-9 of the largest value that it takes in the drive. What single precision costs is printed.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use posebridge_analysis::square::{
-    Method, Sense, SensorRow, SensorTable, corrected, parse, printed, swapped, write,
-};
+use posebridge_analysis::square::{Method, Sense, SensorRow, SensorTable, corrected, parse, printed, swapped, write};
 use posebridge_estimator::{FilterConfig, Params, StartPose, filter_named};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{
-    Calibration, DriveGeometry, Heading, Known, Meters, Pose, Radians, SensorNoise,
-};
+use posebridge_telemetry::{Calibration, DriveGeometry, Heading, Known, Meters, Pose, Radians, SensorNoise};
 
 use support::{posebridge, root, stdout_of};
 
@@ -52,10 +45,7 @@ fn config() -> FilterConfig {
         }),
         params: Params::default(),
         calibration: Calibration {
-            gyro_bias_rad_per_s: Known {
-                value: 0.002,
-                sigma: 0.003,
-            },
+            gyro_bias_rad_per_s: Known { value: 0.002, sigma: 0.003 },
             ..Calibration::default()
         },
         world: std::sync::Arc::default(),
@@ -85,15 +75,9 @@ fn settings(config: &FilterConfig) -> Vec<String> {
         ("gyro_resolution_rad_s", noise.gyro_resolution_rad_per_s),
         ("bias_rad_s", bias.value),
         ("bias_sigma_rad_s", bias.sigma),
-        (
-            "bias_walk_rad_s_sqrt_s",
-            noise.gyro_bias_walk_rad_per_s_sqrt_s,
-        ),
+        ("bias_walk_rad_s_sqrt_s", noise.gyro_bias_walk_rad_per_s_sqrt_s),
         ("accel_m_s2", config.params.acceleration_m_per_s2),
-        (
-            "turn_accel_rad_s2",
-            config.params.turn_acceleration_rad_per_s2,
-        ),
+        ("turn_accel_rad_s2", config.params.turn_acceleration_rad_per_s2),
         ("accelerometer_m_s2", noise.accelerometer_m_per_s2),
     ]
     .map(|(name, value)| format!("{name}={value}"))
@@ -105,26 +89,14 @@ fn compiled(folder: &Path, real: &str) -> PathBuf {
     let program = folder.join(format!("replay-{real}"));
     let sources = root().join("brick/filters");
     let compiler = ["cc", "gcc", "clang"].into_iter().find(|name| {
-        let found = Command::new(name)
-            .arg("--version")
-            .stdout(Stdio::null())
-            .status();
+        let found = Command::new(name).arg("--version").stdout(Stdio::null()).status();
         found.is_ok_and(|status| status.success())
     });
     let Some(compiler) = compiler else {
-        panic!(
-            "there is no C compiler: none of cc, gcc, clang starts; install gcc to check brick/filters"
-        );
+        panic!("there is no C compiler: none of cc, gcc, clang starts; install gcc to check brick/filters");
     };
     let output = Command::new(compiler)
-        .args([
-            "-std=c99",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-pedantic",
-            "-O1",
-        ])
+        .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"])
         .arg(format!("-DPB_REAL={real}"))
         .args(["replay.c", "posebridge_filters.c", "-lm", "-o"])
         .arg(&program)
@@ -138,11 +110,7 @@ fn compiled(folder: &Path, real: &str) -> PathBuf {
 
 fn run(program: &Path, file: &Path, settings: &[String]) -> Output {
     let input = std::fs::File::open(file).unwrap();
-    Command::new(program)
-        .args(settings)
-        .stdin(input)
-        .output()
-        .unwrap()
+    Command::new(program).args(settings).stdin(input).output().unwrap()
 }
 
 /// What the program printed: of each row, of each name, its numbers.
@@ -180,10 +148,7 @@ fn expected(table: &SensorTable, config: &FilterConfig) -> Vec<(&'static str, Ve
         ("ekf5 swapped", of(swapped(), 3)),
         ("ekf5-corrected", of(corrected(), 3)),
         ("P of ekf5", variances(table, config, "ekf5")),
-        (
-            "P of ekf5-corrected",
-            variances(table, config, "ekf5-corrected"),
-        ),
+        ("P of ekf5-corrected", variances(table, config, "ekf5-corrected")),
     ]
 }
 
@@ -201,37 +166,23 @@ fn variances(table: &SensorTable, config: &FilterConfig, name: &str) -> Vec<Vec<
 }
 
 /// The largest difference of each name's quantities over the drive, as a share of their largest value.
-fn worst(
-    found: &[Vec<(String, Vec<f64>)>],
-    table: &SensorTable,
-    config: &FilterConfig,
-) -> Vec<(String, f64)> {
+fn worst(found: &[Vec<(String, Vec<f64>)>], table: &SensorTable, config: &FilterConfig) -> Vec<(String, f64)> {
     let all = expected(table, config);
     let mut worst = Vec::new();
     for (place, (name, rows)) in all.iter().enumerate() {
         assert_eq!(rows.len(), found.len());
         for quantity in 0..5 {
-            let largest = rows
-                .iter()
-                .map(|row| row[quantity].abs())
-                .fold(0.0, f64::max);
+            let largest = rows.iter().map(|row| row[quantity].abs()).fold(0.0, f64::max);
             let differences = rows.iter().zip(found).map(|(row, found)| {
                 let (found_name, numbers) = &found[place];
                 assert_eq!(found_name, name);
                 let difference = numbers[quantity] - row[quantity];
                 let is_heading = quantity == 2 && !name.starts_with('P');
-                let difference = if is_heading {
-                    wrap_rad(difference)
-                } else {
-                    difference
-                };
+                let difference = if is_heading { wrap_rad(difference) } else { difference };
                 assert!(difference.is_finite(), "{name} {quantity}");
                 difference.abs()
             });
-            worst.push((
-                format!("{name} {quantity}"),
-                differences.fold(0.0, f64::max) / largest,
-            ));
+            worst.push((format!("{name} {quantity}"), differences.fold(0.0, f64::max) / largest));
         }
     }
     worst
@@ -239,15 +190,7 @@ fn worst(
 
 /// A simulated drive, exported by the program itself.
 fn exported(folder: &Path) -> PathBuf {
-    let args = [
-        "lab",
-        "nxt-square",
-        "--runs",
-        "1",
-        "--export",
-        "drive.csv",
-        "--json",
-    ];
+    let args = ["lab", "nxt-square", "--runs", "1", "--export", "drive.csv", "--json"];
     stdout_of(posebridge(folder).args(args));
     folder.join("drive.csv")
 }
@@ -267,10 +210,7 @@ fn uneven(folder: &Path) -> PathBuf {
             truth: None,
         }
     });
-    let table = SensorTable {
-        rows: rows.collect(),
-        ..SensorTable::default()
-    };
+    let table = SensorTable { rows: rows.collect(), ..SensorTable::default() };
     let path = folder.join("uneven.csv");
     std::fs::write(&path, write(&table, "made by a test")).unwrap();
     path
@@ -296,15 +236,10 @@ fn in_double_precision_every_step_is_that_of_the_station() {
 #[test]
 fn single_precision_costs_less_than_a_millimetre_and_a_tenth_of_a_degree() {
     let folder = tempfile::tempdir().unwrap();
-    let (double, float) = (
-        compiled(folder.path(), "double"),
-        compiled(folder.path(), "float"),
-    );
+    let (double, float) = (compiled(folder.path(), "double"), compiled(folder.path(), "float"));
     let file = exported(folder.path());
     let settings = settings(&config());
-    let rows = beliefs(&double, &file, &settings)
-        .into_iter()
-        .zip(beliefs(&float, &file, &settings));
+    let rows = beliefs(&double, &file, &settings).into_iter().zip(beliefs(&float, &file, &settings));
     let mut costs: Vec<(String, f64, f64)> = Vec::new();
     for (exact, rounded) in rows {
         for (index, ((name, one), (_, other))) in exact.iter().zip(&rounded).take(7).enumerate() {
@@ -320,10 +255,7 @@ fn single_precision_costs_less_than_a_millimetre_and_a_tenth_of_a_degree() {
     assert_eq!(costs.len(), 7);
     for (name, position_m, heading_rad) in costs {
         let heading_deg = heading_rad.to_degrees();
-        println!(
-            "{name}: float costs {:.4} mm, {heading_deg:.6} degrees",
-            1e3 * position_m
-        );
+        println!("{name}: float costs {:.4} mm, {heading_deg:.6} degrees", 1e3 * position_m);
         assert!(position_m < 1e-3 && heading_deg < 0.1, "{name}");
         assert!(position_m > 0.0, "{name}: this is no single precision");
     }
@@ -334,22 +266,10 @@ fn what_no_filter_can_use_is_refused_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let program = compiled(folder.path(), "double");
     let cases = [
-        (
-            "time_s,left_counts\n0,1\n",
-            "there is no column `right_counts`",
-        ),
-        (
-            "time_s,left_counts,right_counts\n0,0,0\n0,1,1\n",
-            "a filter refused the row of time `0`",
-        ),
-        (
-            "time_s,left_counts,right_counts\n0,0,0\n0.4,1,1\n",
-            "a filter refused the row of time `0.4`",
-        ),
-        (
-            "time_s,left_counts,right_counts\n0,0,0\n0.05,nan,1\n",
-            "no number in the row of time `0.05`",
-        ),
+        ("time_s,left_counts\n0,1\n", "there is no column `right_counts`"),
+        ("time_s,left_counts,right_counts\n0,0,0\n0,1,1\n", "a filter refused the row of time `0`"),
+        ("time_s,left_counts,right_counts\n0,0,0\n0.4,1,1\n", "a filter refused the row of time `0.4`"),
+        ("time_s,left_counts,right_counts\n0,0,0\n0.05,nan,1\n", "no number in the row of time `0.05`"),
         ("", "there is no line with"),
     ];
     for (text, reason) in cases {
@@ -360,10 +280,6 @@ fn what_no_filter_can_use_is_refused_with_a_reason() {
         assert_eq!(output.status.code(), Some(2), "{text}");
         assert!(said.contains(reason), "{text}: {said}");
     }
-    let output = run(
-        &program,
-        &folder.path().join("wrong.csv"),
-        &["trakc_m=1".to_owned()],
-    );
+    let output = run(&program, &folder.path().join("wrong.csv"), &["trakc_m=1".to_owned()]);
     assert!(String::from_utf8_lossy(&output.stderr).contains("`trakc_m=1`"));
 }

@@ -1,12 +1,7 @@
 //! Every protocol that the simulated brick speaks, through one body: a square with a camera at 5 Hz, in virtual time.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
-use posebridge::config::{
-    Config, Ev3Section, LinkSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
-};
+use posebridge::config::{Config, Ev3Section, LinkSection, NxtSection, NxtSensorKind, NxtSensorSection, Place};
 use posebridge::report::run::{Truth, errors};
 use posebridge::virtual_run::{self, VirtualLink, VirtualRun};
 use posebridge_sim::impairment::LinkProfile;
@@ -18,14 +13,8 @@ use posebridge_telemetry::{SensorId, Span};
 const STALLS: &str = "kind = \"stream\"\n[to_brick]\n[to_station]\nstalls = [{ probability = 0.0017, from_ms = 2000.0, to_ms = 2000.0 }]\n";
 
 fn square(brick: &str, laps: u32, seed: u64) -> Scenario {
-    let text = format!(
-        "[path.square]\nside_m = 1.0\n[camera]\nrate_hz = 5.0\n[brick]\npersonality = \"{brick}\"\n"
-    );
-    Scenario::from_toml(&text)
-        .unwrap()
-        .with_laps(laps)
-        .with_seed(seed)
-        .with_steering(Steering::Estimate)
+    let text = format!("[path.square]\nside_m = 1.0\n[camera]\nrate_hz = 5.0\n[brick]\npersonality = \"{brick}\"\n");
+    Scenario::from_toml(&text).unwrap().with_laps(laps).with_seed(seed).with_steering(Steering::Estimate)
 }
 
 /// A station for the brick, and for its camera where that has a link of its own.
@@ -122,35 +111,22 @@ fn input_values(ports: &[u8]) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn an_nxt_tells_its_whole_state_fourteen_times_a_second_and_three_times_as_often_as_by_single_commands()
- {
+fn an_nxt_tells_its_whole_state_fourteen_times_a_second_and_three_times_as_often_as_by_single_commands() {
     let drive = |laps| driven("nxt", laps, 3, &VirtualLink::default());
     // What connecting costs drops out.
     let (one, three) = (drive(1), drive(3));
     let seconds = (three.simulation.elapsed() - one.simulation.elapsed()).as_secs_f64();
-    let rates = [SensorId::WHEELS, SensorId::GYRO]
-        .map(|sensor| (used(&three, sensor) - used(&one, sensor)) / seconds);
+    let rates = [SensorId::WHEELS, SensorId::GYRO].map(|sensor| (used(&three, sensor) - used(&one, sensor)) / seconds);
     let by_maps = rates[0].min(rates[1]);
     let clock = || vec![TICK.to_vec()];
     // What the two maps hold, and the clock; and no more than this robot needs.
-    let all = [
-        clock(),
-        output_states(&[0, 1, 2]),
-        input_values(&[0, 1, 2, 3]),
-    ]
-    .concat();
+    let all = [clock(), output_states(&[0, 1, 2]), input_values(&[0, 1, 2, 3])].concat();
     let needed = [clock(), output_states(&[1, 2]), input_values(&[0])].concat();
     let (all, needed) = (states_per_second(&all), states_per_second(&needed));
     println!("states per second of a simulated NXT at a turn-around of 30 ms");
     println!("  IO maps          clock, 3 motors, 4 ports  {by_maps:5.2}");
-    println!(
-        "  single commands  clock, 3 motors, 4 ports  {all:5.2}, {:.2} times fewer",
-        by_maps / all
-    );
-    println!(
-        "  single commands  clock, 2 motors, 1 port   {needed:5.2}, {:.2} times fewer",
-        by_maps / needed
-    );
+    println!("  single commands  clock, 3 motors, 4 ports  {all:5.2}, {:.2} times fewer", by_maps / all);
+    println!("  single commands  clock, 2 motors, 1 port   {needed:5.2}, {:.2} times fewer", by_maps / needed);
     assert!(by_maps >= 14.0, "{by_maps}");
     assert!(by_maps >= 3.0 * all, "{by_maps} {all}");
     assert!(by_maps >= 1.5 * needed, "{by_maps} {needed}");
@@ -161,36 +137,22 @@ const SEEDS: u64 = 5;
 
 #[test]
 fn an_nxt_whose_link_stalls_is_followed_without_false_motion() {
-    let stalling = VirtualLink {
-        profile: LinkProfile::from_toml(STALLS).unwrap(),
-        seed: 1,
-        ..VirtualLink::default()
-    };
+    let stalling = VirtualLink { profile: LinkProfile::from_toml(STALLS).unwrap(), seed: 1, ..VirtualLink::default() };
     let (mut squares, mut calm) = (0.0, 0.0);
     for seed in 1..=SEEDS {
-        let link = VirtualLink {
-            seed,
-            ..stalling.clone()
-        };
+        let link = VirtualLink { seed, ..stalling.clone() };
         let run = driven("nxt", 2, seed, &link);
         let [estimate_mm, _] = errors_mm(&run);
         let [calm_mm, _] = errors_mm(&driven("nxt", 2, seed, &VirtualLink::default()));
         let two_seconds = Span::from_millis(1_900);
-        let late = run
-            .delays_to_station
-            .iter()
-            .filter(|delay| **delay > two_seconds);
+        let late = run.delays_to_station.iter().filter(|delay| **delay > two_seconds);
         let stalls = late.count();
         println!("seed {seed}: {estimate_mm:.1} mm with {stalls} stalls, {calm_mm:.1} mm without");
         assert!(stalls > 0);
         squares += estimate_mm * estimate_mm / SEEDS as f64;
         calm += calm_mm * calm_mm / SEEDS as f64;
     }
-    println!(
-        "rms {:.1} mm with stalls, {:.1} mm without",
-        squares.sqrt(),
-        calm.sqrt()
-    );
+    println!("rms {:.1} mm with stalls, {:.1} mm without", squares.sqrt(), calm.sqrt());
     assert!(squares.sqrt() <= 12.0, "{}", squares.sqrt());
     assert!(calm.sqrt() <= 6.0, "{}", calm.sqrt());
 }
@@ -205,19 +167,11 @@ fn an_ev3_that_waits_for_a_sensor_that_is_not_there_costs_its_wheels_three_secon
         gyro_port: 1,
         ..Ev3Section::default()
     });
-    let run = virtual_run::run_over(
-        scenario,
-        config.pipeline().unwrap(),
-        &VirtualLink::default(),
-    )
-    .unwrap();
+    let run = virtual_run::run_over(scenario, config.pipeline().unwrap(), &VirtualLink::default()).unwrap();
     let full = driven("ev3", 2, 3, &VirtualLink::default());
-    let missing_s = run.simulation.elapsed().as_secs_f64()
-        - used(&run, SensorId::WHEELS) / rate_hz(&full, SensorId::WHEELS);
-    println!(
-        "wheels are missing for {missing_s:.1} s of {:.1} s",
-        run.simulation.elapsed().as_secs_f64()
-    );
+    let missing_s =
+        run.simulation.elapsed().as_secs_f64() - used(&run, SensorId::WHEELS) / rate_hz(&full, SensorId::WHEELS);
+    println!("wheels are missing for {missing_s:.1} s of {:.1} s", run.simulation.elapsed().as_secs_f64());
     assert!((2.5..4.0).contains(&missing_s), "{missing_s}");
     assert_eq!(used(&run, SensorId::GYRO), 0.0);
 }
@@ -236,13 +190,8 @@ fn programs_that_begin_anew_are_no_motion_with_stalls_and_without() {
                 let mut scenario = square(brick, 2, seed);
                 scenario.brick.program_restart_s = Some(PROGRAM_RESTART_S);
                 let config = station(brick, &scenario);
-                let link = VirtualLink {
-                    profile: profile.clone(),
-                    seed,
-                    ..VirtualLink::default()
-                };
-                let run =
-                    virtual_run::run_over(scenario, config.pipeline().unwrap(), &link).unwrap();
+                let link = VirtualLink { profile: profile.clone(), seed, ..VirtualLink::default() };
+                let run = virtual_run::run_over(scenario, config.pipeline().unwrap(), &link).unwrap();
                 assert!(run.simulation.is_finished(), "{brick}");
                 worst_mm = worst_mm.max(errors_mm(&run)[0]);
             }

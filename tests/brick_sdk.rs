@@ -2,10 +2,7 @@
 //!
 //! A board stands behind each robot as lines of text (brick/check/robot.c), time is virtual, and the clock of the robot is wrong
 //! and wraps in the middle. That the SDKs make the right bytes is tested in brick/rust.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -16,9 +13,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use posebridge::config::{Config, ROBOTS, RobotProfile, RobotStart};
 use posebridge_pipeline::Pipeline;
-use posebridge_telemetry::{
-    Estimate, Event, Input, LinkId, LinkState, Output, PeerId, Span, Stamp,
-};
+use posebridge_telemetry::{Estimate, Event, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
 
 use support::root;
 
@@ -49,11 +44,7 @@ type Belief = [i64; 4];
 
 impl Robot {
     fn start(mut command: Command) -> Self {
-        let mut program = command
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut program = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let to = program.stdin.take().unwrap();
         let from = BufReader::new(program.stdout.take().unwrap());
         Self { program, to, from }
@@ -62,9 +53,7 @@ impl Robot {
     /// One pass of the program at `time_s`; takes what came, returns what it sends.
     fn step(&mut self, time_s: f64, bytes: &[u8]) -> (Vec<u8>, Belief) {
         let now_us = (CLOCK_START_US + 1e6 * CLOCK_RATE * time_s) as u64 as u32;
-        let count = |speed_m_per_s: f64| {
-            (speed_m_per_s * time_s / RADIUS_M / TAU * TICKS_PER_TURN).floor() as i64
-        };
+        let count = |speed_m_per_s: f64| (speed_m_per_s * time_s / RADIUS_M / TAU * TICKS_PER_TURN).floor() as i64;
         let left = count(SPEED_M_PER_S - 0.5 * TRACK_M * TURN_RAD_PER_S);
         let right = count(SPEED_M_PER_S + 0.5 * TRACK_M * TURN_RAD_PER_S);
         // By its own clock, which is fast, the robot turns slower.
@@ -79,10 +68,7 @@ impl Robot {
         let words: Vec<&str> = line.split_whitespace().collect();
         let sent = words[0].as_bytes().chunks(2);
         let sent = sent.map(|pair| u8::from_str_radix(str::from_utf8(pair).unwrap(), 16).unwrap());
-        let numbers: Vec<i64> = words[1..]
-            .iter()
-            .map(|word| word.parse().unwrap())
-            .collect();
+        let numbers: Vec<i64> = words[1..].iter().map(|word| word.parse().unwrap()).collect();
         (sent.collect(), numbers.try_into().unwrap())
     }
 
@@ -102,22 +88,14 @@ struct Drive {
 /// Drives a robot for twelve seconds against the station.
 fn drive(command: Command) -> Drive {
     let mut config = Config::default();
-    config.robot.start = Some(RobotStart {
-        x_m: 0.0,
-        y_m: 0.0,
-        heading_deg: 0.0,
-        position_sigma_m: 0.001,
-        heading_sigma_deg: 0.1,
-    });
+    config.robot.start =
+        Some(RobotStart { x_m: 0.0, y_m: 0.0, heading_deg: 0.0, position_sigma_m: 0.001, heading_sigma_deg: 0.1 });
     let mut pipeline = Pipeline::new(config.pipeline().unwrap(), Stamp::ZERO).unwrap();
     let mut robot = Robot::start(command);
     let (mut to_robot, mut estimate, mut belief) = (Vec::new(), None, Belief::default());
     let mut alignments = 0;
     let link = LinkId(0);
-    let up = Input::Link {
-        link,
-        state: LinkState::Up,
-    };
+    let up = Input::Link { link, state: LinkState::Up };
     pipeline.handle(Stamp::ZERO, &up);
     for step in 0..STEPS {
         let at = Span::from_millis(step * STEP_MS);
@@ -139,22 +117,14 @@ fn drive(command: Command) -> Drive {
         }
     }
     robot.end();
-    Drive {
-        estimate: estimate.unwrap(),
-        belief,
-        alignments,
-    }
+    Drive { estimate: estimate.unwrap(), belief, alignments }
 }
 
 /// Where the robot is at a step.
 fn truth(step: i64) -> [f64; 3] {
     let turned = TURN_RAD_PER_S * Span::from_millis(step * STEP_MS).as_secs_f64();
     let radius = SPEED_M_PER_S / TURN_RAD_PER_S;
-    [
-        radius * turned.sin(),
-        radius * (1.0 - turned.cos()),
-        posebridge_telemetry::quantities::wrap_rad(turned),
-    ]
+    [radius * turned.sin(), radius * (1.0 - turned.cos()), posebridge_telemetry::quantities::wrap_rad(turned)]
 }
 
 /// Holds a drive to its bars; returns what came of it, for people.
@@ -164,27 +134,16 @@ fn check(name: &str, command: Command) -> String {
     let pose = drive.estimate.pose;
     let off_m = (pose.x.0 - x).hypot(pose.y.0 - y);
     let off_rad = (pose.heading.rad() - heading).abs();
-    assert!(
-        off_m < 0.005 && off_rad < 0.01,
-        "{name}: {off_m} m, {off_rad} rad"
-    );
+    assert!(off_m < 0.005 && off_rad < 0.01, "{name}: {off_m} m, {off_rad} rad");
     assert!(drive.alignments > 20, "{name}: TIMESYNC was not answered");
     // What the robot has came with the step before: it is one step old.
     let [x, y, heading] = truth(STEPS - 2);
     let [x_mm, y_mm, heading_mrad, flags] = drive.belief;
     let believed_off_m = (1e-3 * x_mm as f64 - x).hypot(1e-3 * y_mm as f64 - y);
     assert!(believed_off_m < 0.008, "{name}: {believed_off_m} m");
-    assert!(
-        (1e-3 * heading_mrad as f64 - heading).abs() < 0.02,
-        "{name}"
-    );
+    assert!((1e-3 * heading_mrad as f64 - heading).abs() < 0.02, "{name}");
     assert_eq!(flags & 3, 3, "{name}");
-    format!(
-        "{name}: off by {:.1} mm and {:.2} mrad, {} alignments",
-        1e3 * off_m,
-        1e3 * off_rad,
-        drive.alignments
-    )
+    format!("{name}: off by {:.1} mm and {:.2} mrad, {} alignments", 1e3 * off_m, 1e3 * off_rad, drive.alignments)
 }
 
 #[test]
@@ -197,10 +156,7 @@ fn a_robot_in_c_is_heard_and_hears_where_it_is() {
 #[test]
 fn a_robot_in_python_is_heard_and_hears_where_it_is() {
     let mut python = Command::new("python3");
-    python
-        .arg("-B")
-        .arg(root().join("brick/check/robot.py"))
-        .arg(root().join("brick/micropython"));
+    python.arg("-B").arg(root().join("brick/check/robot.py")).arg(root().join("brick/micropython"));
     println!("{}", check("Python", python));
 }
 
@@ -228,14 +184,8 @@ fn profiles() -> Vec<PathBuf> {
 #[test]
 fn every_robot_profile_loads_and_bears_the_name_of_its_file() {
     let found = profiles();
-    let stems: Vec<&str> = found
-        .iter()
-        .map(|path| path.file_stem().unwrap().to_str().unwrap())
-        .collect();
-    assert_eq!(
-        stems,
-        ROBOTS.iter().map(|robot| robot.name).collect::<Vec<_>>()
-    );
+    let stems: Vec<&str> = found.iter().map(|path| path.file_stem().unwrap().to_str().unwrap()).collect();
+    assert_eq!(stems, ROBOTS.iter().map(|robot| robot.name).collect::<Vec<_>>());
     for (path, stem) in found.iter().zip(stems) {
         let profile = RobotProfile::read(path).unwrap();
         assert_eq!(profile.robot.name, stem);

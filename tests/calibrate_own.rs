@@ -1,9 +1,5 @@
 //! `posebridge calibrate` and `identify` on recordings of ours: what a robot that was recorded is found to be.
-#![expect(
-    clippy::expect_used,
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
+#![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 #[path = "support/calibrating.rs"]
 mod calibrating;
@@ -41,11 +37,9 @@ fn is_the_robot(profile: &Path, share: f64) {
     let robot = RobotProfile::read(profile).unwrap().robot;
     let mean = f64::midpoint(robot.left_wheel_radius_m, robot.right_wheel_radius_m);
     let difference = (robot.right_wheel_radius_m - robot.left_wheel_radius_m) / mean;
-    for (found, truth) in [
-        (mean / 0.028 - 1.0, OFF[0]),
-        (difference, OFF[1]),
-        (robot.track_width_m / 0.112 - 1.0, OFF[2]),
-    ] {
+    for (found, truth) in
+        [(mean / 0.028 - 1.0, OFF[0]), (difference, OFF[1]), (robot.track_width_m / 0.112 - 1.0, OFF[2])]
+    {
         assert!((found - truth).abs() < share, "{found}, true {truth}");
     }
     assert!(!robot.adopt_description);
@@ -59,30 +53,13 @@ fn a_recording_of_ours_calibrates_the_robot_that_was_recorded() {
     assert_eq!(found["sanity"]["is_sound"], true, "{found}");
     // Two laps of six metres: the sigmas of wheels and track are some tenths of a per cent.
     is_the_robot(&folder.path().join("r.toml"), 0.004);
-    for (key, truth) in [
-        ("radius_scale", OFF[0]),
-        ("radius_difference", OFF[1]),
-        ("track_scale", OFF[2]),
-    ] {
+    for (key, truth) in [("radius_scale", OFF[0]), ("radius_difference", OFF[1]), ("track_scale", OFF[2])] {
         let of = |part: &str| number(&found, &format!("/numbers/{key}/{part}"));
-        println!(
-            "{key} {:.5} +- {:.5}, true {truth}",
-            of("value"),
-            of("sigma")
-        );
-        assert!(
-            (of("value") - truth).abs() < 3.0 * of("sigma"),
-            "{key}: {found}"
-        );
+        println!("{key} {:.5} +- {:.5}, true {truth}", of("value"), of("sigma"));
+        assert!((of("value") - truth).abs() < 3.0 * of("sigma"), "{key}: {found}");
     }
     // The profile goes over what the brick says of itself, on the recording and live.
-    let replayed = stdout_of(posebridge(folder.path()).args([
-        "replay",
-        "drive.mcap",
-        "--robot",
-        "r.toml",
-        "--json",
-    ]));
+    let replayed = stdout_of(posebridge(folder.path()).args(["replay", "drive.mcap", "--robot", "r.toml", "--json"]));
     assert!(serde_json::from_str::<Value>(&replayed).is_ok());
 }
 
@@ -100,10 +77,7 @@ fn a_recording_of_ours_has_wheels_whose_step_can_be_identified() {
     let output = command.args(step).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2));
-    assert!(
-        said.contains("left-wheel, right-wheel, turn-rate"),
-        "{said}"
-    );
+    assert!(said.contains("left-wheel, right-wheel, turn-rate"), "{said}");
 }
 
 #[test]
@@ -116,25 +90,15 @@ fn what_the_filter_has_learned_on_line_is_a_profile_too() {
         (["--try-on", "drive"], "`drive.mcap` is one drive"),
         (["--truth-sigma-m", "0.1"], "compared with fixes"),
     ] {
-        let (code, said) = refused(
-            folder.path(),
-            &[&["path", "drive.mcap"], &asked[..]].concat(),
-        );
+        let (code, said) = refused(folder.path(), &[&["path", "drive.mcap"], &asked[..]].concat());
         assert!(code == 2 && said.contains(word), "{said}");
         assert!(!said.contains("--run"), "{said}");
     }
     let online = ["path", "drive.mcap", "--online", "--save", "on.toml"];
     let found = calibrate(folder.path(), &online);
-    for (key, truth) in [
-        ("radius_scale", OFF[0]),
-        ("radius_difference", OFF[1]),
-        ("track_scale", OFF[2]),
-    ] {
+    for (key, truth) in [("radius_scale", OFF[0]), ("radius_difference", OFF[1]), ("track_scale", OFF[2])] {
         let of = |part: &str| number(&found, &format!("/online/{key}/{part}"));
-        assert!(
-            (of("value") - truth).abs() < 4.0 * of("sigma"),
-            "{key}: {found}"
-        );
+        assert!((of("value") - truth).abs() < 4.0 * of("sigma"), "{key}: {found}");
         // Better known than the prior that the profile of the default robot gives: it has learned.
         assert!(of("sigma") > 0.0 && of("sigma") < 0.01, "{key}: {found}");
     }
@@ -144,18 +108,9 @@ fn what_the_filter_has_learned_on_line_is_a_profile_too() {
     // What it takes is one run that was watched.
     let committed = root().join("tests/data");
     let optiodom = root().join("config/recordings/optiodom.toml");
-    let of = [
-        "path",
-        optiodom.to_str().unwrap(),
-        "--data",
-        committed.to_str().unwrap(),
-        "--online",
-    ];
+    let of = ["path", optiodom.to_str().unwrap(), "--data", committed.to_str().unwrap(), "--online"];
     let (code, said) = refused(folder.path(), &of);
-    assert!(
-        code == 2 && said.contains("choose one with --run"),
-        "{said}"
-    );
+    assert!(code == 2 && said.contains("choose one with --run"), "{said}");
     let one = ["--run", "circular/250620202104/run-01"];
     let (code, said) = refused(folder.path(), &[&of[..], &one].concat());
     assert!(code == 1 && said.contains("has no fixes"), "{said}");
@@ -173,10 +128,7 @@ fn the_gyro_of_a_recorded_rest_has_the_noise_of_the_simulated_one() {
     let (sigma, step) = (noise.gyro_rad_per_s, noise.gyro_resolution_rad_per_s);
     // White noise that is rounded; of 1200 readings its sigma is known to 2 %. The link's own unit smears the step by a thousandth.
     let found_sigma = number(gyro, "/noise");
-    assert!(
-        (found_sigma / sigma - 1.0).abs() < 0.1,
-        "{found_sigma} {sigma}"
-    );
+    assert!((found_sigma / sigma - 1.0).abs() < 0.1, "{found_sigma} {sigma}");
     let rounded = number(gyro, "/noise_with_rounding");
     let expected = sigma.hypot(step / 12.0_f64.sqrt());
     assert!((rounded / expected - 1.0).abs() < 0.1, "{rounded}");
@@ -184,9 +136,7 @@ fn the_gyro_of_a_recorded_rest_has_the_noise_of_the_simulated_one() {
     assert!(number(gyro, "/rest_s") > 55.0, "{found}");
     let bias = number(gyro, "/bias").abs();
     assert!(bias < 5.0 * noise.gyro_bias_rad_per_s, "{bias}");
-    let robot = RobotProfile::read(&folder.path().join("g.toml"))
-        .unwrap()
-        .robot;
+    let robot = RobotProfile::read(&folder.path().join("g.toml")).unwrap().robot;
     assert!((robot.noise.gyro_rad_per_s - found_sigma).abs() < 1e-12);
     let saved = robot.calibration.gyro_bias_rad_per_s.unwrap();
     assert!((saved.value - number(gyro, "/bias")).abs() < 1e-12);

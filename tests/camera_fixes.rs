@@ -1,8 +1,5 @@
 //! A camera program in Python feeds fixes into a running station: the script of `examples/` as it stands, three processes, real time.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -124,16 +121,12 @@ impl Sender {
     fn to(scheme: &str, address: &str) -> Self {
         if scheme == "tcp" {
             let stream = TcpStream::connect(address).expect("the station listens");
-            stream
-                .set_read_timeout(Some(DEADLINE))
-                .expect("it can wait");
+            stream.set_read_timeout(Some(DEADLINE)).expect("it can wait");
             return Self::Tcp(stream, Vec::new());
         }
         let socket = UdpSocket::bind("127.0.0.1:0").expect("there is a port");
         socket.connect(address).expect("the station listens");
-        socket
-            .set_read_timeout(Some(DEADLINE))
-            .expect("it can wait");
+        socket.set_read_timeout(Some(DEADLINE)).expect("it can wait");
         Self::Udp(socket)
     }
 
@@ -168,10 +161,7 @@ impl Sender {
                     rest.drain(..end.map_or(0, |end| end + 1)).collect()
                 }
             };
-            for line in bytes
-                .split(|byte| *byte == b'\n')
-                .filter(|line| !line.is_empty())
-            {
+            for line in bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
                 let said: Value = serde_json::from_slice(line).expect("it speaks JSON");
                 if said.get(key).is_some() {
                     return said;
@@ -185,12 +175,9 @@ impl Sender {
 fn over_udp_and_tcp_a_bad_line_is_answered_and_the_time_is_asked() {
     for scheme in ["udp", "tcp"] {
         let folder = tempfile::tempdir().unwrap();
-        let config = format!(
-            "[[link]]\nurl = \"{scheme}://127.0.0.1:0\"\nlisten = true\nbrick = \"camera-json\"\n"
-        );
+        let config = format!("[[link]]\nurl = \"{scheme}://127.0.0.1:0\"\nlisten = true\nbrick = \"camera-json\"\n");
         std::fs::write(folder.path().join("station.toml"), config).unwrap();
-        let mut station =
-            Running::start(posebridge(folder.path()).args(["run", "--config", "station.toml"]));
+        let mut station = Running::start(posebridge(folder.path()).args(["run", "--config", "station.toml"]));
         let address = station.listening_address("");
         let mut camera = Sender::to(scheme, &address);
         camera.say("{\"camera\": \"c\", \"x_m\": 1, \"y_m\": 2}\n");
@@ -213,27 +200,18 @@ fn a_script_of_a_few_lines_holds_the_pose_to_three_millimetres_through_150_ms() 
     brick.output();
     station.interrupt();
 
-    let json = stdout_of(posebridge(folder.path()).args([
-        "replay",
-        "run/recording.mcap",
-        "--truth",
-        "truth.csv",
-        "--json",
-    ]));
+    let json =
+        stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--truth", "truth.csv", "--json"]));
     let scored: Value = serde_json::from_str(&json).unwrap();
     let number = |pointer: &str| scored.pointer(pointer).and_then(Value::as_f64);
     let rms_mm = 1e3 * number("/estimators/0/position_rms_m").unwrap();
-    let heading_deg = number("/estimators/0/heading_rms_rad")
-        .unwrap()
-        .to_degrees();
+    let heading_deg = number("/estimators/0/heading_rms_rad").unwrap().to_degrees();
     let sources = scored.pointer("/estimators/0/sources").unwrap();
     let mut sources = sources.as_array().unwrap().iter();
     let camera = sources.find(|source| source["name"] == "camera");
     let used = camera.unwrap()["used"].as_u64().unwrap();
     let events = std::fs::read_to_string(folder.path().join("events.txt")).unwrap();
-    let aligned = events
-        .lines()
-        .filter(|line| line.starts_with("CameraClockAligned"));
+    let aligned = events.lines().filter(|line| line.starts_with("CameraClockAligned"));
     println!(
         "{used} fixes, {} of the camera's clock aligned; position {rms_mm:.2} mm rms, heading {heading_deg:.2} degrees rms",
         aligned.clone().count()

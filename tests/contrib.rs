@@ -1,8 +1,5 @@
 //! The files of contrib/ against the program: metrics that it prints, flags that it has, rules that udev reads.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 #[path = "../crates/dashboard/tests/support/http.rs"]
 mod http;
@@ -69,13 +66,9 @@ fn selectors(text: &str) -> Vec<(String, String)> {
 /// Every query of a dashboard, and every legend beside it.
 fn queries(dashboard: &serde_json::Value) -> Vec<(String, String)> {
     let panels = dashboard["panels"].as_array().unwrap();
-    let targets = panels
-        .iter()
-        .flat_map(|panel| panel["targets"].as_array().unwrap());
+    let targets = panels.iter().flat_map(|panel| panel["targets"].as_array().unwrap());
     let text = |value: &serde_json::Value| value.as_str().unwrap().to_owned();
-    targets
-        .map(|target| (text(&target["expr"]), text(&target["legendFormat"])))
-        .collect()
+    targets.map(|target| (text(&target["expr"]), text(&target["legendFormat"]))).collect()
 }
 
 /// Labels that Prometheus adds itself.
@@ -84,8 +77,7 @@ const OF_PROMETHEUS: [&str; 1] = ["instance"];
 #[test]
 fn every_metric_of_the_grafana_dashboard_is_printed_with_the_labels_that_it_names() {
     let metrics = printed_metrics();
-    let dashboard: serde_json::Value =
-        serde_json::from_str(&read("grafana/posebridge.json")).unwrap();
+    let dashboard: serde_json::Value = serde_json::from_str(&read("grafana/posebridge.json")).unwrap();
     let mut used = BTreeSet::new();
     for (query, legend) in queries(&dashboard) {
         let mut labels = BTreeSet::new();
@@ -93,9 +85,7 @@ fn every_metric_of_the_grafana_dashboard_is_printed_with_the_labels_that_it_name
             let name_end = part.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
             let (name, rest) = part.split_at(name_end.unwrap());
             let name = format!("posebridge_{name}");
-            let known = metrics
-                .get(&name)
-                .unwrap_or_else(|| panic!("nobody prints {name}: {query}"));
+            let known = metrics.get(&name).unwrap_or_else(|| panic!("nobody prints {name}: {query}"));
             assert!(rest.starts_with('{'), "{query}");
             for (label, value) in selectors(rest) {
                 if OF_PROMETHEUS.contains(&label.as_str()) {
@@ -103,10 +93,7 @@ fn every_metric_of_the_grafana_dashboard_is_printed_with_the_labels_that_it_name
                 }
                 let values = known.get(&label);
                 let values = values.unwrap_or_else(|| panic!("{name} has no {label}: {query}"));
-                assert!(
-                    values.contains(&value),
-                    "{name} has no {label} {value}: {values:?}"
-                );
+                assert!(values.contains(&value), "{name} has no {label} {value}: {values:?}");
             }
             labels.extend(known.keys().map(String::as_str));
             used.insert(name);
@@ -121,25 +108,18 @@ fn every_metric_of_the_grafana_dashboard_is_printed_with_the_labels_that_it_name
         let grouped = grouped.iter().flat_map(|list| list.split(", "));
         let told = braces(&legend, "{{", "}}");
         for label in grouped.chain(told.iter().map(String::as_str)) {
-            assert!(
-                labels.contains(label),
-                "no metric has `{label}`: {query}, {legend}"
-            );
+            assert!(labels.contains(label), "no metric has `{label}`: {query}, {legend}");
         }
     }
     assert!(used.len() > 15, "{used:?}");
     let variable = &dashboard["templating"]["list"][0]["query"]["query"];
-    assert_eq!(
-        variable,
-        "label_values(posebridge_estimates_total, instance)"
-    );
+    assert_eq!(variable, "label_values(posebridge_estimates_total, instance)");
     assert!(metrics.contains_key("posebridge_estimates_total"));
 }
 
 #[test]
 fn the_panels_of_the_grafana_dashboard_do_not_overlap() {
-    let dashboard: serde_json::Value =
-        serde_json::from_str(&read("grafana/posebridge.json")).unwrap();
+    let dashboard: serde_json::Value = serde_json::from_str(&read("grafana/posebridge.json")).unwrap();
     let mut taken = BTreeSet::new();
     let mut ids = BTreeSet::new();
     for panel in dashboard["panels"].as_array().unwrap() {
@@ -159,10 +139,7 @@ fn the_panels_of_the_grafana_dashboard_do_not_overlap() {
 fn unit(text: &str) -> BTreeMap<String, Vec<(String, String)>> {
     let mut sections: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
     let mut section = String::new();
-    for line in text
-        .lines()
-        .filter(|line| !line.is_empty() && !line.starts_with('#'))
-    {
+    for line in text.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
         if let Some(name) = line.strip_prefix('[') {
             name.trim_end_matches(']').clone_into(&mut section);
             continue;
@@ -205,10 +182,8 @@ fn systemd_finds_no_fault_in_the_service() {
     let text = read("systemd/posebridge.service").replace("/usr/local/bin/posebridge", here);
     let path = folder.path().join("posebridge.service");
     std::fs::write(&path, text).unwrap();
-    let verified = Command::new("systemd-analyze")
-        .args(["verify", "--man=no", "--recursive-errors=no"])
-        .arg(&path)
-        .output();
+    let verified =
+        Command::new("systemd-analyze").args(["verify", "--man=no", "--recursive-errors=no"]).arg(&path).output();
     if let Ok(verified) = verified {
         let said = String::from_utf8_lossy(&verified.stderr);
         assert!(verified.status.success() && said.is_empty(), "{said}");
@@ -216,18 +191,8 @@ fn systemd_finds_no_fault_in_the_service() {
 }
 
 /// What udev knows, as far as these rules use it (udev(7)): keys that are compared, keys that are assigned.
-const MATCHED: [&str; 7] = [
-    "ACTION",
-    "KERNEL",
-    "SUBSYSTEM",
-    "ATTR",
-    "ATTRS",
-    "ENV",
-    "TAG",
-];
-const ASSIGNED: [&str; 8] = [
-    "MODE", "GROUP", "TAG", "ENV", "SYMLINK", "GOTO", "LABEL", "OWNER",
-];
+const MATCHED: [&str; 7] = ["ACTION", "KERNEL", "SUBSYSTEM", "ATTR", "ATTRS", "ENV", "TAG"];
+const ASSIGNED: [&str; 8] = ["MODE", "GROUP", "TAG", "ENV", "SYMLINK", "GOTO", "LABEL", "OWNER"];
 
 /// One part of a rule: key, what stands in its braces, operator, value.
 type Part<'a> = (&'a str, Option<&'a str>, &'a str, &'a str);
@@ -283,9 +248,7 @@ fn the_rules_are_such_as_udev_reads() {
                 ("LABEL", _) => assert!(labels.insert(*value), "{value} twice"),
                 ("GOTO", _) => assert!(labels.contains(value), "{value} is not behind it"),
                 ("ATTR" | "ATTRS", Some("idVendor" | "idProduct")) => {
-                    let is_id = |id: &str| {
-                        id.len() == 4 && id.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'))
-                    };
+                    let is_id = |id: &str| id.len() == 4 && id.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'));
                     assert!(value.split('|').all(is_id), "{value}");
                     ids += 1;
                 }
@@ -299,13 +262,7 @@ fn the_rules_are_such_as_udev_reads() {
         assert!(parents <= 2, "{rule:?}");
     }
     assert!(ids > 20, "{ids}");
-    for wrong in [
-        "GROUP==\"dialout\"",
-        "ATTRS=\"0694\"",
-        "MODE=0660",
-        "KERNEL=\"tty\"",
-        "FOO==\"a\"",
-    ] {
+    for wrong in ["GROUP==\"dialout\"", "ATTRS=\"0694\"", "MODE=0660", "KERNEL=\"tty\"", "FOO==\"a\""] {
         part(wrong).unwrap_err();
     }
 }
@@ -329,30 +286,17 @@ fn every_board_of_the_rules_is_kept_from_modem_manager() {
     let text = read("udev/70-posebridge.rules");
     let rules = rules(&text);
     let vendors = |rule: &[Part<'_>], of: &str| -> Vec<String> {
-        let found = rule
-            .iter()
-            .find(|(key, braces, ..)| *key == of && *braces == Some("idVendor"));
+        let found = rule.iter().find(|(key, braces, ..)| *key == of && *braces == Some("idVendor"));
         let ids = found.map_or("", |(.., value)| value);
-        ids.split('|')
-            .filter(|id| !id.is_empty())
-            .map(str::to_owned)
-            .collect()
+        ids.split('|').filter(|id| !id.is_empty()).map(str::to_owned).collect()
     };
     let sets = |rule: &[Part<'_>], variable: &str| {
-        rule.iter().any(|(key, braces, operator, _)| {
-            (*key, *braces, *operator) == ("ENV", Some(variable), "=")
-        })
+        rule.iter().any(|(key, braces, operator, _)| (*key, *braces, *operator) == ("ENV", Some(variable), "="))
     };
-    let ignored: BTreeSet<String> = rules
-        .iter()
-        .filter(|rule| sets(rule, "ID_MM_DEVICE_IGNORE"))
-        .flat_map(|rule| vendors(rule, "ATTR"))
-        .collect();
-    let boards: BTreeSet<String> = rules
-        .iter()
-        .filter(|rule| sets(rule, "POSEBRIDGE_ROBOT"))
-        .flat_map(|rule| vendors(rule, "ATTRS"))
-        .collect();
+    let ignored: BTreeSet<String> =
+        rules.iter().filter(|rule| sets(rule, "ID_MM_DEVICE_IGNORE")).flat_map(|rule| vendors(rule, "ATTR")).collect();
+    let boards: BTreeSet<String> =
+        rules.iter().filter(|rule| sets(rule, "POSEBRIDGE_ROBOT")).flat_map(|rule| vendors(rule, "ATTRS")).collect();
     assert!(boards.len() > 8, "{boards:?}");
     assert_eq!(boards.difference(&ignored).count(), 0, "{ignored:?}");
 }

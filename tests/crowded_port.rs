@@ -21,8 +21,8 @@ use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{Heartbeat, Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{
-    Address, EncoderTicks, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Observation,
-    Observed, Output, SourceHealth, Stamp,
+    Address, EncoderTicks, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Observation, Observed, Output,
+    SourceHealth, Stamp,
 };
 
 const ROBOTS: u32 = 498;
@@ -60,11 +60,7 @@ impl Robot {
         for _ in 0..AHEAD * (number / 249) {
             encoder.encode(address(number), &HEARTBEAT, &mut Vec::new());
         }
-        Self {
-            number,
-            socket: socket(),
-            encoder,
-        }
+        Self { number, socket: socket(), encoder }
     }
 
     /// A datagram with a heartbeat and with its wheels, which no other robot has turned so far.
@@ -85,12 +81,8 @@ impl Robot {
     }
 }
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// Sends as fast as it can until told to stop: what would be ODOMETRY of 2/1, as whole as the datagram, but for its checksum.
 fn rave(to: SocketAddr, stop: &AtomicBool) {
@@ -137,11 +129,7 @@ impl Station {
         let text = format!("[[link]]\nurl = \"{url}\"\nlisten = true\n");
         let config = load_text("test", &text, &[]).expect("a configuration");
         let config = config.config.pipeline().expect("a configuration");
-        let port = PortConfig {
-            id: LINK,
-            url: url.parse().expect("a link"),
-            role: Role::Listen,
-        };
+        let port = PortConfig { id: LINK, url: url.parse().expect("a link"), role: Role::Listen };
         let timer = HostTimer::start();
         let mut station = Self {
             port: Port::new(port, timer),
@@ -164,9 +152,7 @@ impl Station {
                 Output::Event(Event::Observed { observation, .. }) => {
                     self.observations.push(observation);
                 }
-                Output::Event(Event::Health {
-                    health, sources, ..
-                }) => (self.health, self.sources) = (health, sources),
+                Output::Event(Event::Health { health, sources, .. }) => (self.health, self.sources) = (health, sources),
                 _ => {}
             }
         }
@@ -223,16 +209,12 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_frame() {
         move || speak(address_of_station, &stop, &good)
     });
     let datagrams = u64::from(ROBOTS * ROUNDS);
-    station
-        .run(|station| station.good.load(Ordering::Relaxed) >= datagrams)
-        .await;
+    station.run(|station| station.good.load(Ordering::Relaxed) >= datagrams).await;
     let secs = (station.timer.now() - begun).as_secs_f64();
     stop.store(true, Ordering::Relaxed);
     mad.join().expect("it only sends");
     senders.join().expect("they only send");
-    station
-        .run(|station| station.health.frames_in >= 2 * datagrams)
-        .await;
+    station.run(|station| station.health.frames_in >= 2 * datagrams).await;
 
     let health = station.health;
     println!(
@@ -243,20 +225,12 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_frame() {
     assert_eq!(health.frames_lost, 0);
     assert!(health.checksum_errors >= HEAD_START);
     assert_eq!(station.sources, expected_sources());
-    assert_eq!(
-        station.port.counts().peers,
-        ROBOTS + 1,
-        "the silent one is not known"
-    );
+    assert_eq!(station.port.counts().peers, ROBOTS + 1, "the silent one is not known");
     check_observations(&station);
 }
 
 fn expected_sources() -> Vec<SourceHealth> {
-    let source = |robot| SourceHealth {
-        source: address(robot),
-        frames: u64::from(4 * ROUNDS),
-        lost: 0,
-    };
+    let source = |robot| SourceHealth { source: address(robot), frames: u64::from(4 * ROUNDS), lost: 0 };
     (0..249).map(source).collect()
 }
 

@@ -8,10 +8,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "helpers outside #[test] stop where the set-up is broken, and pick the events that they are about; the figures are to be read"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "../crates/pipeline/tests/support/damage.rs"]
 mod damage;
@@ -94,11 +91,7 @@ impl Station {
 async fn drive(kind: &Kind) -> Station {
     let mut terminal = Terminal::open();
     let mut station = Station::new(terminal.device());
-    let config = PortConfig {
-        id: LINK,
-        url: LinkUrl::serial(terminal.device()).expect("a path"),
-        role: Role::Dial,
-    };
+    let config = PortConfig { id: LINK, url: LinkUrl::serial(terminal.device()).expect("a path"), role: Role::Dial };
     let mut port = Port::new(config, HostTimer::start());
     // What was sent before is thrown away by a port that opens.
     assert!(matches!(port.next().await, PortEvent::Up { .. }));
@@ -106,9 +99,8 @@ async fn drive(kind: &Kind) -> Station {
     station.give(Stamp::ZERO, &Input::Link { link, state });
 
     let mut speaker = Speaker::new(kind);
-    let sent: Vec<u8> = (0..FRAMES)
-        .flat_map(|number| speaker.say(number, 1_000 + number / PER_MILLI, &mut station.books))
-        .collect();
+    let sent: Vec<u8> =
+        (0..FRAMES).flat_map(|number| speaker.say(number, 1_000 + number / PER_MILLI, &mut station.books)).collect();
     let (bytes, expected) = (sent.clone(), sent.len());
     let writer = std::thread::spawn(move || {
         terminal.wire.write_all(&bytes).expect("it is read");

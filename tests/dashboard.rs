@@ -1,8 +1,5 @@
 //! The dashboard of the real program, with its simulated brick: stream, REST and commands, and what hostile peers cannot do to it.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 #[path = "../crates/dashboard/tests/support/http.rs"]
 mod http;
@@ -65,10 +62,7 @@ fn page_stream_and_requests_tell_of_the_same_run() {
     let station = Station::start(folder.path());
     let address = station.address;
     let page = get(address, "/");
-    assert_eq!(
-        (page.status, page.header("content-type")),
-        (200, Some("text/html; charset=utf-8"))
-    );
+    assert_eq!((page.status, page.header("content-type")), (200, Some("text/html; charset=utf-8")));
     let mut reader = Reader::open(address);
     let hello = reader.next();
     assert_eq!(hello["simulator"]["scenario"], "square");
@@ -94,24 +88,14 @@ fn page_stream_and_requests_tell_of_the_same_run() {
     assert!(estimate.t_s >= t_s, "the state is no older than the stream");
     assert_eq!(state.recording.unwrap().name, "recording.mcap");
     let sources: Vec<SourceRow> = typed(address, "/v1/sources");
-    assert!(
-        sources
-            .iter()
-            .any(|source| source.name == "wheels" && source.kind == "wheel_angles")
-    );
+    assert!(sources.iter().any(|source| source.name == "wheels" && source.kind == "wheel_angles"));
     let robots: Vec<String> = typed(address, "/v1/robots");
     assert_eq!(robots, ["0/1/1"]);
     let parameters: Vec<ParameterRow> = typed(address, "/v1/parameters");
     assert!(parameters.iter().any(|row| row.mavlink_name == "GATE_PROB"));
     assert!(metric(address, "posebridge_estimates_total") > 0.0);
-    assert_eq!(
-        metric(address, "posebridge_dashboard_events_dropped_total"),
-        0.0
-    );
-    assert_eq!(
-        get(address, "/v1/schema.json").json()["title"],
-        "posebridge /v1"
-    );
+    assert_eq!(metric(address, "posebridge_dashboard_events_dropped_total"), 0.0);
+    assert_eq!(get(address, "/v1/schema.json").json()["title"], "posebridge /v1");
     station.program.interrupt();
 }
 
@@ -126,26 +110,18 @@ fn a_command_is_done_told_and_recorded() {
     assert_eq!(post(address, command).status, 202);
     let is_set = |message: &serde_json::Value| {
         let rows = message["parameters"].as_array().into_iter().flatten();
-        rows.into_iter()
-            .any(|row| row["name"] == "gate_prob" && row["value"] == 0.95)
+        rows.into_iter().any(|row| row["name"] == "gate_prob" && row["value"] == 0.95)
     };
     reader.until(is_set);
     reader.send(r#"{"command":"set-parameter","name":"gate_prob","value":7}"#);
     let error = reader.until(|message| message["type"] == "error");
     let why = error["error"].as_str().unwrap();
-    assert!(
-        why.contains("`value` is 7.0, must be a number from 0.5 to 0.999999"),
-        "{why}"
-    );
+    assert!(why.contains("`value` is 7.0, must be a number from 0.5 to 0.999999"), "{why}");
     let profile = r#"{"command":"link-profile","profile":"../../etc"}"#;
     assert_eq!(post(address, profile).status, 400);
     let says = |message: &serde_json::Value, what: &str| {
         let lines = message["log"].as_array().into_iter().flatten();
-        lines.into_iter().any(|line| {
-            line["text"]
-                .as_str()
-                .is_some_and(|text| text.contains(what))
-        })
+        lines.into_iter().any(|line| line["text"].as_str().is_some_and(|text| text.contains(what)))
     };
     // A second of estimates behind the first.
     reader.until(|message| message["now_s"].as_f64().is_some_and(|now_s| now_s > 3.0));
@@ -156,59 +132,24 @@ fn a_command_is_done_told_and_recorded() {
     let sent = get(address, "/v1/recordings/recording.mcap").body;
     let replayed: Frame = typed(address, "/v1/recordings/recording.mcap/replay");
     assert!(replayed.robots[0].estimates.len() > 10);
-    assert!(
-        replayed
-            .log
-            .iter()
-            .any(|line| line.text.contains("gate_prob set to 0.95"))
-    );
+    assert!(replayed.log.iter().any(|line| line.text.contains("gate_prob set to 0.95")));
     station.program.interrupt();
-    assert_eq!(
-        std::fs::read(folder.path().join("run/recording.mcap")).unwrap(),
-        sent
-    );
+    assert_eq!(std::fs::read(folder.path().join("run/recording.mcap")).unwrap(), sent);
 }
 
 /// What the page's buttons send, and what the log says of each.
 const HANDS: [(&str, &str); 12] = [
-    (
-        r#"{"command":"kidnap","forward_m":0.1,"left_m":0.1,"turn_rad":0.5}"#,
-        "kidnap: ",
-    ),
-    (
-        r#"{"command":"slip","wheel":"left","factor":0.8,"seconds":0.5}"#,
-        "slip: ",
-    ),
+    (r#"{"command":"kidnap","forward_m":0.1,"left_m":0.1,"turn_rad":0.5}"#, "kidnap: "),
+    (r#"{"command":"slip","wheel":"left","factor":0.8,"seconds":0.5}"#, "slip: "),
     (r#"{"command":"camera","on":false}"#, "camera: off"),
-    (
-        r#"{"command":"camera-delay","delay_ms":200}"#,
-        "camera-delay: ",
-    ),
-    (
-        r#"{"command":"gyro-bias-step","rad_per_s":0.05}"#,
-        "gyro-bias-step: ",
-    ),
+    (r#"{"command":"camera-delay","delay_ms":200}"#, "camera-delay: "),
+    (r#"{"command":"gyro-bias-step","rad_per_s":0.05}"#, "gyro-bias-step: "),
     (r#"{"command":"camera","on":true}"#, "camera: on"),
-    (
-        r#"{"command":"steering","by":"odometry"}"#,
-        "steering: by odometry",
-    ),
-    (
-        r#"{"command":"link-profile","profile":"bluetooth-spp"}"#,
-        "link-profile: bluetooth-spp",
-    ),
-    (
-        r#"{"command":"drive","forward_m_per_s":0.1,"turn_rad_per_s":1.0}"#,
-        "drive: ",
-    ),
-    (
-        r#"{"command":"set-parameter","name":"gate_prob","value":0.95}"#,
-        "gate_prob set to 0.95",
-    ),
-    (
-        r#"{"command":"switch-source","sensor":1,"on":false}"#,
-        "source 1 (gyro) is left out",
-    ),
+    (r#"{"command":"steering","by":"odometry"}"#, "steering: by odometry"),
+    (r#"{"command":"link-profile","profile":"bluetooth-spp"}"#, "link-profile: bluetooth-spp"),
+    (r#"{"command":"drive","forward_m_per_s":0.1,"turn_rad_per_s":1.0}"#, "drive: "),
+    (r#"{"command":"set-parameter","name":"gate_prob","value":0.95}"#, "gate_prob set to 0.95"),
+    (r#"{"command":"switch-source","sensor":1,"on":false}"#, "source 1 (gyro) is left out"),
     (r#"{"command":"pull-cable","seconds":0.3}"#, " is down"),
 ];
 
@@ -236,12 +177,7 @@ fn a_session_with_every_command_of_the_page_replays_bit_for_bit() {
     assert_eq!(hello["simulator"]["link_profile"], "bluetooth-spp");
     assert_eq!(hello["history"]["switched_off"], serde_json::json!([1]));
     let sources: Vec<SourceRow> = typed(address, "/v1/sources");
-    assert!(
-        sources
-            .iter()
-            .all(|source| source.is_used == (source.id != 1)),
-        "{sources:?}"
-    );
+    assert!(sources.iter().all(|source| source.is_used == (source.id != 1)), "{sources:?}");
     station.program.interrupt();
     let replay = ["replay", "run/recording.mcap", "--events", "replayed.txt"];
     stdout_of(posebridge(folder.path()).args(replay));
@@ -289,30 +225,21 @@ fn a_thousand_half_open_connections_are_refused_and_counted_while_the_estimates_
     // When one of them gets through all the others are gone, and those that were let in are being let go.
     while exchange(
         address,
-        format!("GET /v1/robots HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n\r\n")
-            .as_bytes(),
+        format!("GET /v1/robots HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n\r\n").as_bytes(),
     )
     .is_none_or(|answer| answer.status != 200)
     {
         reader.until(has_estimate);
     }
-    assert!(
-        refused(address, "connections") >= 800.0,
-        "{}",
-        refused(address, "connections")
-    );
+    assert!(refused(address, "connections") >= 800.0, "{}", refused(address, "connections"));
     let state: State = typed(address, "/v1/state");
     assert_eq!(state.counters.events_dropped, 0);
     let estimates = state.counters.estimates;
     station.program.interrupt();
     // Nothing was lost on the way into the recording: its replay makes at least as many estimates as were counted live.
-    let json =
-        stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--json"]));
+    let json = stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--json"]));
     let replayed: serde_json::Value = serde_json::from_str(&json).unwrap();
-    assert!(
-        replayed["observations"].as_u64().unwrap() >= estimates,
-        "{estimates}"
-    );
+    assert!(replayed["observations"].as_u64().unwrap() >= estimates, "{estimates}");
 }
 
 /// A frame of a WebSocket client with this first byte and length, its payload masked with zeros.
@@ -362,27 +289,15 @@ fn requests_that_are_none_are_refused_and_counted() {
     let station = Station::start(folder.path());
     let address = station.address;
     let status = |request: &[u8]| exchange(address, request).map(|answer| answer.status);
-    assert_eq!(
-        status(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n"),
-        Some(400)
-    );
-    let long = format!(
-        "GET / HTTP/1.1\r\nhost: {address}\r\nx: {}\r\n\r\n",
-        "a".repeat(100_000)
-    );
+    assert_eq!(status(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n"), Some(400));
+    let long = format!("GET / HTTP/1.1\r\nhost: {address}\r\nx: {}\r\n\r\n", "a".repeat(100_000));
     assert!(matches!(status(long.as_bytes()), Some(431) | None));
     let headers = "content-type: application/json\r\n";
     let large = vec![b' '; 70_000];
-    assert_eq!(
-        request(address, "POST /v1/commands", (headers, &large)).status,
-        413
-    );
+    assert_eq!(request(address, "POST /v1/commands", (headers, &large)).status, 413);
     assert_eq!(request(address, "DELETE /v1/state", ("", b"")).status, 405);
     assert_eq!(get(address, "/../../../etc/passwd").status, 404);
-    assert_eq!(
-        get(address, "/v1/recordings/..%2f..%2fsecret.mcap").status,
-        404
-    );
+    assert_eq!(get(address, "/v1/recordings/..%2f..%2fsecret.mcap").status, 404);
     assert_eq!(post(address, "{\"command\":\"reset-pose\",").status, 400);
     assert_eq!(refused(address, "not_found"), 2.0);
     assert_eq!(refused(address, "command"), 1.0);
@@ -411,10 +326,7 @@ fn the_client_of_the_examples_gives_a_command_and_prints_poses() {
     client.kill().unwrap();
     client.wait().unwrap();
     assert_eq!(lines[0], "{'accepted': 'freeze-calibration'}");
-    assert!(
-        lines[1..].iter().all(|line| line.starts_with("0/1/1 x ")),
-        "{lines:?}"
-    );
+    assert!(lines[1..].iter().all(|line| line.starts_with("0/1/1 x ")), "{lines:?}");
     station.program.interrupt();
 }
 
@@ -424,20 +336,13 @@ fn an_address_that_was_chosen_and_is_in_use_is_an_error() {
     let station = Station::start(folder.path());
     let address = station.address.to_string();
     let mut command = posebridge(folder.path());
-    let output = command
-        .args(["run", "--dashboard", &address, "--out", "other"])
-        .output()
-        .unwrap();
+    let output = command.args(["run", "--dashboard", &address, "--out", "other"]).output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(2), "{said}");
-    let expected =
-        format!("starting the dashboard: {address} is in use, perhaps by another station; choose");
+    let expected = format!("starting the dashboard: {address} is in use, perhaps by another station; choose");
     assert!(said.contains(&expected), "{said}");
     station.program.interrupt();
-    assert!(
-        !folder.path().join("other").exists(),
-        "nothing is left behind"
-    );
+    assert!(!folder.path().join("other").exists(), "nothing is left behind");
 }
 
 #[test]
@@ -450,10 +355,7 @@ fn a_start_that_fails_leaves_nothing_that_the_next_one_stumbles_over() {
         (output.status.code(), said)
     };
     // No address of this computer: those of RFC 5737 are for examples.
-    for args in [
-        &["--dashboard", "127.0.0.1:0", "--ui-dir", "nowhere"][..],
-        &["--dashboard", "192.0.2.1:0"],
-    ] {
+    for args in [&["--dashboard", "127.0.0.1:0", "--ui-dir", "nowhere"][..], &["--dashboard", "192.0.2.1:0"]] {
         let (code, said) = run(args);
         assert_eq!(code, Some(2), "{said}");
         assert!(!folder.path().join("posebridge-runs").exists(), "{args:?}");

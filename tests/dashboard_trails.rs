@@ -1,8 +1,5 @@
 //! The trails of a recording, as the dashboard's replay shows them, against what `posebridge replay` says of the same file.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 #[path = "support/parted.rs"]
 mod parted;
@@ -48,10 +45,7 @@ fn the_errors_of_a_replay_are_those_of_the_run() {
     let table: Value = serde_json::from_str(&printed).unwrap();
     let said_m = table["estimators"][0]["position_rms_m"].as_f64();
     let said_m = said_m.unwrap_or_else(|| panic!("{table:#}"));
-    assert!(
-        (rms_m / said_m - 1.0).abs() < 0.1,
-        "{rms_m} m against {said_m} m"
-    );
+    assert!((rms_m / said_m - 1.0).abs() < 0.1, "{rms_m} m against {said_m} m");
     assert!(frame.errors.unwrap().estimate_m.get().is_some());
 }
 
@@ -62,9 +56,7 @@ fn the_truth_of_a_replay_stands_at_its_own_instants() {
     let apart = frame.truth.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
     let apart: Vec<f64> = apart.collect();
     assert!(apart.len() > 100);
-    let usual = apart
-        .iter()
-        .filter(|apart_s| (0.04..0.06).contains(*apart_s));
+    let usual = apart.iter().filter(|apart_s| (0.04..0.06).contains(*apart_s));
     assert!(usual.count() * 100 > apart.len() * 99, "{apart:?}");
 }
 
@@ -83,9 +75,7 @@ fn counts_and_what_was_learned_go_with_the_time_of_a_replay() {
         assert!(tallies.next().unwrap().seen < count / 2, "{sensor}");
     }
     let learned = robot.calibration.as_ref().unwrap();
-    let bias = learned
-        .iter()
-        .filter(|row| row.name == "gyro_bias_rad_per_s");
+    let bias = learned.iter().filter(|row| row.name == "gyro_bias_rad_per_s");
     let times: Vec<f64> = bias.map(|row| row.t_s).collect();
     assert!(times.len() as f64 > 0.9 * frame.now_s, "{times:?}");
     assert!(times.is_sorted());
@@ -100,15 +90,9 @@ fn what_a_recording_lacks_stands_first_in_the_log() {
     let whole = log("recording.mcap");
     assert!(!whole.iter().any(|line| line.text.contains("lacks")));
     let later = log("recording.2.mcap");
-    let lack = later
-        .iter()
-        .position(|line| line.text.contains("it lacks the first"));
+    let lack = later.iter().position(|line| line.text.contains("it lacks the first"));
     assert!(lack.is_some_and(|index| index < 2), "{later:?}");
-    assert!(
-        later[lack.unwrap()]
-            .text
-            .contains("not that of the live run")
-    );
+    assert!(later[lack.unwrap()].text.contains("not that of the live run"));
     assert!(later[0].t_s >= 1.5, "in the part's own time");
 }
 
@@ -122,11 +106,7 @@ fn where_a_recording_was_cut_off_stands_in_the_log() {
     let path = folder.join("torn.mcap");
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     let torn = trails::of(&path).unwrap();
-    assert!(
-        torn.log[0].text.contains("cut off at byte"),
-        "{:?}",
-        torn.log
-    );
+    assert!(torn.log[0].text.contains("cut off at byte"), "{:?}", torn.log);
     let shown = the_robot(&torn).estimates.len();
     assert!(shown > 10, "{shown} estimates before the cut");
 }

@@ -1,8 +1,5 @@
 //! The doctor on made-up computers: each cause of silence is named with its cure. And the program's report and exit code.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -10,9 +7,7 @@ use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 
-use posebridge::commands::doctor::{
-    CHECKS, Examination, Finding, Group, Person, Roots, Status, examine,
-};
+use posebridge::commands::doctor::{CHECKS, Examination, Finding, Group, Person, Roots, Status, examine};
 use support::posebridge;
 
 /// A computer in a folder.
@@ -72,10 +67,7 @@ impl Computer {
             .with_link(&format!("{usb}/1-2:1.0/driver"), &driver)
             .with_link(&format!("{usb}/1-2:1.0/tty/ttyACM0/device"), &interface)
             .with_link("sys/class/tty/ttyACM0", &tty)
-            .with_link(
-                "dev/serial/by-id/usb-Arduino_Uno-if00",
-                Path::new("../../ttyACM0"),
-            )
+            .with_link("dev/serial/by-id/usb-Arduino_Uno-if00", Path::new("../../ttyACM0"))
     }
 
     fn examination(&self) -> Examination {
@@ -95,22 +87,12 @@ impl Computer {
 
 /// Somebody in no group, who may open what `may_open` says.
 fn person(may_open: fn(&Path) -> bool) -> Person {
-    Person {
-        groups: vec![],
-        may_open,
-        group: |_| Group {
-            name: "dialout".to_owned(),
-            lists_person: false,
-        },
-    }
+    Person { groups: vec![], may_open, group: |_| Group { name: "dialout".to_owned(), lists_person: false } }
 }
 
 /// The only verdict of a check.
 fn only<'a>(findings: &'a [Finding], name: &str) -> (Status, &'a str, &'a str) {
-    let of_check: Vec<_> = findings
-        .iter()
-        .filter(|finding| finding.name == name)
-        .collect();
+    let of_check: Vec<_> = findings.iter().filter(|finding| finding.name == name).collect();
     let [finding] = of_check[..] else {
         panic!("{name}: {of_check:?}");
     };
@@ -136,11 +118,7 @@ fn every_check_says_something_and_what_is_wrong_has_a_cure() {
         }
         for Finding { name, verdict } in findings {
             let needs_cure = verdict.status > Status::Ok;
-            assert_eq!(
-                needs_cure,
-                !verdict.advice.is_empty(),
-                "{name}: {verdict:?}"
-            );
+            assert_eq!(needs_cure, !verdict.advice.is_empty(), "{name}: {verdict:?}");
             assert!(!verdict.what.is_empty(), "{name}");
         }
     }
@@ -149,19 +127,11 @@ fn every_check_says_something_and_what_is_wrong_has_a_cure() {
 #[test]
 fn a_computer_without_devices_has_no_problem() {
     let findings = Computer::bare().findings();
-    check(
-        &findings,
-        "serial-ports",
-        (Status::Warning, "no serial port", "plug it in"),
-    );
+    check(&findings, "serial-ports", (Status::Warning, "no serial port", "plug it in"));
     for name in ["permissions", "port-holders", "bluetooth", "listening"] {
         assert_eq!(only(&findings, name).0, Status::Skipped, "{name}");
     }
-    assert!(
-        findings
-            .iter()
-            .all(|finding| finding.verdict.status < Status::Problem)
-    );
+    assert!(findings.iter().all(|finding| finding.verdict.status < Status::Problem));
 }
 
 #[test]
@@ -169,10 +139,7 @@ fn a_board_is_described_with_driver_ids_and_lasting_name() {
     let findings = Computer::bare().with_board().findings();
     let (status, what, _) = only(&findings, "serial-ports");
     assert_eq!(status, Status::Ok);
-    for part in [
-        "/dev/ttyACM0, driver cdc_acm, USB 2341:0043 Uno, also ",
-        "/dev/serial/by-id/usb-Arduino_Uno-if00",
-    ] {
+    for part in ["/dev/ttyACM0, driver cdc_acm, USB 2341:0043 Uno, also ", "/dev/serial/by-id/usb-Arduino_Uno-if00"] {
         assert!(what.contains(part), "{what}");
     }
 }
@@ -186,112 +153,56 @@ fn a_port_that_may_not_be_opened_is_a_problem_and_names_the_cure() {
 
     fs::set_permissions(&port, fs::Permissions::from_mode(0o660)).unwrap();
     let cure = "sudo usermod -aG dialout $USER";
-    check(
-        &examine(&examination),
-        "permissions",
-        (Status::Problem, "may not be opened", cure),
-    );
+    check(&examine(&examination), "permissions", (Status::Problem, "may not be opened", cure));
 
-    examination.person.group = |_| Group {
-        name: "dialout".to_owned(),
-        lists_person: true,
-    };
+    examination.person.group = |_| Group { name: "dialout".to_owned(), lists_person: true };
     let cure = "log out and in again";
-    check(
-        &examine(&examination),
-        "permissions",
-        (Status::Problem, "", cure),
-    );
-    assert!(
-        !only(&examine(&examination), "permissions")
-            .2
-            .contains("usermod")
-    );
+    check(&examine(&examination), "permissions", (Status::Problem, "", cure));
+    assert!(!only(&examine(&examination), "permissions").2.contains("usermod"));
 
     fs::set_permissions(&port, fs::Permissions::from_mode(0o600)).unwrap();
-    check(
-        &examine(&examination),
-        "permissions",
-        (Status::Problem, "", "mode 0600"),
-    );
+    check(&examine(&examination), "permissions", (Status::Problem, "", "mode 0600"));
     // A group that may only read is no help: steering needs both ways.
     fs::set_permissions(&port, fs::Permissions::from_mode(0o640)).unwrap();
-    check(
-        &examine(&examination),
-        "permissions",
-        (Status::Problem, "", "mode 0640"),
-    );
+    check(&examine(&examination), "permissions", (Status::Problem, "", "mode 0640"));
 }
 
 #[test]
 fn the_program_that_holds_a_port_is_named() {
     let computer = Computer::bare().with_board().with_process(77, "minicom");
     let port = fs::canonicalize(computer.path("dev/ttyACM0")).unwrap();
-    let computer = computer
-        .with_process(8, "sh")
-        .with_link("proc/77/fd/3", &port)
-        .with_link("proc/77/fd/4", &port);
+    let computer = computer.with_process(8, "sh").with_link("proc/77/fd/3", &port).with_link("proc/77/fd/4", &port);
     let held = "held by minicom, process 77";
-    check(
-        &computer.findings(),
-        "port-holders",
-        (Status::Warning, held, "kill 77"),
-    );
+    check(&computer.findings(), "port-holders", (Status::Warning, held, "kill 77"));
 }
 
 #[test]
 fn a_device_of_a_given_link_is_looked_for_too() {
-    let computer = Computer::bare()
-        .with("elsewhere/tty", "")
-        .with_process(9, "cat");
+    let computer = Computer::bare().with("elsewhere/tty", "").with_process(9, "cat");
     let device = fs::canonicalize(computer.path("elsewhere/tty")).unwrap();
     let computer = computer.with_link("proc/9/fd/0", &device);
     let mut examination = computer.examination();
     examination.links = vec![format!("serial:{}", device.display())];
     let findings = examine(&examination);
-    check(
-        &findings,
-        "port-holders",
-        (Status::Warning, "held by cat", "kill 9"),
-    );
+    check(&findings, "port-holders", (Status::Warning, "held by cat", "kill 9"));
     // It is a plain file: it does not open as a port.
-    check(
-        &findings,
-        "listening",
-        (Status::Problem, "does not open", ""),
-    );
+    check(&findings, "listening", (Status::Problem, "does not open", ""));
 }
 
 #[test]
 fn modem_manager_is_a_warning_unless_udev_keeps_it_away() {
     let computer = Computer::bare().with_board();
-    check(
-        &computer.findings(),
-        "modem-manager",
-        (Status::Ok, "does not run", ""),
-    );
+    check(&computer.findings(), "modem-manager", (Status::Ok, "does not run", ""));
 
     let computer = computer.with_process(5, "ModemManager");
-    let rule =
-        "ATTRS{idVendor}==\"2341\", ATTRS{idProduct}==\"0043\", ENV{ID_MM_DEVICE_IGNORE}=\"1\"";
-    check(
-        &computer.findings(),
-        "modem-manager",
-        (Status::Warning, "ttyACM0", rule),
-    );
+    let rule = "ATTRS{idVendor}==\"2341\", ATTRS{idProduct}==\"0043\", ENV{ID_MM_DEVICE_IGNORE}=\"1\"";
+    check(&computer.findings(), "modem-manager", (Status::Warning, "ttyACM0", rule));
 
     // A tag with another value does not count, and one on the whole USB device does.
     let computer = computer.with("run/udev/data/c166:0", "E:ID_MM_DEVICE_IGNORE=0\n");
-    assert_eq!(
-        only(&computer.findings(), "modem-manager").0,
-        Status::Warning
-    );
+    assert_eq!(only(&computer.findings(), "modem-manager").0, Status::Warning);
     let computer = computer.with("run/udev/data/c189:5", "I:1\nE:ID_MM_DEVICE_IGNORE=1\n");
-    check(
-        &computer.findings(),
-        "modem-manager",
-        (Status::Ok, "no port here", ""),
-    );
+    check(&computer.findings(), "modem-manager", (Status::Ok, "no port here", ""));
 }
 
 #[test]
@@ -306,10 +217,7 @@ fn a_blocked_radio_is_a_problem_and_pairings_are_listed() {
         .with("sys/class/rfkill/rfkill1/hard", "0\n")
         .with_process(3, "bluetoothd")
         .with("var/lib/bluetooth/AA/settings", "")
-        .with(
-            "var/lib/bluetooth/AA/00:16:53:01:02:03/info",
-            "[General]\nName=NXT\n[LinkKey]\n",
-        );
+        .with("var/lib/bluetooth/AA/00:16:53:01:02:03/info", "[General]\nName=NXT\n[LinkKey]\n");
     let said: Vec<_> = computer
         .findings()
         .into_iter()
@@ -327,31 +235,18 @@ fn a_blocked_radio_is_a_problem_and_pairings_are_listed() {
     let computer = computer.with("sys/class/rfkill/rfkill1/soft", "1\n");
     let findings = computer.findings();
     assert!(findings.iter().any(|finding| {
-        finding.verdict.status == Status::Problem
-            && finding.verdict.advice.contains("rfkill unblock bluetooth")
+        finding.verdict.status == Status::Problem && finding.verdict.advice.contains("rfkill unblock bluetooth")
     }));
 }
 
 #[test]
 fn a_date_that_nobody_keeps_is_a_warning() {
     let bare = Computer::bare();
-    check(
-        &bare.findings(),
-        "time-sync",
-        (Status::Warning, "no service", "set-ntp true"),
-    );
+    check(&bare.findings(), "time-sync", (Status::Warning, "no service", "set-ntp true"));
     let waiting = bare.with_process(4, "systemd-timesyn");
-    check(
-        &waiting.findings(),
-        "time-sync",
-        (Status::Warning, "not reached", "network"),
-    );
+    check(&waiting.findings(), "time-sync", (Status::Warning, "not reached", "network"));
     let synchronised = waiting.with("run/systemd/timesync/synchronized", "");
-    check(
-        &synchronised.findings(),
-        "time-sync",
-        (Status::Ok, "timesyncd", ""),
-    );
+    check(&synchronised.findings(), "time-sync", (Status::Ok, "timesyncd", ""));
     let chrony = Computer::bare().with("run/chrony/chronyd.sock", "");
     check(&chrony.findings(), "time-sync", (Status::Ok, "chronyd", ""));
 }
@@ -360,26 +255,10 @@ fn a_date_that_nobody_keeps_is_a_warning() {
 fn a_small_receive_buffer_is_compared_with_what_links_ask_for() {
     let limit = |bytes: &str| Computer::bare().with("proc/sys/net/core/rmem_max", bytes);
     let cure = "sysctl net.core.rmem_max=4194304";
-    check(
-        &limit("212992\n").findings(),
-        "receive-buffer",
-        (Status::Warning, "212992", cure),
-    );
-    check(
-        &limit("4194303\n").findings(),
-        "receive-buffer",
-        (Status::Warning, "", cure),
-    );
-    check(
-        &limit("4194304\n").findings(),
-        "receive-buffer",
-        (Status::Ok, "4194304", ""),
-    );
-    check(
-        &limit("many\n").findings(),
-        "receive-buffer",
-        (Status::Skipped, "rmem_max", ""),
-    );
+    check(&limit("212992\n").findings(), "receive-buffer", (Status::Warning, "212992", cure));
+    check(&limit("4194303\n").findings(), "receive-buffer", (Status::Warning, "", cure));
+    check(&limit("4194304\n").findings(), "receive-buffer", (Status::Ok, "4194304", ""));
+    check(&limit("many\n").findings(), "receive-buffer", (Status::Skipped, "rmem_max", ""));
 }
 
 #[test]
@@ -387,11 +266,7 @@ fn a_configuration_is_checked_and_its_links_are_opened() {
     let wrong = Computer::bare().with("station.toml", "[robot]\ntrack_with_m = 1\n");
     let mut examination = wrong.examination();
     examination.config = Some(wrong.path("station.toml"));
-    check(
-        &examine(&examination),
-        "configuration",
-        (Status::Problem, "line 2", "config print"),
-    );
+    check(&examine(&examination), "configuration", (Status::Problem, "line 2", "config print"));
 
     let text = "[[link]]\nurl = \"serial:/nowhere/tty\"\n[[link]]\nurl = \"sim://square\"\n\
                 [[link]]\nurl = \"sim://sqare\"\n[[link]]\nurl = \"serial:/\"\n[[link]]\nurl = \"pty:x\"\n\
@@ -406,29 +281,16 @@ fn a_configuration_is_checked_and_its_links_are_opened() {
         .collect();
     assert_eq!(
         statuses,
-        [
-            Status::Ok,
-            Status::Warning,
-            Status::Ok,
-            Status::Problem,
-            Status::Problem,
-            Status::Skipped,
-            Status::Ok,
-        ]
+        [Status::Ok, Status::Warning, Status::Ok, Status::Problem, Status::Problem, Status::Skipped, Status::Ok,]
     );
 }
 
 #[test]
 fn the_object_has_the_keys_that_its_page_promises() {
     let folder = tempfile::tempdir().unwrap();
-    let output = posebridge(folder.path())
-        .args(["doctor", "--json", "serial:/nowhere/tty"])
-        .output()
-        .unwrap();
+    let output = posebridge(folder.path()).args(["doctor", "--json", "serial:/nowhere/tty"]).output().unwrap();
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let keys = |value: &serde_json::Value| -> Vec<String> {
-        value.as_object().unwrap().keys().cloned().collect()
-    };
+    let keys = |value: &serde_json::Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
     assert_eq!(keys(&report), ["checks", "problems", "version", "warnings"]);
     let checks = report["checks"].as_array().unwrap();
     for line in checks {
@@ -441,33 +303,20 @@ fn the_object_has_the_keys_that_its_page_promises() {
     let page = fs::read_to_string(support::root().join("docs/doctor.md")).unwrap();
     for key in keys(&report).iter().chain(&keys(last)) {
         assert!(page.contains(&format!("| `{key}` |")), "{key}");
-        assert!(
-            page.contains(&format!("\"{key}\": {{")),
-            "{key} in the schema"
-        );
+        assert!(page.contains(&format!("\"{key}\": {{")), "{key} in the schema");
     }
     for row in CHECKS {
-        assert!(
-            page.contains(&format!("| `{}` |", row.name)),
-            "{}",
-            row.name
-        );
+        assert!(page.contains(&format!("| `{}` |", row.name)), "{}", row.name);
     }
 }
 
 #[test]
 fn a_problem_is_exit_code_1_and_stands_in_the_report() {
     let folder = tempfile::tempdir().unwrap();
-    let output = posebridge(folder.path())
-        .args(["doctor", "ttyUSB0"])
-        .output()
-        .unwrap();
+    let output = posebridge(folder.path()).args(["doctor", "ttyUSB0"]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     let report = String::from_utf8(output.stdout).unwrap();
-    let line = report
-        .lines()
-        .find(|line| line.starts_with("problem  listening "))
-        .unwrap();
+    let line = report.lines().find(|line| line.starts_with("problem  listening ")).unwrap();
     assert!(line.contains("`ttyUSB0` has no scheme"), "{line}");
     assert!(report.contains("cure: docs/links.md"), "{report}");
     let stderr = String::from_utf8(output.stderr).unwrap();

@@ -16,13 +16,8 @@ use tokio_util::sync::CancellationToken;
 fn it_says_each_second_who_is_how_far_off_and_ends_with_tables_when_it_is_interrupted() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("skewed.toml"), SKEWED_SQUARE).unwrap();
-    let mut run = Running::start(posebridge(folder.path()).args([
-        "run",
-        "--link",
-        "sim://skewed.toml",
-        "--out",
-        "run",
-    ]));
+    let mut run =
+        Running::start(posebridge(folder.path()).args(["run", "--link", "sim://skewed.toml", "--out", "run"]));
     // One lap takes about ten seconds: it is in its second when it is ended.
     let mut lines = Vec::new();
     for _ in 0..14 {
@@ -35,31 +30,19 @@ fn it_says_each_second_who_is_how_far_off_and_ends_with_tables_when_it_is_interr
         assert!((0.0..0.1).contains(&estimate_m), "{line}");
     }
     let tables = run.interrupt();
-    assert!(
-        tables.contains("brick's own odometry") && tables.contains("path error"),
-        "{tables}"
-    );
+    assert!(tables.contains("brick's own odometry") && tables.contains("path error"), "{tables}");
     assert!(tables.contains("track.svg"), "{tables}");
     let recording = folder.path().join("run/recording.mcap");
     let samples = truth(&std::fs::read(&recording).unwrap()).unwrap();
-    assert!(
-        samples.len() > 14 * 15,
-        "{} samples of the truth",
-        samples.len()
-    );
-    assert!(
-        samples.windows(2).all(|pair| pair[0].stamp < pair[1].stamp),
-        "in order, once each"
-    );
+    assert!(samples.len() > 14 * 15, "{} samples of the truth", samples.len());
+    assert!(samples.windows(2).all(|pair| pair[0].stamp < pair[1].stamp), "in order, once each");
     let replayed = stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap"]));
     assert!(replayed.contains("pose"), "{replayed}");
 }
 
 /// Waits for something to happen on a port.
 async fn wait_for(port: &mut Port, what: &str, is_it: impl Fn(&PortEvent) -> bool) {
-    let waited = tokio::time::timeout(Duration::from_secs(60), async {
-        while !is_it(&port.next().await) {}
-    });
+    let waited = tokio::time::timeout(Duration::from_secs(60), async { while !is_it(&port.next().await) {} });
     assert!(waited.await.is_ok(), "{what} within a minute");
 }
 
@@ -70,11 +53,7 @@ async fn a_pulled_cable_closes_the_terminal_and_puts_it_back() {
     let (timer, stop) = (HostTimer::start(), CancellationToken::new());
     let scenario = Scenario::default().without_end();
     let brick = EmbeddedBrick::start(scenario, &path, timer, stop.clone()).unwrap();
-    let config = PortConfig {
-        id: LinkId(0),
-        url: LinkUrl::serial(&path).unwrap(),
-        role: Role::Dial,
-    };
+    let config = PortConfig { id: LinkId(0), url: LinkUrl::serial(&path).unwrap(), role: Role::Dial };
     let mut port = Port::new(config, timer);
     port.open_first().await.unwrap();
     let has_bytes = |event: &PortEvent| matches!(event, PortEvent::Bytes { .. });

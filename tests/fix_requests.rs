@@ -1,8 +1,5 @@
 //! Fixes that are asked for: as sure of the pose as with a camera that streams, for a fraction of the fixes. In virtual time.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use posebridge::config::{Config, LinkSection};
 use posebridge::virtual_run::{self, VirtualRun};
@@ -16,9 +13,8 @@ const SETTLED: Span = Span::from_millis(4_000);
 
 /// A robot that drives a square and waits at its corners, as one does that picks things up there.
 fn scenario(camera: &str) -> Scenario {
-    let text = format!(
-        "seed = 3\n[path.square]\nside_m = 1.0\n[drive]\npause_s = 8.0\n[camera]\ndropout = 0.0\n{camera}"
-    );
+    let text =
+        format!("seed = 3\n[path.square]\nside_m = 1.0\n[drive]\npause_s = 8.0\n[camera]\ndropout = 0.0\n{camera}");
     Scenario::from_toml(&text).unwrap()
 }
 
@@ -38,10 +34,7 @@ fn fixes_and_worst_m(run: &VirtualRun) -> (u64, f64) {
     let estimates = run.collector.estimates.items().iter();
     let settled = estimates.filter(|estimate| estimate.stamp - start >= SETTLED);
     let sigmas = settled.map(|estimate| estimate.x_sigma_m().max(estimate.y_sigma_m()));
-    (
-        camera.map_or(0, |tally| tally.used),
-        sigmas.fold(0.0, f64::max),
-    )
+    (camera.map_or(0, |tally| tally.used), sigmas.fold(0.0, f64::max))
 }
 
 #[test]
@@ -59,10 +52,7 @@ fn a_camera_that_is_asked_sends_far_fewer_fixes_for_the_same_worst_sigma() {
     let steady = rates_hz.iter().find_map(|rate_hz| {
         let run = driven(&format!("rate_hz = {rate_hz}"), None);
         let (fixes, worst_m) = fixes_and_worst_m(&run);
-        println!(
-            "{rate_hz} Hz: {fixes} fixes, worst sigma {:.2} mm",
-            1e3 * worst_m
-        );
+        println!("{rate_hz} Hz: {fixes} fixes, worst sigma {:.2} mm", 1e3 * worst_m);
         (worst_m <= asked_worst_m).then_some(fixes)
     });
     let steady = steady.expect("some rate is quick enough");

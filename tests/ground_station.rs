@@ -1,8 +1,5 @@
 //! Ground stations beside the program: they see the robot and its estimator, lose nothing of either, and get what they ask for.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -14,8 +11,7 @@ use std::time::Duration;
 use posebridge_protocol::dialect::{Encoder, PayloadError, decode, ids};
 use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, WireVersion};
 use posebridge_protocol::message::{
-    AutopilotVersion, CommandAck, CommandLong, Heartbeat, Message, MessageInterval, OdometryPose,
-    SetMessageInterval,
+    AutopilotVersion, CommandAck, CommandLong, Heartbeat, Message, MessageInterval, OdometryPose, SetMessageInterval,
 };
 use posebridge_telemetry::{Address, Span, Stamp};
 use support::{Running, posebridge};
@@ -50,16 +46,11 @@ struct Peer {
 impl Peer {
     fn new() -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
-        socket
-            .set_read_timeout(Some(PATIENCE))
-            .expect("it can wait");
+        socket.set_read_timeout(Some(PATIENCE)).expect("it can wait");
         Self {
             socket,
             station: None,
-            scanner: Scanner::new(ScannerConfig {
-                transport: Framing::Datagram,
-                ..ScannerConfig::default()
-            }),
+            scanner: Scanner::new(ScannerConfig { transport: Framing::Datagram, ..ScannerConfig::default() }),
             voice: Encoder::new(WireVersion::V2),
             senders: BTreeMap::new(),
             said: Vec::new(),
@@ -81,11 +72,7 @@ impl Peer {
     fn command(&mut self, target: Address, command: u16, first: u32) {
         let mut params = [0.0; 7];
         params[0] = first as f32;
-        self.say(&Message::Command(CommandLong {
-            target,
-            command,
-            params,
-        }));
+        self.say(&Message::Command(CommandLong { target, command, params }));
     }
 
     /// Takes one datagram.
@@ -144,24 +131,16 @@ impl Peer {
     /// How many heartbeats somebody has said so far.
     fn beats_of(&self, who: Address) -> usize {
         let beats = self.said.iter();
-        beats
-            .filter(|(from, said)| *from == who && matches!(said, Message::Heartbeat(_)))
-            .count()
+        beats.filter(|(from, said)| *from == who && matches!(said, Message::Heartbeat(_))).count()
     }
 }
 
 /// Who is there, with what they say of themselves.
 fn sees_both(peer: &mut Peer) {
     for (who, vehicle_type, autopilot) in [(ROBOT, 10, 0), (ESTIMATOR, 18, 8)] {
-        let beat = peer.wait_for("a heartbeat", |from, message| {
-            from == who && matches!(message, Message::Heartbeat(_))
-        });
-        let expected = Heartbeat {
-            vehicle_type,
-            autopilot,
-            base_mode: 0,
-            system_status: 4,
-        };
+        let beat =
+            peer.wait_for("a heartbeat", |from, message| from == who && matches!(message, Message::Heartbeat(_)));
+        let expected = Heartbeat { vehicle_type, autopilot, base_mode: 0, system_status: 4 };
         assert_eq!(beat, Message::Heartbeat(expected), "{who}");
     }
 }
@@ -191,15 +170,8 @@ fn asks(peer: &mut Peer, vehicle: u8) {
         peer.command(who, NO_COMMAND, 0);
         assert_eq!(peer.answer(who, NO_COMMAND), UNSUPPORTED, "{who}");
     }
-    peer.command(
-        ESTIMATOR,
-        ids::COMMAND_REQUEST_MESSAGE,
-        ids::AUTOPILOT_VERSION,
-    );
-    assert_eq!(
-        peer.answer(ESTIMATOR, ids::COMMAND_REQUEST_MESSAGE),
-        ACCEPTED
-    );
+    peer.command(ESTIMATOR, ids::COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION);
+    assert_eq!(peer.answer(ESTIMATOR, ids::COMMAND_REQUEST_MESSAGE), ACCEPTED);
     let version = peer.wait_for("AUTOPILOT_VERSION", |from, message| {
         from == ESTIMATOR && matches!(message, Message::AutopilotVersion(_))
     });
@@ -211,20 +183,14 @@ fn asks(peer: &mut Peer, vehicle: u8) {
     peer.command(ROBOT, ids::COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION);
     assert_eq!(peer.answer(ROBOT, ids::COMMAND_REQUEST_MESSAGE), vehicle);
     peer.command(ESTIMATOR, ids::COMMAND_REQUEST_MESSAGE, 60_000);
-    assert_eq!(
-        peer.answer(ESTIMATOR, ids::COMMAND_REQUEST_MESSAGE),
-        UNSUPPORTED
-    );
+    assert_eq!(peer.answer(ESTIMATOR, ids::COMMAND_REQUEST_MESSAGE), UNSUPPORTED);
 }
 
 /// The robot's attitude is slowed down, and the NIS, of which nothing came, is asked for.
 fn sets_intervals(peer: &mut Peer) {
     let is_nis = |message: &Message| matches!(message, Message::NamedValue(_));
     assert!(peer.said.iter().all(|(_, message)| !is_nis(message)));
-    for (target, message_id, millis) in [
-        (ROBOT, ids::ATTITUDE, 400),
-        (ESTIMATOR, ids::NAMED_VALUE_FLOAT, 50),
-    ] {
+    for (target, message_id, millis) in [(ROBOT, ids::ATTITUDE, 400), (ESTIMATOR, ids::NAMED_VALUE_FLOAT, 50)] {
         peer.say(&Message::SetMessageInterval(SetMessageInterval {
             target,
             message_id,
@@ -233,21 +199,12 @@ fn sets_intervals(peer: &mut Peer) {
         let answer = peer.answer(target, ids::COMMAND_SET_MESSAGE_INTERVAL);
         assert_eq!(answer, ACCEPTED, "{target}");
     }
-    peer.wait_for("NAMED_VALUE_FLOAT", |from, message| {
-        from == ESTIMATOR && is_nis(message)
-    });
+    peer.wait_for("NAMED_VALUE_FLOAT", |from, message| from == ESTIMATOR && is_nis(message));
     peer.command(ROBOT, ids::COMMAND_GET_MESSAGE_INTERVAL, ids::ATTITUDE);
-    assert_eq!(
-        peer.answer(ROBOT, ids::COMMAND_GET_MESSAGE_INTERVAL),
-        ACCEPTED
-    );
-    let told = peer.wait_for("MESSAGE_INTERVAL", |from, message| {
-        from == ROBOT && matches!(message, Message::MessageInterval(_))
-    });
-    let expected = MessageInterval {
-        message_id: 30,
-        interval_micros: 400_000,
-    };
+    assert_eq!(peer.answer(ROBOT, ids::COMMAND_GET_MESSAGE_INTERVAL), ACCEPTED);
+    let told = peer
+        .wait_for("MESSAGE_INTERVAL", |from, message| from == ROBOT && matches!(message, Message::MessageInterval(_)));
+    let expected = MessageInterval { message_id: 30, interval_micros: 400_000 };
     assert_eq!(told, Message::MessageInterval(expected));
     let seen = peer.said.len();
     let beats = peer.beats_of(ESTIMATOR);
@@ -270,10 +227,7 @@ fn has_lost_nothing(peer: &Peer) {
         assert_eq!(lost, 0, "{who}: {frames} frames");
     }
     let (robot, estimator) = (peer.beats_of(ROBOT), peer.beats_of(ESTIMATOR));
-    assert!(
-        robot.abs_diff(estimator) <= 2,
-        "{robot} and {estimator} heartbeats: one of them twice"
-    );
+    assert!(robot.abs_diff(estimator) <= 2, "{robot} and {estimator} heartbeats: one of them twice");
 }
 
 /// Beside a brick that speaks MAVLink itself: its frames and ours bear one address, and nobody can tell.
@@ -283,21 +237,12 @@ fn a_brick_that_speaks_mavlink_and_its_estimator_are_seen_without_a_loss() {
     let mut peer = Peer::new();
     let gcs = format!("udp://{}", peer.address());
     let mut run = posebridge(folder.path());
-    run.args([
-        "run",
-        "--link",
-        "sim://square",
-        "--gcs",
-        &gcs,
-        "--no-record",
-    ]);
+    run.args(["run", "--link", "sim://square", "--gcs", &gcs, "--no-record"]);
     let _station = Running::start(&mut run);
     sees_both(&mut peer);
     sees_the_estimate(&mut peer);
     // The brick's own telemetry is passed on as well.
-    peer.wait_for("PB_WHEEL_TICKS", |from, message| {
-        from == ROBOT && matches!(message, Message::WheelTicks(_))
-    });
+    peer.wait_for("PB_WHEEL_TICKS", |from, message| from == ROBOT && matches!(message, Message::WheelTicks(_)));
     asks(&mut peer, UNSUPPORTED);
     sets_intervals(&mut peer);
     has_lost_nothing(&peer);
@@ -317,12 +262,7 @@ fn a_brick_that_speaks_no_mavlink_is_a_vehicle_all_the_same() {
     let mut peer = Peer::new();
     let address = station.listening_address("");
     peer.station = Some(address.parse().expect("an address"));
-    peer.say(&Message::Heartbeat(Heartbeat {
-        vehicle_type: 6,
-        autopilot: 8,
-        base_mode: 0,
-        system_status: 4,
-    }));
+    peer.say(&Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 }));
     sees_both(&mut peer);
     sees_the_estimate(&mut peer);
     asks(&mut peer, ACCEPTED);
@@ -354,11 +294,6 @@ sensor = [{ port = 1, kind = "ht-gyro" }]
     std::fs::write(folder.join("robot.toml"), ROBOT).expect("it is written");
     let mut sim = posebridge(folder);
     sim.args(["sim", "small.toml", "--brick", "nxt"]);
-    sim.args([
-        "--listen",
-        "pty:brick.tty",
-        "--camera-listen",
-        "tcp://127.0.0.1:0",
-    ]);
+    sim.args(["--listen", "pty:brick.tty", "--camera-listen", "tcp://127.0.0.1:0"]);
     Running::start(&mut sim)
 }

@@ -1,8 +1,5 @@
 //! `posebridge identify`: what the simulator was told is found again, with sigmas that cover.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -70,19 +67,12 @@ fn a_thermometer_of_one_lag_is_that_of_the_simulator_each_way_by_its_own() {
     let folder = tempfile::tempdir().unwrap();
     let found = object(folder.path(), &["step"]);
     let runs = found["runs"].as_array().unwrap();
-    let told: Vec<[&str; 2]> = runs
-        .iter()
-        .map(|run| ["name", "way"].map(|key| run[key].as_str().unwrap()))
-        .collect();
+    let told: Vec<[&str; 2]> = runs.iter().map(|run| ["name", "way"].map(|key| run[key].as_str().unwrap())).collect();
     assert_eq!(told, [["heating", "up"], ["cooling", "down"]]);
     assert!(runs.iter().all(|run| run["order"] == 1), "{found}");
     // 6 s and 7.5 s.
     assert_eq!(found["ways"]["differ"], true);
-    for picture in [
-        "identify-step-1.svg",
-        "identify-step-2.svg",
-        "identify-step.html",
-    ] {
+    for picture in ["identify-step-1.svg", "identify-step-2.svg", "identify-step.html"] {
         assert!(folder.path().join(picture).exists(), "{picture}");
     }
     // The wheels of the simulated robot are alike both ways.
@@ -93,26 +83,13 @@ fn a_thermometer_of_one_lag_is_that_of_the_simulator_each_way_by_its_own() {
 #[test]
 fn a_thermometer_of_two_lags_is_told_from_one_and_its_lags_are_found() {
     let args = ["step", "--sim", "sheathed-thermometer"];
-    holds(
-        &args,
-        &[
-            "gain",
-            "dead time",
-            "time constant 1",
-            "time constant 2",
-            "share 1",
-            "mean lag",
-        ],
-    );
+    holds(&args, &["gain", "dead time", "time constant 1", "time constant 2", "share 1", "mean lag"]);
     // One lag, forced, has no truth to be held against and leaves more.
     let folder = tempfile::tempdir().unwrap();
     let rms = |more: &[&str]| {
         let found = object(folder.path(), &[&args[..], more].concat());
         let run = &found["runs"][0];
-        (
-            run["order"].as_u64().unwrap(),
-            run["residual_rms"].as_f64().unwrap(),
-        )
+        (run["order"].as_u64().unwrap(), run["residual_rms"].as_f64().unwrap())
     };
     let (chosen, forced) = (rms(&[]), rms(&["--order", "1"]));
     assert_eq!((chosen.0, forced.0), (2, 1));
@@ -145,14 +122,7 @@ fn table(folder: &Path) {
 fn a_plain_table_is_enough() {
     let folder = tempfile::tempdir().unwrap();
     table(folder.path());
-    let columns = [
-        "--time-column",
-        "millis",
-        "--time-unit",
-        "ms",
-        "--value-column",
-        "volts",
-    ];
+    let columns = ["--time-column", "millis", "--time-unit", "ms", "--value-column", "volts"];
     let known = ["--onset", "2.5", "--input-step", "2"];
     let args = [&["step", "--recording", "volts.csv"][..], &columns, &known].concat();
     let found = identify(folder.path(), &args);
@@ -160,17 +130,8 @@ fn a_plain_table_is_enough() {
         let one = found.iter().find(|quantity| quantity["name"] == name);
         one.unwrap()["value"].as_f64().unwrap()
     };
-    for (name, truth) in [
-        ("gain", 2.0),
-        ("dead time", 0.5),
-        ("time constant 1", 2.0),
-        ("end", 9.0),
-    ] {
-        assert!(
-            (value(name) / truth - 1.0).abs() < 0.02,
-            "{name}: {}",
-            value(name)
-        );
+    for (name, truth) in [("gain", 2.0), ("dead time", 0.5), ("time constant 1", 2.0), ("end", 9.0)] {
+        assert!((value(name) / truth - 1.0).abs() < 0.02, "{name}: {}", value(name));
     }
 }
 
@@ -205,17 +166,10 @@ fn rows_out_of_order_are_put_into_it() {
         (values, String::from_utf8(output.stderr).unwrap())
     };
     let (ordered, said) = of("volts.csv");
-    assert!(
-        !said.contains("order") && !said.contains("left out"),
-        "{said}"
-    );
+    assert!(!said.contains("order") && !said.contains("left out"), "{said}");
     let (mixed, said) = of("mixed.csv");
     assert_eq!(mixed, ordered);
-    assert!(
-        said.contains("were put into the order of `millis`")
-            && said.contains("1 samples are left out"),
-        "{said}"
-    );
+    assert!(said.contains("were put into the order of `millis`") && said.contains("1 samples are left out"), "{said}");
 }
 
 #[test]
@@ -235,26 +189,16 @@ fn a_descriptor_of_a_robot_names_the_sensors_that_it_has() {
     let text = robot.to_owned() + support::WHEELS_CSV;
     std::fs::write(folder.path().join("cart.toml"), text).unwrap();
     let step = ["step", "--recording", "cart.toml", "--data", "."];
-    let refused = posebridge(folder.path())
-        .arg("identify")
-        .args(step)
-        .output()
-        .unwrap();
+    let refused = posebridge(folder.path()).arg("identify").args(step).output().unwrap();
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert_eq!(refused.status.code(), Some(2));
-    assert!(
-        said.contains("run `a` holds no temperature") && said.contains("left-wheel, right-wheel"),
-        "{said}"
-    );
+    assert!(said.contains("run `a` holds no temperature") && said.contains("left-wheel, right-wheel"), "{said}");
     for (wheel, way) in [("left-wheel", "up"), ("right-wheel", "down")] {
         let args = [&step[..], &["--channel", wheel]].concat();
         let found = object(folder.path(), &args);
         assert_eq!(found["runs"][0]["way"], way);
         let tau = found["quantities"].as_array().unwrap().iter();
-        let tau = tau
-            .clone()
-            .find(|quantity| quantity["name"] == "time constant 1")
-            .unwrap();
+        let tau = tau.clone().find(|quantity| quantity["name"] == "time constant 1").unwrap();
         let tau_s = tau["value"].as_f64().unwrap();
         assert!((tau_s / 0.5 - 1.0).abs() < 0.1, "{tau}");
     }
@@ -268,13 +212,7 @@ fn recorded_thermometers_and_cars_are_identified() {
     let folder = tempfile::tempdir().unwrap();
     let of = |what: &str, name: &str, more: &[&str]| {
         let descriptor = root().join("config/recordings").join(name);
-        let args = [
-            what,
-            "--recording",
-            descriptor.to_str().unwrap(),
-            "--data",
-            data.to_str().unwrap(),
-        ];
+        let args = [what, "--recording", descriptor.to_str().unwrap(), "--data", data.to_str().unwrap()];
         object(folder.path(), &[&args[..], more].concat())
     };
     let value = |found: &Value, run: &str, name: &str| {
@@ -310,47 +248,26 @@ fn covers(what: &str, names: &[&str]) {
     for seed in ["1", "2", "3", "4", "5"] {
         let found = identify(folder.path(), &[what, "--seed", seed]);
         for name in names {
-            let quantity = found
-                .iter()
-                .find(|quantity| quantity["name"] == *name)
-                .unwrap();
+            let quantity = found.iter().find(|quantity| quantity["name"] == *name).unwrap();
             let number = |key: &str| quantity[key].as_f64().unwrap();
             let (value, sigma, truth) = (number("value"), number("sigma"), number("truth"));
-            assert!(
-                (value - truth).abs() < 0.1 * truth,
-                "{name}, seed {seed}: {value}, true {truth}"
-            );
-            assert!(
-                (value - truth).abs() < 3.0 * sigma,
-                "{name}, seed {seed}: {value} ± {sigma}, true {truth}"
-            );
+            assert!((value - truth).abs() < 0.1 * truth, "{name}, seed {seed}: {value}, true {truth}");
+            assert!((value - truth).abs() < 3.0 * sigma, "{name}, seed {seed}: {value} ± {sigma}, true {truth}");
             within_two += i32::from((value - truth).abs() < 2.0 * sigma);
             all += 1;
         }
     }
-    assert!(
-        within_two * 10 >= all * 8,
-        "{within_two} of {all} within two sigma"
-    );
+    assert!(within_two * 10 >= all * 8, "{within_two} of {all} within two sigma");
     assert!(folder.path().join(format!("identify-{what}.html")).exists());
 }
 
 #[test]
 fn noise_and_bias_walk_of_a_gyro_at_rest_are_those_of_the_simulator() {
-    covers(
-        "rest",
-        &["gyro_rad_per_s", "gyro_bias_walk_rad_per_s_sqrt_s"],
-    );
+    covers("rest", &["gyro_rad_per_s", "gyro_bias_walk_rad_per_s_sqrt_s"]);
     let folder = tempfile::tempdir().unwrap();
     let found = identify(folder.path(), &["rest"]);
-    let step = found
-        .iter()
-        .find(|quantity| quantity["name"] == "gyro_resolution_rad_per_s")
-        .unwrap();
-    let (value, truth) = (
-        step["value"].as_f64().unwrap(),
-        step["truth"].as_f64().unwrap(),
-    );
+    let step = found.iter().find(|quantity| quantity["name"] == "gyro_resolution_rad_per_s").unwrap();
+    let (value, truth) = (step["value"].as_f64().unwrap(), step["truth"].as_f64().unwrap());
     assert!((value - truth).abs() < 1e-9, "{value} {truth}");
 }
 
@@ -363,14 +280,8 @@ fn the_delay_of_a_camera_is_that_of_the_simulator() {
 fn by_its_stamps_the_simulated_camera_is_not_late() {
     let folder = tempfile::tempdir().unwrap();
     let found = identify(folder.path(), &["delay", "--by", "stamp"]);
-    let (value, sigma) = (
-        found[0]["value"].as_f64().unwrap(),
-        found[0]["sigma"].as_f64().unwrap(),
-    );
-    assert!(
-        value.abs() < 3.0 * sigma && sigma < 0.005,
-        "{value} ± {sigma}"
-    );
+    let (value, sigma) = (found[0]["value"].as_f64().unwrap(), found[0]["sigma"].as_f64().unwrap());
+    assert!(value.abs() < 3.0 * sigma && sigma < 0.005, "{value} ± {sigma}");
 }
 
 #[test]
@@ -382,18 +293,9 @@ fn the_speed_of_a_straight_run_is_as_rough_as_whole_counts_make_it() {
     let truth = (f * (1.0 - f)).sqrt() * 1.0_f64.to_radians() * 0.028 / 0.05;
     for wheel in ["left", "right"] {
         let name = format!("root of R, {wheel} wheel");
-        let quantity = found
-            .iter()
-            .find(|quantity| quantity["name"] == name.as_str())
-            .unwrap();
-        let (value, sigma) = (
-            quantity["value"].as_f64().unwrap(),
-            quantity["sigma"].as_f64().unwrap(),
-        );
-        assert!(
-            (value - truth).abs() < 0.1 * truth && (value - truth).abs() < 3.0 * sigma,
-            "{value} {truth}"
-        );
+        let quantity = found.iter().find(|quantity| quantity["name"] == name.as_str()).unwrap();
+        let (value, sigma) = (quantity["value"].as_f64().unwrap(), quantity["sigma"].as_f64().unwrap());
+        assert!((value - truth).abs() < 0.1 * truth && (value - truth).abs() < 3.0 * sigma, "{value} {truth}");
     }
 }
 
@@ -401,11 +303,7 @@ fn the_speed_of_a_straight_run_is_as_rough_as_whole_counts_make_it() {
 fn what_tells_nothing_says_why() {
     let folder = tempfile::tempdir().unwrap();
     for (args, code, wanted) in [
-        (
-            vec!["rest", "--from", "5", "--to", "4"],
-            2,
-            "nothing lies between them",
-        ),
+        (vec!["rest", "--from", "5", "--to", "4"], 2, "nothing lies between them"),
         (vec!["rest", "--to", "2"], 1, "20 are the least"),
         (vec!["delay", "--most", "0.1"], 1, "widen it with --most"),
         (vec!["straight", "--sim", "nowhere.toml"], 2, "nowhere.toml"),
@@ -426,23 +324,14 @@ fn refused(folder: &Path, args: &[&str], code: i32, wanted: &str) {
 #[test]
 fn a_step_that_tells_nothing_says_why() {
     let folder = tempfile::tempdir().unwrap();
-    let still = String::from("t_s,volts\n")
-        + &(0..99).fold(String::new(), |rows, k| format!("{rows}{k},1\n"));
+    let still = String::from("t_s,volts\n") + &(0..99).fold(String::new(), |rows, k| format!("{rows}{k},1\n"));
     std::fs::write(folder.path().join("still.csv"), still).unwrap();
     std::fs::write(folder.path().join("typed.csv"), "t_s,volts\n1,2\n2,x\n").unwrap();
     for (args, code, wanted) in [
         (vec!["step", "--recording", "none.csv"], 2, "none.csv"),
         (vec!["step", "--recording", "still.csv"], 2, "give --noise"),
-        (
-            vec!["step", "--recording", "still.csv", "--noise", "0.1"],
-            1,
-            "no step",
-        ),
-        (
-            vec!["step", "--recording", "typed.csv"],
-            2,
-            "`typed.csv` line 3: `x` in column `volts` is no number",
-        ),
+        (vec!["step", "--recording", "still.csv", "--noise", "0.1"], 1, "no step"),
+        (vec!["step", "--recording", "typed.csv"], 2, "`typed.csv` line 3: `x` in column `volts` is no number"),
         (
             vec!["step", "--recording", "still.csv", "--value-column", "amps"],
             2,

@@ -1,8 +1,5 @@
 //! Brick and station over a bad link in virtual time: the same every time, and the station is worth having even so.
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 use posebridge::config::Config;
 use posebridge::report::run::{Truth, errors};
@@ -13,10 +10,7 @@ use posebridge_sim::{Scenario, Simulation, Steering};
 use posebridge_telemetry::{Input, LinkState, Output, PeerId, Span, Stamp};
 
 fn scenario() -> Scenario {
-    Scenario::bundled("square")
-        .unwrap()
-        .with_seed(3)
-        .with_steering(Steering::Estimate)
+    Scenario::bundled("square").unwrap().with_seed(3).with_steering(Steering::Estimate)
 }
 
 fn drive(link: &VirtualLink) -> VirtualRun {
@@ -26,11 +20,7 @@ fn drive(link: &VirtualLink) -> VirtualRun {
 }
 
 fn bundled(name: &str) -> VirtualLink {
-    VirtualLink {
-        profile: LinkProfile::bundled(name).unwrap(),
-        seed: 5,
-        ..VirtualLink::default()
-    }
+    VirtualLink { profile: LinkProfile::bundled(name).unwrap(), seed: 5, ..VirtualLink::default() }
 }
 
 #[test]
@@ -38,14 +28,8 @@ fn the_same_seed_gives_the_same_run_bit_for_bit_and_another_does_not() {
     let link = bundled("harsh");
     let (first, again) = (drive(&link), drive(&link));
     assert_eq!(first.simulation.truth(), again.simulation.truth());
-    assert_eq!(
-        first.collector.estimates.items(),
-        again.collector.estimates.items()
-    );
-    assert_eq!(
-        first.simulation.received_estimates(),
-        again.simulation.received_estimates()
-    );
+    assert_eq!(first.collector.estimates.items(), again.collector.estimates.items());
+    assert_eq!(first.simulation.received_estimates(), again.simulation.received_estimates());
     assert_eq!(first.link, again.link);
     let other = drive(&VirtualLink { seed: 6, ..link });
     assert_ne!(first.link, other.link);
@@ -57,10 +41,7 @@ fn the_clean_link_is_no_link() {
     let with = drive(&VirtualLink::default());
     let without = hand_in_hand();
     assert_eq!(with.simulation.truth(), without.truth());
-    assert_eq!(
-        with.simulation.received_estimates(),
-        without.received_estimates()
-    );
+    assert_eq!(with.simulation.received_estimates(), without.received_estimates());
     assert_eq!(with.link.to_station.bytes_lost(), 0);
     assert!(with.link.to_station.bytes_delivered > 10_000);
 }
@@ -93,15 +74,9 @@ fn over_every_bundled_link_the_lap_ends_and_the_books_balance() {
 #[test]
 fn an_estimate_is_as_much_older_at_the_brick_as_the_link_is_slower() {
     let median_age = |extra_delay_ms| {
-        let run = drive(&VirtualLink {
-            extra_delay_ms,
-            ..VirtualLink::default()
-        });
+        let run = drive(&VirtualLink { extra_delay_ms, ..VirtualLink::default() });
         let estimates = run.simulation.received_estimates();
-        let mut ages: Vec<Span> = estimates
-            .iter()
-            .map(posebridge_sim::ReceivedEstimate::age)
-            .collect();
+        let mut ages: Vec<Span> = estimates.iter().map(posebridge_sim::ReceivedEstimate::age).collect();
         ages.sort_unstable();
         ages[ages.len() / 2].as_millis_f64()
     };
@@ -114,10 +89,7 @@ fn an_estimate_is_as_much_older_at_the_brick_as_the_link_is_slower() {
 #[test]
 fn loss_delay_and_skew_of_the_sweep_are_what_was_asked_for() {
     let run = drive(&VirtualLink {
-        profile: LinkProfile {
-            kind: LinkKind::Datagram,
-            ..LinkProfile::default()
-        },
+        profile: LinkProfile { kind: LinkKind::Datagram, ..LinkProfile::default() },
         seed: 1,
         extra_loss: 0.2,
         extra_delay_ms: 30.0,
@@ -128,9 +100,7 @@ fn loss_delay_and_skew_of_the_sweep_are_what_was_asked_for() {
     assert!((share - 0.2).abs() < 0.05, "{share}");
     let last = run.simulation.truth().last().unwrap();
     let first = run.simulation.truth().first().unwrap();
-    let gained_ppm =
-        ((last.brick - first.brick).as_secs_f64() / (last.world - first.world).as_secs_f64() - 1.0)
-            * 1e6;
+    let gained_ppm = ((last.brick - first.brick).as_secs_f64() / (last.world - first.world).as_secs_f64() - 1.0) * 1e6;
     assert!((gained_ppm - 2_000.0).abs() < 1.0, "{gained_ppm}");
     let health = run.collector.links.values().next().unwrap().health;
     assert!(health.frames_lost > 50, "{}", health.frames_lost);

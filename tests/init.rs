@@ -61,14 +61,7 @@ fn called(name: &str, kind: &str) {
     let text = text.replace("ticks_per_turn = 1440.0", "ticks_per_turn = 360.0");
     std::fs::write(&file, text).unwrap();
     let mut sim = posebridge(folder);
-    sim.args([
-        "sim",
-        "small.toml",
-        "--brick",
-        kind,
-        "--listen",
-        "pty:brick.tty",
-    ]);
+    sim.args(["sim", "small.toml", "--brick", kind, "--listen", "pty:brick.tty"]);
     sim.args(["--truth", "truth.csv"]);
     let shares_link = kind == "mavlink";
     if !shares_link {
@@ -127,14 +120,7 @@ fn the_simulated_robot_drives_a_lap_with_its_file_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     init(folder, &["sim"]);
-    let run = [
-        "run",
-        "--config",
-        "posebridge.toml",
-        "--no-dashboard",
-        "--laps",
-        "1",
-    ];
+    let run = ["run", "--config", "posebridge.toml", "--no-dashboard", "--laps", "1"];
     let printed = stdout_of(posebridge(folder).args(run).args(["--out", "run"]));
     assert!(printed.contains("wheels (0)"), "{printed}");
     assert!(printed.contains("path error when steering by"), "{printed}");

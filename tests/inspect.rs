@@ -1,8 +1,5 @@
 //! `posebridge inspect` over files that foreign programs have written and counted.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -14,12 +11,7 @@ use support::{posebridge, root, stdout_of};
 
 fn inspect(file: &Path) -> Value {
     let folder = tempfile::tempdir().unwrap();
-    let text = stdout_of(
-        posebridge(folder.path())
-            .arg("inspect")
-            .arg(file)
-            .arg("--json"),
-    );
+    let text = stdout_of(posebridge(folder.path()).arg("inspect").arg(file).arg("--json"));
     serde_json::from_str(&text).unwrap()
 }
 
@@ -29,8 +21,7 @@ fn collection(folder: &Path) -> Vec<(PathBuf, Value)> {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.to_string_lossy().ends_with(".expected.json") {
-            let expected: Value =
-                serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+            let expected: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
             let name = expected["file"].as_str().unwrap();
             let plain = folder.join(name);
             let packed = folder.join(format!("{name}.gz"));
@@ -43,9 +34,7 @@ fn collection(folder: &Path) -> Vec<(PathBuf, Value)> {
 /// Frames by the texts that `key` makes of the entries of a list.
 fn frames_by(list: &Value, key: impl Fn(&Value) -> String) -> BTreeMap<String, u64> {
     let entries = list.as_array().unwrap().iter();
-    entries
-        .map(|entry| (key(entry), entry["frames"].as_u64().unwrap()))
-        .collect()
+    entries.map(|entry| (key(entry), entry["frames"].as_u64().unwrap())).collect()
 }
 
 fn address(source: &Value) -> String {
@@ -73,16 +62,11 @@ fn compare(file: &Path, expected: &Value) {
     if expected.get("first_ts_us").is_some() {
         assert_eq!(found["first_utc_micros"], expected["first_ts_us"], "{name}");
         assert_eq!(found["last_utc_micros"], expected["last_ts_us"], "{name}");
-        assert_eq!(
-            found["times_backwards"], expected["non_monotonic_ts"],
-            "{name}"
-        );
+        assert_eq!(found["times_backwards"], expected["non_monotonic_ts"], "{name}");
     }
     let by_source = frames_by(&found["sources"], address);
     assert_eq!(by_source, counts(&expected["by_source"]), "{name}");
-    let by_message = frames_by(&found["messages"], |message| {
-        message["name"].as_str().unwrap().to_owned()
-    });
+    let by_message = frames_by(&found["messages"], |message| message["name"].as_str().unwrap().to_owned());
     assert_eq!(by_message, counts(&expected["by_message"]), "{name}");
     let Some(missing) = expected.get("seq_missing_by_source") else {
         return;
@@ -93,10 +77,7 @@ fn compare(file: &Path, expected: &Value) {
         };
         let lost = source["lost"].as_u64().unwrap();
         assert_eq!(source["sequence_steps"], expected, "{name}: {source}");
-        assert!(
-            lost == expected || (expected >= ABSURD && lost < expected),
-            "{name}: {source}"
-        );
+        assert!(lost == expected || (expected >= ABSURD && lost < expected), "{name}: {source}");
     }
 }
 
@@ -169,12 +150,11 @@ fn a_descriptor_is_inspected_by_kind_of_observation() {
     let folder = tempfile::tempdir().unwrap();
     let descriptor = root().join("config/recordings/optiodom.toml");
     let text = stdout_of(
-        posebridge(folder.path())
-            .arg("inspect")
-            .arg(descriptor)
-            .arg("--data")
-            .arg(root().join("tests/data"))
-            .args(["--run", "circular/250620202104/run-01", "--json"]),
+        posebridge(folder.path()).arg("inspect").arg(descriptor).arg("--data").arg(root().join("tests/data")).args([
+            "--run",
+            "circular/250620202104/run-01",
+            "--json",
+        ]),
     );
     let found: Value = serde_json::from_str(&text).unwrap();
     let run = &found["runs"][0];

@@ -3,10 +3,7 @@
 //! The test is the brick: the station's requests for the time carry the station's own clock, so the test knows at what time of the
 //! session it kills. It kills at several, so that no period of flushing passes by luck. A hundred times more it kills a program that
 //! does nothing but write, while it writes, at a moment drawn at random.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -30,32 +27,20 @@ fn a_killed_run_leaves_a_recording_that_replays_up_to_a_second_before() {
         let folder = tempfile::tempdir().unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let link = format!("tcp://{}", listener.local_addr().unwrap());
-        let run = Running::start(
-            posebridge(folder.path()).args(["run", "--link", &link, "--out", "run"]),
-        );
+        let run = Running::start(posebridge(folder.path()).args(["run", "--link", &link, "--out", "run"]));
         let (mut station, _) = listener.accept().unwrap();
         let killed_at_s = wait_for_time(&mut station, kill_at_s);
         run.kill();
         let recorded_to_s = recorded_to_s(&folder.path().join("run/recording.mcap"));
         println!("killed at {killed_at_s:.2} s or later, recorded up to {recorded_to_s:.2} s");
-        assert!(
-            recorded_to_s > killed_at_s - 1.0,
-            "{recorded_to_s} {killed_at_s}"
-        );
+        assert!(recorded_to_s > killed_at_s - 1.0, "{recorded_to_s} {killed_at_s}");
 
-        let replay =
-            stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--json"]));
+        let replay = stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--json"]));
         // Nobody knows where the robot was: the figures are null, not zero.
         let report: serde_json::Value = serde_json::from_str(&replay).unwrap();
         let estimator = &report["estimators"][0];
         assert_eq!(estimator["name"], "pose");
-        for figure in [
-            "position_rms_m",
-            "position_max_m",
-            "position_end_m",
-            "heading_rms_rad",
-            "anees",
-        ] {
+        for figure in ["position_rms_m", "position_max_m", "position_end_m", "heading_rms_rad", "anees"] {
             assert!(estimator[figure].is_null(), "{report}");
         }
     }
@@ -86,13 +71,8 @@ fn write_batch(parts: &mut Parts) {
 fn the_writer() {
     let file = std::env::var_os(WRITER_FILE);
     let folder = tempfile::tempdir().unwrap();
-    let path = file
-        .as_ref()
-        .map_or_else(|| folder.path().join("whole.mcap"), PathBuf::from);
-    let header = Header {
-        format: FORMAT,
-        ..Header::default()
-    };
+    let path = file.as_ref().map_or_else(|| folder.path().join("whole.mcap"), PathBuf::from);
+    let header = Header { format: FORMAT, ..Header::default() };
     let mut parts = Parts::create(&path, header, Limits::default(), 0).unwrap();
     if file.is_some() {
         println!("\nready");
@@ -112,10 +92,7 @@ fn the_writer() {
 /// Reads what the writer says up to this line.
 fn wait_for_line(lines: &mut impl Iterator<Item = std::io::Result<String>>, wanted: &str) {
     let found = lines.find(|line| line.as_ref().is_ok_and(|line| line == wanted));
-    assert!(
-        found.is_some(),
-        "the writer ended before it said `{wanted}`"
-    );
+    assert!(found.is_some(), "the writer ended before it said `{wanted}`");
 }
 
 #[test]
@@ -190,8 +167,6 @@ fn wait_for_time(station: &mut TcpStream, secs: f64) -> f64 {
 fn recorded_to_s(path: &Path) -> f64 {
     let bytes = std::fs::read(path).expect("the recording is there");
     let inputs = Reader::open(&bytes).expect("its header is whole");
-    let last = inputs
-        .map(|input| input.expect("every whole record is good").0)
-        .max();
+    let last = inputs.map(|input| input.expect("every whole record is good").0).max();
     last.expect("something was recorded").as_secs_f64()
 }

@@ -1,8 +1,5 @@
 //! `posebridge lab accuracy`: the promised keys, the picture, and the same result from the same seeds.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -34,23 +31,11 @@ fn the_object_has_the_promised_keys_and_sensible_figures() {
     assert_eq!(scenarios[0]["name"], "kicks-camera-1hz");
     assert_eq!(scenarios[0]["runs"], 2);
     let estimators = scenarios[0]["estimators"].as_array().unwrap();
-    let names: Vec<&str> = estimators
-        .iter()
-        .map(|estimator| estimator["name"].as_str().unwrap())
-        .collect();
+    let names: Vec<&str> = estimators.iter().map(|estimator| estimator["name"].as_str().unwrap()).collect();
     assert!(names.contains(&"odometry") && names.contains(&"pose"));
-    assert_eq!(
-        names[names.len() - 3..],
-        ["pose-true-geometry", "rts", "smooth"]
-    );
+    assert_eq!(names[names.len() - 3..], ["pose-true-geometry", "rts", "smooth"]);
     for estimator in estimators {
-        for key in [
-            "position_rms_m",
-            "position_mean_m",
-            "position_max_m",
-            "heading_rms_rad",
-            "anees",
-        ] {
+        for key in ["position_rms_m", "position_mean_m", "position_max_m", "heading_rms_rad", "anees"] {
             assert!(estimator[key].is_f64(), "{key} of {}", estimator["name"]);
         }
         assert_eq!(estimator["run_rms_m"].as_array().unwrap().len(), 2);
@@ -63,11 +48,7 @@ fn the_object_has_the_promised_keys_and_sensible_figures() {
     // A camera once a second: millimetres, where dead reckoning that is kicked is decimetres off.
     assert!(rms("pose") < 0.02 && rms("odometry") > 0.05);
     let pose = &estimators[names.iter().position(|name| *name == "pose").unwrap()];
-    let camera = pose["sources"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .find(|source| source["name"] == "camera");
+    let camera = pose["sources"].as_array().unwrap().iter().find(|source| source["name"] == "camera");
     assert!(camera.unwrap()["used"].as_u64().unwrap() > 100);
 }
 
@@ -75,54 +56,25 @@ fn the_object_has_the_promised_keys_and_sensible_figures() {
 #[test]
 fn hindsight_is_better_than_the_filter_and_the_filter_is_near_the_bound() {
     let folder = tempfile::tempdir().unwrap();
-    let args = [
-        "--scenario",
-        "camera-10hz",
-        "--estimator",
-        "pose",
-        "--estimator",
-        "smooth",
-        "--runs",
-        "2",
-    ];
+    let args = ["--scenario", "camera-10hz", "--estimator", "pose", "--estimator", "smooth", "--runs", "2"];
     let report = object(folder.path(), &[&args[..], &["--json"]].concat());
     let scenario = &report["scenarios"][0];
     let bound_mm = 1e3 * scenario["bound_rms_m"].as_f64().unwrap();
     assert!(scenario["bound_note"].is_null());
-    let rms_mm = |index: usize| {
-        1e3 * scenario["estimators"][index]["position_rms_m"]
-            .as_f64()
-            .unwrap()
-    };
+    let rms_mm = |index: usize| 1e3 * scenario["estimators"][index]["position_rms_m"].as_f64().unwrap();
     let (pose_mm, smooth_mm) = (rms_mm(0), rms_mm(1));
     println!("pose {pose_mm:.3} mm, smooth {smooth_mm:.3} mm, bound {bound_mm:.3} mm");
     assert!((0.9..1.2).contains(&(pose_mm / bound_mm)));
     assert!(smooth_mm < 0.85 && smooth_mm < 0.7 * bound_mm);
     let table = lab(folder.path(), &args);
-    assert!(
-        table
-            .lines()
-            .any(|line| line == format!("bound: {bound_mm:.2} mm rms"))
-    );
-    assert!(
-        table.contains(&format!("{:.2}", pose_mm / bound_mm)),
-        "{table}"
-    );
+    assert!(table.lines().any(|line| line == format!("bound: {bound_mm:.2} mm rms")));
+    assert!(table.contains(&format!("{:.2}", pose_mm / bound_mm)), "{table}");
 }
 
 #[test]
 fn what_the_bound_leaves_out_is_said_and_so_is_why_there_is_none() {
     let folder = tempfile::tempdir().unwrap();
-    let args = [
-        "--scenario",
-        "kicks",
-        "--scenario",
-        "wpilib",
-        "--estimator",
-        "odometry",
-        "--runs",
-        "1",
-    ];
+    let args = ["--scenario", "kicks", "--scenario", "wpilib", "--estimator", "odometry", "--runs", "1"];
     let report = object(folder.path(), &[&args[..], &["--json"]].concat());
     let (kicks, wpilib) = (&report["scenarios"][0], &report["scenarios"][1]);
     assert!(kicks["bound_rms_m"].as_f64().unwrap() > 0.0);
@@ -139,27 +91,17 @@ fn what_the_bound_leaves_out_is_said_and_so_is_why_there_is_none() {
 fn a_run_of_which_the_smoother_says_nothing_is_named_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(root().join("config/scenarios/accuracy/no-camera.toml"));
-    let slippery = text.unwrap().replace("laps = 4", "laps = 1").replace(
-        "wheel_travel_m_per_sqrt_m = 0.0008",
-        "wheel_travel_m_per_sqrt_m = 1e6",
-    );
+    let slippery = text
+        .unwrap()
+        .replace("laps = 4", "laps = 1")
+        .replace("wheel_travel_m_per_sqrt_m = 0.0008", "wheel_travel_m_per_sqrt_m = 1e6");
     std::fs::write(folder.path().join("slippery.toml"), slippery).unwrap();
-    let args = [
-        "--scenario",
-        "slippery.toml",
-        "--estimator",
-        "smooth",
-        "--runs",
-        "2",
-    ];
+    let args = ["--scenario", "slippery.toml", "--estimator", "smooth", "--runs", "2"];
     let report = object(folder.path(), &[&args[..], &["--json"]].concat());
     let smooth = &report["scenarios"][0]["estimators"][0];
     let refused = smooth["refused_runs"].as_array().unwrap();
     assert_eq!(refused.len(), 2, "{smooth}");
-    assert_eq!(
-        (&refused[0]["run"], &refused[1]["run"]),
-        (&0.into(), &1.into())
-    );
+    assert_eq!((&refused[0]["run"], &refused[1]["run"]), (&0.into(), &1.into()));
     assert!(smooth["position_rms_m"].is_null());
     let reason = refused[0]["reason"].as_str().unwrap();
     let table = lab(folder.path(), &args);
@@ -186,27 +128,11 @@ fn the_same_seed_gives_the_same_text_and_another_one_does_not() {
 #[test]
 fn the_picture_goes_where_it_is_asked_and_a_file_may_be_the_scenario() {
     let folder = tempfile::tempdir().unwrap();
-    let text =
-        std::fs::read_to_string(root().join("config/scenarios/accuracy/unknown-heading.toml"));
-    let short = text
-        .unwrap()
-        .replace("duration_s = 20.0", "duration_s = 5.0");
+    let text = std::fs::read_to_string(root().join("config/scenarios/accuracy/unknown-heading.toml"));
+    let short = text.unwrap().replace("duration_s = 20.0", "duration_s = 5.0");
     std::fs::write(folder.path().join("short.toml"), short).unwrap();
-    let table = lab(
-        folder.path(),
-        &[
-            "--scenario",
-            "short.toml",
-            "--runs",
-            "3",
-            "--out",
-            "pictures",
-        ],
-    );
-    assert!(
-        table.starts_with("short: 3 runs, seed 1\nestimator"),
-        "{table}"
-    );
+    let table = lab(folder.path(), &["--scenario", "short.toml", "--runs", "3", "--out", "pictures"]);
+    assert!(table.starts_with("short: 3 runs, seed 1\nestimator"), "{table}");
     let picture = std::fs::read_to_string(folder.path().join("pictures/lab-accuracy.svg")).unwrap();
     assert!(picture.starts_with("<svg") && picture.contains("short: 3 runs"));
 }

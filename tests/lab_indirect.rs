@@ -1,8 +1,5 @@
 //! `posebridge lab indirect`: how near the rounds of the square end, by wheels, with accelerometers, with a gyro.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -20,8 +17,7 @@ fn object(folder: &Path, args: &[&str]) -> Value {
 
 fn row<'a>(found: &'a Value, filter: &str, sensors: &str) -> &'a Value {
     let mut rows = found["rows"].as_array().unwrap().iter();
-    rows.find(|row| row["filter"] == filter && row["sensors"] == sensors)
-        .unwrap()
+    rows.find(|row| row["filter"] == filter && row["sensors"] == sensors).unwrap()
 }
 
 fn number(row: &Value, key: &str) -> f64 {
@@ -33,8 +29,7 @@ fn the_fused_ends_are_the_papers_and_better_than_the_wheels() {
     let folder = tempfile::tempdir().unwrap();
     let found = object(folder.path(), &["--runs", "200"]);
     let wheels = row(&found, "odometry", "wheels");
-    let [forward, back] =
-        ["indirect", "indirect-feedback"].map(|filter| row(&found, filter, "+ accelerometers"));
+    let [forward, back] = ["indirect", "indirect-feedback"].map(|filter| row(&found, filter, "+ accelerometers"));
     for row in [wheels, forward, back] {
         println!("{row}");
     }
@@ -67,11 +62,7 @@ fn the_same_seed_gives_the_same_and_the_page_holds_the_tracks() {
     let folder = tempfile::tempdir().unwrap();
     let run = |out: &str, seed: &str| {
         let args = ["--runs", "3", "--seed", seed, "--out", out];
-        stdout_of(
-            posebridge(folder.path())
-                .args(["lab", "indirect"])
-                .args(args),
-        )
+        stdout_of(posebridge(folder.path()).args(["lab", "indirect"]).args(args))
     };
     let first = run("a", "7");
     assert_eq!(first, run("b", "7"));
@@ -99,8 +90,5 @@ fn a_scenario_may_be_a_file_and_its_mistakes_are_named() {
     let output = command.args(args).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(
-        said.contains("wrong.toml") && said.contains("tick_deg"),
-        "{said}"
-    );
+    assert!(said.contains("wrong.toml") && said.contains("tick_deg"), "{said}");
 }

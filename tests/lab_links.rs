@@ -1,10 +1,7 @@
 //! `posebridge lab links`: the tables as people read them, the keys as programs read them, and what the clock table promises.
 //!
 //! A small grid in virtual time; the figures are the same on every run.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -32,12 +29,7 @@ const SMALL: [&str; 12] = [
 
 /// What the experiment prints for the small grid; it must end well.
 fn lab(folder: &Path, more: &[&str]) -> String {
-    let output = posebridge(folder)
-        .args(["lab", "links"])
-        .args(SMALL)
-        .args(more)
-        .output()
-        .unwrap();
+    let output = posebridge(folder).args(["lab", "links"]).args(SMALL).args(more).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     String::from_utf8(output.stdout).unwrap()
@@ -51,9 +43,7 @@ fn the_tables_are_these() {
     let picture = std::fs::read_to_string(folder.path().join("lab-links.svg")).unwrap();
     assert!(picture.starts_with("<svg") && picture.contains("bluetooth-spp"));
     let page = std::fs::read_to_string(folder.path().join("lab-links.html")).unwrap();
-    assert!(
-        page.contains("clock: error of the offset, ms") && page.contains("data:image/svg+xml,")
-    );
+    assert!(page.contains("clock: error of the offset, ms") && page.contains("data:image/svg+xml,"));
 }
 
 /// Every key with the kinds of its values, one line each.
@@ -91,10 +81,7 @@ fn the_object_has_the_keys_that_its_page_promises_and_the_figures_of_the_tables(
     let page = include_str!("../docs/lab-links.md");
     for row in ["clock", "pose"] {
         for key in object[row][0].as_object().unwrap().keys() {
-            assert!(
-                page.contains(&format!("\"{key}\"")),
-                "{key} is not on the page"
-            );
+            assert!(page.contains(&format!("\"{key}\"")), "{key} is not on the page");
         }
     }
     let pose = object["pose"].as_array().unwrap();
@@ -110,12 +97,7 @@ fn the_object_has_the_keys_that_its_page_promises_and_the_figures_of_the_tables(
 
 /// A method's worst and mean error in a case, ms.
 fn clock_errors(rows: &Value, case: &str, method: &str) -> Option<(f64, f64)> {
-    let row = rows
-        .as_array()
-        .unwrap()
-        .iter()
-        .find(|row| row["case"] == case && row["method"] == method)
-        .unwrap();
+    let row = rows.as_array().unwrap().iter().find(|row| row["case"] == case && row["method"] == method).unwrap();
     Some((row["worst_ms"].as_f64()?, row["mean_ms"].as_f64()?))
 }
 

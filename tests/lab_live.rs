@@ -1,8 +1,5 @@
 //! The experiments of the lab on a real robot: recordings of ours, and a live robot over a real link, with the real program.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -13,9 +10,7 @@ use posebridge::config::Config;
 use posebridge_recording::container::{FORMAT, Header, Writer};
 use posebridge_sim::frame_accelerometers::FrameAccelerometers;
 use posebridge_sim::montecarlo::{Camera, CameraSees, Drive, Scenario, Told};
-use posebridge_telemetry::{
-    Arena, Fix, Input, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Stamp,
-};
+use posebridge_telemetry::{Arena, Fix, Input, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Stamp};
 use serde_json::Value;
 
 use support::{Running, listening_brick, posebridge, root, stdout_of};
@@ -53,9 +48,7 @@ fn record_with(config: &Config, path: &Path, observations: &[Observation]) {
     for observation in observations {
         // A late fix arrives behind what is newer.
         now = now.max(Stamp::from_nanos(observation.stamp.as_nanos()));
-        writer
-            .record(now, &Input::Observation(*observation))
-            .unwrap();
+        writer.record(now, &Input::Observation(*observation)).unwrap();
     }
     writer.finish().unwrap();
 }
@@ -104,11 +97,7 @@ fn a_recorded_square_is_judged_by_images_as_the_simulated_one_is_by_its_truth() 
     let truth = lab(folder, &drawn);
     let of = |report: &Value, name: &str| {
         let outlook = name.starts_with("pose") || name.ends_with("camera");
-        let chain = if outlook {
-            &report["outlook"]
-        } else {
-            &report["settings"][0]
-        };
+        let chain = if outlook { &report["outlook"] } else { &report["settings"][0] };
         rms_m(report, chain, name)
     };
     for name in ["raw encoders", "wheel-kf", "ekf5"] {
@@ -123,13 +112,7 @@ fn a_recorded_square_is_judged_by_images_as_the_simulated_one_is_by_its_truth() 
     let page = std::fs::read_to_string(folder.join("lab-nxt-square.html")).unwrap();
     assert!(page.contains("drive-1.mcap") && page.contains("with an image"));
     // Of the wheels alone a closed path says only where it ended.
-    let closed = [
-        "nxt-square",
-        "--recording",
-        "drive-0.mcap",
-        "--judge",
-        "start",
-    ];
+    let closed = ["nxt-square", "--recording", "drive-0.mcap", "--judge", "start"];
     let closed = lab(folder, &closed);
     let raw = &closed["settings"][0]["methods"][0];
     assert_eq!(raw["position_rms_m"], raw["position_end_m"]);
@@ -213,22 +196,14 @@ fn recorded_rounds_end_where_the_experiment_says_and_accelerometers_help() {
     let found = lab(folder, &args);
     let drawn = ["indirect", "--runs", "20", "--out", "drawn"];
     let simulated = lab(folder, &drawn);
-    assert_eq!(
-        (&found["runs"], &simulated["runs"]),
-        (&20.into(), &20.into())
-    );
+    assert_eq!((&found["runs"], &simulated["runs"]), (&20.into(), &20.into()));
     let rows = found["rows"].as_array().unwrap();
     let others = simulated["rows"].as_array().unwrap();
     assert_eq!((rows.len(), others.len()), (5, 5));
     for (row, other) in rows.iter().zip(others) {
-        let of = |row: &Value| {
-            ["rms_x_m", "rms_y_m", "median_m", "anees"].map(|key| row[key].as_f64().unwrap())
-        };
+        let of = |row: &Value| ["rms_x_m", "rms_y_m", "median_m", "anees"].map(|key| row[key].as_f64().unwrap());
         let (recorded, drawn) = (of(row), of(other));
-        println!(
-            "{} {}: {recorded:.3?}, drawn {drawn:.3?}",
-            row["filter"], row["sensors"]
-        );
+        println!("{} {}: {recorded:.3?}, drawn {drawn:.3?}", row["filter"], row["sensors"]);
         // The zero that the accelerometers got at rest is one that the filter would have found by itself.
         for (recorded, drawn) in recorded.iter().zip(&drawn) {
             assert!((recorded - drawn).abs() < 1e-3, "{row}");
@@ -271,69 +246,31 @@ fn a_recorded_approach_is_foretold_better_than_by_a_line_and_its_gate_refuses_wh
     record(&folder.join("wall.mcap"), &approach());
     let found = lab(folder, &["wall", "--recording", "wall.mcap"]);
     let run = &found["runs"][0];
-    assert_eq!(
-        (&run["readings"], &run["input"]),
-        (&25.into(), &"assumed".into())
-    );
+    assert_eq!((&run["readings"], &run["input"]), (&25.into(), &"assumed".into()));
     let score = &run["against_line"];
     println!("{score}, {}", run["gate"]);
     assert!(score["filter_rms_m"].as_f64().unwrap() < 0.9 * score["other_rms_m"].as_f64().unwrap());
     assert_eq!(run["gate"]["refused"], 1);
     let refused = run["foreseen"].as_array().unwrap().iter();
-    let refused: Vec<f64> = refused
-        .filter(|one| one["refused"] == true)
-        .map(|one| one["at_s"].as_f64().unwrap())
-        .collect();
+    let refused: Vec<f64> =
+        refused.filter(|one| one["refused"] == true).map(|one| one["at_s"].as_f64().unwrap()).collect();
     assert!((refused[0] - 1.6).abs() < 1e-9, "{refused:?}");
 }
 
 /// A command, then what it must say of the file and of the cure.
 const LACKS: [(&str, [&str; 2]); 12] = [
     ("nxt-square --recording none.mcap", ["none.mcap", "reading"]),
-    (
-        "nxt-square --recording empty.mcap",
-        ["`empty.mcap` (0 bytes)", "not an MCAP file"],
-    ),
-    (
-        "indirect --recording torn.mcap",
-        ["`torn.mcap`", "without a posebridge header"],
-    ),
-    (
-        "wall --recording silent.mcap",
-        ["`silent.mcap` holds no observation", "doctor"],
-    ),
-    (
-        "nxt-square --recording wall.mcap",
-        ["`wall.mcap`", "let the robot send WHEEL_TICKS"],
-    ),
-    (
-        "indirect --recording wall.mcap",
-        ["`wall.mcap`", "no wheel ticks"],
-    ),
-    (
-        "indirect --recording wheels.mcap",
-        ["`wheels.mcap` holds no accelerations", "INERTIAL"],
-    ),
-    (
-        "wall --recording wheels.mcap",
-        ["`wheels.mcap` holds no range", "DISTANCE_SENSOR"],
-    ),
-    (
-        "nxt-square --recording still.mcap",
-        ["`still.mcap`", "20 readings"],
-    ),
-    (
-        "nxt-square --recording wheels.mcap --judge fixes",
-        ["`wheels.mcap`", "--judge start"],
-    ),
-    (
-        "nxt-square --recording wheels.mcap --set robot.track=1",
-        ["robot.track", "--set"],
-    ),
-    (
-        "wall --recording wall.mcap --run x",
-        ["`wall.mcap`", "--run"],
-    ),
+    ("nxt-square --recording empty.mcap", ["`empty.mcap` (0 bytes)", "not an MCAP file"]),
+    ("indirect --recording torn.mcap", ["`torn.mcap`", "without a posebridge header"]),
+    ("wall --recording silent.mcap", ["`silent.mcap` holds no observation", "doctor"]),
+    ("nxt-square --recording wall.mcap", ["`wall.mcap`", "let the robot send WHEEL_TICKS"]),
+    ("indirect --recording wall.mcap", ["`wall.mcap`", "no wheel ticks"]),
+    ("indirect --recording wheels.mcap", ["`wheels.mcap` holds no accelerations", "INERTIAL"]),
+    ("wall --recording wheels.mcap", ["`wheels.mcap` holds no range", "DISTANCE_SENSOR"]),
+    ("nxt-square --recording still.mcap", ["`still.mcap`", "20 readings"]),
+    ("nxt-square --recording wheels.mcap --judge fixes", ["`wheels.mcap`", "--judge start"]),
+    ("nxt-square --recording wheels.mcap --set robot.track=1", ["robot.track", "--set"]),
+    ("wall --recording wall.mcap --run x", ["`wall.mcap`", "--run"]),
 ];
 
 /// Recordings that each lack something; gives the bytes of a whole one.
@@ -345,10 +282,7 @@ fn sick_recordings(folder: &Path) -> Vec<u8> {
     let whole = std::fs::read(folder.join("drive-0.mcap")).unwrap();
     std::fs::write(folder.join("torn.mcap"), &whole[..200]).unwrap();
     let drive = Scenario::bundled("paper-square").unwrap().drive(0);
-    let wheels: Vec<Observation> = arrived(&drive)
-        .into_iter()
-        .filter(|one| one.sensor == SensorId::WHEELS)
-        .collect();
+    let wheels: Vec<Observation> = arrived(&drive).into_iter().filter(|one| one.sensor == SensorId::WHEELS).collect();
     record(&folder.join("wheels.mcap"), &wheels);
     record(&folder.join("still.mcap"), &wheels[..20]);
     whole
@@ -369,10 +303,7 @@ fn what_a_recording_lacks_is_named_with_the_file_and_a_cure() {
     // One sick recording among good ones is the one that is named.
     let both = ["nxt-square", "--recording", "drive-0.mcap", "wall.mcap"];
     let said = refusal(folder, &both);
-    assert!(
-        said.contains("wall.mcap") && !said.contains("drive-0"),
-        "{said}"
-    );
+    assert!(said.contains("wall.mcap") && !said.contains("drive-0"), "{said}");
     // A recording that was cut off is used as far as it goes.
     std::fs::write(folder.join("cut.mcap"), &whole[..whole.len() / 2]).unwrap();
     let mut command = posebridge(folder);
@@ -388,14 +319,8 @@ fn a_recording_that_is_there_is_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("live.mcap"), "mine").unwrap();
     let said = refusal(folder.path(), &["wall", "--link", "tcp://127.0.0.1:9"]);
-    assert!(
-        said.contains("live.mcap` is there already") && said.contains("--out"),
-        "{said}"
-    );
-    assert_eq!(
-        std::fs::read(folder.path().join("live.mcap")).unwrap(),
-        b"mine"
-    );
+    assert!(said.contains("live.mcap` is there already") && said.contains("--out"), "{said}");
+    assert_eq!(std::fs::read(folder.path().join("live.mcap")).unwrap(), b"mine");
 }
 
 /// A square of 0.3 m after a second and a half at rest; its brick runs 2000 ppm fast.
@@ -420,23 +345,10 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let (_brick, url) = listening_brick(folder, SMALL_SQUARE);
-    let live = [
-        "lab",
-        "nxt-square",
-        "--link",
-        &url,
-        "--duration",
-        "6",
-        "--out",
-        "out",
-        "--json",
-    ];
+    let live = ["lab", "nxt-square", "--link", &url, "--duration", "6", "--out", "out", "--json"];
     let mut station = Running::start(posebridge(folder).args(live));
     let told = station.wait_for("recording `out/live.mcap`");
-    assert!(
-        told.contains("drive the square") && told.contains("6 s"),
-        "{told}"
-    );
+    assert!(told.contains("drive the square") && told.contains("6 s"), "{told}");
     station.wait_for("heard link 0 1/1");
     let text = station.output();
     let found: Value = serde_json::from_str(&text).unwrap();
@@ -447,13 +359,7 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     for file in ["lab-nxt-square.html", "lab-nxt-square-3.svg"] {
         assert!(folder.join("out").join(file).exists(), "{file}");
     }
-    let again = [
-        "nxt-square",
-        "--recording",
-        "out/live.mcap",
-        "--out",
-        "again",
-    ];
+    let again = ["nxt-square", "--recording", "out/live.mcap", "--out", "again"];
     assert_eq!(lab(folder, &again), found);
     // The live page tells how to have it without the robot.
     let page = std::fs::read_to_string(folder.join("out/lab-nxt-square.html")).unwrap();
@@ -465,10 +371,7 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     println!("indirect-feedback ends {end:?} m off");
     assert!(end.iter().all(|error| error.as_f64().unwrap().abs() < 0.5));
     let replayed = stdout_of(posebridge(folder).args(["replay", "out/live.mcap"]));
-    assert!(
-        replayed.contains("wheel_angles") || replayed.contains("wheels"),
-        "{replayed}"
-    );
+    assert!(replayed.contains("wheel_angles") || replayed.contains("wheels"), "{replayed}");
 }
 
 #[test]
@@ -484,29 +387,17 @@ fn a_live_car_that_calls_the_station_is_foretold_until_somebody_says_stop() {
         writeln!(text, "{millis},{:.0}", 1e3 * range.0).unwrap();
     }
     std::fs::write(folder.join("approach.csv"), text).unwrap();
-    let descriptor =
-        std::fs::read_to_string(root().join("config/recordings/tof-wall.toml")).unwrap();
+    let descriptor = std::fs::read_to_string(root().join("config/recordings/tof-wall.toml")).unwrap();
     let robot = descriptor.split("[[runs]]").next().unwrap();
     let robot = robot.replace("robotA-80-step", "approach");
     let streams = "[[runs]]\nname = \"approach\"\n\n[files.log]\npath = \"approach.csv\"\nheader_lines = 1\n\
         time = { column = \"t_ms\", unit = \"ms\" }\n\n[[wall_range]]\nfile = \"log\"\n\
         range = { column = \"tof_mm\", unit = \"mm\" }\n";
     std::fs::write(folder.join("car.toml"), robot + streams).unwrap();
-    let live = [
-        "lab",
-        "wall",
-        "--listen",
-        "tcp://127.0.0.1:0",
-        "--out",
-        "out",
-        "--json",
-    ];
+    let live = ["lab", "wall", "--listen", "tcp://127.0.0.1:0", "--out", "out", "--json"];
     let mut station = Running::start(posebridge(folder).args(live));
     let told = station.wait_for("recording `out/live.mcap`");
-    assert!(
-        told.contains("at the wall") && told.contains("Ctrl-C"),
-        "{told}"
-    );
+    assert!(told.contains("at the wall") && told.contains("Ctrl-C"), "{told}");
     let url = format!("tcp://{}", station.listening_address(""));
     let mut car = Running::start(posebridge(folder).args(["play", "car.toml", "--link", &url]));
     let played = car.output();
@@ -524,22 +415,10 @@ fn a_live_robot_that_stands_is_calibrated() {
     let folder = folder.path();
     let standing = SMALL_SQUARE.replace("rest_s = 1.5", "rest_s = 60.0");
     let (_brick, url) = listening_brick(folder, &standing);
-    let live = [
-        "calibrate",
-        "rest",
-        "--link",
-        &url,
-        "--duration",
-        "4",
-        "--out",
-        "out",
-    ];
+    let live = ["calibrate", "rest", "--link", &url, "--duration", "4", "--out", "out"];
     let text = stdout_of(posebridge(folder).args(live));
     println!("{text}");
-    assert!(
-        text.contains("gyro") && text.contains("accelerometer"),
-        "{text}"
-    );
+    assert!(text.contains("gyro") && text.contains("accelerometer"), "{text}");
     // The path of a robot that stands says nothing, and the recording is not made twice.
     let args = ["calibrate", "path", "--link", &url, "--out", "out"];
     let output = posebridge(folder).args(args).output().unwrap();

@@ -1,8 +1,5 @@
 //! `posebridge lab nxt-square`: what the order of paper 1 is worth, the way out to a file and back, and what is said of bad files.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -28,10 +25,7 @@ fn share(order: &Value, step: usize) -> f64 {
 
 fn rms_mm(chain: &Value, name: &str) -> f64 {
     let methods = chain["methods"].as_array().unwrap();
-    let method = methods
-        .iter()
-        .find(|method| method["name"] == name)
-        .unwrap();
+    let method = methods.iter().find(|method| method["name"] == name).unwrap();
     1e3 * method["position_rms_m"].as_f64().unwrap()
 }
 
@@ -52,10 +46,7 @@ fn the_order_holds_for_no_tracks_but_for_turn_rates_when_the_counters_are_as_noi
         let found = readings.iter().find(|reading| reading["name"] == name);
         found.unwrap()["order"].clone()
     };
-    for name in [
-        "noisy counters, turn rate",
-        "noisy counters, forward speed, gentle",
-    ] {
+    for name in ["noisy counters, turn rate", "noisy counters, forward speed, gentle"] {
         let order = reading(name);
         assert!(order["all_hold"].as_u64().unwrap() >= 38, "{name}: {order}");
         assert_eq!(order["drives"], 40);
@@ -75,23 +66,13 @@ fn the_order_holds_for_no_tracks_but_for_turn_rates_when_the_counters_are_as_noi
 #[test]
 fn a_drive_that_was_exported_gives_the_same_figures_to_the_last_bit() {
     let folder = tempfile::tempdir().unwrap();
-    let direct = object(
-        folder.path(),
-        &["--runs", "1", "--seed", "7", "--export", "drive.csv"],
-    );
+    let direct = object(folder.path(), &["--runs", "1", "--seed", "7", "--export", "drive.csv"]);
     let read = object(folder.path(), &["--data", "drive.csv"]);
     for key in ["settings", "outlook", "stop", "straight"] {
         assert_eq!(direct[key], read[key], "{key}");
     }
     assert!(read["outlook"]["methods"][3]["runs"][0]["position_end_m"].is_f64());
-    assert!(
-        read["source"]
-            .as_str()
-            .unwrap()
-            .contains("drive.csv: 790 rows"),
-        "{}",
-        read["source"]
-    );
+    assert!(read["source"].as_str().unwrap().contains("drive.csv: 790 rows"), "{}", read["source"]);
     let other = object(folder.path(), &["--runs", "1", "--seed", "8"]);
     assert_ne!(direct["settings"], other["settings"]);
 }
@@ -119,10 +100,8 @@ fn a_file_may_have_wheels_only_or_a_camera_as_the_only_judge() {
     let columns = |keep: &[&str]| {
         let mut lines = text.lines().filter(|line| !line.starts_with('#'));
         let header: Vec<&str> = lines.next().unwrap().split(',').collect();
-        let places: Vec<usize> = keep
-            .iter()
-            .map(|name| header.iter().position(|known| known == name).unwrap())
-            .collect();
+        let places: Vec<usize> =
+            keep.iter().map(|name| header.iter().position(|known| known == name).unwrap()).collect();
         let mut kept = keep.join(",") + "\n";
         for line in lines {
             let cells: Vec<&str> = line.split(',').collect();
@@ -135,11 +114,7 @@ fn a_file_may_have_wheels_only_or_a_camera_as_the_only_judge() {
     std::fs::write(folder.path().join("wheels.csv"), columns(&wheels)).unwrap();
     let table = lab(folder.path(), &["--data", "wheels.csv"]);
     assert!(table.contains("neither camera nor truth"), "{table}");
-    let camera = [
-        &wheels[..],
-        &["camera_x_m", "camera_y_m", "camera_theta_deg"],
-    ]
-    .concat();
+    let camera = [&wheels[..], &["camera_x_m", "camera_y_m", "camera_theta_deg"]].concat();
     std::fs::write(folder.path().join("camera.csv"), columns(&camera)).unwrap();
     let report = object(folder.path(), &["--data", "camera.csv"]);
     // The camera's own noise of 5 mm in x and in y is in every figure.
@@ -153,22 +128,16 @@ fn recorded(folder: &Path) -> String {
     let read = |name: &str| -> Vec<Vec<f64>> {
         let text = std::fs::read_to_string(folder.join(name)).unwrap();
         let rows = text.lines().skip(1);
-        rows.map(|row| row.split(',').map(|cell| cell.parse().unwrap()).collect())
-            .collect()
+        rows.map(|row| row.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
     };
     let (encoders, camera) = (read("encoders.csv"), read("camera.csv"));
     let header = "time_s,left_counts,right_counts,camera_x_m,camera_y_m".to_owned();
     // Of two records with one stamp the later counts.
-    let kept = encoders
-        .iter()
-        .enumerate()
-        .filter(|(index, row)| encoders.get(index + 1).is_none_or(|next| next[0] != row[0]));
+    let kept =
+        encoders.iter().enumerate().filter(|(index, row)| encoders.get(index + 1).is_none_or(|next| next[0] != row[0]));
     let lines = kept.map(|(_, row)| {
         let off_ms = |image: &&Vec<f64>| (image[0] - row[0]).abs();
-        let nearest = camera
-            .iter()
-            .min_by(|a, b| off_ms(a).total_cmp(&off_ms(b)))
-            .unwrap();
+        let nearest = camera.iter().min_by(|a, b| off_ms(a).total_cmp(&off_ms(b))).unwrap();
         let place = if off_ms(&nearest) <= 30.0 {
             format!("{},{}", nearest[1] / 1e3, nearest[2] / 1e3)
         } else {
@@ -230,11 +199,7 @@ fn the_same_seed_gives_the_same_text() {
 fn bad_files_are_refused_with_file_line_and_column() {
     let folder = tempfile::tempdir().unwrap();
     let refused = |args: &[&str]| {
-        let output = posebridge(folder.path())
-            .args(["lab", "nxt-square"])
-            .args(args)
-            .output()
-            .unwrap();
+        let output = posebridge(folder.path()).args(["lab", "nxt-square"]).args(args).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{args:?}");
         String::from_utf8(output.stderr).unwrap()
     };
@@ -247,15 +212,8 @@ fn bad_files_are_refused_with_file_line_and_column() {
     assert!(refused(&["--data", "nowhere.csv"]).contains("reading the sensor data `nowhere.csv`"));
     let good = "time_s,left_counts,right_counts\n0,0,0\n0.05,1,1\n";
     std::fs::write(folder.path().join("good.csv"), good).unwrap();
-    std::fs::write(
-        folder.path().join("robot.toml"),
-        "[robot]\ntrack_width_m = -1\n",
-    )
-    .unwrap();
+    std::fs::write(folder.path().join("robot.toml"), "[robot]\ntrack_width_m = -1\n").unwrap();
     let said = refused(&["--data", "good.csv", "--robot", "robot.toml"]);
-    assert!(
-        said.contains("robot.toml") && said.contains("track_width_m"),
-        "{said}"
-    );
+    assert!(said.contains("robot.toml") && said.contains("track_width_m"), "{said}");
     assert!(refused(&["--data", "good.csv", "--runs", "2"]).contains("--runs"));
 }

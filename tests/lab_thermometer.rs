@@ -19,12 +19,7 @@ use support::{posebridge, root, stdout_of};
 const THERMOMETER: [&str; 2] = ["lab", "thermometer"];
 
 fn json(folder: &Path, args: &[&str]) -> Value {
-    let text = stdout_of(
-        posebridge(folder)
-            .args(THERMOMETER)
-            .arg("--json")
-            .args(args),
-    );
+    let text = stdout_of(posebridge(folder).args(THERMOMETER).arg("--json").args(args));
     serde_json::from_str(&text).unwrap()
 }
 
@@ -44,11 +39,7 @@ fn the_simulated_lesson_leaves_a_page_with_pictures_and_the_same_numbers_each_ti
     assert_eq!(json(folder.path(), &few), object);
     let made = folder.path().join("made/here");
     let page = std::fs::read_to_string(made.join("lab-thermometer.html")).unwrap();
-    for title in [
-        "The worked example: 21, 15, 11",
-        "Do the bounds hold?",
-        "Data with a trend",
-    ] {
+    for title in ["The worked example: 21, 15, 11", "Do the bounds hold?", "Data with a trend"] {
         assert!(page.contains(title), "{title}");
     }
     assert!(!page.contains("NaN"));
@@ -67,19 +58,12 @@ fn write_recording(folder: &Path) -> PathBuf {
     ];
     let write = |name: &str, sensor: &SimulatedSensor, to: f64| {
         let samples = sensor.run(7, 280, step(20.0, to, 20.0));
-        let rows = samples
-            .iter()
-            .map(|sample| format!("{},{}\n", sample.at_s, sample.value));
+        let rows = samples.iter().map(|sample| format!("{},{}\n", sample.at_s, sample.value));
         let text = "t_s,celsius\n".to_owned() + &rows.collect::<String>();
         std::fs::write(folder.join(format!("{name}.csv")), text).unwrap();
     };
     for (index, (name, lags)) in lags.into_iter().enumerate() {
-        let sensor = SimulatedSensor {
-            lags: lags.to_vec(),
-            sigma: 0.05,
-            last_digit: 0.0,
-            period_s: 0.5,
-        };
+        let sensor = SimulatedSensor { lags: lags.to_vec(), sigma: 0.05, last_digit: 0.0, period_s: 0.5 };
         write(name, &sensor, 3.0 + index as f64);
     }
     write("idle", &SimulatedSensor::first_order(5.0, 0.05, 0.5), 20.0);
@@ -123,20 +107,11 @@ temperature = "celsius"
 /// Whether a run was predicted faster than the sensor showed it, to each of these shares of the step.
 fn check_faster(object: &Value, run: &str, shares: &[&str]) {
     for share in shares {
-        let of = |what: &str| {
-            number(
-                object,
-                "predicted",
-                &format!("{run}.{what}_{share}_percent_s"),
-            )
-        };
+        let of = |what: &str| number(object, "predicted", &format!("{run}.{what}_{share}_percent_s"));
         let (shown_s, predicted_s) = (of("shown"), of("predicted"));
         println!("{run}, {share} %: shown {shown_s:?} s, predicted {predicted_s:?} s");
         let predicted_s = predicted_s.unwrap();
-        assert!(
-            shown_s.is_none_or(|shown_s| predicted_s < shown_s),
-            "{run} {share}"
-        );
+        assert!(shown_s.is_none_or(|shown_s| predicted_s < shown_s), "{run} {share}");
     }
 }
 
@@ -151,10 +126,7 @@ fn recorded_sensors_are_predicted_by_others_of_their_kind() {
     args.extend(names);
     let object = json(folder.path(), &args);
     for name in names {
-        assert_eq!(
-            number(&object, "predicted", &format!("{name}.order")),
-            Some(2.0)
-        );
+        assert_eq!(number(&object, "predicted", &format!("{name}.order")), Some(2.0));
         check_faster(&object, name, &["10", "5", "2"]);
     }
     let page = std::fs::read_to_string(folder.path().join("lab-thermometer.html")).unwrap();
@@ -163,16 +135,9 @@ fn recorded_sensors_are_predicted_by_others_of_their_kind() {
 
 /// What it says and with which code it ends.
 fn refused(folder: &Path, args: &[&str]) -> (Option<i32>, String) {
-    let output = posebridge(folder)
-        .args(THERMOMETER)
-        .args(args)
-        .output()
-        .unwrap();
+    let output = posebridge(folder).args(THERMOMETER).args(args).output().unwrap();
     assert!(output.stdout.is_empty());
-    (
-        output.status.code(),
-        String::from_utf8(output.stderr).unwrap(),
-    )
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
 }
 
 #[test]
@@ -182,16 +147,8 @@ fn what_cannot_be_done_is_said_with_the_run_and_the_file() {
     let descriptor = descriptor.to_str().unwrap();
     let recording = ["--recording", descriptor];
     for (args, code, words) in [
-        (
-            &["--identify", "four"][..],
-            2,
-            "no such run; there are: one, two, three, idle",
-        ),
-        (
-            &["--identify", "one", "--predict", "one"],
-            2,
-            "cannot be predicted by itself",
-        ),
+        (&["--identify", "four"][..], 2, "no such run; there are: one, two, three, idle"),
+        (&["--identify", "one", "--predict", "one"], 2, "cannot be predicted by itself"),
         (&["--identify", "one", "--predict", "idle"], 1, "run `idle`"),
     ] {
         let (found, said) = refused(folder.path(), &[&recording[..], args].concat());
@@ -247,11 +204,7 @@ fn a_real_probe_is_known_within_a_second_of_heating() {
             return;
         };
         check_faster(&object, judged, &["10", "5"]);
-        let settled_s = number(
-            &object,
-            "predicted",
-            &format!("{judged}.predicted_5_percent_s"),
-        );
+        let settled_s = number(&object, "predicted", &format!("{judged}.predicted_5_percent_s"));
         assert!(settled_s.unwrap() <= 1.0, "{judged}: {settled_s:?}");
     }
 }
@@ -260,10 +213,7 @@ fn a_real_probe_is_known_within_a_second_of_heating() {
 #[test]
 fn a_real_probe_of_a_kind_is_known_within_a_second_of_heating() {
     let heating = ["heating-20-56", "heating-21-76"];
-    let Some(object) = on_recording(
-        "rtd-step.toml",
-        &[&["--predict"][..], &heating[..]].concat(),
-    ) else {
+    let Some(object) = on_recording("rtd-step.toml", &[&["--predict"][..], &heating[..]].concat()) else {
         return;
     };
     for judged in heating {
@@ -299,11 +249,7 @@ fn a_real_probe_that_cools_is_known_within_two_seconds_if_cooling_was_identified
     let object = json(folder.path(), &args);
     for name in ["even", "odd"] {
         check_faster(&object, name, &["10", "5", "2"]);
-        let settled_s = number(
-            &object,
-            "predicted",
-            &format!("{name}.predicted_5_percent_s"),
-        );
+        let settled_s = number(&object, "predicted", &format!("{name}.predicted_5_percent_s"));
         assert!(settled_s.unwrap() <= 2.0, "{name}: {settled_s:?}");
         assert!(number(&object, "predicted", &format!("{name}.inside")).unwrap() > 0.9);
     }
@@ -312,13 +258,7 @@ fn a_real_probe_that_cools_is_known_within_two_seconds_if_cooling_was_identified
 /// The other way, of which no run was identified.
 #[test]
 fn a_real_probe_that_cools_is_predicted_by_runs_that_heat() {
-    let args = [
-        "--identify",
-        "heating-20-56",
-        "heating-21-76",
-        "--predict",
-        "cooling-55-21",
-    ];
+    let args = ["--identify", "heating-20-56", "heating-21-76", "--predict", "cooling-55-21"];
     let Some(object) = on_recording("rtd-step.toml", &args) else {
         return;
     };

@@ -1,9 +1,6 @@
 //! `posebridge lab wall`: the paper's figures, the drive found from simulated steps, the stops before the wall, and a recording whose
 //! readings are foretold.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -15,11 +12,7 @@ use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 
 fn object(folder: &Path, args: &[&str]) -> Value {
-    let text = stdout_of(
-        posebridge(folder)
-            .args(["lab", "wall", "--json"])
-            .args(args),
-    );
+    let text = stdout_of(posebridge(folder).args(["lab", "wall", "--json"]).args(args));
     serde_json::from_str(&text).unwrap()
 }
 
@@ -37,10 +30,7 @@ fn number(value: &Value) -> f64 {
 
 fn is_near(found: &Value, expected: f64, share: f64) {
     let found = number(found);
-    assert!(
-        (found / expected - 1.0).abs() <= share,
-        "{found} is not {expected} to {share}"
-    );
+    assert!((found / expected - 1.0).abs() <= share, "{found} is not {expected} to {share}");
 }
 
 #[test]
@@ -57,17 +47,14 @@ fn the_papers_figures_and_the_simulated_steps_give_d_and_m() {
         let one = &found["fit_of_first"];
         let off = number(&one["drag_s_per_m"]) - 0.816_33;
         assert!(off.abs() < 3.5 * number(&one["drag_sigma_s_per_m"]));
-        assert!(
-            number(&one["drag_sigma_s_per_m"]) > 3.0 * number(&found["fit"]["drag_sigma_s_per_m"])
-        );
+        assert!(number(&one["drag_sigma_s_per_m"]) > 3.0 * number(&found["fit"]["drag_sigma_s_per_m"]));
     }
 }
 
 /// The rows of the approaches with these properties, in the order of the table.
 fn rows<'a>(found: &'a Value, gains: &str, on: &str, most_pwm: f64) -> Vec<&'a Value> {
     let rows = found["approaches"].as_array().unwrap().iter();
-    rows.filter(|row| row["gains"] == gains && row["on"] == on && row["most_pwm"] == most_pwm)
-        .collect()
+    rows.filter(|row| row["gains"] == gains && row["on"] == on && row["most_pwm"] == most_pwm).collect()
 }
 
 fn by<'a>(rows: &[&'a Value], name: &str) -> &'a Value {
@@ -111,9 +98,7 @@ fn a_filter_on_the_host_is_as_good_as_its_link() {
     let clean = near("none", "host", "range-kf-corrected");
     let slow = near("bluetooth-spp", "host", "range-kf-corrected");
     let slow_line = near("bluetooth-spp", "host", "line through two");
-    println!(
-        "within 20 mm of 40: clean {clean}, Bluetooth {slow}, line over Bluetooth {slow_line}"
-    );
+    println!("within 20 mm of 40: clean {clean}, Bluetooth {slow}, line over Bluetooth {slow_line}");
     assert!(clean >= 39);
     assert!(slow < clean && slow > slow_line + 5);
 }
@@ -124,8 +109,7 @@ fn validation_and_gate_show_what_the_papers_sigmas_do() {
     let found = object(folder.path(), &["--runs", "1"]);
     let of = |process_m: f64, key: &str| {
         let rows = found["validation"].as_array().unwrap().iter();
-        let mut rows =
-            rows.filter(|row| row["process_m"] == process_m && row["filter"] == "range-kf");
+        let mut rows = rows.filter(|row| row["process_m"] == process_m && row["filter"] == "range-kf");
         number(&rows.next().unwrap()[key])
     };
     assert!(of(0.01, "gain") < of(0.05, "gain") && of(0.05, "gain") > 0.95);
@@ -170,10 +154,7 @@ fn mistakes_are_named_with_file_line_and_key() {
         assert!(said.contains(word), "{word} in {said}");
     }
     let said = refusal(folder.path(), &["--profile", "carrier-pigeon"]);
-    assert!(
-        said.contains("carrier-pigeon") && said.contains("bluetooth-spp"),
-        "{said}"
-    );
+    assert!(said.contains("carrier-pigeon") && said.contains("bluetooth-spp"), "{said}");
     let said = refusal(folder.path(), &["--run", "x"]);
     assert!(said.contains("--recording"), "{said}");
     let said = refusal(folder.path(), &["--recording", "none.toml"]);
@@ -198,8 +179,7 @@ fn recording(folder: &Path) {
         writeln!(text, "{},{reading:.0},{pwm},{filtered:.1}", 10 * turn).unwrap();
     }
     std::fs::write(folder.join("approach.csv"), text).unwrap();
-    let descriptor =
-        std::fs::read_to_string(root().join("config/recordings/tof-wall.toml")).unwrap();
+    let descriptor = std::fs::read_to_string(root().join("config/recordings/tof-wall.toml")).unwrap();
     let robot = descriptor.split("[[runs]]").next().unwrap();
     let robot = robot.replace("robotA-80-step", "approach");
     let streams = "[[runs]]\nname = \"approach\"\n\n[files.log]\npath = \"approach.csv\"\nheader_lines = 1\n\
@@ -219,18 +199,11 @@ fn a_recordings_readings_are_foretold_better_than_by_a_line_and_by_its_own_filte
         let score = &run[side];
         println!("{side}: {score}");
         assert!(score["readings"].as_u64().unwrap() >= 15);
-        assert!(
-            number(&score["filter_rms_m"]) < 0.8 * number(&score["other_rms_m"]),
-            "{side}"
-        );
+        assert!(number(&score["filter_rms_m"]) < 0.8 * number(&score["other_rms_m"]), "{side}");
     }
     is_near(&run["fit"]["steady_m_per_s"], 1.5, 0.05);
     let page = folder.path().join("lab-wall.html");
-    assert!(
-        std::fs::read_to_string(page)
-            .unwrap()
-            .contains("their own filter")
-    );
+    assert!(std::fs::read_to_string(page).unwrap().contains("their own filter"));
 }
 
 #[test]
@@ -239,10 +212,7 @@ fn a_column_that_is_not_there_is_named_with_those_that_are() {
     recording(folder.path());
     let args = ["--recording", "car.toml", "--kalman-column", "filtered"];
     let said = refusal(folder.path(), &args);
-    assert!(
-        said.contains("`filtered`") && said.contains("kf_mm"),
-        "{said}"
-    );
+    assert!(said.contains("`filtered`") && said.contains("kf_mm"), "{said}");
     let said = refusal(folder.path(), &["--recording", "car.toml", "--run", "b"]);
     assert!(said.contains("approach"), "{said}");
 }
@@ -255,12 +225,7 @@ fn on_recordings_of_real_cars_the_filter_foretells_best() {
     };
     let folder = tempfile::tempdir().unwrap();
     let descriptor = root().join("config/recordings/tof-wall.toml");
-    let args = [
-        "--recording",
-        descriptor.to_str().unwrap(),
-        "--data",
-        data.to_str().unwrap(),
-    ];
+    let args = ["--recording", descriptor.to_str().unwrap(), "--data", data.to_str().unwrap()];
     let found = object(folder.path(), &args);
     let runs = found["runs"].as_array().unwrap();
     assert!(runs.len() >= 6);
@@ -268,19 +233,11 @@ fn on_recordings_of_real_cars_the_filter_foretells_best() {
     for run in runs {
         let score = &run["against_line"];
         println!("{}: {score}, theirs {}", run["name"], run["against_theirs"]);
-        assert!(
-            number(&score["filter_rms_m"]) < number(&score["other_rms_m"]),
-            "{}",
-            run["name"]
-        );
+        assert!(number(&score["filter_rms_m"]) < number(&score["other_rms_m"]), "{}", run["name"]);
         let score = &run["against_theirs"];
         if !score.is_null() {
             theirs += 1;
-            assert!(
-                number(&score["filter_rms_m"]) < number(&score["other_rms_m"]),
-                "{}",
-                run["name"]
-            );
+            assert!(number(&score["filter_rms_m"]) < number(&score["other_rms_m"]), "{}", run["name"]);
         }
     }
     assert!(theirs >= 1);

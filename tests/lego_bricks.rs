@@ -1,8 +1,5 @@
 //! LEGO bricks as they come out of the box: brick and station as two processes, over a pseudo-terminal, with the camera beside it.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -69,10 +66,7 @@ fn the_table_and_the_picture_are_those_of_any_brick() {
     for kind in ["nxt", "nxt-push", "ev3"] {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
-        let meeting = Meeting {
-            brick: &["--listen", "pty:brick.tty"],
-            station: &["--link", "serial:brick.tty"],
-        };
+        let meeting = Meeting { brick: &["--listen", "pty:brick.tty"], station: &["--link", "serial:brick.tty"] };
         let printed = driven(folder, kind, &meeting);
         println!("{kind}\n{printed}");
         for source in ["wheels (0)", "gyro (1)", "camera (3)"] {
@@ -89,9 +83,7 @@ fn the_table_and_the_picture_are_those_of_any_brick() {
 
 /// A TCP port of four digits, as an EV3 announces one.
 fn four_digit_port() -> u16 {
-    (5_555..=9_999)
-        .find(|port| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok())
-        .unwrap()
+    (5_555..=9_999).find(|port| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok()).unwrap()
 }
 
 #[test]
@@ -103,16 +95,8 @@ fn an_ev3_in_the_network_is_found_by_its_announcement_and_opened() {
     drop(beside);
     let door = format!("tcp://127.0.0.1:{}", four_digit_port());
     let meeting = Meeting {
-        brick: &[
-            "--listen",
-            &door,
-            "--announce",
-            &format!("udp://{announced}"),
-        ],
-        station: &[
-            "--listen",
-            &format!("ev3://{announced}?serial=0016530b0e03"),
-        ],
+        brick: &["--listen", &door, "--announce", &format!("udp://{announced}")],
+        station: &["--listen", &format!("ev3://{announced}?serial=0016530b0e03")],
     };
     let printed = driven(folder, "ev3", &meeting);
     assert!(printed.contains("wheels (0)"), "{printed}");

@@ -1,8 +1,5 @@
 //! Telemetry logs whose times are damaged, whose date was set, or that were cut, with the real program.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 #[path = "support/trajectory.rs"]
@@ -43,11 +40,7 @@ type Records = Vec<(u64, Vec<u8>)>;
 fn log() -> (TempDir, Records) {
     let folder = tempfile::tempdir().unwrap();
     let scenario = Scenario::from_toml(SQUARE).unwrap();
-    record_drive(
-        &folder.path().join("drive.mcap"),
-        scenario,
-        Span::from_millis(500),
-    );
+    record_drive(&folder.path().join("drive.mcap"), scenario, Span::from_millis(500));
     stdout_of(posebridge(folder.path()).args(["export", "drive.mcap", "--format", "tlog"]));
     let bytes = std::fs::read(folder.path().join("drive.tlog")).unwrap();
     let mut records = Vec::new();
@@ -64,9 +57,7 @@ fn log() -> (TempDir, Records) {
 
 fn bytes_of(records: &Records) -> Vec<u8> {
     let records = records.iter();
-    records
-        .flat_map(|(micros, frame)| [&micros.to_be_bytes()[..], frame].concat())
-        .collect()
+    records.flat_map(|(micros, frame)| [&micros.to_be_bytes()[..], frame].concat()).collect()
 }
 
 fn write(folder: &Path, name: &str, records: &Records) {
@@ -101,11 +92,7 @@ fn estimates_as(folder: &Path, plain: &Records, other: &Records, note: &str) {
     let (found, said) = estimates(folder, other);
     assert!(said.contains(note), "{note}: {said}");
     let (compared, worst_m) = worst_distance(&expected, &found);
-    assert!(
-        compared > expected.len() * 9 / 10,
-        "{compared} of {}",
-        expected.len()
-    );
+    assert!(compared > expected.len() * 9 / 10, "{compared} of {}", expected.len());
     assert!(worst_m < 0.005, "{worst_m} m");
 }
 
@@ -138,25 +125,15 @@ fn damaged_times_change_no_estimate_wherever_they_stand() {
     };
     let ahead = records[500].0 + 1_000_000_000 * SECOND;
     let ten: Vec<usize> = (500..510).collect();
-    for (at, micros) in [
-        (&[0][..], u64::MAX),
-        (&[0][..], 0),
-        (&[500][..], ahead),
-        (&[500, 501][..], ahead),
-        (&ten[..], 1 << 63),
-    ] {
+    for (at, micros) in
+        [(&[0][..], u64::MAX), (&[0][..], 0), (&[500][..], ahead), (&[500, 501][..], ahead), (&ten[..], 1 << 63)]
+    {
         let note = format!("{} times that are damaged", at.len());
         estimates_as(folder.path(), &records, &damage(at, micros), &note);
     }
     // An unknown frame in front says nothing of when the log began.
     let mut led = records.clone();
-    led.insert(
-        0,
-        (
-            5,
-            [&[0xFD, 3, 0, 0, 0, 1, 1, 0x60, 0xEA, 0][..], &[7; 5]].concat(),
-        ),
-    );
+    led.insert(0, (5, [&[0xFD, 3, 0, 0, 0, 1, 1, 0x60, 0xEA, 0][..], &[7; 5]].concat()));
     estimates_as(folder.path(), &records, &led, "23 bytes outside frames");
 }
 
@@ -169,10 +146,7 @@ fn times_that_never_make_sense_are_refused_with_the_byte() {
     write(folder.path(), "log.tlog", &records);
     let (code, said) = said(folder.path(), &["replay", "log.tlog"]);
     assert_eq!(code, Some(2), "{said}");
-    assert!(
-        said.contains("`log.tlog`") && said.contains("byte 0"),
-        "{said}"
-    );
+    assert!(said.contains("`log.tlog`") && said.contains("byte 0"), "{said}");
 }
 
 #[test]
@@ -249,10 +223,7 @@ fn an_export_that_fails_leaves_nothing_behind() {
     std::fs::write(folder.join("out/drive.tlog"), "mine").unwrap();
     let args = ["export", "drive.tlog", "--format", "tlog", "--out", "out"];
     let (code, said) = said(folder, &args);
-    assert!(
-        code != Some(0) && said.contains("is there already"),
-        "{said}"
-    );
+    assert!(code != Some(0) && said.contains("is there already"), "{said}");
     let kept = std::fs::read(folder.join("out/drive.tlog")).unwrap();
     assert_eq!(kept, b"mine");
 }
@@ -262,11 +233,7 @@ fn a_file_with_nothing_in_it_is_refused_and_so_is_an_empty_part() {
     let (folder, _) = log();
     let folder = folder.path();
     std::fs::write(folder.join("empty.tlog"), []).unwrap();
-    std::fs::write(
-        folder.join("readme.tlog"),
-        "# Nothing of this is MAVLink\n".repeat(50),
-    )
-    .unwrap();
+    std::fs::write(folder.join("readme.tlog"), "# Nothing of this is MAVLink\n".repeat(50)).unwrap();
     for name in ["empty.tlog", "readme.tlog"] {
         for args in [
             &["replay", name][..],
@@ -287,9 +254,6 @@ fn a_file_with_nothing_in_it_is_refused_and_so_is_an_empty_part() {
     ] {
         let (code, said) = said(folder, args);
         assert_eq!(code, Some(1), "{args:?}: {said}");
-        assert!(
-            said.contains("nothing lies between --from and --to"),
-            "{said}"
-        );
+        assert!(said.contains("nothing lies between --from and --to"), "{said}");
     }
 }

@@ -26,9 +26,7 @@ fn definitions() -> Vec<(String, clap::Command)> {
 
 fn flags_of(command: &clap::Command) -> Vec<String> {
     let flags = command.get_arguments().filter(|flag| !flag.is_hide_set());
-    flags
-        .filter_map(|flag| flag.get_long().map(|long| format!("--{long}")))
-        .collect()
+    flags.filter_map(|flag| flag.get_long().map(|long| format!("--{long}"))).collect()
 }
 
 /// Roff as it is read: hyphens are escaped there, and fonts changed.
@@ -44,10 +42,7 @@ fn plain(roff: &str) -> String {
 fn there_is_a_page_of_every_subcommand_and_it_names_every_flag() {
     let made = pages().unwrap();
     let mut files: Vec<&str> = made.iter().map(|page| page.file.as_str()).collect();
-    let mut expected: Vec<String> = definitions()
-        .into_iter()
-        .map(|(name, _)| name + ".1")
-        .collect();
+    let mut expected: Vec<String> = definitions().into_iter().map(|(name, _)| name + ".1").collect();
     files.sort_unstable();
     expected.sort();
     assert_eq!(files, expected);
@@ -68,11 +63,8 @@ fn there_is_a_page_of_every_subcommand_and_it_names_every_flag() {
 /// What a formatter complains about; nothing, where there is none on this computer.
 fn complaints(page: &Page, folder: &Path) -> String {
     let path = folder.join(&page.file);
-    let formatted = Command::new("groff")
-        .args(["-man", "-Tutf8", "-ww", "-z"])
-        .arg(&path)
-        .stdin(Stdio::null())
-        .output();
+    let formatted =
+        Command::new("groff").args(["-man", "-Tutf8", "-ww", "-z"]).arg(&path).stdin(Stdio::null()).output();
     match formatted {
         Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
         Err(_no_groff) => String::new(),

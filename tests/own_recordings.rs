@@ -1,9 +1,6 @@
 //! What `identify`, `calibrate umbmark`, `lab thermometer` and `tune` make of recordings of ours and of a live robot, with the real
 //! program.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 #[path = "support/virtual_drive.rs"]
@@ -86,10 +83,7 @@ fn quantity(found: &Value, name: &str) -> [f64; 2] {
     let quantities = found["quantities"].as_array().unwrap();
     let is_it = |one: &&Value| one["name"].as_str() == Some(name);
     let one = quantities.iter().find(is_it).unwrap();
-    [
-        one["value"].as_f64().unwrap(),
-        one["sigma"].as_f64().unwrap_or(f64::NAN),
-    ]
+    [one["value"].as_f64().unwrap(), one["sigma"].as_f64().unwrap_or(f64::NAN)]
 }
 
 #[test]
@@ -98,14 +92,7 @@ fn a_recorded_rest_and_a_recorded_side_tell_the_noise() {
     let folder = folder.path();
     let coarse = SQUARE.replace("quantum_deg_per_s = 0.1", "quantum_deg_per_s = 1.0");
     record(folder, "square.mcap", &coarse, 300.0);
-    let rest = [
-        "identify",
-        "rest",
-        "--recording",
-        "square.mcap",
-        "--from",
-        "60",
-    ];
+    let rest = ["identify", "rest", "--recording", "square.mcap", "--from", "60"];
     let rest = found(folder, &rest);
     let [noise, sigma] = quantity(&rest, "gyro_rad_per_s");
     let truth = 0.4_f64.to_radians();
@@ -115,16 +102,7 @@ fn a_recorded_rest_and_a_recorded_side_tell_the_noise() {
     let [step, _] = quantity(&rest, "gyro_resolution_rad_per_s");
     assert!((step.to_degrees() - 1.0).abs() < 0.01, "{step}");
     // The first side: 0.8 m at 0.22 m/s after half a second at rest.
-    let side = [
-        "identify",
-        "straight",
-        "--recording",
-        "square.mcap",
-        "--from",
-        "1.5",
-        "--to",
-        "3.5",
-    ];
+    let side = ["identify", "straight", "--recording", "square.mcap", "--from", "1.5", "--to", "3.5"];
     let [speed, _] = quantity(&found(folder, &side), "speed, left wheel");
     assert!((speed - 0.22).abs() < 0.01, "{speed}");
 }
@@ -135,31 +113,14 @@ fn a_recorded_camera_is_late_by_its_arrival_and_not_by_its_stamp() {
     let folder = folder.path();
     record(folder, "square.mcap", SQUARE, 1.0);
     let by = |clock: &str| {
-        let delay = [
-            "identify",
-            "delay",
-            "--recording",
-            "square.mcap",
-            "--by",
-            clock,
-        ];
+        let delay = ["identify", "delay", "--recording", "square.mcap", "--by", clock];
         quantity(&found(folder, &delay), "delay of the camera")
     };
     let (arrival, stamp) = (by("arrival"), by("stamp"));
     println!("by arrival {arrival:?}, by stamp {stamp:?}");
-    assert!(
-        (arrival[0] - 0.15).abs() < 0.015 + 2.0 * arrival[1],
-        "{arrival:?}"
-    );
+    assert!((arrival[0] - 0.15).abs() < 0.015 + 2.0 * arrival[1], "{arrival:?}");
     assert!(stamp[0].abs() < 0.005 + 2.0 * stamp[1], "{stamp:?}");
-    let asked = [
-        "identify",
-        "rest",
-        "--recording",
-        "square.mcap",
-        "--run",
-        "a",
-    ];
+    let asked = ["identify", "rest", "--recording", "square.mcap", "--run", "a"];
     let (code, said) = refusal(folder, &asked);
     assert!(code == 2 && said.contains("recording of ours"), "{said}");
 }
@@ -169,12 +130,7 @@ fn recorded_squares_in_both_directions_calibrate_the_wheels() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record(folder, "ccw.mcap", SQUARE, 1.0);
-    record(
-        folder,
-        "cw.mcap",
-        &SQUARE.replace("\"left\"", "\"right\""),
-        1.0,
-    );
+    record(folder, "cw.mcap", &SQUARE.replace("\"left\"", "\"right\""), 1.0);
     let squares = ["calibrate", "umbmark", "ccw.mcap", "cw.mcap"];
     let both = found(folder, &squares);
     let value = |name: &str| both[name]["value"].as_f64().unwrap();
@@ -191,9 +147,7 @@ fn a_recorded_thermometer_foretells_another_run_of_it() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record(folder, "one.mcap", THERMOMETER, 0.0);
-    let other = THERMOMETER
-        .replace("seed = 3", "seed = 4")
-        .replace("after_c = 48.7", "after_c = 61.0");
+    let other = THERMOMETER.replace("seed = 3", "seed = 4").replace("after_c = 48.7", "after_c = 61.0");
     record(folder, "two.mcap", &other, 0.0);
     let step = ["identify", "step", "--recording", "one.mcap", "--json"];
     let step = stdout_of(posebridge(folder).args(step));
@@ -207,10 +161,7 @@ fn a_recorded_thermometer_foretells_another_run_of_it() {
     let alone = ["lab", "thermometer", "--recording", "one.mcap"];
     let output = posebridge(folder).args(alone).output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(
-        output.status.success() && said.contains("only run"),
-        "{said}"
-    );
+    assert!(output.status.success() && said.contains("only run"), "{said}");
     let (code, said) = refusal(folder, &["lab", "thermometer", "--recording", "none.mcap"]);
     assert!(code == 2 && said.contains("none.mcap"), "{said}");
 }
@@ -220,12 +171,7 @@ fn recorded_drives_are_tuned_on_and_held_out() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record(folder, "one.mcap", SQUARE, 0.0);
-    record(
-        folder,
-        "two.mcap",
-        &SQUARE.replace("seed = 5", "seed = 6"),
-        0.0,
-    );
+    record(folder, "two.mcap", &SQUARE.replace("seed = 5", "seed = 6"), 0.0);
     let tuned = found(
         folder,
         &[

@@ -1,9 +1,5 @@
 //! A ground station tunes and commands a running station: what it sets, saves, freezes, switches off and records, and the replay of it.
-#![expect(
-    clippy::expect_used,
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
+#![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 #![expect(clippy::wildcard_enum_match_arm, reason = "helpers of tests")]
 
 mod support;
@@ -33,12 +29,8 @@ const CALIBRATION: u16 = 31_012;
 const SOURCE: u16 = 31_013;
 const CAMERA: f32 = 3.0;
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 6,
-    autopilot: 8,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 });
 /// So often among what it hears a ground station shows that it is there: the station forgets who is silent.
 const HEARD_PER_HEARTBEAT: u32 = 20;
 
@@ -81,9 +73,7 @@ impl Gcs {
     fn call(station: &str) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
         socket.connect(station).expect("an address");
-        socket
-            .set_read_timeout(Some(PATIENCE))
-            .expect("it can wait");
+        socket.set_read_timeout(Some(PATIENCE)).expect("it can wait");
         let mut gcs = Self {
             socket,
             encoder: Encoder::new(WireVersion::V2),
@@ -116,22 +106,19 @@ impl Gcs {
                 self.say(&HEARTBEAT);
             }
             let waiting = &mut self.waiting;
-            self.scanner
-                .push(Stamp::ZERO, &buffer[..length], &mut |scanned| {
-                    if let Scanned::Frame(frame) = scanned
-                        && frame.source == STATION
-                    {
-                        waiting.extend(decode(&frame).expect("the station makes sense"));
-                    }
-                });
+            self.scanner.push(Stamp::ZERO, &buffer[..length], &mut |scanned| {
+                if let Scanned::Frame(frame) = scanned
+                    && frame.source == STATION
+                {
+                    waiting.extend(decode(&frame).expect("the station makes sense"));
+                }
+            });
         }
     }
 
     fn value(&mut self, wanted: &str) -> f32 {
         self.wait_for(|message| match message {
-            Message::ParamValue { name, value, .. } if name.eq_ignore_ascii_case(wanted) => {
-                Some(*value)
-            }
+            Message::ParamValue { name, value, .. } if name.eq_ignore_ascii_case(wanted) => Some(*value),
             _ => None,
         })
     }
@@ -144,22 +131,14 @@ impl Gcs {
     }
 
     fn set(&mut self, name: &str, value: f32) -> f32 {
-        self.say(&Message::ParamSet {
-            target: STATION,
-            name: name.to_owned(),
-            value,
-        });
+        self.say(&Message::ParamSet { target: STATION, name: name.to_owned(), value });
         self.value(name)
     }
 
     fn command(&mut self, command: u16, first: &[f32]) -> u8 {
         let mut params = [0.0; 7];
         params[..first.len()].copy_from_slice(first);
-        self.say(&Message::Command(CommandLong {
-            target: STATION,
-            command,
-            params,
-        }));
+        self.say(&Message::Command(CommandLong { target: STATION, command, params }));
         self.wait_for(|message| match message {
             Message::CommandAck(ack) if ack.command == command => Some(ack.result),
             _ => None,
@@ -199,24 +178,14 @@ fn replayed_events(folder: &Path, recording: &str) -> String {
 }
 
 fn fetch_all(gcs: &mut Gcs) {
-    gcs.say(&Message::ParamRequestList {
-        target: ALL_OF_SYSTEM_1,
-    });
+    gcs.say(&Message::ParamRequestList { target: ALL_OF_SYSTEM_1 });
     for (expected, row) in PARAMS.iter().enumerate() {
         let (name, value, count, index) = gcs.wait_for(|message| match message {
-            Message::ParamValue {
-                name,
-                value,
-                count,
-                index,
-            } => Some((name.clone(), *value, *count, *index)),
+            Message::ParamValue { name, value, count, index } => Some((name.clone(), *value, *count, *index)),
             _ => None,
         });
         assert_eq!((name, value), (row.key.to_uppercase(), row.default as f32));
-        assert_eq!(
-            (usize::from(count), usize::from(index)),
-            (PARAMS.len(), expected)
-        );
+        assert_eq!((usize::from(count), usize::from(index)), (PARAMS.len(), expected));
     }
 }
 
@@ -245,10 +214,7 @@ fn save_and_record(gcs: &mut Gcs) {
     assert_eq!(gcs.command(LOGGING_STOP, &[]), ACCEPTED);
     assert_eq!(gcs.text("recorded "), "recorded recording.mcap in first");
     assert_eq!(gcs.command(LOGGING_START, &[]), ACCEPTED);
-    assert_eq!(
-        gcs.text("recording "),
-        "recording recording-2.mcap in first"
-    );
+    assert_eq!(gcs.text("recording "), "recording recording-2.mcap in first");
     gcs.sigma_m_until(|_| true);
 }
 
@@ -296,11 +262,7 @@ fn a_ground_station_tunes_a_running_station_and_the_replay_does_the_same() {
 
     // The next run begins with what was saved.
     let (station, mut gcs) = start(folder, "first/parameters.toml", "second");
-    gcs.say(&Message::ParamRequestRead {
-        target: STATION,
-        name: "slip_nis".to_owned(),
-        index: -1,
-    });
+    gcs.say(&Message::ParamRequestRead { target: STATION, name: "slip_nis".to_owned(), index: -1 });
     assert_eq!(gcs.value("slip_nis"), 20.0);
     station.interrupt();
 }

@@ -1,8 +1,5 @@
 //! A recording of a real robot, played over TCP as a brick would send it, gives the estimates of its replay.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -14,62 +11,44 @@ fn a_played_recording_is_estimated_as_its_replay() {
     let descriptor = root().join("config/recordings/optiodom.toml");
     let run = "circular/250620202104/run-01";
     let mut player = Running::start(
-        posebridge(folder.path())
-            .arg("play")
-            .arg(&descriptor)
-            .arg("--data")
-            .arg(root().join("tests/data"))
-            .args([
-                "--run",
-                run,
-                "--listen",
-                "tcp://127.0.0.1:0",
-                "--speed",
-                "20",
-            ]),
+        posebridge(folder.path()).arg("play").arg(&descriptor).arg("--data").arg(root().join("tests/data")).args([
+            "--run",
+            run,
+            "--listen",
+            "tcp://127.0.0.1:0",
+            "--speed",
+            "20",
+        ]),
     );
     let address = player.listening_address("");
     let mut station = Running::start(
         posebridge(folder.path())
             .args(["run", "--link", &format!("tcp://{address}"), "--robot"])
             .arg(&descriptor)
-            .args([
-                "--out",
-                "run",
-                "--events",
-                "live.txt",
-                "--until-silent",
-                "1",
-            ]),
+            .args(["--out", "run", "--events", "live.txt", "--until-silent", "1"]),
     );
     station.output();
     player.output();
     stdout_of(
-        posebridge(folder.path())
-            .arg("replay")
-            .arg(&descriptor)
-            .arg("--data")
-            .arg(root().join("tests/data"))
-            .args(["--run", run, "--filter", "pose", "--events", "replayed.txt"]),
+        posebridge(folder.path()).arg("replay").arg(&descriptor).arg("--data").arg(root().join("tests/data")).args([
+            "--run",
+            run,
+            "--filter",
+            "pose",
+            "--events",
+            "replayed.txt",
+        ]),
     );
-    let ([live_s, live_x_m, live_y_m], [replayed_s, x_m, y_m]) = (
-        last_estimate(&folder.path().join("live.txt")),
-        last_estimate(&folder.path().join("replayed.txt")),
-    );
+    let ([live_s, live_x_m, live_y_m], [replayed_s, x_m, y_m]) =
+        (last_estimate(&folder.path().join("live.txt")), last_estimate(&folder.path().join("replayed.txt")));
     assert_eq!(live_s, replayed_s);
     // The wire carries geometry as 32-bit floats: after 4 m of path that is a tenth of a micrometre.
-    assert!(
-        (live_x_m - x_m).abs() < 1e-6 && (live_y_m - y_m).abs() < 1e-6,
-        "{live_x_m} {x_m} {live_y_m} {y_m}"
-    );
+    assert!((live_x_m - x_m).abs() < 1e-6 && (live_y_m - y_m).abs() < 1e-6, "{live_x_m} {x_m} {live_y_m} {y_m}");
 }
 
 /// Time, x and y of the last estimate.
 fn last_estimate(events: &std::path::Path) -> [f64; 3] {
     let text = std::fs::read_to_string(events).expect("the events are there");
-    let line = text
-        .lines()
-        .rfind(|line| line.starts_with("Estimated"))
-        .expect("something was estimated");
+    let line = text.lines().rfind(|line| line.starts_with("Estimated")).expect("something was estimated");
     ["brick@", "x: Meters(", "y: Meters("].map(|field| number_after(line, field))
 }

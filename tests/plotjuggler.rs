@@ -1,8 +1,5 @@
 //! `--plotjuggler`: the datagrams of the real program, held against the table of docs/plotjuggler.md.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -58,11 +55,8 @@ fn what_is_sent_is_what_the_page_says() {
     let mut command = posebridge(folder.path());
     let mut run = Running::start(command.args(["run", "--no-dashboard", "--out", "run", &address]));
     run.wait_for("plotjuggler: sending to udp://127.0.0.1:");
-    let wanted: BTreeSet<&str> = FIELDS
-        .iter()
-        .map(|field| field.name)
-        .filter(|name| !is_of_other_sensors(name))
-        .collect();
+    let wanted: BTreeSet<&str> =
+        FIELDS.iter().map(|field| field.name).filter(|name| !is_of_other_sensors(name)).collect();
     let mut seen = BTreeSet::new();
     let (mut truth_x_m, mut nearest_m) = (None, f64::MAX);
     let mut last_s = 0.0;
@@ -71,17 +65,13 @@ fn what_is_sent_is_what_the_page_says() {
         let at_s = value(&fields, "timestamp").unwrap();
         last_s = f64::max(last_s, at_s);
         let missing: Vec<&&str> = wanted.difference(&seen).collect();
-        assert!(
-            last_s < 60.0,
-            "a minute without {missing:?}; nearest {nearest_m} m"
-        );
+        assert!(last_s < 60.0, "a minute without {missing:?}; nearest {nearest_m} m");
         for (name, _) in &fields {
             let pattern = pattern_of(name);
             seen.insert(pattern.unwrap_or_else(|| panic!("`{name}` stands nowhere")));
         }
         truth_x_m = value(&fields, "truth/x_m").or(truth_x_m);
-        if let (Some(x_m), Some(truth_x_m)) =
-            (value(&fields, "robot_0_1_1/estimate/x_m"), truth_x_m)
+        if let (Some(x_m), Some(truth_x_m)) = (value(&fields, "robot_0_1_1/estimate/x_m"), truth_x_m)
             && last_s > 5.0
         {
             nearest_m = nearest_m.min((x_m - truth_x_m).abs());
@@ -90,20 +80,14 @@ fn what_is_sent_is_what_the_page_says() {
     let (code, said) = run.interrupted();
     assert_eq!(code, Some(0), "{said}");
     let sent = said.lines().find(|line| line.starts_with("plotjuggler: "));
-    assert!(
-        sent.is_some_and(|line| line.contains(" datagrams sent")),
-        "{said}"
-    );
+    assert!(sent.is_some_and(|line| line.contains(" datagrams sent")), "{said}");
 }
 
 #[test]
 fn who_does_not_listen_costs_nothing_and_it_is_off_unless_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     // Bound and closed: nobody is there any more.
-    let gone = UdpSocket::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap();
+    let gone = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     std::fs::write(
         folder.path().join("station.toml"),
         format!("[plotjuggler]\nenabled = true\naddress = \"{gone}\"\n"),
@@ -118,10 +102,7 @@ fn who_does_not_listen_costs_nothing_and_it_is_off_unless_asked_for() {
         said
     };
     let configured = said(&["--out", "one", "--config", "station.toml"]);
-    assert!(
-        configured.contains(&format!("plotjuggler: sending to udp://{gone}")),
-        "{configured}"
-    );
+    assert!(configured.contains(&format!("plotjuggler: sending to udp://{gone}")), "{configured}");
     assert!(configured.contains(" datagrams sent"), "{configured}");
     assert!(!said(&["--out", "two"]).contains("plotjuggler"));
 }

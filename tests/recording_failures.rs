@@ -2,10 +2,7 @@
 //!
 //! The test is the brick: it floods the station so that the recording grows, and hears by the station's requests for the time that the
 //! station goes on.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -47,11 +44,7 @@ impl Station {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("tcp://{}", listener.local_addr().unwrap());
         let running = Running::start(command.args(["run", "--link", &url]).args(flags));
-        Self {
-            running,
-            link: listener.accept().unwrap().0,
-            scanner: Scanner::new(ScannerConfig::default()),
-        }
+        Self { running, link: listener.accept().unwrap().0, scanner: Scanner::new(ScannerConfig::default()) }
     }
 
     /// Its clock as its next request for the time shows it, s. It is sent `noise` while it is awaited.
@@ -62,14 +55,13 @@ impl Station {
             let read = self.link.read(&mut buffer).unwrap();
             assert!(read > 0, "the station has hung up");
             let mut shown_s = None;
-            self.scanner
-                .push(Stamp::ZERO, &buffer[..read], &mut |scanned| {
-                    if let Scanned::Frame(frame) = scanned
-                        && let Ok(Some(Message::TimeSync(request))) = decode(&frame)
-                    {
-                        shown_s = Some(request.request_nanos as f64 * 1e-9);
-                    }
-                });
+            self.scanner.push(Stamp::ZERO, &buffer[..read], &mut |scanned| {
+                if let Scanned::Frame(frame) = scanned
+                    && let Ok(Some(Message::TimeSync(request))) = decode(&frame)
+                {
+                    shown_s = Some(request.request_nanos as f64 * 1e-9);
+                }
+            });
             if let Some(shown_s) = shown_s {
                 return shown_s;
             }
@@ -100,9 +92,7 @@ fn a_file_that_may_not_grow_ends_the_recording_and_not_the_run() {
     // A file of more than 200 kB is refused by the system, as a full disk refuses it.
     let limited = "trap '' XFSZ; ulimit -f 400; exec \"$0\" \"$@\"";
     let mut shell = Command::new("sh");
-    shell
-        .current_dir(folder.path())
-        .args(["-c", limited, env!("CARGO_BIN_EXE_posebridge")]);
+    shell.current_dir(folder.path()).args(["-c", limited, env!("CARGO_BIN_EXE_posebridge")]);
     let mut station = Station::start(&mut shell, "run");
     for _ in 0..15 {
         station.time_s(&[0x55; 16_384]);
@@ -158,13 +148,7 @@ fn a_telemetry_log_that_is_deleted_is_told_once_and_stands_in_the_recording() {
     let bytes = std::fs::read(run.join("recording.mcap")).unwrap();
     let inputs = Reader::open(&bytes).unwrap().map(Result::unwrap);
     let reports: Vec<String> = inputs
-        .filter_map(|(_, input)| {
-            if let Input::Report { severity: 4, text } = input {
-                Some(text)
-            } else {
-                None
-            }
-        })
+        .filter_map(|(_, input)| if let Input::Report { severity: 4, text } = input { Some(text) } else { None })
         .collect();
     let [report] = &reports[..] else {
         panic!("{reports:?}");
@@ -175,13 +159,7 @@ fn a_telemetry_log_that_is_deleted_is_told_once_and_stands_in_the_recording() {
 #[test]
 fn a_disk_without_room_ends_the_telemetry_log_as_well() {
     let folder = tempfile::tempdir().unwrap();
-    let flags = [
-        "--out",
-        "run",
-        "--tlog",
-        "--set",
-        "record.min_free_mb=4000000000",
-    ];
+    let flags = ["--out", "run", "--tlog", "--set", "record.min_free_mb=4000000000"];
     let mut station = Station::start_with(&mut posebridge(folder.path()), &flags);
     // They may end in either order.
     let mut heard = station.running.wait_for("ends here");
@@ -192,10 +170,7 @@ fn a_disk_without_room_ends_the_telemetry_log_as_well() {
         assert!(line.contains("record.min_free_mb"), "{line}");
     }
     let said = station.goes_on_and_said_once(&heard, LOG_ENDED);
-    for what in [
-        "the recording is not whole",
-        "the telemetry log is not whole",
-    ] {
+    for what in ["the recording is not whole", "the telemetry log is not whole"] {
         assert!(said.contains(what), "{said}");
     }
 }
@@ -223,11 +198,7 @@ fn a_folder_that_is_moved_costs_the_pictures_and_not_the_tables() {
     assert_eq!(code, Some(1), "{said}");
     assert!(printed.contains("NIS/dof"), "{printed}");
     assert!(!printed.contains("track.svg"), "{printed}");
-    for what in [
-        "not all pictures are drawn",
-        "run/track.svg",
-        "the recording is not whole",
-    ] {
+    for what in ["not all pictures are drawn", "run/track.svg", "the recording is not whole"] {
         assert!(said.contains(what), "{said}");
     }
 }

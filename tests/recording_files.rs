@@ -1,9 +1,6 @@
 //! The files of a recording when they grow, when the disk fills and when somebody takes them away: each ends readable, and what they
 //! lack is said.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use std::path::{Path, PathBuf};
 
@@ -15,19 +12,10 @@ use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Span, Stamp};
 type Recorded = (Stamp<HostClock>, Input);
 
 /// Neither parts nor a floor.
-const UNLIMITED: Limits = Limits {
-    part_bytes: None,
-    part_span: None,
-    floor_bytes: 0,
-    output_spacing: Span::ZERO,
-};
+const UNLIMITED: Limits = Limits { part_bytes: None, part_span: None, floor_bytes: 0, output_spacing: Span::ZERO };
 
 fn header() -> Header {
-    Header {
-        format: FORMAT,
-        utc_start_micros: 1_700_000_000_000_000,
-        ..Header::default()
-    }
+    Header { format: FORMAT, utc_start_micros: 1_700_000_000_000_000, ..Header::default() }
 }
 
 /// One input of 400 bytes every 20 ms.
@@ -35,10 +23,7 @@ fn inputs(count: i64) -> Vec<Recorded> {
     let input = |n: i64| {
         let bytes = vec![n as u8; 400];
         let (link, peer) = (LinkId(0), PeerId::default());
-        (
-            Stamp::from_millis(20 * n),
-            Input::Bytes { link, peer, bytes },
-        )
+        (Stamp::from_millis(20 * n), Input::Bytes { link, peer, bytes })
     };
     (0..count).map(input).collect()
 }
@@ -89,10 +74,7 @@ fn joined(first: &Path, count: u32, all: &[Recorded]) -> Vec<PathBuf> {
 fn a_large_recording_goes_on_in_another_file_without_a_gap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits {
-        part_bytes: Some(100_000),
-        ..UNLIMITED
-    };
+    let limits = Limits { part_bytes: Some(100_000), ..UNLIMITED };
     let all = inputs(1_000);
     let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
     record(&mut parts, &all).unwrap();
@@ -110,10 +92,7 @@ fn a_large_recording_goes_on_in_another_file_without_a_gap() {
 fn a_part_that_cannot_be_begun_leaves_the_one_before_complete() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits {
-        part_span: Some(Span::from_millis(2_000)),
-        ..UNLIMITED
-    };
+    let limits = Limits { part_span: Some(Span::from_millis(2_000)), ..UNLIMITED };
     std::fs::write(folder.path().join("recording.2.mcap"), "somebody's").unwrap();
     let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
     let told = record(&mut parts, &inputs(1_000)).unwrap_err();
@@ -132,10 +111,7 @@ fn a_part_that_cannot_be_begun_leaves_the_one_before_complete() {
 fn an_old_recording_goes_on_in_another_file_without_a_gap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits {
-        part_span: Some(Span::from_millis(5_000)),
-        ..UNLIMITED
-    };
+    let limits = Limits { part_span: Some(Span::from_millis(5_000)), ..UNLIMITED };
     let all = inputs(1_000);
     let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
     record(&mut parts, &all).unwrap();
@@ -148,10 +124,7 @@ fn an_old_recording_goes_on_in_another_file_without_a_gap() {
 fn a_disk_without_room_ends_the_recording_and_what_was_written_is_whole() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits {
-        floor_bytes: u64::MAX,
-        ..UNLIMITED
-    };
+    let limits = Limits { floor_bytes: u64::MAX, ..UNLIMITED };
     let error = error_of(&path, limits, || {});
     assert!(error.contains("record.min_free_mb"), "{error}");
     assert!(error.contains("recording.mcap"), "{error}");

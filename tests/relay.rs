@@ -1,8 +1,5 @@
 //! A relay between real links: the clean one changes nothing, a seeded one does exactly what its counters and its model say.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -28,10 +25,8 @@ fn over_the_clean_link_every_byte_passes_unchanged_both_ways() {
     let (relay, [brick, station]) = over_tcp(folder.path(), &[]);
     let up: Vec<u8> = (0..1_000_000_u32).map(|i| (i * 7 % 251) as u8).collect();
     let down: Vec<u8> = (0..700_000_u32).map(|i| (i * 13 % 241) as u8).collect();
-    let ([mut brick_reads, mut station_reads], [mut brick, mut station]) = (
-        [&brick, &station].map(|end| end.try_clone().unwrap()),
-        [brick, station],
-    );
+    let ([mut brick_reads, mut station_reads], [mut brick, mut station]) =
+        ([&brick, &station].map(|end| end.try_clone().unwrap()), [brick, station]);
     std::thread::scope(|scope| {
         scope.spawn(|| brick.write_all(&up).unwrap());
         scope.spawn(|| station.write_all(&down).unwrap());
@@ -113,23 +108,13 @@ fn a_damaged_stream_arrives_as_its_model_says_byte_for_byte() {
     station.write_all(&bytes).unwrap();
     assert!(read_exactly(&mut brick, to_brick.len()) == to_brick);
     let report = ended(relay);
-    let flipped: u32 = to_station
-        .iter()
-        .zip(&bytes)
-        .map(|(got, sent)| (got ^ sent).count_ones())
-        .sum();
+    let flipped: u32 = to_station.iter().zip(&bytes).map(|(got, sent)| (got ^ sent).count_ones()).sum();
     assert!(flipped > 500);
-    assert_eq!(
-        count(&report, "to_station", "bits_flipped"),
-        u64::from(flipped)
-    );
+    assert_eq!(count(&report, "to_station", "bits_flipped"), u64::from(flipped));
     let missing = (bytes.len() - to_brick.len()) as u64;
     assert!(missing > 500);
     assert_eq!(count(&report, "to_brick", "bytes_missing"), missing);
-    assert_eq!(
-        count(&report, "to_brick", "bytes_delivered"),
-        to_brick.len() as u64
-    );
+    assert_eq!(count(&report, "to_brick", "bytes_delivered"), to_brick.len() as u64);
     // What one seed damages another does not.
     let mut other = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 12, Stamp::ZERO);
     other.offer(End::Brick, Stamp::ZERO, &bytes);
@@ -165,10 +150,7 @@ fn the_datagrams_that_get_lost_are_those_of_the_model() {
     }
     let report = ended(ends.relay);
     assert!(lost > 100 && repeated > 50, "{lost} {repeated}");
-    assert_eq!(
-        count(&report, "to_station", "units_offered"),
-        u64::from(20 * BATCH)
-    );
+    assert_eq!(count(&report, "to_station", "units_offered"), u64::from(20 * BATCH));
     assert_eq!(count(&report, "to_station", "bytes_lost_alone"), 4 * lost);
     assert_eq!(count(&report, "to_station", "repeated"), repeated);
 }
@@ -176,12 +158,7 @@ fn the_datagrams_that_get_lost_are_those_of_the_model() {
 #[test]
 fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
     let folder = tempfile::tempdir().unwrap();
-    let mut brick = Running::start(posebridge(folder.path()).args([
-        "sim",
-        "circle",
-        "--listen",
-        "tcp://127.0.0.1:0",
-    ]));
+    let mut brick = Running::start(posebridge(folder.path()).args(["sim", "circle", "--listen", "tcp://127.0.0.1:0"]));
     let brick_link = format!("tcp://{}", brick.listening_address(""));
     let mut relay = Running::start(posebridge(folder.path()).args([
         "relay",
@@ -194,13 +171,7 @@ fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
         "link.mcap",
     ]));
     let station_link = format!("tcp://{}", relay.listening_address("station end "));
-    let mut station = Running::start(posebridge(folder.path()).args([
-        "run",
-        "--link",
-        &station_link,
-        "--out",
-        "run",
-    ]));
+    let mut station = Running::start(posebridge(folder.path()).args(["run", "--link", &station_link, "--out", "run"]));
     station.wait_for("fix accepted");
     station.interrupt();
     let table = relay.interrupt();
@@ -214,24 +185,13 @@ fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
 fn it_ends_by_itself_when_its_time_is_over() {
     let folder = tempfile::tempdir().unwrap();
     let output = posebridge(folder.path())
-        .args([
-            "relay",
-            "pty:a.tty",
-            "pty:b.tty",
-            "--duration",
-            "0.2",
-            "--impair",
-            "harsh",
-        ])
+        .args(["relay", "pty:a.tty", "pty:b.tty", "--duration", "0.2", "--impair", "harsh"])
         .output()
         .unwrap();
     assert!(output.status.success());
     let table = String::from_utf8_lossy(&output.stdout);
     assert!(table.contains("link harsh, seed 1"), "{table}");
-    assert!(
-        !folder.path().join("a.tty").exists(),
-        "the terminal's name is gone"
-    );
+    assert!(!folder.path().join("a.tty").exists(), "the terminal's name is gone");
 }
 
 #[test]
@@ -264,36 +224,16 @@ fn it_ends_with_a_file_though_the_other_end_still_has_something_on_the_way() {
 #[test]
 fn what_makes_no_sense_is_refused_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
-    std::fs::write(
-        folder.path().join("wrong.toml"),
-        "kind = \"stream\"\n[both]\nlos = 0.1\n",
-    )
-    .unwrap();
+    std::fs::write(folder.path().join("wrong.toml"), "kind = \"stream\"\n[both]\nlos = 0.1\n").unwrap();
     let cases: [(&[&str], &[&str]); 5] = [
         (&["pty:a.tty"], &["two ends"]),
-        (
-            &["pty:a.tty", "pty:b.tty", "--impair", "string"],
-            &["string", "none, usb", "harsh"],
-        ),
-        (
-            &["pty:a.tty", "pty:b.tty", "--impair", "wrong.toml"],
-            &["wrong.toml", "line 3", "los"],
-        ),
-        (
-            &["pty:a.tty", "pty:b.tty", "--impair", "none.toml"],
-            &["none.toml"],
-        ),
-        (
-            &["pty:a.tty", "carrier:pigeon"],
-            &["station end", "carrier"],
-        ),
+        (&["pty:a.tty", "pty:b.tty", "--impair", "string"], &["string", "none, usb", "harsh"]),
+        (&["pty:a.tty", "pty:b.tty", "--impair", "wrong.toml"], &["wrong.toml", "line 3", "los"]),
+        (&["pty:a.tty", "pty:b.tty", "--impair", "none.toml"], &["none.toml"]),
+        (&["pty:a.tty", "carrier:pigeon"], &["station end", "carrier"]),
     ];
     for (args, words) in cases {
-        let output = posebridge(folder.path())
-            .arg("relay")
-            .args(args)
-            .output()
-            .unwrap();
+        let output = posebridge(folder.path()).arg("relay").args(args).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{args:?}");
         let said = String::from_utf8_lossy(&output.stderr);
         for word in words {
@@ -305,17 +245,9 @@ fn what_makes_no_sense_is_refused_with_a_reason() {
 /// A relay between two TCP links of ours, and our ends: the brick's and the station's.
 fn over_tcp(folder: &Path, args: &[&str]) -> (Running, [TcpStream; 2]) {
     let listeners = [(), ()].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port is free"));
-    let [brick, station] = [&listeners[0], &listeners[1]].map(|listener| {
-        format!(
-            "tcp://{}",
-            listener.local_addr().expect("it has an address")
-        )
-    });
-    let mut relay = Running::start(
-        posebridge(folder)
-            .args(["relay", &brick, &station, "--json"])
-            .args(args),
-    );
+    let [brick, station] = [&listeners[0], &listeners[1]]
+        .map(|listener| format!("tcp://{}", listener.local_addr().expect("it has an address")));
+    let mut relay = Running::start(posebridge(folder).args(["relay", &brick, &station, "--json"]).args(args));
     let ends = listeners.map(|listener| listener.accept().expect("the relay calls").0);
     for end in &ends {
         end.set_read_timeout(Some(PATIENCE)).expect("it can be set");
@@ -336,42 +268,22 @@ struct UdpEnds {
 }
 
 fn over_udp(folder: &Path, args: &[&str]) -> UdpEnds {
-    let [brick, station] =
-        [(), ()].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a port is free"));
+    let [brick, station] = [(), ()].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a port is free"));
     let [brick_url, station_url] = [&brick, &station].map(|socket| {
-        socket
-            .set_read_timeout(Some(PATIENCE))
-            .expect("it can be set");
+        socket.set_read_timeout(Some(PATIENCE)).expect("it can be set");
         format!("udp://{}", socket.local_addr().expect("it has an address"))
     });
-    let mut relay = Running::start(
-        posebridge(folder)
-            .args(["relay", &brick_url, &station_url, "--json"])
-            .args(args),
-    );
+    let mut relay = Running::start(posebridge(folder).args(["relay", &brick_url, &station_url, "--json"]).args(args));
     let mut heard = || {
         let line = relay.wait_for(" end up: ");
-        let port = line
-            .split("from 0.0.0.0:")
-            .nth(1)
-            .expect("it says from where");
+        let port = line.split("from 0.0.0.0:").nth(1).expect("it says from where");
         let digits: String = port.chars().take_while(char::is_ascii_digit).collect();
         (line.starts_with("brick"), format!("127.0.0.1:{digits}"))
     };
     let (first, second) = (heard(), heard());
-    let (at_brick, at_station) = if first.0 {
-        (first.1, second.1)
-    } else {
-        (second.1, first.1)
-    };
+    let (at_brick, at_station) = if first.0 { (first.1, second.1) } else { (second.1, first.1) };
     relay.wait_for("relaying");
-    UdpEnds {
-        relay,
-        brick,
-        station,
-        at_brick,
-        at_station,
-    }
+    UdpEnds { relay, brick, station, at_brick, at_station }
 }
 
 /// All that a model delivers at both ends, when nothing else is offered.
@@ -405,7 +317,5 @@ fn ended(relay: Running) -> Value {
 }
 
 fn count(report: &Value, direction: &str, counter: &str) -> u64 {
-    report[direction][counter]
-        .as_u64()
-        .expect("there is such a counter")
+    report[direction][counter].as_u64().expect("there is such a counter")
 }

@@ -1,8 +1,5 @@
 //! The strongest promise of the house: the events of a live run are those of its replay, bit for bit.
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 mod support;
 
@@ -25,12 +22,7 @@ fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_c
         "--events",
         "live.txt",
     ]));
-    stdout_of(posebridge(folder.path()).args([
-        "replay",
-        "run/recording.mcap",
-        "--events",
-        "replayed.txt",
-    ]));
+    stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--events", "replayed.txt"]));
 
     let live = std::fs::read_to_string(folder.path().join("live.txt")).unwrap();
     let replayed = std::fs::read_to_string(folder.path().join("replayed.txt")).unwrap();
@@ -40,22 +32,13 @@ fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_c
     assert_eq!(live.lines().count(), replayed.lines().count());
 
     // The comparison must have had something to compare: fixes that were used across the wrap, and a clock known to be fast.
-    let used = live.lines().filter(|line| {
-        line.starts_with("Fused") && line.contains("\"fix\"") && line.contains("Accepted")
-    });
+    let used =
+        live.lines().filter(|line| line.starts_with("Fused") && line.contains("\"fix\"") && line.contains("Accepted"));
     assert!(used.count() > 40);
-    let last_clock = live
-        .lines()
-        .rfind(|line| line.starts_with("BrickClockAligned"))
-        .expect("clocks were aligned");
+    let last_clock = live.lines().rfind(|line| line.starts_with("BrickClockAligned")).expect("clocks were aligned");
     let skew_ppm = number_after(last_clock, "skew_ppm: ");
     assert!((skew_ppm - 2000.0).abs() < 300.0, "{skew_ppm} ppm");
-    assert_eq!(
-        live.lines()
-            .filter(|line| line.starts_with("BrickRestarted"))
-            .count(),
-        0
-    );
+    assert_eq!(live.lines().filter(|line| line.starts_with("BrickRestarted")).count(), 0);
     assert!(chunks_that_are_not_frames(&folder.path().join("run/recording.mcap")) > 0);
 }
 

@@ -1,9 +1,6 @@
 //! `replay --smooth`: the path in hindsight beside the filters, on a robot whose drive is known by hand, and what a person reads
 //! when there is none.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -125,10 +122,7 @@ fn without_the_flag_there_is_none() {
 #[test]
 fn the_table_names_what_is_not_read_and_the_picture_has_the_path() {
     let folder = recording(&[DESCRIPTOR, FIXES, START]);
-    let table = replay(
-        folder.path(),
-        &["by-hand.toml", "--smooth", "--figure", "track.svg"],
-    );
+    let table = replay(folder.path(), &["by-hand.toml", "--smooth", "--figure", "track.svg"]);
     let row = table.lines().find(|line| line.starts_with("straight  "));
     let cells: Vec<&str> = row.unwrap().split_whitespace().collect();
     assert_eq!(cells[5..7], ["10", "1"], "{table}");

@@ -2,11 +2,7 @@
 //! and what is left of the torn frame is not taken for one, not even when its other half is the first that comes afterwards.
 //!
 //! A hundred times and with the processor time is a test of the link (`crates/link/tests/replug.rs`).
-#![expect(
-    clippy::expect_used,
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 #[path = "support/terminal.rs"]
@@ -65,11 +61,7 @@ impl Brick {
             whole.extend(self.next_ticks());
         }
         let request_nanos = 1_000 + self.said;
-        whole.extend(self.frame(&Message::TimeSync(TimeSync {
-            answer_nanos: 0,
-            request_nanos,
-            target: None,
-        })));
+        whole.extend(self.frame(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, target: None })));
         terminal.wire.write_all(&whole).expect("it is plugged in");
         hear(
             &mut terminal,
@@ -77,10 +69,7 @@ impl Brick {
         );
         let torn = self.next_ticks();
         let half = torn.len() / 2;
-        terminal
-            .wire
-            .write_all(&torn[..half])
-            .expect("it is plugged in");
+        terminal.wire.write_all(&torn[..half]).expect("it is plugged in");
         Sent { whole, torn }
     }
 }
@@ -94,12 +83,8 @@ fn ticks(number: i64) -> Message {
     })
 }
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// Reads what the station says until a message of it is wanted.
 fn hear(terminal: &mut Terminal, is_wanted: impl Fn(&Message) -> bool) {
@@ -126,10 +111,7 @@ fn recorded(path: &Path) -> Vec<Vec<u8>> {
     let mut times: Vec<Vec<u8>> = Vec::new();
     for input in reader {
         match input.expect("every record is good").1 {
-            Input::Link {
-                state: LinkState::Up,
-                ..
-            } => times.push(Vec::new()),
+            Input::Link { state: LinkState::Up, .. } => times.push(Vec::new()),
             Input::Bytes { bytes, .. } => {
                 times.last_mut().expect("the link is up").extend(bytes);
             }
@@ -150,14 +132,9 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
     let name = folder.path().join("brick.tty");
     let link = format!("serial:{}", name.display());
     let mut terminal = Terminal::open_as(&name);
-    let args = [
-        "run", "--link", &link, "--out", "run", "--events", "live.txt",
-    ];
+    let args = ["run", "--link", &link, "--out", "run", "--events", "live.txt"];
     let station = Running::start(posebridge(folder.path()).args(args));
-    let mut brick = Brick {
-        encoder: Encoder::new(WireVersion::V2),
-        said: 0,
-    };
+    let mut brick = Brick { encoder: Encoder::new(WireVersion::V2), said: 0 };
     let mut sent = vec![brick.talk(terminal, &[])];
     while sent.len() < PLUGGINGS {
         terminal = Terminal::open_as(&name);
@@ -171,14 +148,8 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
     assert_eq!(recorded.len(), sent.len(), "the link was up so often");
     for (number, (found, sent)) in recorded.iter().zip(&sent).enumerate() {
         let all = [&sent.whole[..], &sent.torn[..sent.torn.len() / 2]].concat();
-        assert!(
-            found.starts_with(&sent.whole),
-            "plugging {number}: bytes are missing"
-        );
-        assert!(
-            all.starts_with(found),
-            "plugging {number}: bytes are made up"
-        );
+        assert!(found.starts_with(&sent.whole), "plugging {number}: bytes are missing");
+        assert!(all.starts_with(found), "plugging {number}: bytes are made up");
     }
     check_events(folder.path(), brick.said);
 }
@@ -186,11 +157,8 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
 /// Every whole message was observed once and in order, no torn one was, and the recording replays to the same events.
 fn check_events(folder: &Path, said: i64) {
     let live = std::fs::read_to_string(folder.join("live.txt")).unwrap();
-    let stamps: Vec<&str> = live
-        .lines()
-        .filter(|line| line.starts_with("Observed"))
-        .map(|line| after(line, "stamp: brick@"))
-        .collect();
+    let stamps: Vec<&str> =
+        live.lines().filter(|line| line.starts_with("Observed")).map(|line| after(line, "stamp: brick@")).collect();
     // The last of each plugging is the torn one.
     let expected: Vec<String> = (1..=said)
         .filter(|number| number % (MESSAGES + 1) != 0)

@@ -1,8 +1,5 @@
 //! `posebridge report` with the real program: one page that needs nothing else, whose numbers are those of `replay`.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -18,30 +15,14 @@ const WICKED: &str = "<script>alert(\"1\")</script> & Co";
 fn live_run(folder: &Path) -> PathBuf {
     std::fs::write(folder.join("skewed.toml"), SKEWED_SQUARE).unwrap();
     let name = format!("robot.name={WICKED}");
-    let run = [
-        "run",
-        "--link",
-        "sim://skewed.toml",
-        "--laps",
-        "1",
-        "--out",
-        "run",
-        "--tlog",
-        "--set",
-        &name,
-    ];
+    let run = ["run", "--link", "sim://skewed.toml", "--laps", "1", "--out", "run", "--tlog", "--set", &name];
     stdout_of(posebridge(folder).args(run));
     folder.join("run/recording.mcap")
 }
 
 /// The page that a report leaves, and what it prints.
 fn report(folder: &Path, args: &[&str], out: &str) -> (String, Value) {
-    let printed = stdout_of(
-        posebridge(folder)
-            .arg("report")
-            .args(args)
-            .args(["--out", out, "--json"]),
-    );
+    let printed = stdout_of(posebridge(folder).arg("report").args(args).args(["--out", out, "--json"]));
     let page = std::fs::read_to_string(folder.join(out).join("report.html")).unwrap();
     (page, serde_json::from_str(&printed).unwrap())
 }
@@ -64,22 +45,14 @@ fn check_page(page: &str) {
         } else if !tag.ends_with('/') {
             open.extend(name);
         }
-        assert!(
-            !matches!(name, Some("script" | "link" | "iframe" | "img" | "object")),
-            "{tag}"
-        );
+        assert!(!matches!(name, Some("script" | "link" | "iframe" | "img" | "object")), "{tag}");
         for fetched in ["http", "src=", "href=", "NaN", "Infinity"] {
             assert!(!tag.contains(fetched), "{fetched} in {tag}");
         }
-        assert!(
-            !tag.contains(" on") || tag.starts_with("meta"),
-            "an event handler: {tag}"
-        );
+        assert!(!tag.contains(" on") || tag.starts_with("meta"), "an event handler: {tag}");
     }
     assert!(open.is_empty(), "open: {open:?}");
-    assert!(
-        !page.contains("@import") && page.matches("url(").count() == page.matches("url(#").count()
-    );
+    assert!(!page.contains("@import") && page.matches("url(").count() == page.matches("url(#").count());
     for reference in page.split("url(#").skip(1) {
         let (id, _) = reference.split_once(')').unwrap();
         let target = format!(" id=\"{id}\"");
@@ -97,10 +70,7 @@ fn check_pictures(page: &str, folder: &Path) -> Vec<String> {
             continue;
         }
         let svg = std::fs::read_to_string(&path).unwrap();
-        assert!(
-            svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>\n"),
-            "{name}"
-        );
+        assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>\n"), "{name}");
         let last_text = svg.rsplit("<text").next().unwrap();
         assert!(page.contains(last_text), "{name} is not in the page");
         names.push(name);
@@ -118,15 +88,7 @@ fn the_page_of_a_live_run_needs_nothing_else_and_says_what_replay_says() {
     let (page, json) = report(folder, &recording, "first");
     check_page(&page);
     let names = check_pictures(&page, &folder.join("first"));
-    for name in [
-        "path",
-        "errors",
-        "innovations-camera",
-        "innovations-wheels",
-        "learned",
-        "link-0",
-        "clock",
-    ] {
+    for name in ["path", "errors", "innovations-camera", "innovations-wheels", "learned", "link-0", "clock"] {
         let name = format!("report-run1-{name}.svg");
         assert!(names.contains(&name), "{name} in {names:?}");
     }
@@ -135,13 +97,7 @@ fn the_page_of_a_live_run_needs_nothing_else_and_says_what_replay_says() {
 
     let replayed = replay(folder, &recording);
     let (run, estimator) = (&json["runs"][0], &replayed["estimators"][0]);
-    for key in [
-        "position_rms_m",
-        "position_max_m",
-        "position_end_m",
-        "heading_rms_rad",
-        "anees",
-    ] {
+    for key in ["position_rms_m", "position_max_m", "position_end_m", "heading_rms_rad", "anees"] {
         assert!(run[key].as_f64().unwrap() > 0.0, "{key}");
         assert_eq!(run[key], estimator[key], "{key}");
     }
@@ -159,48 +115,24 @@ fn the_page_of_a_live_run_needs_nothing_else_and_says_what_replay_says() {
         camera["used"].as_f64().unwrap()
     };
     let ratio = camera(&of_log) / camera(&json);
-    assert!(
-        (ratio - 1.0).abs() < 0.1,
-        "the log holds the same fixes: {ratio}"
-    );
+    assert!((ratio - 1.0).abs() < 0.1, "the log holds the same fixes: {ratio}");
 
     let (again, json_again) = report(folder, &recording, "second");
-    assert!(
-        page == again && json == json_again,
-        "a page is the same twice"
-    );
+    assert!(page == again && json == json_again, "a page is the same twice");
 }
 
 fn check_sources(page: &str, run: &Value, estimator: &Value) {
     let sources = run["sources"].as_array().unwrap();
     let replayed = estimator["sources"].as_array().unwrap();
     assert_eq!(sources.len(), replayed.len());
-    let words = [
-        "consistent",
-        "nearly consistent",
-        "too sure",
-        "too careful",
-        "too few to say",
-    ];
+    let words = ["consistent", "nearly consistent", "too sure", "too careful", "too few to say"];
     for source in sources {
-        let same = replayed
-            .iter()
-            .find(|one| one["name"] == source["name"])
-            .unwrap();
-        for key in [
-            "used",
-            "gated",
-            "too_old",
-            "mean_nis_per_dof",
-            "degrees_of_freedom",
-        ] {
+        let same = replayed.iter().find(|one| one["name"] == source["name"]).unwrap();
+        for key in ["used", "gated", "too_old", "mean_nis_per_dof", "degrees_of_freedom"] {
             assert_eq!(source[key], same[key], "{} {key}", source["name"]);
         }
         let verdict = source["verdict"].as_str().unwrap();
-        assert!(
-            words.iter().any(|word| verdict.starts_with(word)),
-            "{verdict}"
-        );
+        assert!(words.iter().any(|word| verdict.starts_with(word)), "{verdict}");
         assert!(page.contains(verdict), "{verdict}");
         if let Some(nis) = source["mean_nis_per_dof"].as_f64() {
             assert!(page.contains(&format!("<td>{nis:.3}</td>")));
@@ -213,15 +145,7 @@ fn a_report_of_another_filter_says_that_it_is_not_what_ran_and_a_truth_may_be_mi
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     live_run(folder);
-    let args = [
-        "run/recording.mcap",
-        "--filter",
-        "odometry",
-        "--param",
-        "history_s=2",
-        "--from",
-        "2",
-    ];
+    let args = ["run/recording.mcap", "--filter", "odometry", "--param", "history_s=2", "--from", "2"];
     let (page, json) = report(folder, &args, "changed");
     check_page(&page);
     let said = "Replayed with filter.name=odometry, filter.history_s=2.0: this is not what ran.";
@@ -236,14 +160,7 @@ fn a_report_of_another_filter_says_that_it_is_not_what_ran_and_a_truth_may_be_mi
     assert!(json["runs"][0]["anees"].is_number());
     assert!(page.contains("cut off at byte"));
     // A telemetry log has none.
-    let export = [
-        "export",
-        "run/recording.mcap",
-        "--format",
-        "tlog",
-        "--out",
-        "out",
-    ];
+    let export = ["export", "run/recording.mcap", "--format", "tlog", "--out", "out"];
     stdout_of(posebridge(folder).args(export));
     let (page, json) = report(folder, &["out/recording.tlog"], "log");
     check_page(&page);
@@ -257,11 +174,7 @@ fn the_page_of_a_foreign_recording_has_its_runs_with_the_figures_of_replay() {
     let folder = tempfile::tempdir().unwrap();
     let descriptor = root().join("config/recordings/optiodom.toml");
     let data = root().join("tests/data");
-    let args = [
-        descriptor.to_str().unwrap(),
-        "--data",
-        data.to_str().unwrap(),
-    ];
+    let args = [descriptor.to_str().unwrap(), "--data", data.to_str().unwrap()];
     let (page, json) = report(folder.path(), &args, "page");
     check_page(&page);
     let runs = json["runs"].as_array().unwrap();
@@ -272,12 +185,7 @@ fn the_page_of_a_foreign_recording_has_its_runs_with_the_figures_of_replay() {
     };
     let replayed = replay(folder.path(), &[&args[..], &["--filter", "pose"]].concat());
     let estimator = &replayed["estimators"][0];
-    for key in [
-        "position_rms_m",
-        "position_max_m",
-        "heading_rms_rad",
-        "anees",
-    ] {
+    for key in ["position_rms_m", "position_max_m", "heading_rms_rad", "anees"] {
         let (here, there) = (mean(key), estimator[key].as_f64().unwrap());
         assert!((here / there - 1.0).abs() < 1e-12, "{key}: {here} {there}");
     }
@@ -295,32 +203,19 @@ fn what_cannot_be_reported_on_is_refused_before_anything_is_written() {
     let folder = folder.path();
     std::fs::write(folder.join("no.mcap"), b"hello").unwrap();
     let refused = |args: &[&str]| {
-        let output = posebridge(folder)
-            .arg("report")
-            .args(args)
-            .output()
-            .unwrap();
+        let output = posebridge(folder).arg("report").args(args).output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         (output.status.code(), said)
     };
     let (code, said) = refused(&["no.mcap"]);
     assert_eq!(code, Some(2));
-    assert!(
-        said.contains("no.mcap") && said.contains("MCAP magic"),
-        "{said}"
-    );
+    assert!(said.contains("no.mcap") && said.contains("MCAP magic"), "{said}");
     let (code, said) = refused(&["no.mcap", "--param", "gate_prop=0.9"]);
     assert_eq!(code, Some(2));
-    assert!(
-        said.contains("`gate_prop`") && said.contains("gate_prob, history_s"),
-        "{said}"
-    );
+    assert!(said.contains("`gate_prop`") && said.contains("gate_prob, history_s"), "{said}");
     let (_, said) = refused(&["no.mcap", "--param", "gate_prob=7"]);
     assert!(said.contains("is 7, must lie in 0.5 to"), "{said}");
     let (_, said) = refused(&["no.mcap", "--from", "5", "--to", "2"]);
-    assert!(
-        said.contains("--from 5 does not lie before --to 2"),
-        "{said}"
-    );
+    assert!(said.contains("--from 5 does not lie before --to 2"), "{said}");
     assert_eq!(std::fs::read_dir(folder).unwrap().count(), 1);
 }

@@ -1,8 +1,5 @@
 //! The program between a brick, a camera and a ground station: each gets what is meant for it, byte for byte.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -12,9 +9,7 @@ use std::time::Duration;
 
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
-use posebridge_protocol::message::{
-    CommandAck, CommandLong, Heartbeat, Message, WheelTicks, WireStamp,
-};
+use posebridge_protocol::message::{CommandAck, CommandLong, Heartbeat, Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{Address, EncoderTicks};
 use support::{Running, posebridge, stdout_of};
 
@@ -25,12 +20,8 @@ const GCS: Address = Address::new(254, 190);
 /// Only a test that fails waits for so long.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 const CONFIG: &str = r#"
 [[link]]
@@ -66,9 +57,7 @@ impl Voice {
 fn socket(station: &str) -> UdpSocket {
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
     socket.connect(station).expect("an address");
-    socket
-        .set_read_timeout(Some(PATIENCE))
-        .expect("it can wait");
+    socket.set_read_timeout(Some(PATIENCE)).expect("it can wait");
     socket
 }
 
@@ -114,8 +103,7 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
     let camera = socket(&station.listening_address(""));
     let mut gcs = TcpStream::connect(station.listening_address("")).unwrap();
     gcs.set_read_timeout(Some(PATIENCE)).unwrap();
-    let (mut brick_says, mut camera_says, mut gcs_says) =
-        (Voice::new(BRICK), Voice::new(CAMERA), Voice::new(GCS));
+    let (mut brick_says, mut camera_says, mut gcs_says) = (Voice::new(BRICK), Voice::new(CAMERA), Voice::new(GCS));
 
     brick.send(&brick_says.frame(&HEARTBEAT)).unwrap();
     station.wait_for("heard link 0 1/1");
@@ -124,27 +112,17 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
     gcs.write_all(&gcs_says.frame(&HEARTBEAT)).unwrap();
     station.wait_for("heard link 2 254/190");
 
-    let command = gcs_says.frame(&Message::Command(CommandLong {
-        target: BRICK,
-        command: 400,
-        params: [1.0; 7],
-    }));
+    let command = gcs_says.frame(&Message::Command(CommandLong { target: BRICK, command: 400, params: [1.0; 7] }));
     gcs.write_all(&command).unwrap();
     datagrams_until(&brick, &command);
 
     let mut heard = Vec::new();
-    let ack = brick_says.frame(&Message::CommandAck(CommandAck {
-        command: 400,
-        result: 0,
-        target: Some(GCS),
-    }));
+    let ack = brick_says.frame(&Message::CommandAck(CommandAck { command: 400, result: 0, target: Some(GCS) }));
     brick.send(&ack).unwrap();
     read_until(&mut gcs, &mut heard, &ack);
 
     // A message of no dialect, and telemetry that is used as well.
-    let unknown = [
-        0xFD, 5, 0, 0, 9, 1, 1, 0x60, 0xEA, 0x00, 1, 0, 254, 0, 9, 0xAB, 0xCD,
-    ];
+    let unknown = [0xFD, 5, 0, 0, 9, 1, 1, 0x60, 0xEA, 0x00, 1, 0, 254, 0, 9, 0xAB, 0xCD];
     brick.send(&unknown).unwrap();
     read_until(&mut gcs, &mut heard, &unknown);
     for frame in telemetry(&mut brick_says) {
@@ -181,19 +159,9 @@ fn telemetry(brick: &mut Voice) -> Vec<Vec<u8>> {
 }
 
 fn replays_bit_for_bit(folder: &std::path::Path) {
-    stdout_of(posebridge(folder).args([
-        "replay",
-        "run/recording.mcap",
-        "--events",
-        "replayed.txt",
-    ]));
+    stdout_of(posebridge(folder).args(["replay", "run/recording.mcap", "--events", "replayed.txt"]));
     let lines = |name: &str| std::fs::read_to_string(folder.join(name)).expect("events");
     let (live, replayed) = (lines("live.txt"), lines("replayed.txt"));
-    assert!(
-        live.lines()
-            .filter(|line| line.starts_with("Observed"))
-            .count()
-            == 20
-    );
+    assert!(live.lines().filter(|line| line.starts_with("Observed")).count() == 20);
     assert!(live == replayed, "live:\n{live}\nreplayed:\n{replayed}");
 }

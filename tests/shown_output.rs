@@ -3,10 +3,7 @@
 //! Behind `<!-- shows: ARGS -->` stands a fenced block with what `posebridge ARGS` prints, or with `lines=N` its first lines. `shows page: NAME`
 //! is a manual page as a reader sees it, `shows in bash: WORDS` what the completion offers. After a change
 //! `POSEBRIDGE_WRITE_DOCS=1 cargo test --test shown_output` writes the blocks anew.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -35,21 +32,12 @@ fn shown_in(page: &str) -> Vec<Shown> {
         let Some(what) = line.strip_prefix("<!-- shows") else {
             continue;
         };
-        assert!(
-            lines[at + 1].starts_with("```"),
-            "{line} needs a block behind it"
-        );
+        assert!(lines[at + 1].starts_with("```"), "{line} needs a block behind it");
         let begin = at + 2;
-        let end = lines[begin..]
-            .iter()
-            .position(|line| *line == "```")
-            .unwrap();
+        let end = lines[begin..].iter().position(|line| *line == "```").unwrap();
         found.push(Shown {
             what: what.trim_end_matches("-->").trim().to_owned(),
-            lines: lines[begin..begin + end]
-                .iter()
-                .map(ToString::to_string)
-                .collect(),
+            lines: lines[begin..begin + end].iter().map(ToString::to_string).collect(),
             begin,
         });
     }
@@ -71,11 +59,7 @@ fn real(what: &str) -> (Option<Vec<String>>, Option<usize>) {
         let args = what.strip_prefix(": ").unwrap().split(' ');
         Some(stdout_of(posebridge(folder.path()).args(args)))
     };
-    let lines = lines.map(|text| {
-        text.lines()
-            .map(|line| line.trim_end().to_owned())
-            .collect()
-    });
+    let lines = lines.map(|text| text.lines().map(|line| line.trim_end().to_owned()).collect());
     (lines, count)
 }
 
@@ -87,11 +71,8 @@ fn page_as_read(name: &str) -> Option<String> {
     // Neither stretched nor hyphenated: it shall look and be compared alike whoever formats it.
     let (head, rest) = page.unwrap().roff.split_once("\n.SH NAME").unwrap();
     std::fs::write(&path, format!("{head}\n.na\n.nh\n.SH NAME{rest}")).unwrap();
-    let read = Command::new("groff")
-        .args(["-man", "-Tutf8", "-P-cbou", &format!("-rLL={WIDTH}n")])
-        .arg(path)
-        .output()
-        .ok()?;
+    let read =
+        Command::new("groff").args(["-man", "-Tutf8", "-P-cbou", &format!("-rLL={WIDTH}n")]).arg(path).output().ok()?;
     Some(String::from_utf8(read.stdout).unwrap())
 }
 
@@ -105,19 +86,13 @@ fn offered_by_bash(words: &str) -> Option<String> {
          echo \"${{COMPREPLY[*]}}\"\n",
         last - 1
     );
-    let offered = Command::new("bash")
-        .args(["--norc", "-c", &asked])
-        .output()
-        .ok()?;
+    let offered = Command::new("bash").args(["--norc", "-c", &asked]).output().ok()?;
     Some(String::from_utf8(offered.stdout).unwrap())
 }
 
 /// Formatters differ in where they break lines, so pages are compared by their words.
 fn words_of(lines: &[String]) -> Vec<&str> {
-    lines
-        .iter()
-        .flat_map(|line| line.split_whitespace())
-        .collect()
+    lines.iter().flat_map(|line| line.split_whitespace()).collect()
 }
 
 #[test]

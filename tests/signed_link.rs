@@ -1,8 +1,5 @@
 //! A signed link as a whole program has it: keys in files, recordings without them, and what people are told.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -20,12 +17,8 @@ use posebridge_telemetry::{Address, EncoderTicks, Stamp};
 use support::{Running, posebridge};
 
 const BRICK: Address = Address::new(1, 1);
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// A folder with a key, and the key.
 fn folder_with_key() -> (tempfile::TempDir, Key) {
@@ -52,10 +45,8 @@ fn refused(folder: &Path, args: &[&str]) -> String {
 /// A station that calls us on a signed link.
 fn station(folder: &Path, name: &str) -> (Running, TcpStream) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let config = format!(
-        "[[link]]\nurl = \"tcp://{}\"\nsigning = {{ key_file = \"a.key\" }}\n",
-        listener.local_addr().unwrap()
-    );
+    let config =
+        format!("[[link]]\nurl = \"tcp://{}\"\nsigning = {{ key_file = \"a.key\" }}\n", listener.local_addr().unwrap());
     std::fs::write(folder.join("station.toml"), config).unwrap();
     let events = format!("{name}.txt");
     let running = Running::start(posebridge(folder).args([
@@ -86,50 +77,34 @@ impl Brick {
             key: key.clone(),
             link_id: 9,
             unsigned: Unsigned::Accept,
-            memory: Memory {
-                written: ahead,
-                clock: ahead,
-                ..Memory::default()
-            },
+            memory: Memory { written: ahead, clock: ahead, ..Memory::default() },
         });
-        Self {
-            link,
-            signing,
-            encoder: Encoder::new(WireVersion::V2),
-            scanner: Scanner::new(ScannerConfig::default()),
-        }
+        Self { link, signing, encoder: Encoder::new(WireVersion::V2), scanner: Scanner::new(ScannerConfig::default()) }
     }
 
     fn say(&mut self, message: &Message) -> Vec<u8> {
         let seal = self.signing.next_seal(Stamp::ZERO).unwrap();
         let mut bytes = Vec::new();
-        self.encoder
-            .encode_signed(BRICK, message, &seal, &mut bytes);
+        self.encoder.encode_signed(BRICK, message, &seal, &mut bytes);
         self.link.write_all(&bytes).unwrap();
         bytes
     }
 
     /// Asks for the time and waits for the answer.
     fn ping(&mut self, request_nanos: i64) {
-        self.say(&Message::TimeSync(TimeSync {
-            answer_nanos: 0,
-            request_nanos,
-            target: None,
-        }));
+        self.say(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, target: None }));
         let mut is_answered = false;
         while !is_answered {
             let mut chunk = [0; 4_096];
             let read = self.link.read(&mut chunk).unwrap();
             assert!(read > 0, "the station has gone");
-            self.scanner
-                .push(Stamp::ZERO, &chunk[..read], &mut |found| {
-                    if let Scanned::Frame(frame) = found
-                        && let Ok(Some(Message::TimeSync(sync))) = decode(&frame)
-                    {
-                        is_answered |=
-                            sync.request_nanos == request_nanos && sync.answer_nanos != 0;
-                    }
-                });
+            self.scanner.push(Stamp::ZERO, &chunk[..read], &mut |found| {
+                if let Scanned::Frame(frame) = found
+                    && let Ok(Some(Message::TimeSync(sync))) = decode(&frame)
+                {
+                    is_answered |= sync.request_nanos == request_nanos && sync.answer_nanos != 0;
+                }
+            });
         }
     }
 }
@@ -192,10 +167,7 @@ fn the_key_stands_in_its_file_and_nowhere_else() {
     let (folder, key) = folder_with_key();
     drive(folder.path(), &key);
     let hex = key.reveal_hex();
-    let raw: Vec<u8> = (0..64)
-        .step_by(2)
-        .map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap())
-        .collect();
+    let raw: Vec<u8> = (0..64).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect();
     let mut looked_at = Vec::new();
     let mut folders = vec![folder.path().to_path_buf()];
     while let Some(next) = folders.pop() {
@@ -228,10 +200,7 @@ fn after_a_kill_old_frames_are_refused_and_a_date_that_fell_is_told() {
     brick.ping(1);
     // The stream was written down when it was heard first, and not only with the next half second.
     let state = folder.path().join("a.key.link0.state");
-    while !std::fs::read_to_string(&state)
-        .unwrap()
-        .contains("link_id = 9")
-    {
+    while !std::fs::read_to_string(&state).unwrap().contains("link_id = 9") {
         brick.ping(2);
     }
     first_station.kill();
@@ -246,10 +215,7 @@ fn after_a_kill_old_frames_are_refused_and_a_date_that_fell_is_told() {
         key,
         link_id: 10,
         unsigned: Unsigned::Accept,
-        memory: Memory {
-            clock: Timestamp::from_units(60_000_100_000_000),
-            ..Memory::default()
-        },
+        memory: Memory { clock: Timestamp::from_units(60_000_100_000_000), ..Memory::default() },
     });
     brick.ping(3);
     second_station.interrupt();
@@ -302,5 +268,4 @@ fn a_listener_that_anybody_can_reach_is_warned_of_however_its_link_is_written() 
     }
 }
 
-const OTHER: &str =
-    "[[link]]\nurl = \"udp://127.0.0.1:0\"\nlisten = true\nsigning = { key_file = \"a.key\" }\n";
+const OTHER: &str = "[[link]]\nurl = \"udp://127.0.0.1:0\"\nlisten = true\nsigning = { key_file = \"a.key\" }\n";

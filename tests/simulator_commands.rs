@@ -1,8 +1,5 @@
 //! What people do to the simulated brick has its effect, is seen by the station, and is repeated by a replay, bit for bit.
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test stops where its set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 use posebridge::config::Config;
 use posebridge::virtual_run::{self, Deeds, Seen, VirtualRun};
@@ -10,8 +7,8 @@ use posebridge_pipeline::{Pipeline, PipelineConfig};
 use posebridge_sim::{Scenario, Steering, TruthSample};
 use posebridge_telemetry::simulator::ProfileName;
 use posebridge_telemetry::{
-    Command, Defect, Estimate, Event, FusionRecord, HostClock, Input, LinkState, Output, SensorId,
-    SimulatorCommand, SlippingWheel, Span, Stamp, SteeringSource, Switch, Verdict,
+    Command, Defect, Estimate, Event, FusionRecord, HostClock, Input, LinkState, Output, SensorId, SimulatorCommand,
+    SlippingWheel, Span, Stamp, SteeringSource, Switch, Verdict,
 };
 
 /// Everything of a run, in its order.
@@ -40,9 +37,7 @@ impl Told {
 
     fn truth_at(&self, secs: f64) -> &TruthSample {
         let mut samples = self.run.simulation.truth().iter();
-        samples
-            .rfind(|one| one.world.as_secs_f64() <= secs)
-            .unwrap()
+        samples.rfind(|one| one.world.as_secs_f64() <= secs).unwrap()
     }
 
     /// How far the estimate was off, in metres.
@@ -78,9 +73,7 @@ impl Told {
     }
 
     fn verdicts_of(&self, sensor: SensorId) -> impl Iterator<Item = (f64, Verdict)> {
-        self.records()
-            .filter(move |(_, record)| record.sensor == sensor)
-            .map(|(at_s, record)| (at_s, record.verdict))
+        self.records().filter(move |(_, record)| record.sensor == sensor).map(|(at_s, record)| (at_s, record.verdict))
     }
 }
 
@@ -106,20 +99,12 @@ fn driven(name: &str, commands: &[(Span, Command)], secs: f64) -> Told {
         },
     };
     let run = virtual_run::run_with(scenario, config, deeds).unwrap();
-    Told {
-        run,
-        inputs,
-        events,
-    }
+    Told { run, inputs, events }
 }
 
 #[test]
 fn a_kidnapped_robot_is_found_again_and_the_jump_is_counted() {
-    let kidnap = SimulatorCommand::Kidnap {
-        forward_m: 0.3,
-        left_m: -0.4,
-        turn_rad: 1.0,
-    };
+    let kidnap = SimulatorCommand::Kidnap { forward_m: 0.3, left_m: -0.4, turn_rad: 1.0 };
     let told = driven("square", &[at(8.0, kidnap)], 14.0);
     let before = told.estimate_at(7.9);
     assert!(told.off_m(7.9) < 0.02, "{} m", told.off_m(7.9));
@@ -131,35 +116,22 @@ fn a_kidnapped_robot_is_found_again_and_the_jump_is_counted() {
     assert_ne!(after.reset_counter, before.reset_counter);
     assert!(told.off_m(10.0) < 0.05, "{} m", told.off_m(10.0));
     assert!(told.off_m(13.5) < 0.02, "{} m", told.off_m(13.5));
-    assert!(
-        told.texts()
-            .contains(&"kidnap: 0.30 m forward, -0.40 m left, 57 deg")
-    );
+    assert!(told.texts().contains(&"kidnap: 0.30 m forward, -0.40 m left, 57 deg"));
     // It comes back to its path by itself.
     assert!(told.truth_at(13.9).cross_track_m < 0.1);
 }
 
 #[test]
 fn without_a_camera_the_ellipse_grows_and_shrinks_when_it_is_back() {
-    let commands = [
-        at(6.0, SimulatorCommand::Camera(Switch::Off)),
-        at(12.0, SimulatorCommand::Camera(Switch::On)),
-    ];
+    let commands = [at(6.0, SimulatorCommand::Camera(Switch::Off)), at(12.0, SimulatorCommand::Camera(Switch::On))];
     let told = driven("square", &commands, 14.0);
-    let (before, dark, after) = (
-        told.ellipse_m(5.9),
-        told.ellipse_m(8.0),
-        told.ellipse_m(14.0),
-    );
+    let (before, dark, after) = (told.ellipse_m(5.9), told.ellipse_m(8.0), told.ellipse_m(14.0));
     assert!(dark > 1.5 * before, "{dark} {before}");
     assert!(told.ellipse_m(12.0) > dark);
     assert!(after < 1.5 * before, "{after} {before}");
     let fixes = told.verdicts_of(SensorId::CAMERA);
     // What was seen before is still on its way for a while.
-    assert_eq!(
-        fixes.filter(|(at_s, _)| (6.5..12.0).contains(at_s)).count(),
-        0
-    );
+    assert_eq!(fixes.filter(|(at_s, _)| (6.5..12.0).contains(at_s)).count(), 0);
 }
 
 #[test]
@@ -167,14 +139,7 @@ fn a_slipping_wheel_is_called_slip_and_told_once() {
     let slip = |secs| {
         let wheel = SlippingWheel::Left;
         let duration = Span::from_millis(1_500);
-        at(
-            secs,
-            SimulatorCommand::Slip {
-                wheel,
-                factor: 1.0,
-                duration,
-            },
-        )
+        at(secs, SimulatorCommand::Slip { wheel, factor: 1.0, duration })
     };
     // Both on a side, which takes 4.5 s, and not in the turn at its end.
     let told = driven("square", &[slip(3.0), slip(15.0)], 18.0);
@@ -189,43 +154,26 @@ fn a_slipping_wheel_is_called_slip_and_told_once() {
     // A window of the gyro may be taken for slip by chance, one in a thousand, or where the play of a wheel is crossed.
     assert!(slips.len() - seen <= 2, "{slips:?}");
     assert!((3.0..5.0).contains(&slips[0]), "{slips:?}");
-    let lines = told
-        .texts()
-        .iter()
-        .filter(|text| text.starts_with("wheels slip"))
-        .count();
+    let lines = told.texts().iter().filter(|text| text.starts_with("wheels slip")).count();
     assert_eq!(lines, 2, "one for each time");
     // The encoders have counted what the body did not do, and the estimate has not believed them.
     let truth = told.truth_at(5.0);
     let odometry_m = truth.odometry.origin().distance(truth.pose.origin()).0;
-    assert!(
-        odometry_m > 3.0 * told.off_m(5.0),
-        "{odometry_m} {}",
-        told.off_m(5.0)
-    );
+    assert!(odometry_m > 3.0 * told.off_m(5.0), "{odometry_m} {}", told.off_m(5.0));
 }
 
 #[test]
 fn a_late_camera_is_used_at_its_own_time() {
     let delay = Span::from_millis(700);
-    let told = driven(
-        "square",
-        &[at(6.0, SimulatorCommand::CameraDelay { delay })],
-        12.0,
-    );
+    let told = driven("square", &[at(6.0, SimulatorCommand::CameraDelay { delay })], 12.0);
     let lags: Vec<(f64, Verdict)> = told
         .records()
         .filter(|(at_s, record)| record.kind == "fix" && *at_s > 8.0)
         .map(|(_, record)| (record.lag.as_secs_f64(), record.verdict))
         .collect();
-    let used = lags
-        .iter()
-        .filter(|(_, verdict)| *verdict == Verdict::Accepted);
+    let used = lags.iter().filter(|(_, verdict)| *verdict == Verdict::Accepted);
     assert!(used.count() > 15, "{lags:?}");
-    assert!(
-        lags.iter().all(|(lag_s, _)| (0.6..0.85).contains(lag_s)),
-        "{lags:?}"
-    );
+    assert!(lags.iter().all(|(lag_s, _)| (0.6..0.85).contains(lag_s)), "{lags:?}");
     assert!(told.off_m(11.9) < 0.03, "{} m", told.off_m(11.9));
 }
 
@@ -242,10 +190,7 @@ fn a_step_of_the_gyros_bias_is_found_by_the_filter() {
 #[test]
 fn by_odometry_it_drifts_away_and_by_the_estimate_it_comes_back() {
     let steer = |secs, source| at(secs, SimulatorCommand::Steering(source));
-    let commands = [
-        steer(5.0, SteeringSource::Odometry),
-        steer(60.0, SteeringSource::Estimate),
-    ];
+    let commands = [steer(5.0, SteeringSource::Odometry), steer(60.0, SteeringSource::Estimate)];
     let told = driven("square", &commands, 90.0);
     assert_eq!(told.truth_at(4.9).steering, Steering::Estimate);
     assert_eq!(told.truth_at(59.9).steering, Steering::Odometry);
@@ -261,15 +206,7 @@ fn by_odometry_it_drifts_away_and_by_the_estimate_it_comes_back() {
 
 #[test]
 fn a_person_drives_for_half_a_second_a_time_and_lets_it_find_its_path_again() {
-    let drive = |secs| {
-        at(
-            secs,
-            SimulatorCommand::Drive {
-                forward_m_per_s: -0.2,
-                turn_rad_per_s: 0.0,
-            },
-        )
-    };
+    let drive = |secs| at(secs, SimulatorCommand::Drive { forward_m_per_s: -0.2, turn_rad_per_s: 0.0 });
     let mut commands: Vec<_> = (0..5).map(|i| drive(5.0 + 0.4 * f64::from(i))).collect();
     commands.push(at(9.0, SimulatorCommand::Path));
     let told = driven("circle", &commands, 20.0);
@@ -288,11 +225,7 @@ fn a_person_drives_for_half_a_second_a_time_and_lets_it_find_its_path_again() {
 #[test]
 fn a_pulled_cable_is_a_link_that_goes_and_comes_back() {
     let duration = Span::from_millis(2_000);
-    let told = driven(
-        "square",
-        &[at(6.0, SimulatorCommand::PullCable { duration })],
-        12.0,
-    );
+    let told = driven("square", &[at(6.0, SimulatorCommand::PullCable { duration })], 12.0);
     let states: Vec<(f64, LinkState)> = told
         .events
         .iter()
@@ -304,14 +237,9 @@ fn a_pulled_cable_is_a_link_that_goes_and_comes_back() {
         })
         .collect();
     let expected = [LinkState::Up, LinkState::Down, LinkState::Up];
-    assert_eq!(
-        states.iter().map(|(_, state)| *state).collect::<Vec<_>>(),
-        expected
-    );
+    assert_eq!(states.iter().map(|(_, state)| *state).collect::<Vec<_>>(), expected);
     assert!((states[2].0 - states[1].0 - 2.0).abs() < 0.01, "{states:?}");
-    let silent = told
-        .estimates()
-        .filter(|(at, _)| (6.1..7.9).contains(&at.as_secs_f64()));
+    let silent = told.estimates().filter(|(at, _)| (6.1..7.9).contains(&at.as_secs_f64()));
     assert_eq!(silent.count(), 0);
     assert!(told.off_m(11.9) < 0.03, "{} m", told.off_m(11.9));
 }
@@ -325,10 +253,8 @@ fn a_link_profile_makes_the_link_worse_and_is_taken_away_again() {
     let commands = [profile(5.0, Some(b"harsh")), profile(15.0, None)];
     let told = driven("square", &commands, 20.0);
     let damaged = |from: f64, to: f64| {
-        let defects = told
-            .events
-            .iter()
-            .filter(|(at, event)| (from..to).contains(&at.as_secs_f64()) && is_damage(event));
+        let defects =
+            told.events.iter().filter(|(at, event)| (from..to).contains(&at.as_secs_f64()) && is_damage(event));
         defects.count()
     };
     assert_eq!(damaged(0.0, 5.0), 0);
@@ -338,37 +264,21 @@ fn a_link_profile_makes_the_link_worse_and_is_taken_away_again() {
 
 #[test]
 fn a_number_that_makes_no_sense_is_refused_and_changes_nothing() {
-    let far = SimulatorCommand::Kidnap {
-        forward_m: f64::INFINITY,
-        left_m: 0.0,
-        turn_rad: 0.0,
-    };
+    let far = SimulatorCommand::Kidnap { forward_m: f64::INFINITY, left_m: 0.0, turn_rad: 0.0 };
     let told = driven("square", &[at(3.0, far)], 5.0);
-    assert!(
-        told.texts()
-            .contains(&"kidnap: forward_m inf not in -10..10")
-    );
+    assert!(told.texts().contains(&"kidnap: forward_m inf not in -10..10"));
     assert!(told.truth_at(4.9).pose.x.0.abs() < 1.0);
 }
 
 #[test]
 fn a_brick_without_an_end_drives_lap_after_lap_and_remembers_only_the_last_of_it() {
-    for (name, laps) in [
-        ("square", 2),
-        ("circle", 4),
-        ("straight", 2),
-        ("figure-eight", 2),
-    ] {
+    for (name, laps) in [("square", 2), ("circle", 4), ("straight", 2), ("figure-eight", 2)] {
         // By odometry alone it would drift from one lap to the next.
         let steer = SimulatorCommand::Steering(SteeringSource::Estimate);
         let told = driven(name, &[at(0.1, steer)], 90.0);
         let simulation = &told.run.simulation;
         assert!(!simulation.is_finished(), "{name}");
-        assert!(
-            simulation.laps_done() >= laps,
-            "{name}: {}",
-            simulation.laps_done()
-        );
+        assert!(simulation.laps_done() >= laps, "{name}: {}", simulation.laps_done());
         assert!((0.0..=1.0).contains(&simulation.progress()), "{name}");
         let late = simulation.truth().iter().skip(400);
         let worst_m = late.map(|one| one.cross_track_m).fold(0.0, f64::max);
@@ -379,10 +289,7 @@ fn a_brick_without_an_end_drives_lap_after_lap_and_remembers_only_the_last_of_it
 const fn is_damage(event: &Event) -> bool {
     matches!(
         event,
-        Event::Defect {
-            defect: Defect::Checksum { .. } | Defect::Garbage { .. } | Defect::Stall { .. },
-            ..
-        }
+        Event::Defect { defect: Defect::Checksum { .. } | Defect::Garbage { .. } | Defect::Stall { .. }, .. }
     )
 }
 
@@ -391,50 +298,17 @@ fn everything() -> Vec<(Span, Command)> {
     let wheel = SlippingWheel::Right;
     vec![
         at(3.0, SimulatorCommand::Steering(SteeringSource::Odometry)),
-        at(
-            4.0,
-            SimulatorCommand::Slip {
-                wheel,
-                factor: 0.7,
-                duration: Span::from_millis(800),
-            },
-        ),
+        at(4.0, SimulatorCommand::Slip { wheel, factor: 0.7, duration: Span::from_millis(800) }),
         at(5.0, SimulatorCommand::Steering(SteeringSource::Estimate)),
         at(5.5, SimulatorCommand::Camera(Switch::Off)),
         at(6.5, SimulatorCommand::Camera(Switch::On)),
-        at(
-            7.0,
-            SimulatorCommand::CameraDelay {
-                delay: Span::from_millis(400),
-            },
-        ),
+        at(7.0, SimulatorCommand::CameraDelay { delay: Span::from_millis(400) }),
         at(8.0, SimulatorCommand::GyroBiasStep { rad_per_s: -0.02 }),
-        at(
-            9.0,
-            SimulatorCommand::Kidnap {
-                forward_m: -0.2,
-                left_m: 0.2,
-                turn_rad: -2.0,
-            },
-        ),
-        at(
-            12.0,
-            SimulatorCommand::LinkProfile(Some(ProfileName::from_bytes(b"bluetooth-spp"))),
-        ),
+        at(9.0, SimulatorCommand::Kidnap { forward_m: -0.2, left_m: 0.2, turn_rad: -2.0 }),
+        at(12.0, SimulatorCommand::LinkProfile(Some(ProfileName::from_bytes(b"bluetooth-spp")))),
         at(14.0, SimulatorCommand::LinkProfile(None)),
-        at(
-            15.0,
-            SimulatorCommand::PullCable {
-                duration: Span::from_millis(700),
-            },
-        ),
-        at(
-            16.5,
-            SimulatorCommand::Drive {
-                forward_m_per_s: 0.1,
-                turn_rad_per_s: 1.0,
-            },
-        ),
+        at(15.0, SimulatorCommand::PullCable { duration: Span::from_millis(700) }),
+        at(16.5, SimulatorCommand::Drive { forward_m_per_s: 0.1, turn_rad_per_s: 1.0 }),
         at(17.5, SimulatorCommand::Path),
     ]
 }
@@ -462,9 +336,6 @@ fn a_replay_of_everything_that_was_done_is_the_session_bit_for_bit() {
         // As text, so that what is not a number equals itself.
         assert_eq!(format!("{replayed:?}"), format!("{live:?}"));
     }
-    let commands = told
-        .inputs
-        .iter()
-        .filter(|(_, input)| matches!(input, Input::Command(_)));
+    let commands = told.inputs.iter().filter(|(_, input)| matches!(input, Input::Command(_)));
     assert_eq!(commands.count(), everything().len());
 }

@@ -23,13 +23,10 @@ use posebridge::collect::Collector;
 use posebridge::config::Config;
 use posebridge_pipeline::Pipeline;
 use posebridge_protocol::framing::Framing;
-use posebridge_sim::impairment::{
-    End, FrameCounts, FrameLedger, ImpairedLink, LinkEvent, LinkKind, LinkProfile,
-};
+use posebridge_sim::impairment::{End, FrameCounts, FrameLedger, ImpairedLink, LinkEvent, LinkKind, LinkProfile};
 use posebridge_sim::{Scenario, Simulation};
 use posebridge_telemetry::{
-    Address, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Output, PeerId, SourceHealth,
-    Span, Stamp,
+    Address, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Output, PeerId, SourceHealth, Span, Stamp,
 };
 
 /// Length of the run that every commit makes, hours of virtual time.
@@ -139,13 +136,8 @@ struct Outages {
 
 impl Soak {
     fn new(profile: &LinkProfile, seed: u64) -> Self {
-        let scenario = Scenario::bundled("square")
-            .expect("it is bundled")
-            .with_laps(10_000);
-        let mut config = Config::default()
-            .with_tag_of(&scenario)
-            .pipeline()
-            .expect("the default makes sense");
+        let scenario = Scenario::bundled("square").expect("it is bundled").with_laps(10_000);
+        let mut config = Config::default().with_tag_of(&scenario).pipeline().expect("the default makes sense");
         if let Some(link) = config.links.first_mut() {
             link.framing = match profile.kind {
                 LinkKind::Stream => Framing::Stream,
@@ -209,14 +201,8 @@ impl Soak {
 
     fn take(&mut self, event: LinkEvent) {
         match event {
-            LinkEvent::Arrived {
-                end: End::Brick,
-                delivery,
-            } => self.simulation.receive(&delivery.bytes),
-            LinkEvent::Arrived {
-                end: End::Station,
-                delivery,
-            } => {
+            LinkEvent::Arrived { end: End::Brick, delivery } => self.simulation.receive(&delivery.bytes),
+            LinkEvent::Arrived { end: End::Station, delivery } => {
                 if std::mem::take(&mut self.outages.is_pending) {
                     self.outages.recovered += 1;
                 }
@@ -269,16 +255,8 @@ impl Soak {
             let is_equal = self.differences().is_empty();
             self.equal += u64::from(is_equal);
             self.unequal += u64::from(!is_equal);
-            self.unequal_in_a_row = if is_equal {
-                0
-            } else {
-                self.unequal_in_a_row + 1
-            };
-            assert!(
-                self.unequal_in_a_row <= PATIENCE,
-                "{at:?}: {}",
-                self.differences().join("\n")
-            );
+            self.unequal_in_a_row = if is_equal { 0 } else { self.unequal_in_a_row + 1 };
+            assert!(self.unequal_in_a_row <= PATIENCE, "{at:?}: {}", self.differences().join("\n"));
         }
     }
 
@@ -288,15 +266,9 @@ impl Soak {
         let mut differences = Vec::new();
         for source in [BRICK, CAMERA] {
             let said = self.told.sources.iter().find(|said| said.source == source);
-            let told = said.map_or(Account::default(), |said| Account {
-                came: said.frames,
-                lost: said.lost,
-            });
+            let told = said.map_or(Account::default(), |said| Account { came: said.frames, lost: said.lost });
             let counts = truth.get(&source).copied().unwrap_or_default();
-            let made = Account {
-                came: counts.whole + counts.repeated,
-                lost: counts.missing_between,
-            };
+            let made = Account { came: counts.whole + counts.repeated, lost: counts.missing_between };
             let unseen = unseen_at_most(self.now.as_secs_f64() / 3_600.0);
             let is_equal = told.agrees(made, unseen, counts.undatable);
             if !is_equal {
@@ -321,10 +293,7 @@ impl Soak {
     fn check_the_conversation(&self) {
         let truth: BTreeMap<Address, FrameCounts> = self.to_brick.counts().collect();
         let counts = truth.get(&STATION).copied().unwrap_or_default();
-        println!(
-            "to the brick: {counts:?}, it heard {:?}",
-            self.simulation.heard()
-        );
+        println!("to the brick: {counts:?}, it heard {:?}", self.simulation.heard());
         assert_eq!(truth.len(), 1, "nobody else speaks there");
         assert!(counts.sent >= self.told.health.frames_out);
         assert!(counts.lost > 0);
@@ -334,12 +303,7 @@ impl Soak {
         assert!(came <= heard + 1, "{came} {heard}");
         let formed = heard.saturating_sub(came);
         assert!(formed as f64 <= unseen_at_most(self.now.as_secs_f64() / 3_600.0));
-        let Outages {
-            begun,
-            recovered,
-            cut_short,
-            is_pending,
-        } = self.outages;
+        let Outages { begun, recovered, cut_short, is_pending } = self.outages;
         assert!(begun > 0);
         assert_eq!(recovered + cut_short + u64::from(is_pending), begun);
         assert!(cut_short * 10 < begun, "{cut_short} of {begun}");
@@ -352,9 +316,7 @@ impl Soak {
 impl Told {
     fn take(&mut self, at: Stamp<HostClock>, event: &Event) {
         match event {
-            Event::Health {
-                health, sources, ..
-            } => {
+            Event::Health { health, sources, .. } => {
                 self.health = *health;
                 self.sources.clone_from(sources);
             }

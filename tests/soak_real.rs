@@ -56,9 +56,8 @@ forward = "none"
 
 #[test]
 fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() {
-    let hours = std::env::var("POSEBRIDGE_SOAK_REAL_HOURS")
-        .ok()
-        .map(|hours| hours.parse::<f64>().expect("a number of hours"));
+    let hours =
+        std::env::var("POSEBRIDGE_SOAK_REAL_HOURS").ok().map(|hours| hours.parse::<f64>().expect("a number of hours"));
     let length_s = hours.map_or(SHORT_S, |hours| hours * 3_600.0);
     let mut folder = tempfile::tempdir().unwrap();
     let is_long = length_s >= LONG_S;
@@ -69,11 +68,7 @@ fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() 
     let watched = scene.watch(length_s);
     println!("{watched:?}");
     // A torn frame whose checksum fits by chance is not to be expected of a quarter of a minute.
-    let unseen = if is_long {
-        unseen_at_most(length_s / 3_600.0)
-    } else {
-        0.0
-    };
+    let unseen = if is_long { unseen_at_most(length_s / 3_600.0) } else { 0.0 };
     let outages = scene.end(unseen);
     println!("{outages} outages");
     if is_long {
@@ -107,27 +102,16 @@ impl Scene {
         std::fs::write(folder.join("datagrams.toml"), HARSH_DATAGRAMS).expect("it can be written");
         let start = |args: &[&str]| Running::start(posebridge(folder).args(args));
         let laps = ["--laps", "10000"];
-        let mut wired =
-            start(&[&["sim", "square", "--listen", "pty:brick.tty"], &laps[..]].concat());
+        let mut wired = start(&[&["sim", "square", "--listen", "pty:brick.tty"], &laps[..]].concat());
         wired.wait_for("brick up");
         let udp = "udp://127.0.0.1:0";
-        let mut wireless = start(
-            &[
-                &["sim", "square", "--seed", "2", "--listen", PATIENT_UDP],
-                &laps[..],
-            ]
-            .concat(),
-        );
+        let mut wireless = start(&[&["sim", "square", "--seed", "2", "--listen", PATIENT_UDP], &laps[..]].concat());
         let brick = address(&wireless.wait_for("listening on"));
         let relay = |ends: &[&str], profile: &str, seed: &str| {
             let options = ["--impair", profile, "--seed", seed, "--json"];
             let path = format!("relay-{seed}.mcap");
             let recorded = ["--record", &path];
-            let recorded = if length_s >= LONG_S {
-                &recorded[..]
-            } else {
-                &[]
-            };
+            let recorded = if length_s >= LONG_S { &recorded[..] } else { &[] };
             start(&[&["relay"], ends, &options[..], recorded].concat())
         };
         let brick = format!("udp://{brick}");
@@ -141,11 +125,7 @@ impl Scene {
         // The station owns it: a relay that opens it waits where it is full, as it is after a stall, and drops nothing.
         let by_wire = relay(&["serial:brick.tty", "serial:station.tty"], "harsh", "3");
         station.wait_for("heard link 0 1/1");
-        Self {
-            bricks: [wired, wireless],
-            relays: [by_wire, by_air],
-            station,
-        }
+        Self { bricks: [wired, wireless], relays: [by_wire, by_air], station }
     }
 
     /// Watches the station until the time is over and everybody is heard.
@@ -163,11 +143,7 @@ impl Scene {
                 let time_s = seconds(time);
                 watched.take(self.station.id(), time_s);
                 if watched.lines.is_multiple_of(SHOWN) {
-                    println!(
-                        "{} KiB, CPU {:.1} %, {line}",
-                        memory_kib(self.station.id()),
-                        watched.cpu_share * 1e2
-                    );
+                    println!("{} KiB, CPU {:.1} %, {line}", memory_kib(self.station.id()), watched.cpu_share * 1e2);
                 }
                 if time_s >= length_s && silent.is_empty() {
                     return watched;
@@ -178,11 +154,7 @@ impl Scene {
 
     /// Ends all and compares the accounts, which may differ by so many unseen frames; returns how often the links were away.
     fn end(self, unseen: f64) -> u64 {
-        let Self {
-            bricks,
-            relays,
-            mut station,
-        } = self;
+        let Self { bricks, relays, mut station } = self;
         for brick in bricks {
             brick.interrupt();
         }
@@ -190,9 +162,8 @@ impl Scene {
         for _ in 0..2 {
             station.wait_for("time ");
         }
-        let reports = relays.map(|relay| {
-            serde_json::from_str::<Value>(&relay.interrupt()).expect("it prints one object")
-        });
+        let reports =
+            relays.map(|relay| serde_json::from_str::<Value>(&relay.interrupt()).expect("it prints one object"));
         station.wait_for("time ");
         let table = station.interrupt();
         println!("{table}");
@@ -203,10 +174,7 @@ impl Scene {
                 let frames = &report["to_station"]["frames"][source];
                 let count = |key: &str| frames[key].as_u64().expect("there is such a count");
                 let told = account(&table, link, source);
-                let made = Account {
-                    came: count("whole") + count("repeated"),
-                    lost: count("missing_between"),
-                };
+                let made = Account { came: count("whole") + count("repeated"), lost: count("missing_between") };
                 assert!(told.came > 0, "link {link} {source}");
                 if !told.agrees(made, unseen, count("undatable")) {
                     differences.push(format!("link {link} {source}: {told:?}, not {made:?}"));
@@ -217,10 +185,7 @@ impl Scene {
             }
         }
         assert!(differences.is_empty(), "{differences:#?}");
-        reports
-            .iter()
-            .filter_map(|report| report["outages"].as_u64())
-            .sum()
+        reports.iter().filter_map(|report| report["outages"].as_u64()).sum()
     }
 }
 
@@ -248,10 +213,7 @@ fn account(table: &str, link: usize, source: &str) -> Account {
         .find(|row| row.starts_with(&["link", &link, source]))
         .expect("the sender has a row");
     let count = |column: usize| row[column].parse().expect("a count");
-    Account {
-        came: count(3),
-        lost: count(4),
-    }
+    Account { came: count(3), lost: count(4) }
 }
 
 fn seconds(text: &str) -> f64 {

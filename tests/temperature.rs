@@ -1,18 +1,12 @@
 //! A thermometer on a robot that drives: its end is told with a bound long before it shows it, live as in the replay.
-#![expect(
-    clippy::expect_used,
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
 use posebridge::config::Config;
 use posebridge_pipeline::Pipeline;
 use posebridge_sim::{STEP, Scenario, Simulation};
-use posebridge_telemetry::{
-    Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Span, Stamp,
-};
+use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
 use support::{Running, posebridge, stdout_of};
 
 /// The water of the bundled scenario, and when the thermometer is dipped into it.
@@ -47,10 +41,7 @@ fn driven(seed: u64, until_s: f64) -> Vec<Told> {
     let mut simulation = Simulation::new(scenario);
     let link = LinkId(0);
     let mut told = Vec::new();
-    let up = Input::Link {
-        link,
-        state: LinkState::Up,
-    };
+    let up = Input::Link { link, state: LinkState::Up };
     let mut inputs = vec![up];
     while simulation.elapsed() < Span::from_secs_f64(until_s) {
         simulation.step();
@@ -93,10 +84,7 @@ fn the_water_is_within_a_small_bound_while_the_sensor_is_still_far_from_it() {
         let told = driven(seed, DIPPED_S + 20.0);
         assert!((115..=121).contains(&told.len()), "{}", told.len());
         let rest = told.iter().rfind(|told| told.at_s < DIPPED_S).unwrap();
-        assert!(
-            (rest.settled_c - 20.0).abs() < 0.5 && rest.bound_k < 2.0,
-            "{rest:?}"
-        );
+        assert!((rest.settled_c - 20.0).abs() < 0.5 && rest.bound_k < 2.0, "{rest:?}");
         let last = told.last().unwrap();
         println!("seed {seed}: {last:.2?}");
         // 0.7 of 28.7 K, less than one time constant after the dip.
@@ -111,13 +99,9 @@ fn the_water_is_within_a_small_bound_while_the_sensor_is_still_far_from_it() {
 
 /// The last word of a status line on `temp1`: shown, settled, bound.
 fn temperature_of(line: &str) -> [f64; 3] {
-    let (_, said) = line
-        .split_once("temp1 of 1/1  ")
-        .expect("it has a thermometer");
-    let numbers: Vec<f64> = said
-        .split(['°', 'C', '-', '>', '±', ' ', '|', '\n'])
-        .filter_map(|word| word.parse().ok())
-        .collect();
+    let (_, said) = line.split_once("temp1 of 1/1  ").expect("it has a thermometer");
+    let numbers: Vec<f64> =
+        said.split(['°', 'C', '-', '>', '±', ' ', '|', '\n']).filter_map(|word| word.parse().ok()).collect();
     numbers.try_into().expect("three numbers")
 }
 
@@ -125,12 +109,8 @@ fn temperature_of(line: &str) -> [f64; 3] {
 fn the_status_line_knows_the_water_long_before_the_sensor_and_the_replay_says_the_same() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("quick.toml"), QUICK).unwrap();
-    let mut brick = Running::start(posebridge(folder.path()).args([
-        "sim",
-        "quick.toml",
-        "--listen",
-        "tcp://127.0.0.1:0",
-    ]));
+    let mut brick =
+        Running::start(posebridge(folder.path()).args(["sim", "quick.toml", "--listen", "tcp://127.0.0.1:0"]));
     let address = brick.listening_address("");
     let mut station = Running::start(posebridge(folder.path()).args([
         "run",
@@ -152,12 +132,7 @@ fn the_status_line_knows_the_water_long_before_the_sensor_and_the_replay_says_th
     assert!((settled_c - WATER_C).abs() <= bound_k, "{late}");
     assert!(bound_k < 3.0, "{late}");
 
-    stdout_of(posebridge(folder.path()).args([
-        "replay",
-        "run/recording.mcap",
-        "--events",
-        "replayed.txt",
-    ]));
+    stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--events", "replayed.txt"]));
     let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
     let (live, replayed) = (read("live.txt"), read("replayed.txt"));
     let is_temperature = |line: &&str| line.starts_with("Temperature");

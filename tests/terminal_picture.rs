@@ -1,9 +1,6 @@
 //! The picture of the terminal view in docs/terminal.md: a lap of the simulated brick in virtual time, drawn as `--tui` draws it.
 //! `POSEBRIDGE_WRITE_PICTURES=1 cargo test --test terminal_picture` draws it anew.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -43,15 +40,9 @@ fn model() -> Model {
     }));
     model.take(&history);
     // Which a recording does not hold of itself.
-    model.recording = Some(RecordingNow {
-        name: "recording.mcap".to_owned(),
-        bytes: std::fs::metadata(&path).unwrap().len(),
-    });
-    model.log.push_front(LogLine {
-        t_s: 0.0,
-        severity: 5,
-        text: "the page listens at 127.0.0.1:4680".to_owned(),
-    });
+    model.recording =
+        Some(RecordingNow { name: "recording.mcap".to_owned(), bytes: std::fs::metadata(&path).unwrap().len() });
+    model.log.push_front(LogLine { t_s: 0.0, severity: 5, text: "the page listens at 127.0.0.1:4680".to_owned() });
     model
 }
 
@@ -66,30 +57,17 @@ fn the_picture_shows_a_lap_with_every_panel() {
     }
     let kept = std::fs::read_to_string(&path).unwrap();
     let head = |picture: &str| picture.lines().next().map(str::to_owned);
-    assert_eq!(
-        head(&kept),
-        head(&picture),
-        "draw it anew: POSEBRIDGE_WRITE_PICTURES=1"
-    );
+    assert_eq!(head(&kept), head(&picture), "draw it anew: POSEBRIDGE_WRITE_PICTURES=1");
     for (name, picture) in [("drawn", &picture), ("kept", &kept)] {
         for panel in PANELS {
             for word in panel.title.split(' ') {
-                assert!(
-                    picture.contains(&format!(">{word}<")),
-                    "{word} in the one {name}"
-                );
+                assert!(picture.contains(&format!(">{word}<")), "{word} in the one {name}");
             }
         }
         // Where no fix lies over them.
-        assert!(
-            picture.matches("h0").count() > 100,
-            "the map in the one {name}"
-        );
+        assert!(picture.matches("h0").count() > 100, "the map in the one {name}");
         for word in ["wheels", "camera", "kidnap", "gyro_bias_rad_per_s"] {
-            assert!(
-                picture.contains(&format!(">{word}<")),
-                "{word} in the one {name}"
-            );
+            assert!(picture.contains(&format!(">{word}<")), "{word} in the one {name}");
         }
     }
 }

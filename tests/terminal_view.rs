@@ -16,15 +16,7 @@ use support::posebridge;
 fn watched(folder: &Path, more: &[&str], size: (u16, u16)) -> Person {
     let mut command = posebridge(folder);
     command
-        .args([
-            "run",
-            "--tui",
-            "--no-dashboard",
-            "--out",
-            "run",
-            "--seed",
-            "3",
-        ])
+        .args(["run", "--tui", "--no-dashboard", "--out", "run", "--seed", "3"])
         .args(more)
         .env("TERM", "xterm-256color")
         .env_remove("NO_COLOR");
@@ -53,43 +45,24 @@ fn a_kidnap_is_seen_with_its_reset_and_the_error_falls_again() {
             && text.contains("camera")
             && text.contains("recording recording.mcap")
     });
-    for title in [
-        "Arena",
-        "Pose",
-        "Sources and NIS",
-        "Links and clock",
-        "Biases and calibration",
-        "Events",
-    ] {
+    for title in ["Arena", "Pose", "Sources and NIS", "Links and clock", "Biases and calibration", "Events"] {
         assert!(text.contains(title), "{title} in\n{text}");
     }
     let before = resets(&text).unwrap();
     person.press(b"?");
-    person.until("the help", |text| {
-        text.contains("end the run, as Ctrl-C does")
-    });
+    person.until("the help", |text| text.contains("end the run, as Ctrl-C does"));
     person.press(b"?k");
-    person.until("what was done", |text| {
-        text.contains("the robot is kidnapped")
-    });
-    person.until("that it is elsewhere", |text| {
-        estimate_off_m(text).is_some_and(|off_m| off_m > 0.2)
-    });
-    person.until("the reset", |text| {
-        resets(text).is_some_and(|resets| resets > before)
-    });
+    person.until("what was done", |text| text.contains("the robot is kidnapped"));
+    person.until("that it is elsewhere", |text| estimate_off_m(text).is_some_and(|off_m| off_m > 0.2));
+    person.until("the reset", |text| resets(text).is_some_and(|resets| resets > before));
     person.until("a good estimate again", is_steady);
     // The panels one by one, and back.
     person.press(b"\t");
-    person.until("the map alone", |text| {
-        !text.contains("Links and clock") && text.contains("Arena")
-    });
+    person.until("the map alone", |text| !text.contains("Links and clock") && text.contains("Arena"));
     person.press(b"\x1b");
     person.until("all of them", |text| text.contains("Links and clock"));
     person.press(b"c");
-    person.until("a covered camera", |text| {
-        text.contains("the camera is covered")
-    });
+    person.until("a covered camera", |text| text.contains("the camera is covered"));
     person.until("dead reckoning", |text| text.contains("dead reckoning"));
     person.press(b"cs");
     person.until("fixes again", |text| text.contains("last fix 0."));
@@ -104,12 +77,9 @@ fn a_kidnap_is_seen_with_its_reset_and_the_error_falls_again() {
 fn assert_tables(person: Person) {
     let (status, left) = person.after_the_end();
     assert_eq!(status.code(), Some(0), "{left}");
-    for words in [
-        "brick's own odometry",
-        "picture    run/track.svg",
-        "recording  run/recording.mcap",
-        "learned  radius_scale",
-    ] {
+    for words in
+        ["brick's own odometry", "picture    run/track.svg", "recording  run/recording.mcap", "learned  radius_scale"]
+    {
         assert!(left.contains(words), "{words} in\n{left}");
     }
     // What was said while the view had the screen: the log has the lost link.
@@ -146,18 +116,13 @@ fn it_ends_with_the_run_and_with_ctrl_c() {
 fn the_window_may_get_smaller_and_larger() {
     let folder = tempfile::tempdir().unwrap();
     let mut person = watched(folder.path(), &[], (80, 24));
-    person.until("the view", |text| {
-        text.contains("Arena") && text.contains("Events")
-    });
+    person.until("the view", |text| text.contains("Arena") && text.contains("Events"));
     person.resize((20, 5));
-    let text = person.until("one panel", |text| {
-        !text.contains("Arena") && text.contains("q quit") && text.contains("odometry")
-    });
+    let text = person
+        .until("one panel", |text| !text.contains("Arena") && text.contains("q quit") && text.contains("odometry"));
     assert_eq!(text.lines().count(), 5, "{text}");
     person.resize((120, 40));
-    person.until("all of them", |text| {
-        text.contains("Biases and calibration")
-    });
+    person.until("all of them", |text| text.contains("Biases and calibration"));
     person.press(b"q");
     assert_eq!(person.after_the_end().0.code(), Some(0));
 }
@@ -166,17 +131,10 @@ fn the_window_may_get_smaller_and_larger() {
 fn an_error_is_read_on_the_terminal_as_it_was() {
     let folder = tempfile::tempdir().unwrap();
     // The event file cannot be made, which is found when the view has the screen already.
-    let person = watched(
-        folder.path(),
-        &["--events", "there/is/no/such.txt"],
-        (80, 24),
-    );
+    let person = watched(folder.path(), &["--events", "there/is/no/such.txt"], (80, 24));
     let (status, left) = person.after_the_end();
     assert_eq!(status.code(), Some(2), "{left}");
-    assert!(
-        left.contains("posebridge: creating the event file `there/is/no/such.txt`"),
-        "{left}"
-    );
+    assert!(left.contains("posebridge: creating the event file `there/is/no/such.txt`"), "{left}");
 }
 
 #[test]
@@ -197,11 +155,7 @@ fn a_terminal_that_hangs_does_not_slow_the_filter() {
         }
     }
     // 20 observations of the brick a second, with 10 fixes beside them; a machine with other work delays some.
-    assert!(
-        stamps_s.len() > 6 * 20,
-        "{} estimates in 6 s",
-        stamps_s.len()
-    );
+    assert!(stamps_s.len() > 6 * 20, "{} estimates in 6 s", stamps_s.len());
     person.terminate();
     let (status, left) = person.after_the_end();
     assert_eq!(status.code(), Some(0), "{left}");
@@ -212,13 +166,9 @@ fn a_terminal_that_hangs_does_not_slow_the_filter() {
 fn without_colours_none_is_sent() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = posebridge(folder.path());
-    command
-        .args(["--tui", "--no-dashboard", "--no-record", "--out", "run"])
-        .env("NO_COLOR", "1");
+    command.args(["--tui", "--no-dashboard", "--no-record", "--out", "run"]).env("NO_COLOR", "1");
     let mut person = Person::start(&mut command, (100, 30));
-    person.until("the view", |text| {
-        text.contains("last fix") && text.contains("camera")
-    });
+    person.until("the view", |text| text.contains("last fix") && text.contains("camera"));
     assert!(!person.has_colours());
     assert!(person.text().contains("not recording"));
     person.press(b"q");

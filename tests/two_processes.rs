@@ -7,14 +7,8 @@ use std::path::Path;
 use support::{Running, posebridge};
 
 fn brick(folder: &Path) -> Running {
-    let mut brick = Running::start(posebridge(folder).args([
-        "sim",
-        "square",
-        "--listen",
-        "pty:brick.tty",
-        "--laps",
-        "50",
-    ]));
+    let mut brick =
+        Running::start(posebridge(folder).args(["sim", "square", "--listen", "pty:brick.tty", "--laps", "50"]));
     brick.wait_for("brick up");
     brick
 }
@@ -48,15 +42,8 @@ fn a_killed_brick_comes_back_and_the_station_goes_on() {
     station.wait_for("fix accepted");
     station.interrupt();
     let events = std::fs::read_to_string(folder.path().join("run.txt")).unwrap();
-    let states: Vec<&str> = events
-        .lines()
-        .filter(|line| line.starts_with("Link "))
-        .collect();
-    assert_eq!(
-        states.len(),
-        3,
-        "one event per change of state: {states:#?}"
-    );
+    let states: Vec<&str> = events.lines().filter(|line| line.starts_with("Link ")).collect();
+    assert_eq!(states.len(), 3, "one event per change of state: {states:#?}");
 }
 
 #[test]
@@ -72,19 +59,8 @@ fn a_killed_station_comes_back_and_the_brick_goes_on() {
     let table = second.interrupt();
     assert!(table.contains("camera"), "{table}");
     let events = std::fs::read_to_string(folder.path().join("second.txt")).unwrap();
-    let first_stamp = events
-        .lines()
-        .find(|line| line.starts_with("Observed"))
-        .unwrap();
-    let brick_s: f64 = first_stamp
-        .split("brick@")
-        .nth(1)
-        .unwrap()
-        .split('s')
-        .next()
-        .unwrap()
-        .parse()
-        .unwrap();
+    let first_stamp = events.lines().find(|line| line.starts_with("Observed")).unwrap();
+    let brick_s: f64 = first_stamp.split("brick@").nth(1).unwrap().split('s').next().unwrap().parse().unwrap();
     // Its clock began at 5 s and was not restarted with the station.
     assert!(brick_s > 9.0, "{brick_s}");
 }

@@ -48,10 +48,7 @@ fn main() {
     println!("{FRAMES} frames, {} bytes, best of {ROUNDS}", stream.len());
     for (best, (name, _)) in best.iter().zip(CONTENDERS) {
         let nanos = best.as_nanos() as f64 / FRAMES as f64;
-        println!(
-            "{name:32} {nanos:7.1} ns/frame {:6.2} Mframe/s",
-            1e3 / nanos
-        );
+        println!("{name:32} {nanos:7.1} ns/frame {:6.2} Mframe/s", 1e3 / nanos);
     }
     print_checksums(&stream);
     let [scan, _, decoded, raw, typed] = best.map(|best| best.as_secs_f64());
@@ -64,9 +61,7 @@ fn print_checksums(stream: &[u8]) {
     for length in [16, 32, 64, 128, 242] {
         print!("checksum of {length:3} bytes:");
         for way in [Crc::Bytewise, Crc::Sliced, Crc::Widest] {
-            let best = (0..ROUNDS)
-                .map(|_| time(|| checksum_all(stream, length, way)))
-                .min();
+            let best = (0..ROUNDS).map(|_| time(|| checksum_all(stream, length, way))).min();
             if let Some((elapsed, count)) = best {
                 let nanos = elapsed.as_nanos() as f64 / count as f64;
                 print!("  {way:?} {nanos:6.1} ns");

@@ -5,16 +5,15 @@
 //! stamps, those of fixes too, are of the recording's one clock, so everything comes from one address.
 
 use posebridge_telemetry::{
-    Address, Body, BrickClock, ChannelName, DriveGeometry, EncoderTicks, Heading, HostClock,
-    Meters, MetersPerSecond, Observation, Observed, Odom, Pose, RadiansPerSecond, Span, Stamp,
-    Transform2,
+    Address, Body, BrickClock, ChannelName, DriveGeometry, EncoderTicks, Heading, HostClock, Meters, MetersPerSecond,
+    Observation, Observed, Odom, Pose, RadiansPerSecond, Span, Stamp, Transform2,
 };
 
 use crate::dialect::{Encoder, decode};
 use crate::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
 use crate::message::{
-    CommandResult, Heartbeat, Message, Odometry, OdometryPose, PlanarImu, RobotDescription,
-    VisionFix, WheelTicks, WireStamp,
+    CommandResult, Heartbeat, Message, Odometry, OdometryPose, PlanarImu, RobotDescription, VisionFix, WheelTicks,
+    WireStamp,
 };
 use crate::session::{Session, SessionConfig, SessionOutput};
 
@@ -25,12 +24,8 @@ const GROUND_ROVER: u8 = 10;
 /// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
 /// What the player says of itself.
-const HEARTBEAT: Heartbeat = Heartbeat {
-    vehicle_type: GROUND_ROVER,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: ACTIVE,
-};
+const HEARTBEAT: Heartbeat =
+    Heartbeat { vehicle_type: GROUND_ROVER, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 /// As often as the simulated brick describes itself: a station that comes later must know the geometry.
 const DESCRIPTION_PERIOD: Span = Span::from_millis(5_000);
 /// The common interval of heartbeats.
@@ -159,40 +154,23 @@ impl BrickPlayer {
     fn message(&mut self, observation: &Observation, stamp: WireStamp) -> Option<Message> {
         match observation.observed {
             Observed::WheelAngles { left, right } => Some(self.wheels(stamp, left.0, right.0)),
-            Observed::OdometerPose(pose) => Some(odometer(
-                stamp,
-                pose,
-                MetersPerSecond(0.0),
-                RadiansPerSecond(0.0),
-            )),
-            Observed::BodyVelocity { forward, turn } => {
-                Some(self.hold(observation.stamp, stamp, forward, turn))
+            Observed::OdometerPose(pose) => Some(odometer(stamp, pose, MetersPerSecond(0.0), RadiansPerSecond(0.0))),
+            Observed::BodyVelocity { forward, turn } => Some(self.hold(observation.stamp, stamp, forward, turn)),
+            Observed::TurnRate(rate) => {
+                Some(Message::HighresImu(PlanarImu { stamp, turn_rate: Some(rate), forward_acceleration: None }))
             }
-            Observed::TurnRate(rate) => Some(Message::HighresImu(PlanarImu {
-                stamp,
-                turn_rate: Some(rate),
-                forward_acceleration: None,
-            })),
             Observed::Fix(fix) => Some(Message::VisionPosition(VisionFix {
                 stamp,
                 x: fix.position.x,
                 y: fix.position.y,
                 heading: fix.heading,
-                covariance: fix
-                    .covariance
-                    .map(|own| [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]),
+                covariance: fix.covariance.map(|own| [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]),
                 reset_counter: fix.reset_counter,
             })),
-            Observed::Temperature(temperature) => Some(Message::Thermometer {
-                stamp,
-                channel: ChannelName::from_bytes(THERMOMETER),
-                temperature,
-            }),
-            Observed::WallRange(range) => Some(Message::DistanceSensor {
-                stamp,
-                range,
-                sigma: None,
-            }),
+            Observed::Temperature(temperature) => {
+                Some(Message::Thermometer { stamp, channel: ChannelName::from_bytes(THERMOMETER), temperature })
+            }
+            Observed::WallRange(range) => Some(Message::DistanceSensor { stamp, range, sigma: None }),
             Observed::WheelAccelerations { .. }
             | Observed::Landmark { .. }
             | Observed::BeaconRange { .. }
@@ -204,8 +182,7 @@ impl BrickPlayer {
     fn wheels(&self, stamp: WireStamp, left_rad: f64, right_rad: f64) -> Message {
         let counts = [left_rad, right_rad].map(|angle_rad| angle_rad / self.geometry.tick.0);
         let [left, right] = counts.map(f64::round);
-        let whole = (counts[0] - left).abs() < COUNT_TOLERANCE
-            && (counts[1] - right).abs() < COUNT_TOLERANCE;
+        let whole = (counts[0] - left).abs() < COUNT_TOLERANCE && (counts[1] - right).abs() < COUNT_TOLERANCE;
         let fits = left.abs() < f64::from(i32::MAX) && right.abs() < f64::from(i32::MAX);
         match (whole && fits, stamp) {
             (true, WireStamp::Micros64(micros)) => Message::WheelTicks(WheelTicks {
@@ -239,12 +216,7 @@ impl BrickPlayer {
                 held.pose * middle * along
             }
         };
-        self.held = Some(Held {
-            since: at,
-            pose,
-            forward,
-            turn,
-        });
+        self.held = Some(Held { since: at, pose, forward, turn });
         odometer(stamp, pose, forward, turn)
     }
 

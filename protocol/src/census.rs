@@ -81,10 +81,7 @@ impl Tally {
     }
 }
 
-fn earliest(
-    one: Option<Stamp<HostClock>>,
-    other: Option<Stamp<HostClock>>,
-) -> Option<Stamp<HostClock>> {
+fn earliest(one: Option<Stamp<HostClock>>, other: Option<Stamp<HostClock>>) -> Option<Stamp<HostClock>> {
     [one, other].into_iter().flatten().min()
 }
 
@@ -113,8 +110,7 @@ impl StampedClock {
     #[must_use]
     pub fn drift_ppm(&self) -> Option<f64> {
         let elapsed_s = self.last.1 - self.first.1;
-        (elapsed_s >= SHORTEST_DRIFT_S)
-            .then(|| 1e6 * ((self.last.0 - self.first.0) / elapsed_s - 1.0))
+        (elapsed_s >= SHORTEST_DRIFT_S).then(|| 1e6 * ((self.last.0 - self.first.0) / elapsed_s - 1.0))
     }
 
     /// The sender's clock at the last stamp less that of the arrivals, s.
@@ -207,12 +203,7 @@ impl Census {
     }
 
     /// Counts it among all and gives its sender; `None` if it is of the crowd.
-    fn counted(
-        &mut self,
-        link: LinkId,
-        frame: &FrameRef<'_>,
-        at: Option<Stamp<HostClock>>,
-    ) -> Option<&mut Source> {
+    fn counted(&mut self, link: LinkId, frame: &FrameRef<'_>, at: Option<Stamp<HostClock>>) -> Option<&mut Source> {
         self.note_time(at);
         self.all.take(frame.raw.len(), at);
         match frame.version {
@@ -356,10 +347,7 @@ impl Source {
     }
 
     fn take(&mut self, frame: &FrameRef<'_>, at: Option<Stamp<HostClock>>) {
-        let step = frame
-            .sequence
-            .wrapping_sub(self.last_sequence)
-            .wrapping_sub(1);
+        let step = frame.sequence.wrapping_sub(self.last_sequence).wrapping_sub(1);
         self.sequence_steps += u64::from(step);
         self.last_sequence = frame.sequence;
         self.lost += u64::from(self.numbers.missing_before(frame.sequence));
@@ -370,10 +358,7 @@ impl Source {
         }
         let bytes = frame.raw.len();
         self.all.take(bytes, at);
-        self.messages
-            .entry(frame.message_id)
-            .or_default()
-            .take(bytes, at);
+        self.messages.entry(frame.message_id).or_default().take(bytes, at);
     }
 
     fn note_stamp(&mut self, frame: &FrameRef<'_>, at: Stamp<HostClock>) {
@@ -435,13 +420,7 @@ mod tests {
 
     #[test]
     fn senders_lose_frames_each_for_itself_and_rates_are_between_first_and_last() {
-        let census = census(&[
-            (1, 0, 0, 0),
-            (2, 9, 0, 100),
-            (1, 1, 0, 500),
-            (2, 12, 0, 1_600),
-            (1, 4, 0, 2_000),
-        ]);
+        let census = census(&[(1, 0, 0, 0), (2, 9, 0, 100), (1, 1, 0, 500), (2, 12, 0, 1_600), (1, 4, 0, 2_000)]);
         let [one, two] = census.sources() else {
             panic!("two senders");
         };
@@ -474,15 +453,10 @@ mod tests {
     #[test]
     fn a_sender_that_counts_for_each_link_of_a_log_has_lost_nothing() {
         let mut census = Census::new();
-        let mut links = [
-            (0, Encoder::new(WireVersion::V2)),
-            (1, Encoder::new(WireVersion::V2)),
-        ];
+        let mut links = [(0, Encoder::new(WireVersion::V2)), (1, Encoder::new(WireVersion::V2))];
         // The second link is ahead by far.
         for _ in 0..60 {
-            links[1]
-                .1
-                .encode(Address::new(1, 197), &stamped(0), &mut Vec::new());
+            links[1].1.encode(Address::new(1, 197), &stamped(0), &mut Vec::new());
         }
         for step in 0..60_u32 {
             let (number, encoder) = &mut links[usize::from(step % 3 == 0)];

@@ -5,21 +5,17 @@
 //! decoded and encoded, [`Message::Compass`] apart, which only bricks with protocols of their own send.
 
 use posebridge_telemetry::{
-    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, HostClock, Meters,
-    MetersPerSecond, MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, Span,
-    Stamp,
+    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, HostClock, Meters, MetersPerSecond,
+    MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
 };
 
 mod component;
 
 pub use component::{
-    AutopilotVersion, ComponentInformation, FloatArray, MessageInterval, NamedValue,
-    ProtocolVersion, TextPart,
+    AutopilotVersion, ComponentInformation, FloatArray, MessageInterval, NamedValue, ProtocolVersion, TextPart,
 };
 
-use crate::dialect::ids::{
-    COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL,
-};
+use crate::dialect::ids::{COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL};
 
 /// The largest message id: 24 bits, all of them exact in a 32-bit float.
 const LARGEST_ID: f32 = 16_777_215.0;
@@ -483,10 +479,7 @@ pub struct PlanarPose {
 
 /// What of a [`PlanarPose`] may be used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "five independent bits of the wire, each with a name"
-)]
+#[expect(clippy::struct_excessive_bools, reason = "five independent bits of the wire, each with a name")]
 pub struct PoseFlags {
     /// Bit 0: the position is meaningful.
     pub position_valid: bool,

@@ -78,9 +78,7 @@ fn mavlink_gives_up_a_torn_message() {
 fn noise(length: usize) -> Vec<u8> {
     let mut state = 2026_u64;
     let mut next = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 56) as u8
     };
     (0..length).map(|_| next()).collect()
@@ -108,11 +106,7 @@ fn noise_tells_no_protocol_anything_and_leaves_none_stuck() {
             assert_eq!(messages, 0, "{} in chunks of {chunk}", protocol.name);
             // The link comes back, and all is as it was.
             codec.begin(now);
-            assert!(
-                codec.deadline().is_none_or(|due| due >= now),
-                "{}",
-                protocol.name
-            );
+            assert!(codec.deadline().is_none_or(|due| due >= now), "{}", protocol.name);
         }
     }
 }
@@ -130,15 +124,8 @@ fn mavlink_reports_lost_frames_and_senseless_payloads() {
             listener.push(Stamp::ZERO, &bytes, &mut |item| heard.push(noted(item)));
         }
     }
-    let lost = Defect::Lost {
-        source: ROBOT,
-        frames: 2,
-    };
-    let expected = [
-        Ok((ROBOT, ticks(0))),
-        Err(format!("{lost:?}")),
-        Ok((ROBOT, ticks(3))),
-    ];
+    let lost = Defect::Lost { source: ROBOT, frames: 2 };
+    let expected = [Ok((ROBOT, ticks(0))), Err(format!("{lost:?}")), Ok((ROBOT, ticks(3)))];
     assert_eq!(heard, expected);
 
     heard.clear();

@@ -20,10 +20,7 @@ const MEANINGS: &str = include_str!("data/camera_json/meanings.json");
 fn codec(framing: Framing) -> Box<dyn BrickCodec> {
     let protocol = brick_protocol("camera-json").expect("there is a row");
     let mut codec = (protocol.open)(&BrickSettings {
-        fixes: FixSettings {
-            framing,
-            ..FixSettings::default()
-        },
+        fixes: FixSettings { framing, ..FixSettings::default() },
         ..BrickSettings::default()
     });
     codec.begin(Stamp::ZERO);
@@ -31,10 +28,7 @@ fn codec(framing: Framing) -> Box<dyn BrickCodec> {
 }
 
 /// What was heard, in short; no signs of life.
-#[expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "a camera says no other message"
-)]
+#[expect(clippy::wildcard_enum_match_arm, reason = "a camera says no other message")]
 fn short(heard: Heard<'_>) -> Option<String> {
     Some(match heard {
         Heard::Message { from, message } => match message {
@@ -44,10 +38,7 @@ fn short(heard: Heard<'_>) -> Option<String> {
             }
             Message::VisionPosition(fix) => format!("{from}: {}", fix_text(&fix)),
             Message::TimeSync(sync) => {
-                format!(
-                    "{from}: answer {} {}",
-                    sync.request_nanos, sync.answer_nanos
-                )
+                format!("{from}: answer {} {}", sync.request_nanos, sync.answer_nanos)
             }
             other => panic!("{other:?}"),
         },
@@ -66,16 +57,9 @@ fn fix_text(fix: &VisionFix) -> String {
         }
         WireStamp::Micros32(_) | WireStamp::Millis32(_) => panic!("{:?}", fix.stamp),
     };
-    let heading = fix
-        .heading
-        .map_or("-".to_owned(), |heading| format!("{:.6}", heading.rad()));
-    let sigmas = fix.covariance.map_or("-".to_owned(), |[xx, _, _, hh]| {
-        format!("{:.6} {:.6}", xx.sqrt(), hh.sqrt())
-    });
-    format!(
-        "{stamp} {:.6} {:.6} {heading} {sigmas} {}",
-        fix.x.0, fix.y.0, fix.reset_counter
-    )
+    let heading = fix.heading.map_or("-".to_owned(), |heading| format!("{:.6}", heading.rad()));
+    let sigmas = fix.covariance.map_or("-".to_owned(), |[xx, _, _, hh]| format!("{:.6} {:.6}", xx.sqrt(), hh.sqrt()));
+    format!("{stamp} {:.6} {:.6} {heading} {sigmas} {}", fix.x.0, fix.y.0, fix.reset_counter)
 }
 
 fn heard_in_chunks(bytes: &[u8], chunk: usize) -> Vec<String> {
@@ -88,12 +72,7 @@ fn heard_in_chunks(bytes: &[u8], chunk: usize) -> Vec<String> {
     heard
 }
 
-fn heard_of(
-    codec: &mut dyn BrickCodec,
-    now: Stamp<HostClock>,
-    peer: u32,
-    text: &str,
-) -> Vec<String> {
+fn heard_of(codec: &mut dyn BrickCodec, now: Stamp<HostClock>, peer: u32, text: &str) -> Vec<String> {
     let mut heard = Vec::new();
     codec.push_from(now, PeerId(peer), text.as_bytes(), &mut |item| {
         heard.extend(short(item));
@@ -111,10 +90,7 @@ fn meanings() -> Vec<String> {
 #[test]
 fn what_python_writes_is_understood_in_every_chunk_size() {
     let heard = heard_in_chunks(GOLDEN.as_bytes(), GOLDEN.len());
-    let (notes, said): (Vec<_>, Vec<_>) = heard
-        .iter()
-        .cloned()
-        .partition(|text| text.starts_with("note: "));
+    let (notes, said): (Vec<_>, Vec<_>) = heard.iter().cloned().partition(|text| text.starts_with("note: "));
     assert_eq!(said, meanings());
     assert_eq!(
         notes,
@@ -147,12 +123,7 @@ fn senders_of_one_link_do_not_mix_their_lines() {
     let mut codec = codec(Framing::Stream);
     let now = Stamp::ZERO;
     assert!(heard_of(&mut *codec, now, 1, "{\"camera\": \"a\", \"x_m\": 1, ").is_empty());
-    let other = heard_of(
-        &mut *codec,
-        now,
-        2,
-        "{\"camera\": \"b\", \"x_m\": 5, \"y_m\": 5}\n",
-    );
+    let other = heard_of(&mut *codec, now, 2, "{\"camera\": \"b\", \"x_m\": 5, \"y_m\": 5}\n");
     assert!(other[1].starts_with("1/100: "), "{other:?}");
     let rest = heard_of(&mut *codec, now, 1, "\"y_m\": 2}\n");
     assert!(rest[1].starts_with("1/101: "), "{rest:?}");
@@ -160,12 +131,7 @@ fn senders_of_one_link_do_not_mix_their_lines() {
 
 #[test]
 fn a_lost_byte_costs_one_line_or_two_where_it_was_the_end_of_one() {
-    let line = |k: usize| {
-        format!(
-            "{{\"exposed_us\": {}, \"x_m\": {k}, \"y_m\": 0}}\n",
-            1_000 * k
-        )
-    };
+    let line = |k: usize| format!("{{\"exposed_us\": {}, \"x_m\": {k}, \"y_m\": 0}}\n", 1_000 * k);
     let lines: Vec<String> = (1..=3).map(line).collect();
     let whole = lines.concat().into_bytes();
     let fixes = |bytes: &[u8]| {
@@ -200,12 +166,7 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
         heard_of(&mut *codec, at(20 + k), 7, "{\"x_m\": NaN, \"y_m\": 0}\n");
     }
     heard_of(&mut *codec, at(30), 8, "nonsense\n");
-    heard_of(
-        &mut *codec,
-        at(1_010),
-        7,
-        "{\"x_m\": 1, \"y_m\": 2, \"sigma_m\": -1}\n",
-    );
+    heard_of(&mut *codec, at(1_010), 7, "{\"x_m\": 1, \"y_m\": 2, \"sigma_m\": -1}\n");
     let mut answers = Vec::new();
     while let Some((to, bytes)) = codec.poll_to() {
         let Audience::Peer(PeerId(peer)) = to else {
@@ -221,10 +182,7 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
     assert_eq!((&first["key"], &first["line"]), (&"y_m".into(), &2.into()));
     assert_eq!(second["line"], 1);
     assert!(second["error"].as_str().unwrap().contains("from byte"));
-    assert_eq!(
-        (&third["key"], &third["unsaid"]),
-        (&"sigma_m".into(), &5.into())
-    );
+    assert_eq!((&third["key"], &third["unsaid"]), (&"sigma_m".into(), &5.into()));
     let counts = codec.counters();
     assert_eq!((counts.frames, counts.garbage_bytes), (1, 5 * 22 + 8));
 }
@@ -232,19 +190,10 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
 #[test]
 fn a_number_out_of_range_is_answered_with_the_range_in_its_own_unit() {
     for (rest, said) in [
-        (
-            "\"sigma_m\": 1e-300",
-            "`sigma_m` is 1e-300, must lie between 1e-6 and 1000.0",
-        ),
+        ("\"sigma_m\": 1e-300", "`sigma_m` is 1e-300, must lie between 1e-6 and 1000.0"),
         ("\"sigma_m\": 0.0000009", "must lie between 1e-6 and 1000.0"),
-        (
-            "\"sigma_m\": 0.01, \"heading_deg\": 0, \"sigma_heading_deg\": 0.00005",
-            "must lie between 5.7295779",
-        ),
-        (
-            "\"sigma_m\": 0.01, \"heading_rad\": 0, \"sigma_heading_rad\": 1e-200",
-            "must lie between 1e-6 and 1000.0",
-        ),
+        ("\"sigma_m\": 0.01, \"heading_deg\": 0, \"sigma_heading_deg\": 0.00005", "must lie between 5.7295779"),
+        ("\"sigma_m\": 0.01, \"heading_rad\": 0, \"sigma_heading_rad\": 1e-200", "must lie between 1e-6 and 1000.0"),
         ("\"heading_deg\": -1e8", "must lie between -57295779.5"),
     ] {
         let mut codec = codec(Framing::Datagram);
@@ -271,12 +220,7 @@ fn a_line_without_end_fills_no_memory_and_costs_only_itself() {
     assert_eq!(rest[0], "garbage: 100000");
     assert!(rest.last().unwrap().starts_with("1/100: "), "{rest:?}");
     // Deep nesting that fits a line is refused by its depth and not by the stack.
-    let deep = heard_of(
-        &mut *codec,
-        Stamp::ZERO,
-        0,
-        &format!("{}\n", "[".repeat(1_000)),
-    );
+    let deep = heard_of(&mut *codec, Stamp::ZERO, 0, &format!("{}\n", "[".repeat(1_000)));
     assert_eq!(deep, ["garbage: 1000"]);
 }
 
@@ -288,17 +232,9 @@ fn seven_cameras_are_one_too_many() {
         let heard = heard_of(&mut *codec, Stamp::ZERO, k, &line);
         assert_eq!(heard.len(), 2, "{heard:?}");
     }
-    let heard = heard_of(
-        &mut *codec,
-        Stamp::ZERO,
-        9,
-        "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}",
-    );
+    let heard = heard_of(&mut *codec, Stamp::ZERO, 9, "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}");
     assert!(heard.contains(&"no sense".to_owned()), "{heard:?}");
-    assert!(
-        heard.iter().any(|text| text.contains("more than 6")),
-        "{heard:?}"
-    );
+    assert!(heard.iter().any(|text| text.contains("more than 6")), "{heard:?}");
     assert_eq!(codec.sources().len(), 6);
 }
 
@@ -306,24 +242,11 @@ fn seven_cameras_are_one_too_many() {
 fn a_failed_fix_is_counted_and_one_without_time_is_as_old_as_it_is_said_to_be() {
     let mut codec = codec(Framing::Datagram);
     let now = Stamp::from_millis(5_000);
-    let failed = heard_of(
-        &mut *codec,
-        now,
-        0,
-        "{\"x_m\": 0, \"y_m\": 0, \"quality\": 0}",
-    );
+    let failed = heard_of(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 0}");
     assert_eq!(failed[1..], ["no sense"]);
-    let plain = heard_of(
-        &mut *codec,
-        now,
-        0,
-        "{\"x_m\": 0, \"y_m\": 0, \"quality\": 1}",
-    );
+    let plain = heard_of(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 1}");
     // 60 ms, give or take 40.
-    assert_eq!(
-        plain,
-        ["1/100: 4900000..4980000 us 0.000000 0.000000 - - 0"]
-    );
+    assert_eq!(plain, ["1/100: 4900000..4980000 us 0.000000 0.000000 - - 0"]);
 }
 
 #[test]
@@ -337,27 +260,16 @@ fn questions_are_said_in_json_and_only_to_who_takes_them() {
         assert_eq!(length, bytes.len());
         String::from_utf8(bytes).unwrap()
     };
-    let request = Message::TimeSync(TimeSync {
-        answer_nanos: 0,
-        request_nanos: 123_456_789_012,
-        target: None,
-    });
+    let request = Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 123_456_789_012, target: None });
     assert_eq!(said(&request), "{\"time_request\":123456789012}\n");
     let ask = |target, what: u32| {
         let mut params = [0.0; 7];
         params[0] = what as f32;
-        Message::Command(CommandLong {
-            target,
-            command: ids::COMMAND_REQUEST_MESSAGE,
-            params,
-        })
+        Message::Command(CommandLong { target, command: ids::COMMAND_REQUEST_MESSAGE, params })
     };
     let fix = ids::VISION_POSITION_ESTIMATE;
     assert_eq!(said(&ask(FIRST, fix)), "");
-    assert_eq!(
-        said(&ask(SECOND, fix)),
-        "{\"camera\":\"b\",\"fix_request\":1}\n"
-    );
+    assert_eq!(said(&ask(SECOND, fix)), "{\"camera\":\"b\",\"fix_request\":1}\n");
     assert_eq!(said(&ask(SECOND, ids::ATTITUDE)), "");
     assert_eq!(said(&ask(Address::new(2, 101), fix)), "");
 }
@@ -366,19 +278,9 @@ fn questions_are_said_in_json_and_only_to_who_takes_them() {
 fn a_link_that_comes_back_keeps_the_names_and_forgets_half_a_line() {
     let mut codec = codec(Framing::Stream);
     let now = Stamp::ZERO;
-    heard_of(
-        &mut *codec,
-        now,
-        0,
-        "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n{\"x_m\": ",
-    );
+    heard_of(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n{\"x_m\": ");
     codec.begin(now + Span::from_millis(1));
-    let heard = heard_of(
-        &mut *codec,
-        now,
-        0,
-        "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n",
-    );
+    let heard = heard_of(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n");
     assert_eq!(heard.len(), 1, "{heard:?}");
     assert!(heard[0].starts_with("1/100: "));
 }

@@ -37,11 +37,7 @@ struct Census {
 
 /// Scans pieces of bytes, each by itself when `transport` is datagrams.
 fn census<'a>(transport: Framing, pieces: impl Iterator<Item = &'a [u8]>) -> Census {
-    let mut scanner = Scanner::new(ScannerConfig {
-        accept_v1: true,
-        transport,
-        ..ScannerConfig::default()
-    });
+    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, transport, ..ScannerConfig::default() });
     let mut sequences = SequenceTracker::new();
     let mut census = Census::default();
     let mut take = |found: Scanned<'_>| {
@@ -102,11 +98,7 @@ fn the_beginning_of_a_recorded_flight() {
     let Some(Message::Heartbeat(first)) = seen.messages.first() else {
         panic!("{:?}", seen.messages.first());
     };
-    assert_eq!(
-        (first.vehicle_type, first.autopilot),
-        (6, 8),
-        "a ground station"
-    );
+    assert_eq!((first.vehicle_type, first.autopilot), (6, 8), "a ground station");
 }
 
 #[test]
@@ -149,9 +141,7 @@ fn bytes_of(folder: &Path, file: &str) -> Vec<u8> {
     }
     let packed = File::open(folder.join(format!("{file}.gz"))).expect("a packed capture");
     let mut bytes = Vec::new();
-    GzDecoder::new(packed)
-        .read_to_end(&mut bytes)
-        .expect("gzip");
+    GzDecoder::new(packed).read_to_end(&mut bytes).expect("gzip");
     bytes
 }
 

@@ -12,12 +12,9 @@ use ev3_double::{Ev3Double, Fails, Plugged, curve};
 use ev3_talk::{Item, Spoil, TURN_AROUND, Talk, codec, item, without_gyro};
 use posebridge_protocol::bricks::ONLY_BRICK;
 use posebridge_protocol::bricks::ev3::{
-    DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings,
-    MotorDirection, SensorPort,
+    DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection, SensorPort,
 };
-use posebridge_protocol::message::{
-    Inertial, Message, PlanarPose, PoseFlags, WheelTicks, WireStamp,
-};
+use posebridge_protocol::message::{Inertial, Message, PlanarPose, PoseFlags, WheelTicks, WireStamp};
 use posebridge_telemetry::{
     Defect, EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, Stamp,
 };
@@ -27,24 +24,21 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
     let mut codec = codec(Ev3Settings::default());
     codec.begin(Stamp::ZERO);
     // READY_SI of port 2, type 32, mode 1, one value.
-    let set_up = [
-        0x0E, 0x00, 0x01, 0x00, 0x00, 0x04, 0x00, 0x99, 0x1D, 0x00, 0x01, 0x81, 0x20, 0x01, 0x01,
-        0x60,
-    ];
+    let set_up = [0x0E, 0x00, 0x01, 0x00, 0x00, 0x04, 0x00, 0x99, 0x1D, 0x00, 0x01, 0x81, 0x20, 0x01, 0x01, 0x60];
     assert_eq!(codec.poll().as_deref(), Some(&set_up[..]));
     assert_eq!(codec.poll(), None);
     let ready = [0x07, 0x00, 0x01, 0x00, 0x02, 0, 0, 0, 0];
     codec.push(Stamp::from_millis(40), &ready, &mut |_| {});
     // TIMER_READ_US, OUTPUT_GET_COUNT of B and of C, READSI of port 2 as it is.
     let cycle = [
-        0x15, 0x00, 0x02, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00,
-        0x02, 0x68, 0x9D, 0x00, 0x01, 0x00, 0x3F, 0x6C,
+        0x15, 0x00, 0x02, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00, 0x02, 0x68, 0x9D,
+        0x00, 0x01, 0x00, 0x3F, 0x6C,
     ];
     assert_eq!(codec.poll().as_deref(), Some(&cycle[..]));
     // 1.0 s, 360, -1, and -90.0 degrees per second clockwise.
     let answer = [
-        0x13, 0x00, 0x02, 0x00, 0x02, 0x40, 0x42, 0x0F, 0x00, 0x68, 0x01, 0x00, 0x00, 0xFF, 0xFF,
-        0xFF, 0xFF, 0x00, 0x00, 0xB4, 0xC2,
+        0x13, 0x00, 0x02, 0x00, 0x02, 0x40, 0x42, 0x0F, 0x00, 0x68, 0x01, 0x00, 0x00, 0xFF, 0xFF, 0xFF, 0xFF, 0x00,
+        0x00, 0xB4, 0xC2,
     ];
     let mut heard = Vec::new();
     codec.push(Stamp::from_millis(70), &answer, &mut |found| {
@@ -52,15 +46,8 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
     });
     let stamp = WireStamp::Micros32(1_000_000);
     let expected = [
-        Item::Time {
-            sent: Stamp::from_millis(40),
-            peer_nanos: 1_000_000_000,
-        },
-        Item::Message(Message::WheelTicks(WheelTicks {
-            stamp,
-            left: EncoderTicks(360),
-            right: EncoderTicks(-1),
-        })),
+        Item::Time { sent: Stamp::from_millis(40), peer_nanos: 1_000_000_000 },
+        Item::Message(Message::WheelTicks(WheelTicks { stamp, left: EncoderTicks(360), right: EncoderTicks(-1) })),
         Item::Message(Message::Inertial(Inertial {
             stamp,
             turn_rate: Some(RadiansPerSecond(std::f64::consts::FRAC_PI_2)),
@@ -73,25 +60,14 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
 
 #[test]
 fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
-    for (outstanding, rate_hz, least, most) in [
-        (1, 50.0, 33.0, 33.4),
-        (2, 50.0, 49.5, 50.1),
-        (1, 10.0, 9.9, 10.1),
-    ] {
-        let settings = Ev3Settings {
-            outstanding,
-            rate_hz,
-            ..Ev3Settings::default()
-        };
+    for (outstanding, rate_hz, least, most) in [(1, 50.0, 33.0, 33.4), (2, 50.0, 49.5, 50.1), (1, 10.0, 9.9, 10.1)] {
+        let settings = Ev3Settings { outstanding, rate_hz, ..Ev3Settings::default() };
         let mut talk = Talk::new(settings, Ev3Double::default());
         talk.run_for(30.0);
         let states = talk.ticks().count();
         // One telegram set the gyro up, and the last ones are on their way.
         let telegrams = talk.brick.telegrams - 1;
-        assert!(
-            telegrams - states <= usize::from(outstanding),
-            "{telegrams}"
-        );
+        assert!(telegrams - states <= usize::from(outstanding), "{telegrams}");
         let rate = states as f64 / 30.0;
         println!(
             "EV3 at 30 ms turn-around, {outstanding} outstanding, at most {rate_hz} Hz: {rate:.1} full states/s, {:.2} telegrams each",
@@ -107,8 +83,8 @@ fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
 /// Everything that a codec hears when the answers of a live talk come in such chunks.
 fn heard_in_chunks(chunk: usize) -> Vec<Item> {
     let mailbox = [
-        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e',
-        b'l', b'l', b'o', b'!', 0x00,
+        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
+        b'!', 0x00,
     ];
     let mut brick = Ev3Double::default();
     let mut codec = codec(Ev3Settings::default());
@@ -171,10 +147,7 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
             });
             let others: [Spoil; 2] = [Box::new(lose), Box::new(insert)];
             for (case, spoil) in others.into_iter().chain(flips).enumerate() {
-                let settings = Ev3Settings {
-                    outstanding,
-                    ..Ev3Settings::default()
-                };
+                let settings = Ev3Settings { outstanding, ..Ev3Settings::default() };
                 let mut talk = Talk::new(settings, Ev3Double::default());
                 talk.run_until(Stamp::from_millis(3_000), &|number, bytes| {
                     if number == HIT { spoil(bytes) } else { bytes }
@@ -186,22 +159,14 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
                 // The clock in particular is never heard wrong by more than the round trip allows.
                 assert!(talk.ticks().all(|heard| talk.error(heard) < 66), "{name}");
                 let heard: Vec<_> = talk.ticks().map(|(now, _)| now).collect();
-                let gaps = heard
-                    .windows(2)
-                    .map(|pair| (pair[1] - pair[0]).as_millis_f64());
+                let gaps = heard.windows(2).map(|pair| (pair[1] - pair[0]).as_millis_f64());
                 worst_ms = worst_ms.max(gaps.fold(0.0, f64::max));
-                assert!(
-                    heard
-                        .last()
-                        .is_some_and(|last| *last > Stamp::from_millis(2_960))
-                );
+                assert!(heard.last().is_some_and(|last| *last > Stamp::from_millis(2_960)));
                 cases += 1;
             }
         }
     }
-    println!(
-        "{cases} ways to damage one byte: at most one question each, at most {worst_ms:.0} ms without news"
-    );
+    println!("{cases} ways to damage one byte: at most one question each, at most {worst_ms:.0} ms without news");
     assert!(worst_ms <= 200.0);
 }
 
@@ -214,17 +179,10 @@ fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
     // Asked at 5.0, 5.5 and 6.5 s; all three were answered in the end.
     assert_eq!(talk.source().lost, 0);
     assert_eq!(talk.codec.counters().stalls, 2);
-    let lost = talk
-        .heard
-        .iter()
-        .filter(|(_, item)| matches!(item, Item::Defect(Defect::Lost { .. })));
+    let lost = talk.heard.iter().filter(|(_, item)| matches!(item, Item::Defect(Defect::Lost { .. })));
     assert_eq!(lost.count(), 2);
     let round_trips = talk.heard.iter().filter_map(|(now, item)| {
-        if let Item::Time { sent, .. } = item {
-            Some((*now - *sent).as_millis_f64())
-        } else {
-            None
-        }
+        if let Item::Time { sent, .. } = item { Some((*now - *sent).as_millis_f64()) } else { None }
     });
     // That of a late answer would be 2 s.
     let longest_ms = round_trips.fold(0.0, f64::max);
@@ -243,10 +201,7 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
             [0, left - left0, right - right0, 0]
         }
     };
-    let brick = Ev3Double {
-        counts,
-        ..Ev3Double::default()
-    };
+    let brick = Ev3Double { counts, ..Ev3Double::default() };
     let mut talk = Talk::new(Ev3Settings::default(), brick);
     talk.run_for(8.0);
     let heard: Vec<_> = talk.ticks().collect();
@@ -260,14 +215,8 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
         panic!("{last:?}");
     };
     let [_, left, right, _] = curve(talk.brick.host_s(micros, now) - 1.0);
-    assert!(
-        (last.left.0 - i64::from(left)).abs() <= 2,
-        "{last:?} {left}"
-    );
-    assert!(
-        (last.right.0 - i64::from(right)).abs() <= 2,
-        "{last:?} {right}"
-    );
+    assert!((last.left.0 - i64::from(left)).abs() <= 2, "{last:?} {left}");
+    assert!((last.right.0 - i64::from(right)).abs() <= 2, "{last:?} {right}");
     assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
     assert!(talk.notes()[0].contains("counters"), "{:?}", talk.notes());
 }
@@ -275,10 +224,7 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
 #[test]
 fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
     for fails in [Fails::WithAnError, Fails::WithNoNumber] {
-        let mut brick = Ev3Double {
-            fails,
-            ..Ev3Double::default()
-        };
+        let mut brick = Ev3Double { fails, ..Ev3Double::default() };
         let gyro = brick.sensors[1].take();
         let mut talk = Talk::new(Ev3Settings::default(), brick);
         talk.run_for(25.0);
@@ -312,15 +258,8 @@ fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
     let mut talk = Talk::new(Ev3Settings::default(), brick);
     talk.run_for(360.0);
     let heard: Vec<f64> = talk.ticks().map(|(now, _)| now.as_secs_f64()).collect();
-    let gaps: Vec<f64> = heard
-        .windows(2)
-        .filter(|pair| pair[1] - pair[0] > 1.0)
-        .map(|pair| pair[0])
-        .collect();
-    println!(
-        "first wheels at {:.1} s; none for more than a second from {gaps:.1?} s on",
-        heard[0]
-    );
+    let gaps: Vec<f64> = heard.windows(2).filter(|pair| pair[1] - pair[0] > 1.0).map(|pair| pair[0]).collect();
+    println!("first wheels at {:.1} s; none for more than a second from {gaps:.1?} s on", heard[0]);
     assert!(heard[0] < 3.2, "{}", heard[0]);
     // Standing for a second; then 20, 40, 80 and 160 s, with 3 s for each try.
     assert_eq!(gaps.len(), 4, "{gaps:?}");
@@ -344,37 +283,18 @@ fn a_calendar_that_is_set_costs_no_motion_and_is_called_what_it_is() {
     talk.run_for(5.0);
     talk.brick.start_micros += 900_000_000;
     talk.run_for(5.0);
-    let heard: Vec<_> = talk
-        .ticks()
-        .map(|(_, ticks)| (ticks.left.0, ticks.right.0))
-        .collect();
+    let heard: Vec<_> = talk.ticks().map(|(_, ticks)| (ticks.left.0, ticks.right.0)).collect();
     let (first, last) = (heard[0], heard[heard.len() - 1]);
     // 300 and 330 counts per second.
-    let seconds = [
-        (last.0 - first.0) as f64 / 300.0,
-        (last.1 - first.1) as f64 / 330.0,
-    ];
-    assert!(
-        seconds
-            .iter()
-            .all(|seconds| (9.85..=10.0).contains(seconds)),
-        "{seconds:?}"
-    );
+    let seconds = [(last.0 - first.0) as f64 / 300.0, (last.1 - first.1) as f64 / 330.0];
+    assert!(seconds.iter().all(|seconds| (9.85..=10.0).contains(seconds)), "{seconds:?}");
     assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
-    assert!(
-        talk.notes()[0].contains("clock of the EV3 was set"),
-        "{:?}",
-        talk.notes()
-    );
+    assert!(talk.notes()[0].contains("clock of the EV3 was set"), "{:?}", talk.notes());
 }
 
 /// A sensor in a mode that nobody asks for.
 const fn plugged(kind: u8, values: [f32; 2]) -> Plugged {
-    Plugged {
-        kind,
-        mode: 7,
-        values,
-    }
+    Plugged { kind, mode: 7, values }
 }
 
 /// Everything that can be set, at other ports than usual.
@@ -386,10 +306,7 @@ fn all_else() -> Ev3Settings {
             reading: GyroReading::RateAndAngle,
             mounting: GyroMounting::UpsideDown,
         }),
-        distance: Some(DistanceSettings {
-            port: SensorPort::P4,
-            kind: DistanceKind::Ultrasonic,
-        }),
+        distance: Some(DistanceSettings { port: SensorPort::P4, kind: DistanceKind::Ultrasonic }),
         ..Ev3Settings::default()
     }
 }
@@ -397,20 +314,12 @@ fn all_else() -> Ev3Settings {
 #[test]
 fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set() {
     let brick = Ev3Double {
-        sensors: [
-            None,
-            None,
-            Some(plugged(32, [100.0, 45.0])),
-            Some(plugged(30, [37.5, 0.0])),
-        ],
+        sensors: [None, None, Some(plugged(32, [100.0, 45.0])), Some(plugged(30, [37.5, 0.0]))],
         ..Ev3Double::default()
     };
     let mut talk = Talk::new(all_else(), brick);
     talk.run_for(0.12);
-    let modes = talk
-        .brick
-        .sensors
-        .map(|sensor| sensor.map(|sensor| sensor.mode));
+    let modes = talk.brick.sensors.map(|sensor| sensor.map(|sensor| sensor.mode));
     assert_eq!(modes[2..], [Some(3), Some(0)]);
     talk.brick.sensors[2] = Some(plugged(32, [101.0, 45.0]));
     talk.brick.sensors[3] = Some(plugged(30, [255.0, 0.0]));
@@ -442,10 +351,7 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
     // None where nothing was in sight.
     assert!(ranges.len() < stamps.len());
     assert_eq!(ranges[0], (stamps[0], Meters(0.375)));
-    assert!(
-        talk.ticks()
-            .all(|(_, ticks)| ticks.left.0 < 0 && ticks.right.0 < 0)
-    );
+    assert!(talk.ticks().all(|(_, ticks)| ticks.left.0 < 0 && ticks.right.0 < 0));
 }
 
 #[test]
@@ -459,38 +365,24 @@ fn the_estimate_goes_to_the_mailbox() {
         covariance: [0.0625, 0.0, 0.0, 0.015_625, 0.0, 1.0],
         fix_age: None,
         reset_counter: 9,
-        flags: PoseFlags {
-            position_valid: true,
-            ..PoseFlags::default()
-        },
+        flags: PoseFlags { position_valid: true, ..PoseFlags::default() },
     };
     let mut bytes = Vec::new();
     let message = Message::PlanarPose(pose);
-    assert_eq!(
-        codec.encode(Stamp::ZERO, ONLY_BRICK, &message, &mut bytes),
-        0
-    );
+    assert_eq!(codec.encode(Stamp::ZERO, ONLY_BRICK, &message, &mut bytes), 0);
     codec.begin(Stamp::ZERO);
     codec.poll();
     for _ in 0..2 {
         bytes.clear();
-        assert_eq!(
-            codec.encode(Stamp::ZERO, ONLY_BRICK, &message, &mut bytes),
-            42
-        );
+        assert_eq!(codec.encode(Stamp::ZERO, ONLY_BRICK, &message, &mut bytes), 42);
     }
     // Length 40, counter 3, then tick 66051 ms, 1.0, -2.0, 0.5, 0.25, flags 1, reset counter 9, sequence 1.
     let mut expected = vec![40, 0, 3, 0, 0x81, 0x9E, 9];
     expected.extend(b"estimate\0");
-    expected.extend([
-        24, 0, 0x03, 0x02, 0x01, 0x00, 0, 0, 0x80, 0x3F, 0, 0, 0x00, 0xC0,
-    ]);
+    expected.extend([24, 0, 0x03, 0x02, 0x01, 0x00, 0, 0, 0x80, 0x3F, 0, 0, 0x00, 0xC0]);
     expected.extend([0, 0, 0x00, 0x3F, 0, 0, 0x80, 0x3E, 1, 9, 1, 0]);
     assert_eq!(bytes, expected);
-    let lost = Message::PlanarPose(PlanarPose {
-        covariance: [f64::NAN; 6],
-        ..pose
-    });
+    let lost = Message::PlanarPose(PlanarPose { covariance: [f64::NAN; 6], ..pose });
     assert_eq!(codec.encode(Stamp::ZERO, ONLY_BRICK, &lost, &mut bytes), 0);
 }
 
@@ -499,14 +391,10 @@ fn noise_between_the_answers_is_never_believed_and_the_talk_goes_on() {
     let mut state = 6_u64;
     let mut next = move || {
         // Knuth's MMIX constants.
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 56) as u8
     };
-    let noise: Vec<Vec<u8>> = (0..400)
-        .map(|_| (0..next() % 40).map(|_| next()).collect())
-        .collect();
+    let noise: Vec<Vec<u8>> = (0..400).map(|_| (0..next() % 40).map(|_| next()).collect()).collect();
     let mut talk = Talk::new(Ev3Settings::default(), Ev3Double::default());
     talk.run_until(Stamp::from_millis(30_000), &|number, bytes| {
         let noise = &noise[number % noise.len()];
@@ -519,8 +407,6 @@ fn noise_between_the_answers_is_never_believed_and_the_talk_goes_on() {
     });
     assert!(talk.ticks().all(|heard| talk.error(heard) == 0));
     let heard = talk.ticks().count();
-    println!(
-        "EV3 with noise around half of the answers and in the place of a quarter: {heard} states in 30 s"
-    );
+    println!("EV3 with noise around half of the answers and in the place of a quarter: {heard} states in 30 s");
     assert!(heard > 300, "{heard}");
 }

@@ -14,13 +14,13 @@ use frames::{check, check_encoding, decode_golden, golden, with_frame};
 use posebridge_protocol::dialect::PayloadError;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
-    CommandAck, CommandLong, EstimatorStatus, FusionHealth, Heartbeat, Inertial, Message, Odometry,
-    OdometryPose, PlanarImu, PlanarPose, PoseFlags, RobotDescription, SetMessageInterval, TextPart,
-    TimeSync, VisionFix, WheelTicks, WireStamp,
+    CommandAck, CommandLong, EstimatorStatus, FusionHealth, Heartbeat, Inertial, Message, Odometry, OdometryPose,
+    PlanarImu, PlanarPose, PoseFlags, RobotDescription, SetMessageInterval, TextPart, TimeSync, VisionFix, WheelTicks,
+    WireStamp,
 };
 use posebridge_telemetry::{
-    Address, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians,
-    RadiansPerSecond, SensorId, Span,
+    Address, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians, RadiansPerSecond,
+    SensorId, Span,
 };
 
 const ROBOT: Address = Address::new(1, 1);
@@ -44,10 +44,7 @@ fn own_wheel_ticks_and_inertial() {
             stamp: WireStamp::Micros32(50_000),
             turn_rate: Some(RadiansPerSecond(-1.5)),
             turn: Some(Radians(-1.5)),
-            wheel_accelerations: Some((
-                MetersPerSecondSquared(0.25),
-                MetersPerSecondSquared(-32.768),
-            )),
+            wheel_accelerations: Some((MetersPerSecondSquared(0.25), MetersPerSecondSquared(-32.768))),
         }),
     );
     check(
@@ -129,47 +126,26 @@ fn own_fusion_health_and_robot_description() {
 
 #[test]
 fn heartbeat_and_time() {
-    let rover = Heartbeat {
-        vehicle_type: 10,
-        autopilot: 0,
-        base_mode: 0,
-        system_status: 4,
-    };
+    let rover = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
     check("heartbeat", &Message::Heartbeat(rover));
     check(
         "system_time",
-        &Message::SystemTime {
-            unix_micros: 1_700_000_000_123_456,
-            since_boot: WireStamp::Millis32(98_765),
-        },
+        &Message::SystemTime { unix_micros: 1_700_000_000_123_456, since_boot: WireStamp::Millis32(98_765) },
     );
     check(
         "timesync_request",
-        &Message::TimeSync(TimeSync {
-            answer_nanos: 0,
-            request_nanos: 123_456_789_012,
-            target: None,
-        }),
+        &Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 123_456_789_012, target: None }),
     );
     check(
         "timesync_answer",
-        &Message::TimeSync(TimeSync {
-            answer_nanos: -5,
-            request_nanos: 123_456_789_012,
-            target: Some(STATION),
-        }),
+        &Message::TimeSync(TimeSync { answer_nanos: -5, request_nanos: 123_456_789_012, target: Some(STATION) }),
     );
 }
 
 #[test]
 fn values_that_no_definition_lists_are_kept() {
     let strange = decode_golden("heartbeat_of_unlisted_type").unwrap();
-    let expected = Heartbeat {
-        vehicle_type: 201,
-        autopilot: 99,
-        base_mode: 255,
-        system_status: 200,
-    };
+    let expected = Heartbeat { vehicle_type: 201, autopilot: 99, base_mode: 255, system_status: 200 };
     assert_eq!(strange, Some(Message::Heartbeat(expected)));
     check(
         "command_of_unlisted_number",
@@ -181,11 +157,7 @@ fn values_that_no_definition_lists_are_kept() {
     );
     check(
         "command_ack_of_unlisted_number",
-        &Message::CommandAck(CommandAck {
-            command: 65_000,
-            result: 3,
-            target: Some(GCS),
-        }),
+        &Message::CommandAck(CommandAck { command: 65_000, result: 3, target: Some(GCS) }),
     );
 }
 
@@ -201,63 +173,24 @@ fn commands_and_text() {
     );
     check(
         "stop_message",
-        &Message::SetMessageInterval(SetMessageInterval {
-            target: ROBOT,
-            message_id: 26,
-            interval: None,
-        }),
+        &Message::SetMessageInterval(SetMessageInterval { target: ROBOT, message_id: 26, interval: None }),
     );
-    check(
-        "command_ack",
-        &Message::CommandAck(CommandAck {
-            command: 511,
-            result: 0,
-            target: Some(STATION),
-        }),
-    );
+    check("command_ack", &Message::CommandAck(CommandAck { command: 511, result: 0, target: Some(STATION) }));
     check(
         "statustext",
-        &Message::StatusText {
-            severity: 4,
-            text: "battery is low".to_owned(),
-            part: TextPart::default(),
-        },
+        &Message::StatusText { severity: 4, text: "battery is low".to_owned(), part: TextPart::default() },
     );
 }
 
 #[test]
 fn parameters() {
-    check(
-        "param_request_list",
-        &Message::ParamRequestList {
-            target: Address::new(1, 0),
-        },
-    );
+    check("param_request_list", &Message::ParamRequestList { target: Address::new(1, 0) });
     check(
         "param_request_read",
-        &Message::ParamRequestRead {
-            target: STATION,
-            name: "GATE_SIGMA".to_owned(),
-            index: -1,
-        },
+        &Message::ParamRequestRead { target: STATION, name: "GATE_SIGMA".to_owned(), index: -1 },
     );
-    check(
-        "param_set",
-        &Message::ParamSet {
-            target: STATION,
-            name: "SIXTEEN_BYTES_OK".to_owned(),
-            value: 2.5,
-        },
-    );
-    check(
-        "param_value",
-        &Message::ParamValue {
-            name: "GATE_SIGMA".to_owned(),
-            value: 3.0,
-            count: 40,
-            index: 17,
-        },
-    );
+    check("param_set", &Message::ParamSet { target: STATION, name: "SIXTEEN_BYTES_OK".to_owned(), value: 2.5 });
+    check("param_value", &Message::ParamValue { name: "GATE_SIGMA".to_owned(), value: 3.0, count: 40, index: 17 });
 }
 
 #[test]
@@ -290,10 +223,7 @@ fn wheels_and_inertial_units() {
         forward_acceleration: Some(MetersPerSecondSquared(1.25)),
     };
     check("highres_imu", &Message::HighresImu(precise));
-    let gyro_only = PlanarImu {
-        forward_acceleration: None,
-        ..precise
-    };
+    let gyro_only = PlanarImu { forward_acceleration: None, ..precise };
     check("highres_imu_gyro_only", &Message::HighresImu(gyro_only));
 }
 
@@ -301,19 +231,11 @@ fn wheels_and_inertial_units() {
 fn ranges() {
     check(
         "distance_sensor",
-        &Message::DistanceSensor {
-            stamp: WireStamp::Millis32(7_000),
-            range: Meters(1.23),
-            sigma: Some(Meters(0.02)),
-        },
+        &Message::DistanceSensor { stamp: WireStamp::Millis32(7_000), range: Meters(1.23), sigma: Some(Meters(0.02)) },
     );
     check(
         "distance_sensor_sigma_unknown",
-        &Message::DistanceSensor {
-            stamp: WireStamp::Millis32(7_000),
-            range: Meters(1.23),
-            sigma: None,
-        },
+        &Message::DistanceSensor { stamp: WireStamp::Millis32(7_000), range: Meters(1.23), sigma: None },
     );
     assert_eq!(decode_golden("distance_sensor_sideways").unwrap(), None);
     assert_eq!(decode_golden("distance_sensor_bad_quality").unwrap(), None);
@@ -347,20 +269,10 @@ fn fixes_from_outside() {
         panic!("not an ATT_POS_MOCAP");
     };
     close_to_60_degrees(seen.heading.unwrap());
-    assert_eq!(
-        (seen.x, seen.y, seen.covariance),
-        (fix.x, fix.y, covariance)
-    );
+    assert_eq!((seen.x, seen.y, seen.covariance), (fix.x, fix.y, covariance));
 
-    let without_heading = VisionFix {
-        heading: None,
-        covariance: None,
-        ..fix
-    };
-    check(
-        "vision_without_heading",
-        &Message::VisionPosition(without_heading),
-    );
+    let without_heading = VisionFix { heading: None, covariance: None, ..fix };
+    check("vision_without_heading", &Message::VisionPosition(without_heading));
 }
 
 #[test]
@@ -387,11 +299,7 @@ fn odometry_in_the_arena_and_drifting() {
     assert_eq!((seen.x.0, seen.y.0), (1.0, 2.0));
 
     // Forward 2, right 1, 30 degrees clockwise: left -1, heading -30 degrees.
-    let drifting = Pose::new(
-        Meters(2.0),
-        Meters(-1.0),
-        Heading::from_rad(-FRAC_PI_3 / 2.0),
-    );
+    let drifting = Pose::new(Meters(2.0), Meters(-1.0), Heading::from_rad(-FRAC_PI_3 / 2.0));
     let odom = Odometry {
         pose: OdometryPose::Odom(drifting),
         covariance: Some([0.04_f32, -0.005, -0.001, 0.01, -0.002, 0.003].map(f64::from)),
@@ -418,10 +326,7 @@ fn odometry_of_other_frames() {
     assert_eq!(decoded.turn_rate, RadiansPerSecond(-0.25));
     assert_eq!(decoded.covariance, None);
     let refused = decode_golden("odometry_global").unwrap_err();
-    assert!(
-        matches!(refused, PayloadError::Space { frame: 0, .. }),
-        "{refused}"
-    );
+    assert!(matches!(refused, PayloadError::Space { frame: 0, .. }), "{refused}");
 }
 
 fn odometry(name: &str) -> Odometry {
@@ -459,10 +364,7 @@ fn what_ground_stations_draw() {
     check("estimator_status", &Message::EstimatorStatus(status));
     status.flags.speeds_valid = false;
     status.flags.dead_reckoning = true;
-    check(
-        "estimator_status_dead_reckoning",
-        &Message::EstimatorStatus(status),
-    );
+    check("estimator_status_dead_reckoning", &Message::EstimatorStatus(status));
 }
 
 fn attitude() -> Message {
@@ -480,20 +382,11 @@ fn attitude_turns_its_sign_and_origin() {
 
 #[test]
 fn version_1_leaves_extensions_out() {
-    let rover = Heartbeat {
-        vehicle_type: 10,
-        autopilot: 0,
-        base_mode: 0,
-        system_status: 4,
-    };
+    let rover = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
     check_encoding("v1_heartbeat", &Message::Heartbeat(rover), WireVersion::V1);
     check_encoding("v1_attitude", &attitude(), WireVersion::V1);
     assert_eq!(decode_golden("v1_attitude").unwrap(), Some(attitude()));
-    let ack = CommandAck {
-        command: 511,
-        result: 0,
-        target: None,
-    };
+    let ack = CommandAck { command: 511, result: 0, target: None };
     check_encoding("v1_command_ack", &Message::CommandAck(ack), WireVersion::V1);
     let decoded = decode_golden("v1_command_ack").unwrap();
     assert_eq!(decoded, Some(Message::CommandAck(ack)));

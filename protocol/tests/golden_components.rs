@@ -9,8 +9,8 @@ use frames::{check, check_encoding, decode_golden, golden};
 use posebridge_protocol::dialect::{Encoder, RenumberError};
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
-    AutopilotVersion, CommandInt, ComponentInformation, FloatArray, Message, MessageInterval,
-    ProtocolVersion, TextPart, WireStamp,
+    AutopilotVersion, CommandInt, ComponentInformation, FloatArray, Message, MessageInterval, ProtocolVersion,
+    TextPart, WireStamp,
 };
 use posebridge_telemetry::{Address, ChannelName};
 
@@ -21,18 +21,11 @@ const CAPABILITIES: u64 = 8 + 16 + 8_192;
 fn versions_and_names() {
     check(
         "autopilot_version",
-        &Message::AutopilotVersion(AutopilotVersion {
-            capabilities: CAPABILITIES,
-            software: [1, 2, 3, 128],
-        }),
+        &Message::AutopilotVersion(AutopilotVersion { capabilities: CAPABILITIES, software: [1, 2, 3, 128] }),
     );
     check(
         "protocol_version",
-        &Message::ProtocolVersion(ProtocolVersion {
-            version: 200,
-            min_version: 100,
-            max_version: 200,
-        }),
+        &Message::ProtocolVersion(ProtocolVersion { version: 200, min_version: 100, max_version: 200 }),
     );
     check(
         "component_information_basic",
@@ -48,29 +41,19 @@ fn versions_and_names() {
 
 #[test]
 fn a_name_that_is_too_long_still_ends_with_a_zero() {
-    let Ok(Some(Message::ComponentInformation(mut said))) =
-        decode_golden("component_information_basic")
-    else {
+    let Ok(Some(Message::ComponentInformation(mut said))) = decode_golden("component_information_basic") else {
         panic!("it is one");
     };
     said.model.push_str(" and more");
-    check_encoding(
-        "component_information_basic",
-        &Message::ComponentInformation(said),
-        WireVersion::V2,
-    );
+    check_encoding("component_information_basic", &Message::ComponentInformation(said), WireVersion::V2);
 }
 
 #[test]
 fn intervals_and_arrays() {
-    for (name, message_id, interval_micros) in [
-        ("message_interval", 331, 200_000),
-        ("message_interval_disabled", 42_102, -1),
-    ] {
-        let said = MessageInterval {
-            message_id,
-            interval_micros,
-        };
+    for (name, message_id, interval_micros) in
+        [("message_interval", 331, 200_000), ("message_interval_disabled", 42_102, -1)]
+    {
+        let said = MessageInterval { message_id, interval_micros };
         check(name, &Message::MessageInterval(said));
     }
     let array = |name: &str, id, values: &[f32]| {
@@ -102,14 +85,7 @@ fn a_command_in_integers_and_the_second_part_of_a_text() {
     );
     check(
         "statustext_second_part",
-        &Message::StatusText {
-            severity: 6,
-            text: "of two".to_owned(),
-            part: TextPart {
-                text_id: 513,
-                index: 1,
-            },
-        },
+        &Message::StatusText { severity: 6, text: "of two".to_owned(), part: TextPart { text_id: 513, index: 1 } },
     );
 }
 
@@ -127,9 +103,7 @@ fn a_frame_under_another_number_is_what_its_sender_would_have_written() {
         assert_ne!(frame, golden[version], "{version}");
         let number = if version == "heartbeat" { 4 } else { 2 };
         assert_eq!(frame[number], 5, "{version}");
-        Encoder::new(WireVersion::V2)
-            .renumber(&mut frame)
-            .expect(version);
+        Encoder::new(WireVersion::V2).renumber(&mut frame).expect(version);
         assert_eq!(frame, golden[version], "{version}");
     }
     for (name, bytes) in &golden {
@@ -154,11 +128,7 @@ fn a_frame_of_no_dialect_is_numbered_too_and_a_damaged_one_is_not() {
         for byte in frame[1..].iter().chain(&[77]) {
             sum ^= u16::from(*byte);
             for _ in 0..8 {
-                sum = if sum & 1 == 1 {
-                    (sum >> 1) ^ 0x8408
-                } else {
-                    sum >> 1
-                };
+                sum = if sum & 1 == 1 { (sum >> 1) ^ 0x8408 } else { sum >> 1 };
             }
         }
         frame.extend_from_slice(&sum.to_le_bytes());

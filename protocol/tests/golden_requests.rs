@@ -1,8 +1,5 @@
 //! What ground stations ask, in the bytes of a foreign implementation: integers as parameters, and the commands that are served.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when a frame is missing"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when a frame is missing")]
 
 #[path = "support/golden.rs"]
 #[expect(dead_code, reason = "other tests use the rest")]
@@ -15,28 +12,15 @@ use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::dialect::commands::{CommandError, UNDERSTOOD, understood};
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandLong, Message, TextPart};
-use posebridge_telemetry::{
-    Address, Command, Heading, Learning, Meters, ParameterStorage, Pose, SensorId, Switch,
-};
+use posebridge_telemetry::{Address, Command, Heading, Learning, Meters, ParameterStorage, Pose, SensorId, Switch};
 
 const STATION: Address = Address::new(1, 197);
 
 #[test]
 fn whole_numbers_of_every_type_that_fits_are_read_bytewise() {
-    for (kind, expected) in [
-        (1, 200.0),
-        (2, -3.0),
-        (3, 40_000.0),
-        (4, -300.0),
-        (5, 70_000.0),
-        (6, -5.0),
-    ] {
+    for (kind, expected) in [(1, 200.0), (2, -3.0), (3, 40_000.0), (4, -300.0), (5, 70_000.0), (6, -5.0)] {
         let decoded = decode_golden(&format!("param_set_of_type_{kind}"));
-        let expected = Message::ParamSet {
-            target: STATION,
-            name: "reset_after_n".to_owned(),
-            value: expected,
-        };
+        let expected = Message::ParamSet { target: STATION, name: "reset_after_n".to_owned(), value: expected };
         assert_eq!(decoded.expect("it is known"), Some(expected), "type {kind}");
     }
     let decoded = decode_golden("param_set_of_type_10");
@@ -60,15 +44,9 @@ fn the_commands_that_are_served_say_what_the_page_says() {
         position_sigma_m: 0.25,
         heading_sigma_rad: FRAC_PI_4,
     };
-    let camera = Command::SwitchSource {
-        sensor: SensorId::CAMERA,
-        to: Switch::On,
-    };
+    let camera = Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::On };
     let expected = [
-        (
-            "mav_cmd_preflight_storage",
-            Command::Parameters(ParameterStorage::Save),
-        ),
+        ("mav_cmd_preflight_storage", Command::Parameters(ParameterStorage::Save)),
         ("mav_cmd_logging_start", Command::StartRecording),
         ("mav_cmd_logging_stop", Command::StopRecording),
         ("mav_cmd_user_1", pose),
@@ -92,15 +70,9 @@ fn every_number_of_a_choice_is_told_from_the_others() {
         understood(&command)
     };
     let storage = |first| with("mav_cmd_preflight_storage", &[first]);
-    assert_eq!(
-        storage(0.0),
-        Ok(Command::Parameters(ParameterStorage::Reload))
-    );
+    assert_eq!(storage(0.0), Ok(Command::Parameters(ParameterStorage::Reload)));
     for to_default in [2.0, 4.0] {
-        assert_eq!(
-            storage(to_default),
-            Ok(Command::Parameters(ParameterStorage::Default))
-        );
+        assert_eq!(storage(to_default), Ok(Command::Parameters(ParameterStorage::Default)));
     }
     assert_eq!(storage(3.0), Ok(Command::ResetCalibration));
     let calibration = |first| with("mav_cmd_user_3", &[first]);
@@ -125,14 +97,8 @@ fn every_number_of_a_choice_is_told_from_the_others() {
             "{nonsense:?}"
         );
     }
-    let unknown = CommandLong {
-        command: 400,
-        ..command_of("mav_cmd_user_2")
-    };
-    assert_eq!(
-        understood(&unknown),
-        Err(CommandError::Unknown { command: 400 })
-    );
+    let unknown = CommandLong { command: 400, ..command_of("mav_cmd_user_2") };
+    assert_eq!(understood(&unknown), Err(CommandError::Unknown { command: 400 }));
 }
 
 #[test]
@@ -140,24 +106,14 @@ fn why_a_command_is_denied_fits_into_one_text() {
     for command in UNDERSTOOD {
         let params = [-1.234_567_8e-30; 7];
         let target = STATION;
-        let Err(error) = understood(&CommandLong {
-            target,
-            command,
-            params,
-        }) else {
+        let Err(error) = understood(&CommandLong { target, command, params }) else {
             continue;
         };
-        let said = Message::StatusText {
-            severity: 4,
-            text: error.to_string(),
-            part: TextPart::default(),
-        };
+        let said = Message::StatusText { severity: 4, text: error.to_string(), part: TextPart::default() };
         let mut bytes = Vec::new();
         Encoder::new(WireVersion::V2).encode(STATION, &said, &mut bytes);
         let text = error.to_string();
-        let whole = bytes
-            .windows(text.len())
-            .any(|window| window == text.as_bytes());
+        let whole = bytes.windows(text.len()).any(|window| window == text.as_bytes());
         assert!(whole, "{text}");
     }
 }

@@ -30,16 +30,10 @@ fn named_temperature(name: &str, temperature: f64) -> Message {
 #[test]
 fn thermometers() {
     // The pressures of the frame are of no use here.
-    assert_eq!(
-        decode_golden("scaled_pressure").unwrap(),
-        Some(scaled_pressure(-12.34))
-    );
+    assert_eq!(decode_golden("scaled_pressure").unwrap(), Some(scaled_pressure(-12.34)));
     check("scaled_pressure_without_pressures", &scaled_pressure(48.71));
     check("named_temperature", &named_temperature("temp1", 36.25));
-    check(
-        "named_temperature_without_terminator",
-        &named_temperature("temp_water", -40.5),
-    );
+    check("named_temperature_without_terminator", &named_temperature("temp_water", -40.5));
     check(
         "named_value_of_another_kind",
         &Message::NamedValue(NamedValue {

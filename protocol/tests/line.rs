@@ -6,9 +6,7 @@
 use posebridge_protocol::bricks::line::{Checksum, Column, LineLayout, LineSettings, Separator};
 use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, ONLY_BRICK, brick_protocol};
 use posebridge_protocol::message::{Message, PlanarPose, PoseFlags, WireStamp};
-use posebridge_telemetry::{
-    Defect, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp,
-};
+use posebridge_telemetry::{Defect, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp};
 
 fn columns(names: &[&str]) -> LineSettings {
     let columns = names.iter().map(|name| Column::from_name(name));
@@ -23,15 +21,9 @@ fn columns(names: &[&str]) -> LineSettings {
 
 fn pairs(keys: &[(&str, &str)], separator: Separator, key_separator: Separator) -> LineSettings {
     let column = |name: &str| Column::from_name(name).expect("the name is known");
-    let keys = keys
-        .iter()
-        .map(|(key, name)| ((*key).to_owned(), column(name)));
+    let keys = keys.iter().map(|(key, name)| ((*key).to_owned(), column(name)));
     LineSettings {
-        layout: LineLayout::Pairs {
-            keys: keys.collect(),
-            separator,
-            key_separator,
-        },
+        layout: LineLayout::Pairs { keys: keys.collect(), separator, key_separator },
         ..LineSettings::default()
     }
 }
@@ -40,20 +32,14 @@ fn pairs(keys: &[(&str, &str)], separator: Separator, key_separator: Separator) 
 fn codec(settings: LineSettings) -> Box<dyn BrickCodec> {
     settings.check().expect("the layout can be");
     let protocol = brick_protocol("line").expect("there is a row");
-    let mut codec = (protocol.open)(&BrickSettings {
-        line: settings,
-        ..BrickSettings::default()
-    });
+    let mut codec = (protocol.open)(&BrickSettings { line: settings, ..BrickSettings::default() });
     codec.begin(Stamp::ZERO);
     codec.push(Stamp::ZERO, b"cut\n", &mut |_| {});
     codec
 }
 
 /// What was heard, in short: no heartbeats, stamps by their number.
-#[expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "a board says no other message"
-)]
+#[expect(clippy::wildcard_enum_match_arm, reason = "a board says no other message")]
 fn short(heard: Heard<'_>) -> Option<String> {
     let stamp = |stamp: WireStamp| match stamp {
         WireStamp::Millis32(millis) => format!("{millis} ms"),
@@ -69,35 +55,22 @@ fn short(heard: Heard<'_>) -> Option<String> {
             match message {
                 Message::Heartbeat(_) => return None,
                 Message::WheelTicks(ticks) => {
-                    format!(
-                        "{}: wheels {} {}",
-                        stamp(ticks.stamp),
-                        ticks.left.0,
-                        ticks.right.0
-                    )
+                    format!("{}: wheels {} {}", stamp(ticks.stamp), ticks.left.0, ticks.right.0)
                 }
                 Message::Inertial(inertial) => {
                     let rate = inertial.turn_rate.expect("a rate is said");
                     format!("{}: turn {:.6}", stamp(inertial.stamp), rate.0)
                 }
-                Message::DistanceSensor {
-                    stamp: at, range, ..
-                } => {
+                Message::DistanceSensor { stamp: at, range, .. } => {
                     format!("{}: range {:.4}", stamp(at), range.0)
                 }
-                Message::Thermometer {
-                    stamp: at,
-                    channel,
-                    temperature,
-                } => {
+                Message::Thermometer { stamp: at, channel, temperature } => {
                     format!("{}: {channel} {:.2}", stamp(at), temperature.0)
                 }
                 other => panic!("{other:?}"),
             }
         }
-        Heard::Time {
-            sent, peer_nanos, ..
-        } => {
+        Heard::Time { sent, peer_nanos, .. } => {
             assert_eq!(sent.as_nanos(), peer_nanos);
             "time".to_owned()
         }
@@ -115,46 +88,25 @@ fn push(codec: &mut dyn BrickCodec, now: Stamp<HostClock>, bytes: &[u8]) -> Vec<
 
 /// What a codec hears of some bytes that come at once.
 fn heard(settings: LineSettings, bytes: &str) -> Vec<String> {
-    push(
-        &mut *codec(settings),
-        Stamp::from_millis(1_000),
-        bytes.as_bytes(),
-    )
+    push(&mut *codec(settings), Stamp::from_millis(1_000), bytes.as_bytes())
 }
 
 #[test]
 fn every_layout_is_read_in_si_units() {
-    let robot = [
-        ("t", "time_ms"),
-        ("l", "left_ticks"),
-        ("r", "right_ticks"),
-        ("g", "gyro_rad_per_s"),
-    ];
+    let robot = [("t", "time_ms"), ("l", "left_ticks"), ("r", "right_ticks"), ("g", "gyro_rad_per_s")];
     let wheels = [("L", "left_ticks"), ("R", "right_ticks")];
     let with_blanks = pairs(&wheels, Separator::Blank, Separator::Blank);
     assert_eq!(
-        heard(
-            pairs(&robot, Separator::Pipe, Separator::Colon),
-            "t:123|l:45|r:46|g:0.5\n"
-        ),
+        heard(pairs(&robot, Separator::Pipe, Separator::Colon), "t:123|l:45|r:46|g:0.5\n"),
         ["123 ms: wheels 45 46", "123 ms: turn 0.500000"]
     );
     assert_eq!(
-        heard(
-            pairs(&robot, Separator::Comma, Separator::Equals),
-            "r = 46, g=-.5 ,t=123,l=45\r\n"
-        ),
+        heard(pairs(&robot, Separator::Comma, Separator::Equals), "r = 46, g=-.5 ,t=123,l=45\r\n"),
         ["123 ms: wheels 45 46", "123 ms: turn -0.500000"]
     );
+    assert_eq!(heard(with_blanks, "L 1  R\t-2\r"), ["time", "960000..1000000 us: wheels 1 -2"]);
     assert_eq!(
-        heard(with_blanks, "L 1  R\t-2\r"),
-        ["time", "960000..1000000 us: wheels 1 -2"]
-    );
-    assert_eq!(
-        heard(
-            pairs(&wheels, Separator::Blank, Separator::Colon),
-            "L:1 R:2\n"
-        ),
+        heard(pairs(&wheels, Separator::Blank, Separator::Colon), "L:1 R:2\n"),
         ["time", "960000..1000000 us: wheels 1 2"]
     );
     let csv = columns(&[
@@ -180,18 +132,9 @@ fn every_layout_is_read_in_si_units() {
 #[test]
 fn a_distance_is_metres_and_none_where_nothing_is_in_sight() {
     let wheels_and_distance = columns(&["time_us", "left_ticks", "right_ticks", "distance_cm"]);
-    assert_eq!(
-        heard(wheels_and_distance, "5,7,8,0\n"),
-        ["5 us: wheels 7 8"]
-    );
-    for (name, said, range) in [
-        ("distance_mm", "1250", "1.2500"),
-        ("distance_m", "1.25", "1.2500"),
-    ] {
-        assert_eq!(
-            heard(columns(&["time_ms", name]), &format!("9,{said}\n")),
-            [format!("9 ms: range {range}")]
-        );
+    assert_eq!(heard(wheels_and_distance, "5,7,8,0\n"), ["5 us: wheels 7 8"]);
+    for (name, said, range) in [("distance_mm", "1250", "1.2500"), ("distance_m", "1.25", "1.2500")] {
+        assert_eq!(heard(columns(&["time_ms", name]), &format!("9,{said}\n")), [format!("9 ms: range {range}")]);
     }
 }
 
@@ -203,20 +146,11 @@ fn the_checksum_is_that_of_nmea() {
     names[1] = "time_ms";
     names[9] = "distance_m";
     let mut settings = columns(&names);
-    assert_eq!(
-        heard(settings.clone(), sentence),
-        ["123519 ms: range 545.4000"]
-    );
+    assert_eq!(heard(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
     settings.checksum = Checksum::Required;
-    assert_eq!(
-        heard(settings.clone(), sentence),
-        ["123519 ms: range 545.4000"]
-    );
+    assert_eq!(heard(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
     let wrong = heard(settings.clone(), &sentence.replace("*47", "*48"));
-    assert_eq!(
-        wrong[0],
-        "Checksum { message_id: 0, found: 72, expected: 71 }"
-    );
+    assert_eq!(wrong[0], "Checksum { message_id: 0, found: 72, expected: 71 }");
     let none = heard(settings, &sentence.replace("*47", ""));
     assert!(none[1].contains("no checksum"), "{none:?}");
 }
@@ -225,20 +159,13 @@ fn the_checksum_is_that_of_nmea() {
 fn the_first_bad_line_is_quoted_with_what_was_expected_and_unknown_names_are_told_once() {
     let mut board = codec(columns(&["time_ms", "left_ticks", "right_ticks"]));
     let at = Stamp::from_millis;
-    let first = push(
-        &mut *board,
-        at(50),
-        b"hello \x1b[31m world, this is my robot\n",
-    );
+    let first = push(&mut *board, at(50), b"hello \x1b[31m world, this is my robot\n");
     assert_eq!(first[0], "Garbage { bytes: 35 }");
     assert_eq!(
         first[1],
         "note: the line `hello .[31m world, this is my robot` is not understood: it is no text; expected `time_ms,left_ticks,right_ticks`"
     );
-    assert_eq!(
-        push(&mut *board, at(60), b"1,2\n"),
-        ["Garbage { bytes: 3 }"]
-    );
+    assert_eq!(push(&mut *board, at(60), b"1,2\n"), ["Garbage { bytes: 3 }"]);
     assert_eq!(board.counters().garbage_bytes, 3 + 35 + 3);
     for (line, why) in [
         ("1,2", "it has 2 values and not 3"),
@@ -257,26 +184,14 @@ fn the_first_bad_line_is_quoted_with_what_was_expected_and_unknown_names_are_tol
     let settings = pairs(&keys, Separator::Pipe, Separator::Colon);
     let mut board = codec(settings.clone());
     let told = push(&mut *board, at(50), b"l:1|r:2|v:3\nl:1|r:2|v:3\n");
-    let notes: Vec<_> = told
-        .iter()
-        .filter(|item| item.starts_with("note"))
-        .collect();
+    let notes: Vec<_> = told.iter().filter(|item| item.starts_with("note")).collect();
     assert_eq!(notes, ["note: the board's `v` is not used"]);
-    for (line, why) in [
-        ("l:1|l:2|r:3", "`left_ticks` twice"),
-        ("l:1", "no `right_ticks`"),
-    ] {
+    for (line, why) in [("l:1|l:2|r:3", "`left_ticks` twice"), ("l:1", "no `right_ticks`")] {
         let told = heard(settings.clone(), &format!("{line}\n"));
         assert!(told[1].contains(why), "{line}: {told:?}");
-        assert!(
-            told[1].ends_with("expected `l:<left_ticks>|r:<right_ticks>`"),
-            "{told:?}"
-        );
+        assert!(told[1].ends_with("expected `l:<left_ticks>|r:<right_ticks>`"), "{told:?}");
     }
-    let long = heard(
-        columns(&["left_ticks", "right_ticks"]),
-        &format!("{}\n", "9".repeat(300)),
-    );
+    let long = heard(columns(&["left_ticks", "right_ticks"]), &format!("{}\n", "9".repeat(300)));
     assert_eq!(long[0], "Garbage { bytes: 300 }");
     assert!(long[1].contains("longer than 256"), "{long:?}");
 }
@@ -298,10 +213,7 @@ fn transcript(checksum: Checksum) -> Vec<u8> {
 
 /// The wheel messages of a transcript whose lines come each 50 ms.
 fn wheels(bytes: &[u8], checksum: Checksum) -> Vec<String> {
-    let settings = LineSettings {
-        checksum,
-        ..LineSettings::default()
-    };
+    let settings = LineSettings { checksum, ..LineSettings::default() };
     let mut board = codec(settings);
     let mut now = Stamp::ZERO;
     let mut wheels = Vec::new();
@@ -315,20 +227,13 @@ fn wheels(bytes: &[u8], checksum: Checksum) -> Vec<String> {
 
 #[test]
 fn chunking_does_not_change_what_is_heard() {
-    let bytes = [
-        &transcript(Checksum::Optional)[..],
-        b"noise\r\r\n",
-        &transcript(Checksum::Required),
-    ]
-    .concat();
+    let bytes = [&transcript(Checksum::Optional)[..], b"noise\r\r\n", &transcript(Checksum::Required)].concat();
     let bytes = &bytes[..bytes.len() - 1];
     let whole = push(&mut *codec(LineSettings::default()), Stamp::ZERO, bytes);
     for chunk in 1..=bytes.len() {
         let mut board = codec(LineSettings::default());
         let parts = bytes.chunks(chunk);
-        let heard: Vec<_> = parts
-            .flat_map(|part| push(&mut *board, Stamp::ZERO, part))
-            .collect();
+        let heard: Vec<_> = parts.flat_map(|part| push(&mut *board, Stamp::ZERO, part)).collect();
         assert_eq!(heard, whole, "chunk size {chunk}");
         assert!(board.deadline().is_some());
     }
@@ -371,9 +276,7 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_one_line_and_a_line_end_two() {
             }
         }
     }
-    println!(
-        "{cases} ways to damage one byte: one line each at most, two where the line end is hit"
-    );
+    println!("{cases} ways to damage one byte: one line each at most, two where the line end is hit");
 }
 
 #[test]
@@ -383,10 +286,7 @@ fn a_time_with_a_lost_digit_is_no_restart() {
     let damaged = text.replacen("10500,", "1500,", 1);
     let heard = wheels(damaged.as_bytes(), Checksum::Optional);
     assert_eq!(heard.len(), 39);
-    assert!(
-        !heard.iter().any(|item| item.starts_with("1500 ms")),
-        "{heard:?}"
-    );
+    assert!(!heard.iter().any(|item| item.starts_with("1500 ms")), "{heard:?}");
 }
 
 #[test]
@@ -410,15 +310,8 @@ fn counts_that_fall_to_zero_are_no_motion() {
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
     let lines = b"500,400\n510,410\n520,420\n0,0\n5,6\n";
     let heard = push(&mut *board, Stamp::ZERO, lines);
-    let wheels: Vec<_> = heard
-        .iter()
-        .filter_map(|item| item.split_once("wheels "))
-        .map(|(_, counts)| counts)
-        .collect();
-    assert_eq!(
-        wheels,
-        ["500 400", "510 410", "520 420", "520 420", "525 426"]
-    );
+    let wheels: Vec<_> = heard.iter().filter_map(|item| item.split_once("wheels ")).map(|(_, counts)| counts).collect();
+    assert_eq!(wheels, ["500 400", "510 410", "520 420", "520 420", "525 426"]);
     // Slowly back through zero.
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
     let heard = push(&mut *board, Stamp::ZERO, b"20,20\n10,10\n0,0\n-10,-10\n");
@@ -443,10 +336,7 @@ fn counts_that_fall_for_ever_from_far_away_are_told_at_each_doubling() {
 
 #[test]
 fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() {
-    let settings = LineSettings {
-        estimate_interval: Some(Span::from_millis(100)),
-        ..LineSettings::default()
-    };
+    let settings = LineSettings { estimate_interval: Some(Span::from_millis(100)), ..LineSettings::default() };
     let mut board = codec(settings);
     let pose = Message::PlanarPose(PlanarPose {
         stamp: WireStamp::Micros32(12_345_678),
@@ -456,24 +346,14 @@ fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() 
         covariance: [0.000_004, 0.0, 0.0, 0.000_009_1, 0.0, 1.0],
         fix_age: None,
         reset_counter: 0,
-        flags: PoseFlags {
-            position_valid: true,
-            heading_valid: true,
-            ..PoseFlags::default()
-        },
+        flags: PoseFlags { position_valid: true, heading_valid: true, ..PoseFlags::default() },
     });
     let (mut heartbeats, mut estimates) = (0, Vec::new());
     for n in 0..100_u32 {
         let now = Stamp::from_millis(i64::from(n) * 50);
         let line = format!("{},0,0\n", 12_000 + n * 50);
         board.push(now, line.as_bytes(), &mut |found| {
-            let is_heartbeat = matches!(
-                found,
-                Heard::Message {
-                    message: Message::Heartbeat(_),
-                    ..
-                }
-            );
+            let is_heartbeat = matches!(found, Heard::Message { message: Message::Heartbeat(_), .. });
             heartbeats += u32::from(is_heartbeat);
         });
         let mut out = Vec::new();
@@ -485,24 +365,14 @@ fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() 
     assert_eq!(estimates.len(), 50);
     // 45 2c 31 .. 33: the exclusive or of the 31 characters is 46, by hand.
     let said = String::from_utf8(estimates[0].clone()).unwrap();
-    assert_eq!(
-        said,
-        format!(
-            "E,12345,1234,-46,-1500,4,3*{:02X}\n",
-            by_hand("E,12345,1234,-46,-1500,4,3")
-        )
-    );
-    let silent =
-        codec(LineSettings::default()).encode(Stamp::ZERO, ONLY_BRICK, &pose, &mut Vec::new());
+    assert_eq!(said, format!("E,12345,1234,-46,-1500,4,3*{:02X}\n", by_hand("E,12345,1234,-46,-1500,4,3")));
+    let silent = codec(LineSettings::default()).encode(Stamp::ZERO, ONLY_BRICK, &pose, &mut Vec::new());
     assert_eq!(silent, 0);
 }
 
 /// NMEA's checksum, bit by bit.
 fn by_hand(text: &str) -> u8 {
-    (0..8)
-        .filter(|bit| text.bytes().filter(|byte| byte >> bit & 1 == 1).count() % 2 == 1)
-        .map(|bit| 1 << bit)
-        .sum()
+    (0..8).filter(|bit| text.bytes().filter(|byte| byte >> bit & 1 == 1).count() % 2 == 1).map(|bit| 1 << bit).sum()
 }
 
 #[test]
@@ -510,22 +380,14 @@ fn noise_and_every_byte_are_accounted_for() {
     let mut state = 11_u64;
     let mut next = move || {
         // Knuth's MMIX constants.
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 56) as u8
     };
     let bytes: Vec<u8> = (0..20_000).map(|_| next()).collect();
-    let ends = bytes
-        .iter()
-        .filter(|byte| matches!(byte, b'\n' | b'\r'))
-        .count();
+    let ends = bytes.iter().filter(|byte| matches!(byte, b'\n' | b'\r')).count();
     let mut board = codec(LineSettings::default());
     let heard = push(&mut *board, Stamp::ZERO, &bytes);
-    assert!(
-        !heard.iter().any(|item| item.contains("wheels")),
-        "{heard:?}"
-    );
+    assert!(!heard.iter().any(|item| item.contains("wheels")), "{heard:?}");
     let mut told = 0;
     board.tick(Stamp::from_millis(600), &mut |found| {
         if let Heard::Defect(Defect::Stall { bytes }) = found {

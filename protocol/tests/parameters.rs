@@ -17,12 +17,7 @@ fn at(millis: i64) -> Stamp<BrickClock> {
 fn owner(names: &[&str]) -> Owner {
     let config = SessionConfig {
         own: OWN,
-        heartbeat: Heartbeat {
-            vehicle_type: 18,
-            autopilot: 8,
-            base_mode: 0,
-            system_status: 4,
-        },
+        heartbeat: Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 },
         // Never within a test.
         heartbeat_period: Span::from_millis(100_000_000),
         timesync_period: None,
@@ -66,10 +61,7 @@ fn who_asks_while_a_list_goes_out_gets_it_whole_and_nobody_makes_it_faster() {
     session.handle(at(0), GCS, &list());
     assert_eq!(told_until(&mut session, at(25)), [(0, 0), (20, 1)]);
     session.handle(at(25), Address::new(254, 190), &list());
-    assert_eq!(
-        told_until(&mut session, at(1_000)),
-        [(40, 2), (60, 0), (80, 1)]
-    );
+    assert_eq!(told_until(&mut session, at(1_000)), [(40, 2), (60, 0), (80, 1)]);
     // A list that has just ended does not begin again at once.
     let mut session = owner(&NAMES[..1]);
     session.handle(at(0), GCS, &list());
@@ -82,11 +74,7 @@ fn who_asks_while_a_list_goes_out_gets_it_whole_and_nobody_makes_it_faster() {
 fn a_clock_that_is_set_back_does_not_hold_a_list_up() {
     let mut session = owner(&NAMES);
     session.handle(at(3_600_000), GCS, &list());
-    assert_eq!(
-        told_until(&mut session, at(3_600_010)),
-        [(3_600_000, 0)],
-        "before"
-    );
+    assert_eq!(told_until(&mut session, at(3_600_010)), [(3_600_000, 0)], "before");
     session.tick(at(5));
     let told = told_until(&mut session, at(1_000));
     let indices: Vec<u16> = told.iter().map(|(_, index)| *index).collect();
@@ -97,32 +85,11 @@ fn a_clock_that_is_set_back_does_not_hold_a_list_up() {
 fn names_are_understood_in_capitals_or_not_and_told_as_they_are() {
     for spelled in ["sixteen_bytes_ok", "SIXTEEN_BYTES_OK", "Sixteen_Bytes_OK"] {
         let mut session = owner(&NAMES);
-        let read = Message::ParamRequestRead {
-            target: OWN,
-            name: spelled.to_owned(),
-            index: -1,
-        };
-        let value = Message::ParamValue {
-            name: "SIXTEEN_BYTES_OK".to_owned(),
-            value: 1.5,
-            count: 3,
-            index: 1,
-        };
-        assert_eq!(
-            answer(&mut session, &read),
-            [SessionOutput::Send(value)],
-            "{spelled}"
-        );
-        let set = Message::ParamSet {
-            target: OWN,
-            name: spelled.to_owned(),
-            value: 2.5,
-        };
-        let wish = SessionOutput::ParameterWish {
-            by: GCS,
-            index: 1,
-            value: 2.5,
-        };
+        let read = Message::ParamRequestRead { target: OWN, name: spelled.to_owned(), index: -1 };
+        let value = Message::ParamValue { name: "SIXTEEN_BYTES_OK".to_owned(), value: 1.5, count: 3, index: 1 };
+        assert_eq!(answer(&mut session, &read), [SessionOutput::Send(value)], "{spelled}");
+        let set = Message::ParamSet { target: OWN, name: spelled.to_owned(), value: 2.5 };
+        let wish = SessionOutput::ParameterWish { by: GCS, index: 1, value: 2.5 };
         assert_eq!(answer(&mut session, &set), [wish], "{spelled}");
     }
 }
@@ -132,12 +99,7 @@ fn what_stands_is_told_only_where_somebody_has_asked() {
     let mut session = owner(&NAMES);
     assert_eq!(session.parameter_stands(2, 7.0), None);
     session.handle(at(0), GCS, &list());
-    let told = Message::ParamValue {
-        name: "TAU_S".to_owned(),
-        value: 8.0,
-        count: 3,
-        index: 2,
-    };
+    let told = Message::ParamValue { name: "TAU_S".to_owned(), value: 8.0, count: 3, index: 2 };
     assert_eq!(session.parameter_stands(2, 8.0), Some(told));
     assert_eq!(session.parameter_stands(3, 8.0), None);
 }
@@ -147,16 +109,8 @@ fn a_participant_without_parameters_says_nothing_about_them() {
     let mut session = owner(&[]);
     for message in [
         list(),
-        Message::ParamRequestRead {
-            target: OWN,
-            name: "TAU_S".to_owned(),
-            index: -1,
-        },
-        Message::ParamSet {
-            target: OWN,
-            name: "TAU_S".to_owned(),
-            value: 1.0,
-        },
+        Message::ParamRequestRead { target: OWN, name: "TAU_S".to_owned(), index: -1 },
+        Message::ParamSet { target: OWN, name: "TAU_S".to_owned(), value: 1.0 },
     ] {
         assert_eq!(answer(&mut session, &message), []);
     }

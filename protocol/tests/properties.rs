@@ -1,10 +1,6 @@
 //! What must hold for any bytes and any message.
 
-#![expect(
-    clippy::expect_used,
-    clippy::wildcard_enum_match_arm,
-    reason = "helpers of tests"
-)]
+#![expect(clippy::expect_used, clippy::wildcard_enum_match_arm, reason = "helpers of tests")]
 
 #[path = "support/conversation.rs"]
 mod conversation;
@@ -14,17 +10,14 @@ mod found;
 mod mix;
 
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{
-    Framing, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion,
-};
+use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion};
 use posebridge_protocol::message::{
-    EstimatorStatus, FusionHealth, Inertial, Message, Odometry, OdometryPose, PlanarImu,
-    PlanarPose, PoseFlags, RobotDescription, SCALED_PRESSURE_CHANNEL, VisionFix, WheelTicks,
-    WireStamp,
+    EstimatorStatus, FusionHealth, Inertial, Message, Odometry, OdometryPose, PlanarImu, PlanarPose, PoseFlags,
+    RobotDescription, SCALED_PRESSURE_CHANNEL, VisionFix, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
-    Address, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    Address, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose,
+    Radians, RadiansPerSecond, SensorId, Span, Stamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -36,11 +29,7 @@ use mix::four_message_mix;
 fn any_config() -> impl Strategy<Value = ScannerConfig> {
     (any::<bool>(), any::<bool>()).prop_map(|(accept_v1, is_stream)| ScannerConfig {
         accept_v1,
-        transport: if is_stream {
-            Framing::Stream
-        } else {
-            Framing::Datagram
-        },
+        transport: if is_stream { Framing::Stream } else { Framing::Datagram },
         ..ScannerConfig::default()
     })
 }
@@ -78,9 +67,8 @@ fn angle() -> impl Strategy<Value = Heading> {
 }
 
 fn covariance<const N: usize>() -> impl Strategy<Value = [f64; N]> {
-    prop::array::uniform(float()).prop_filter("zero position variances mean unknown", |all| {
-        all.iter().all(|&element| element != 0.0)
-    })
+    prop::array::uniform(float())
+        .prop_filter("zero position variances mean unknown", |all| all.iter().all(|&element| element != 0.0))
 }
 
 fn address() -> impl Strategy<Value = Address> {
@@ -114,19 +102,12 @@ fn own_message() -> BoxedStrategy<Message> {
             stamp,
             turn_rate: rate.map(|raw| RadiansPerSecond(f64::from(raw) * 0.5e-3)),
             turn: total.map(|raw| Radians(f64::from(raw) * 1e-6)),
-            wheel_accelerations: wheels
-                .map(|(left, right)| (acceleration(left), acceleration(right))),
+            wheel_accelerations: wheels.map(|(left, right)| (acceleration(left), acceleration(right))),
         })
     });
     let age = prop::option::of(0..65_535_i64);
-    let pose = (
-        stamp32(),
-        (float(), float(), angle()),
-        covariance(),
-        age,
-        flags(),
-    )
-        .prop_map(|(stamp, (x, y, heading), covariance, age, flags)| {
+    let pose = (stamp32(), (float(), float(), angle()), covariance(), age, flags()).prop_map(
+        |(stamp, (x, y, heading), covariance, age, flags)| {
             Message::PlanarPose(PlanarPose {
                 stamp,
                 pose: Pose::new(Meters(x), Meters(y), heading),
@@ -137,7 +118,8 @@ fn own_message() -> BoxedStrategy<Message> {
                 reset_counter: flags_as_counter(flags),
                 flags,
             })
-        });
+        },
+    );
     prop_oneof![ticks, inertial, pose, health(), description()].boxed()
 }
 
@@ -184,60 +166,47 @@ fn coarse() -> BoxedStrategy<Message> {
         Message::ScaledImu(PlanarImu {
             stamp,
             turn_rate: Some(RadiansPerSecond(f64::from(rate) * 1e-3)),
-            forward_acceleration: Some(MetersPerSecondSquared(
-                f64::from(acceleration) * 9.806_65e-3,
-            )),
+            forward_acceleration: Some(MetersPerSecondSquared(f64::from(acceleration) * 9.806_65e-3)),
         })
     });
-    let precise = (
-        stamp64(),
-        prop::option::of(float()),
-        prop::option::of(float()),
-    )
-        .prop_map(|(stamp, rate, acceleration)| {
+    let precise =
+        (stamp64(), prop::option::of(float()), prop::option::of(float())).prop_map(|(stamp, rate, acceleration)| {
             Message::HighresImu(PlanarImu {
                 stamp,
                 turn_rate: rate.map(RadiansPerSecond),
                 forward_acceleration: acceleration.map(MetersPerSecondSquared),
             })
         });
-    let wheels =
-        (stamp64(), -1e9..1e9, -1e9..1e9).prop_map(|(stamp, left, right)| Message::WheelDistance {
-            stamp,
-            left: Meters(left),
-            right: Meters(right),
-        });
-    let range = (stamp_millis(), 0..65_535_u16, prop::option::of(0..255_u8)).prop_map(
-        |(stamp, range, variance)| Message::DistanceSensor {
+    let wheels = (stamp64(), -1e9..1e9, -1e9..1e9).prop_map(|(stamp, left, right)| Message::WheelDistance {
+        stamp,
+        left: Meters(left),
+        right: Meters(right),
+    });
+    let range = (stamp_millis(), 0..65_535_u16, prop::option::of(0..255_u8)).prop_map(|(stamp, range, variance)| {
+        Message::DistanceSensor {
             stamp,
             range: Meters(f64::from(range) * 1e-2),
             sigma: variance.map(|variance| Meters(f64::from(variance).sqrt() * 1e-2)),
-        },
-    );
-    let named = (stamp_millis(), "temp[ -~]{0,6}", -200.0_f32..3_000.0).prop_map(
-        |(stamp, name, temperature)| Message::Thermometer {
+        }
+    });
+    let named = (stamp_millis(), "temp[ -~]{0,6}", -200.0_f32..3_000.0).prop_map(|(stamp, name, temperature)| {
+        Message::Thermometer {
             stamp,
             channel: ChannelName::from_bytes(name.as_bytes()),
             temperature: Celsius(f64::from(temperature)),
-        },
-    );
-    let pressure =
-        (stamp_millis(), -27_315_i16..).prop_map(|(stamp, cdeg_c)| Message::Thermometer {
-            stamp,
-            channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
-            temperature: Celsius(f64::from(cdeg_c) * 1e-2),
-        });
+        }
+    });
+    let pressure = (stamp_millis(), -27_315_i16..).prop_map(|(stamp, cdeg_c)| Message::Thermometer {
+        stamp,
+        channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
+        temperature: Celsius(f64::from(cdeg_c) * 1e-2),
+    });
     let thermometers = prop_oneof![named, pressure];
     prop_oneof![imu, precise, wheels, range, thermometers, fixes(), poses()].boxed()
 }
 
 fn fixes() -> impl Strategy<Value = Message> {
-    let parts = (
-        stamp64(),
-        (float(), float()),
-        prop::option::of(angle()),
-        prop::option::of(covariance()),
-    );
+    let parts = (stamp64(), (float(), float()), prop::option::of(angle()), prop::option::of(covariance()));
     (parts, any::<u8>(), any::<bool>()).prop_map(|(parts, counter, is_mocap)| {
         let (stamp, (x, y), heading, covariance) = parts;
         let fix = VisionFix {
@@ -248,11 +217,7 @@ fn fixes() -> impl Strategy<Value = Message> {
             covariance,
             reset_counter: if is_mocap { 0 } else { counter },
         };
-        if is_mocap {
-            Message::MocapPosition(fix)
-        } else {
-            Message::VisionPosition(fix)
-        }
+        if is_mocap { Message::MocapPosition(fix) } else { Message::VisionPosition(fix) }
     })
 }
 
@@ -281,21 +246,18 @@ fn poses() -> impl Strategy<Value = Message> {
                 quality,
             })
         });
-    let local = (stamp_millis(), covariance::<4>()).prop_map(|(stamp, [x, y, vx, vy])| {
-        Message::LocalPosition {
-            stamp,
-            x: Meters(x),
-            y: Meters(y),
-            x_speed: MetersPerSecond(vx),
-            y_speed: MetersPerSecond(vy),
-        }
+    let local = (stamp_millis(), covariance::<4>()).prop_map(|(stamp, [x, y, vx, vy])| Message::LocalPosition {
+        stamp,
+        x: Meters(x),
+        y: Meters(y),
+        x_speed: MetersPerSecond(vx),
+        y_speed: MetersPerSecond(vy),
     });
-    let attitude =
-        (stamp_millis(), angle(), float()).prop_map(|(stamp, heading, rate)| Message::Attitude {
-            stamp,
-            heading,
-            turn_rate: RadiansPerSecond(rate),
-        });
+    let attitude = (stamp_millis(), angle(), float()).prop_map(|(stamp, heading, rate)| Message::Attitude {
+        stamp,
+        heading,
+        turn_rate: RadiansPerSecond(rate),
+    });
     let status = (stamp64(), flags(), float(), float()).prop_map(|(stamp, flags, ratio, sigma)| {
         Message::EstimatorStatus(EstimatorStatus {
             stamp,
@@ -334,14 +296,8 @@ fn heading_of(message: &Message) -> Option<Heading> {
     match message {
         Message::VisionPosition(fix) | Message::MocapPosition(fix) => fix.heading,
         Message::Attitude { heading, .. } => Some(*heading),
-        Message::Odometry(Odometry {
-            pose: OdometryPose::Arena(pose),
-            ..
-        }) => Some(pose.heading),
-        Message::Odometry(Odometry {
-            pose: OdometryPose::Odom(pose),
-            ..
-        }) => Some(pose.heading),
+        Message::Odometry(Odometry { pose: OdometryPose::Arena(pose), .. }) => Some(pose.heading),
+        Message::Odometry(Odometry { pose: OdometryPose::Odom(pose), .. }) => Some(pose.heading),
         _ => None,
     }
 }

@@ -17,15 +17,9 @@ fn golden(name: &str) -> Vec<u8> {
 }
 
 fn from_hex(hex: &str) -> Vec<u8> {
-    let digits: Vec<u8> = hex
-        .bytes()
-        .filter_map(|byte| char::from(byte).to_digit(16))
-        .map(|digit| digit as u8)
-        .collect();
-    digits
-        .chunks(2)
-        .map(|pair| pair[0] << 4 | pair[1])
-        .collect()
+    let digits: Vec<u8> =
+        hex.bytes().filter_map(|byte| char::from(byte).to_digit(16)).map(|digit| digit as u8).collect();
+    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
 }
 
 /// The frames of a flight over a SiK radio, without the times that a .tlog file puts before them.
@@ -49,11 +43,7 @@ fn noise(seed: u64, length: usize) -> Vec<u8> {
 }
 
 fn check(bytes: &[u8], protocol: Protocol, frames: usize, frame_bytes: usize) {
-    let expected = Recognised {
-        protocol,
-        frames,
-        frame_bytes,
-    };
+    let expected = Recognised { protocol, frames, frame_bytes };
     assert_eq!(recognise(bytes), expected, "{bytes:02x?}");
 }
 
@@ -166,8 +156,7 @@ fn mailboxes_and_replies_of_an_ev3_are_recognised() {
 
 #[test]
 fn the_announcement_of_an_ev3_is_no_ordinary_text() {
-    let announcement =
-        b"Serial-Number: 0016533f0c1e\r\nPort: 5555\r\nName: EV3\r\nProtocol: EV3\r\n";
+    let announcement = b"Serial-Number: 0016533f0c1e\r\nPort: 5555\r\nName: EV3\r\nProtocol: EV3\r\n";
     assert_eq!(recognise(announcement).protocol, Protocol::Ev3);
 }
 
@@ -227,12 +216,7 @@ fn misread(bytes: &[u8], sent_baud: f64, read_baud: f64) -> Vec<u8> {
 
 #[test]
 fn a_line_at_the_wrong_speed_is_noise_and_at_the_right_one_is_not() {
-    let frames = [
-        golden("pb_wheel_ticks"),
-        golden("attitude"),
-        golden("heartbeat"),
-    ]
-    .concat();
+    let frames = [golden("pb_wheel_ticks"), golden("attitude"), golden("heartbeat")].concat();
     let stream = frames.repeat(20);
     assert_eq!(misread(&stream, 115_200.0, 115_200.0), stream);
     for read_baud in [9_600.0, 19_200.0, 38_400.0, 57_600.0, 230_400.0, 921_600.0] {

@@ -1,8 +1,5 @@
 //! Who gets a frame: targets against frames of a foreign encoder, and the decisions of a router between several links.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers of tests stop at the first surprise"
-)]
+#![expect(clippy::expect_used, reason = "helpers of tests stop at the first surprise")]
 
 use std::collections::BTreeMap;
 
@@ -10,12 +7,10 @@ use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
 use posebridge_protocol::message::{CommandAck, CommandLong, Heartbeat, Message};
 use posebridge_protocol::routing::{
-    Check, Forward, LinkRules, Occurrence, Routed, Router, RouterConfig, Target, Way,
-    message_id_named, priority_of, target_of,
+    Check, Forward, LinkRules, Occurrence, Routed, Router, RouterConfig, Target, Way, message_id_named, priority_of,
+    target_of,
 };
-use posebridge_telemetry::{
-    Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp, SystemId,
-};
+use posebridge_telemetry::{Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp, SystemId};
 
 const STATION: Address = Address::new(1, 197);
 const ROBOT: Address = Address::new(1, 1);
@@ -26,18 +21,11 @@ const BRICK_LINK: Way = way(0, 0);
 const CAMERA_LINK: Way = way(1, 0);
 const GCS_LINK: Way = way(2, 5);
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 const fn way(link: u16, peer: u32) -> Way {
-    Way {
-        link: LinkId(link),
-        peer: PeerId(peer),
-    }
+    Way { link: LinkId(link), peer: PeerId(peer) }
 }
 
 fn at(millis: i64) -> Stamp<HostClock> {
@@ -82,9 +70,7 @@ impl Bench {
     }
 
     fn hear(&mut self, now: i64, from: Way, bytes: &[u8]) -> Routed {
-        with_frame(bytes, |frame| {
-            self.router.route(at(now), from, frame, Check::Verified)
-        })
+        with_frame(bytes, |frame| self.router.route(at(now), from, frame, Check::Verified))
     }
 
     /// Everybody has said that he is there.
@@ -107,11 +93,7 @@ fn framed(sequence: u8, source: Address, message: &Message) -> Vec<u8> {
 }
 
 fn command_to(target: Address) -> Message {
-    Message::Command(CommandLong {
-        target,
-        command: 400,
-        params: [1.0; 7],
-    })
+    Message::Command(CommandLong { target, command: 400, params: [1.0; 7] })
 }
 
 fn to(way: Way) -> (LinkId, Audience) {
@@ -127,27 +109,19 @@ fn the_targets_of_every_message_are_found_in_the_frames_of_a_foreign_encoder() {
         let bytes: Vec<u8> = hex
             .as_bytes()
             .chunks(2)
-            .map(|pair| {
-                u8::from_str_radix(std::str::from_utf8(pair).expect("ASCII"), 16).expect("hex")
-            })
+            .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).expect("ASCII"), 16).expect("hex"))
             .collect();
         let message = name.trim_end_matches(" system");
         let has_component = !matches!(
             message,
-            "MANUAL_CONTROL"
-                | "SET_MODE"
-                | "CHANGE_OPERATOR_CONTROL"
-                | "SET_GPS_GLOBAL_ORIGIN"
-                | "SET_HOME_POSITION"
+            "MANUAL_CONTROL" | "SET_MODE" | "CHANGE_OPERATOR_CONTROL" | "SET_GPS_GLOBAL_ORIGIN" | "SET_HOME_POSITION"
         );
         let expected = if has_component && message == name {
             Target::Component(Address::new(42, 84))
         } else {
             Target::System(SystemId(42))
         };
-        let (id, target) = with_frame(&bytes, |frame| {
-            (frame.message_id, target_of(frame.message_id, frame.payload))
-        });
+        let (id, target) = with_frame(&bytes, |frame| (frame.message_id, target_of(frame.message_id, frame.payload)));
         assert_eq!(message_id_named(message), Some(id), "{name}");
         assert_eq!(target, expected, "{name}");
     }
@@ -159,11 +133,7 @@ fn a_broadcast_goes_to_all_others_and_to_the_other_peers_of_its_link() {
     let routed = bench.say(10, GCS_LINK, GCS, &HEARTBEAT);
     assert_eq!(
         routed.to,
-        [
-            (LinkId(0), Audience::All),
-            (LinkId(1), Audience::All),
-            (LinkId(2), Audience::AllBut(GCS_LINK.peer)),
-        ]
+        [(LinkId(0), Audience::All), (LinkId(1), Audience::All), (LinkId(2), Audience::AllBut(GCS_LINK.peer)),]
     );
 }
 
@@ -172,11 +142,7 @@ fn a_command_goes_where_its_target_was_heard_and_the_answer_where_the_asker_was(
     let mut bench = Bench::new(Default::default()).introduced();
     let routed = bench.say(10, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK)]);
-    let ack = Message::CommandAck(CommandAck {
-        command: 400,
-        result: 0,
-        target: Some(GCS),
-    });
+    let ack = Message::CommandAck(CommandAck { command: 400, result: 0, target: Some(GCS) });
     let routed = bench.say(20, BRICK_LINK, ROBOT, &ack);
     assert_eq!(routed.to, [to(GCS_LINK)]);
 }
@@ -222,10 +188,7 @@ fn the_station_s_own_words_go_nowhere_and_teach_nothing() {
 fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
     let mut bench = Bench::new(Default::default()).introduced();
     let bytes = framed(77, ROBOT, &HEARTBEAT);
-    assert_eq!(
-        bench.hear(10, BRICK_LINK, &bytes).occurrence,
-        Occurrence::First
-    );
+    assert_eq!(bench.hear(10, BRICK_LINK, &bytes).occurrence, Occurrence::First);
     let back = bench.hear(30, GCS_LINK, &bytes);
     assert_eq!(back.occurrence, Occurrence::Detour);
     assert_eq!(back.to, []);
@@ -238,25 +201,13 @@ fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
 
 #[test]
 fn redundant_links_are_one_way_to_one_robot() {
-    let redundant = LinkRules {
-        group: Some(3),
-        ..LinkRules::default()
-    };
+    let redundant = LinkRules { group: Some(3), ..LinkRules::default() };
     let mut bench = Bench::new([redundant.clone(), redundant, LinkRules::default()]);
     bench.say(0, GCS_LINK, GCS, &HEARTBEAT);
     let bytes = framed(9, ROBOT, &HEARTBEAT);
     let first = bench.hear(10, BRICK_LINK, &bytes);
-    assert_eq!(
-        first.to,
-        [
-            (LinkId(0), Audience::AllBut(PeerId(0))),
-            (LinkId(2), Audience::All)
-        ]
-    );
-    assert_eq!(
-        bench.hear(20, CAMERA_LINK, &bytes).occurrence,
-        Occurrence::Redundant
-    );
+    assert_eq!(first.to, [(LinkId(0), Audience::AllBut(PeerId(0))), (LinkId(2), Audience::All)]);
+    assert_eq!(bench.hear(20, CAMERA_LINK, &bytes).occurrence, Occurrence::Redundant);
     let routed = bench.say(30, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK), to(CAMERA_LINK)]);
     assert_eq!(bench.router.first_of_group(LinkId(1)), LinkId(0));
@@ -266,16 +217,8 @@ fn redundant_links_are_one_way_to_one_robot() {
 
 #[test]
 fn a_link_takes_all_or_only_what_is_meant_for_it_or_no_part() {
-    let rules = |forward| LinkRules {
-        forward,
-        ..LinkRules::default()
-    };
-    let mut bench = Bench::new([
-        rules(Forward::Targeted),
-        rules(Forward::Nothing),
-        rules(Forward::All),
-    ])
-    .introduced();
+    let rules = |forward| LinkRules { forward, ..LinkRules::default() };
+    let mut bench = Bench::new([rules(Forward::Targeted), rules(Forward::Nothing), rules(Forward::All)]).introduced();
     let broadcast = bench.say(10, GCS_LINK, GCS, &HEARTBEAT);
     assert_eq!(broadcast.to, [(LinkId(2), Audience::AllBut(GCS_LINK.peer))]);
     let targeted = bench.say(20, GCS_LINK, GCS, &command_to(ROBOT));

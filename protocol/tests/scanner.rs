@@ -6,27 +6,18 @@ mod found;
 mod mix;
 
 use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::framing::{
-    Framing, Scanned, Scanner, ScannerConfig, WireVersion, checksum,
-};
+use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, WireVersion, checksum};
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_telemetry::{Address, Defect, Span, Stamp};
 
 use found::{Found, frames, owned, scan};
 use mix::four_message_mix;
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
-const DATAGRAM: ScannerConfig = ScannerConfig {
-    accept_v1: false,
-    gap: Span::from_millis(50),
-    transport: Framing::Datagram,
-};
+const DATAGRAM: ScannerConfig =
+    ScannerConfig { accept_v1: false, gap: Span::from_millis(50), transport: Framing::Datagram };
 
 fn heartbeat() -> Vec<u8> {
     four_message_mix(1).concat()
@@ -71,16 +62,8 @@ fn every_byte_is_accounted_for() {
     let (found, counters) = scan(ScannerConfig::default(), &stream, 64);
     assert_eq!(counters.frames, 8);
     assert_eq!(counters.garbage_bytes, 8 * 5);
-    let reported: u32 = found
-        .iter()
-        .map(|item| {
-            if let Found::Defect(Defect::Garbage { bytes }) = item {
-                *bytes
-            } else {
-                0
-            }
-        })
-        .sum();
+    let reported: u32 =
+        found.iter().map(|item| if let Found::Defect(Defect::Garbage { bytes }) = item { *bytes } else { 0 }).sum();
     assert_eq!(reported, 8 * 5);
 }
 
@@ -164,9 +147,7 @@ fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
             found.push(owned(item));
         });
         let expected = [
-            Found::Defect(Defect::Stall {
-                bytes: split as u32,
-            }),
+            Found::Defect(Defect::Stall { bytes: split as u32 }),
             Found::Frame(frame.clone()),
             Found::Frame(heartbeat()),
         ];
@@ -180,28 +161,16 @@ fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
 fn a_frame_that_goes_on_in_pieces_after_seconds_is_completed() {
     let frame = &four_message_mix(4)[3];
     for split in 1..frame.len() - 1 {
-        for second in [
-            split + 1,
-            usize::midpoint(split, frame.len()),
-            frame.len() - 1,
-        ] {
+        for second in [split + 1, usize::midpoint(split, frame.len()), frame.len() - 1] {
             let mut scanner = Scanner::new(ScannerConfig::default());
             let mut found = Vec::new();
-            let pieces = [
-                (0, &frame[..split]),
-                (9_000, &frame[split..second]),
-                (9_001, &frame[second..]),
-            ];
+            let pieces = [(0, &frame[..split]), (9_000, &frame[split..second]), (9_001, &frame[second..])];
             for (millis, piece) in pieces {
                 scanner.push(Stamp::from_millis(millis), piece, &mut |item| {
                     found.push(owned(item));
                 });
             }
-            assert_eq!(
-                frames(&found),
-                [Found::Frame(frame.clone())],
-                "split at {split} and {second}"
-            );
+            assert_eq!(frames(&found), [Found::Frame(frame.clone())], "split at {split} and {second}");
         }
     }
 }
@@ -285,10 +254,9 @@ fn a_frame_whose_rest_never_comes_is_given_up_by_what_comes_next() {
 #[test]
 fn impossible_headers_are_refused_before_their_bytes_come() {
     // A HEARTBEAT of 200 bytes, and flags that no version has: nothing waits for either.
-    for (header, message_id, length) in [
-        (&[0xFD, 200, 0, 0, 1, 1, 1, 0, 0, 0][..], 0, 200),
-        (&[0xFD, 9, 0x80][..], 0, 9),
-    ] {
+    for (header, message_id, length) in
+        [(&[0xFD, 200, 0, 0, 1, 1, 1, 0, 0, 0][..], 0, 200), (&[0xFD, 9, 0x80][..], 0, 9)]
+    {
         let mut stream = header.to_vec();
         stream.extend_from_slice(&heartbeat());
         let mut scanner = Scanner::new(ScannerConfig::default());
@@ -347,15 +315,9 @@ fn an_unknown_claim_never_costs_a_known_frame() {
     let disguised = stranger(&payload);
     let stream = [disguised, heartbeat()].concat();
     for transport in [Framing::Stream, Framing::Datagram] {
-        let config = ScannerConfig {
-            transport,
-            ..ScannerConfig::default()
-        };
+        let config = ScannerConfig { transport, ..ScannerConfig::default() };
         let (found, counters) = scan(config, &stream, stream.len());
-        assert_eq!(
-            frames(&found),
-            [Found::Frame(heartbeat()), Found::Frame(heartbeat())]
-        );
+        assert_eq!(frames(&found), [Found::Frame(heartbeat()), Found::Frame(heartbeat())]);
         assert_eq!(counters.unknown_ids, 0);
     }
 }
@@ -379,11 +341,7 @@ fn a_datagram_decides_at_its_end() {
     scanner.push(Stamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
     let pair = [unknown.clone(), heartbeat()].concat();
     scanner.push(Stamp::ZERO, &pair, &mut |item| found.push(owned(item)));
-    let expected = [
-        Found::Unknown(unknown.clone()),
-        Found::Unknown(unknown),
-        Found::Frame(heartbeat()),
-    ];
+    let expected = [Found::Unknown(unknown.clone()), Found::Unknown(unknown), Found::Frame(heartbeat())];
     assert_eq!(found, expected);
     found.clear();
     scanner.push(Stamp::ZERO, &heartbeat()[..15], &mut |item| {
@@ -424,10 +382,7 @@ fn version_1_is_heard_only_when_asked_for() {
     let (deaf, counters) = scan(ScannerConfig::default(), &stream, stream.len());
     assert!(frames(&deaf).is_empty());
     assert_eq!(counters.garbage_bytes, stream.len() as u64);
-    let config = ScannerConfig {
-        accept_v1: true,
-        ..ScannerConfig::default()
-    };
+    let config = ScannerConfig { accept_v1: true, ..ScannerConfig::default() };
     for chunk in 1..=stream.len() {
         let (found, counters) = scan(config, &stream, chunk);
         assert_eq!(frames(&found).len(), 2, "chunk size {chunk}");

@@ -7,9 +7,7 @@
 use std::collections::BTreeSet;
 
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{
-    FrameRef, Scanned, Scanner, ScannerConfig, WireVersion, checksum,
-};
+use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion, checksum};
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::signing::{
     Ending, Key, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Timestamp, Unsigned,
@@ -60,11 +58,7 @@ fn config(key: &Key, clock: u64) -> SigningConfig {
         key: key.clone(),
         link_id: 3,
         unsigned: Unsigned::RefuseExcept(BTreeSet::from([RADIO_STATUS])),
-        memory: Memory {
-            written: clock,
-            clock,
-            ..Memory::default()
-        },
+        memory: Memory { written: clock, clock, ..Memory::default() },
     }
 }
 
@@ -78,10 +72,7 @@ fn link(clock: u64) -> LinkSigning {
 
 /// What the first frame that is found in the bytes is to a function.
 fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Scanner::new(ScannerConfig {
-        accept_v1: true,
-        ..ScannerConfig::default()
-    });
+    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
     let mut look = Some(look);
     let mut result = None;
     scanner.push(Stamp::ZERO, bytes, &mut |found| {
@@ -98,22 +89,15 @@ fn judge(link: &mut LinkSigning, now: Stamp<HostClock>, bytes: &[u8]) -> Result<
 
 /// A heartbeat of a sender, signed at a time by our own signer, which the golden frames vouch for.
 fn signed(from: Address, link_id: u8, timestamp: u64) -> Vec<u8> {
-    let mut sender = LinkSigning::new(SigningConfig {
-        link_id,
-        ..config(&key(), timestamp)
-    });
+    let mut sender = LinkSigning::new(SigningConfig { link_id, ..config(&key(), timestamp) });
     let seal = sender.next_seal(Stamp::ZERO).expect("it has a time");
     let mut bytes = Vec::new();
     Encoder::new(WireVersion::V2).encode_signed(from, &HEARTBEAT, &seal, &mut bytes);
     bytes
 }
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 #[test]
 fn foreign_signatures_hold_and_ours_are_the_same_bytes() {
@@ -124,22 +108,14 @@ fn foreign_signatures_hold_and_ours_are_the_same_bytes() {
             continue;
         };
         let mut receiver = LinkSigning::new(config(key, case.timestamp));
-        assert_eq!(
-            judge(&mut receiver, Stamp::ZERO, &case.frame),
-            Ok(()),
-            "{}",
-            case.name
-        );
+        assert_eq!(judge(&mut receiver, Stamp::ZERO, &case.frame), Ok(()), "{}", case.name);
         // A sender's first stamp is 1, because it has used 0 before.
         let Some(before) = case.timestamp.checked_sub(1) else {
             continue;
         };
         let mut sender = LinkSigning::new(SigningConfig {
             link_id: case.link_id,
-            memory: Memory {
-                own: Timestamp::from_units(before),
-                ..Memory::default()
-            },
+            memory: Memory { own: Timestamp::from_units(before), ..Memory::default() },
             ..config(key, 0)
         });
         let seal = sender.next_seal(Stamp::ZERO).expect("one is left");
@@ -168,11 +144,7 @@ fn a_frame_is_refused_for_its_own_reason() {
     };
     let mut link = LinkSigning::new(config(&keys[0], 123_456_789));
     let mut check = |name, expected| {
-        assert_eq!(
-            judge(&mut link, Stamp::ZERO, frame(name)),
-            expected,
-            "{name}"
-        );
+        assert_eq!(judge(&mut link, Stamp::ZERO, frame(name)), expected, "{name}");
     };
     check("heartbeat_other_key", Err(Refusal::WrongSignature));
     check("heartbeat_unsigned", Err(Refusal::Unsigned));
@@ -187,24 +159,12 @@ fn a_frame_is_refused_for_its_own_reason() {
 #[test]
 fn where_unsigned_frames_are_accepted_a_wrong_signature_is_still_refused() {
     let (keys, cases) = golden();
-    let mut link = LinkSigning::new(SigningConfig {
-        unsigned: Unsigned::Accept,
-        ..config(&keys[0], 0)
-    });
+    let mut link = LinkSigning::new(SigningConfig { unsigned: Unsigned::Accept, ..config(&keys[0], 0) });
     for case in &cases {
-        let expected = if case.key == Some(1) {
-            Err(Refusal::WrongSignature)
-        } else {
-            Ok(())
-        };
+        let expected = if case.key == Some(1) { Err(Refusal::WrongSignature) } else { Ok(()) };
         // Streams of their own: another test is about the order.
         let mut link = link.clone();
-        assert_eq!(
-            judge(&mut link, Stamp::ZERO, &case.frame),
-            expected,
-            "{}",
-            case.name
-        );
+        assert_eq!(judge(&mut link, Stamp::ZERO, &case.frame), expected, "{}", case.name);
     }
     assert!(link.next_seal(Stamp::ZERO).is_some());
 }
@@ -216,23 +176,14 @@ fn a_new_stream_may_be_a_minute_behind_and_not_a_unit_more() {
     let seconds = 500_000;
     let edge = NOW + seconds - minute;
     for (timestamp, expected) in [(edge, Ok(())), (edge - 1, Err(Refusal::Stale))] {
-        assert_eq!(
-            judge(&mut link(NOW), later, &signed(ROBOT, 0, timestamp)),
-            expected
-        );
+        assert_eq!(judge(&mut link(NOW), later, &signed(ROBOT, 0, timestamp)), expected);
     }
     // An old acquaintance may be as far behind as it likes.
     let mut link = link(NOW);
     judge(&mut link, Stamp::ZERO, &signed(ROBOT, 0, NOW)).unwrap();
     let much_later = Stamp::from_millis(3_600_000);
-    assert_eq!(
-        judge(&mut link, much_later, &signed(ROBOT, 0, NOW + 1)),
-        Ok(())
-    );
-    assert_eq!(
-        judge(&mut link, much_later, &signed(ROBOT, 1, NOW + 1)),
-        Err(Refusal::Stale)
-    );
+    assert_eq!(judge(&mut link, much_later, &signed(ROBOT, 0, NOW + 1)), Ok(()));
+    assert_eq!(judge(&mut link, much_later, &signed(ROBOT, 1, NOW + 1)), Err(Refusal::Stale));
 }
 
 #[test]
@@ -247,10 +198,7 @@ fn own_stamps_rise_whatever_the_clock_does() {
         wire[..6].copy_from_slice(&bytes[bytes.len() - 12..bytes.len() - 6]);
         stamps.push(u64::from_le_bytes(wire));
     }
-    assert_eq!(
-        stamps,
-        [500, 501, 502, 503, 504, 600].map(|units| NOW + units)
-    );
+    assert_eq!(stamps, [500, 501, 502, 503, 504, 600].map(|units| NOW + units));
 }
 
 #[test]
@@ -267,10 +215,7 @@ fn mavlink_1_is_never_sent_where_frames_are_signed() {
     let seal = link.next_seal(Stamp::ZERO).unwrap();
     let mut bytes = Vec::new();
     let mut encoder = Encoder::new(WireVersion::V1);
-    assert_eq!(
-        encoder.encode_signed(ROBOT, &HEARTBEAT, &seal, &mut bytes),
-        0
-    );
+    assert_eq!(encoder.encode_signed(ROBOT, &HEARTBEAT, &seal, &mut bytes), 0);
     assert!(bytes.is_empty());
 }
 
@@ -291,10 +236,7 @@ fn a_peer_that_is_ahead_sets_our_time_forward() {
     let mut station = link(0);
     let mut forged = signed(ROBOT, 0, NOW);
     *forged.last_mut().unwrap() ^= 1;
-    assert_eq!(
-        judge(&mut station, now, &forged),
-        Err(Refusal::WrongSignature)
-    );
+    assert_eq!(judge(&mut station, now, &forged), Err(Refusal::WrongSignature));
     assert_eq!(station.memory(now).clock.units(), 100_000);
 }
 
@@ -377,17 +319,8 @@ struct Station {
 impl Station {
     fn start(memory: Memory, now_ms: i64) -> Self {
         let written = memory.clone();
-        let memory = SigningConfig {
-            memory,
-            ..config(&key(), NOW)
-        };
-        Self {
-            link: LinkSigning::new(memory),
-            started_ms: now_ms,
-            written,
-            written_ms: now_ms,
-            met: 0,
-        }
+        let memory = SigningConfig { memory, ..config(&key(), NOW) };
+        Self { link: LinkSigning::new(memory), started_ms: now_ms, written, written_ms: now_ms, met: 0 }
     }
 
     fn hear(&mut self, now_ms: i64, frame: &[u8]) -> Result<(), Refusal> {
@@ -400,9 +333,7 @@ impl Station {
     }
 
     fn write(&mut self, now_ms: i64) {
-        self.written = self
-            .link
-            .memory(Stamp::from_millis(now_ms - self.started_ms));
+        self.written = self.link.memory(Stamp::from_millis(now_ms - self.started_ms));
         self.written_ms = now_ms;
         self.met = self.link.streams_met();
     }

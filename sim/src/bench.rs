@@ -124,10 +124,7 @@ mod tests {
         let bench = MotorBench::default();
         let readings = bench.run(1);
         let start = readings[0].angle_rad;
-        let moved = readings
-            .iter()
-            .find(|reading| reading.angle_rad > start)
-            .unwrap();
+        let moved = readings.iter().find(|reading| reading.angle_rad > start).unwrap();
         // Within some 12 ms the motor turns a degree.
         assert!((0.56..0.60).contains(&moved.at_s), "{moved:?}");
         let (before, last) = (readings[readings.len() - 50], readings[readings.len() - 1]);
@@ -140,26 +137,14 @@ mod tests {
     #[test]
     fn after_a_time_constant_63_per_cent_of_the_speed_are_there() {
         // The way after the onset is w_end tau / e then.
-        let bench = MotorBench {
-            period_s: 0.001,
-            period_spread: 0.0,
-            ..MotorBench::default()
-        };
+        let bench = MotorBench { period_s: 0.001, period_spread: 0.0, ..MotorBench::default() };
         let tau_s = bench.time_constant_s();
         assert!((tau_s - 0.111).abs() < 0.001, "{tau_s}");
         let readings = bench.run(2);
-        let at = |at_s: f64| {
-            readings
-                .iter()
-                .rfind(|reading| reading.at_s <= at_s)
-                .unwrap()
-        };
+        let at = |at_s: f64| readings.iter().rfind(|reading| reading.at_s <= at_s).unwrap();
         let way_rad = at(0.56 + tau_s).angle_rad - at(0.56).angle_rad;
         let expected = bench.gain_rad_per_s_per_v() * bench.volts * tau_s / std::f64::consts::E;
-        assert!(
-            (way_rad - expected).abs() < 1.5 * ENCODER_TICK_RAD,
-            "{way_rad} {expected}"
-        );
+        assert!((way_rad - expected).abs() < 1.5 * ENCODER_TICK_RAD, "{way_rad} {expected}");
     }
 
     #[test]

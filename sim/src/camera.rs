@@ -24,12 +24,7 @@ use crate::simulation::{History, forget_oldest};
 /// The camera's address on the link: MAV_COMP_ID_CAMERA of the robot's system (minimal.xml).
 pub const CAMERA: Address = Address::new(1, 100);
 /// MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
-const HEARTBEAT: Heartbeat = Heartbeat {
-    vehicle_type: 30,
-    autopilot: 8,
-    base_mode: 0,
-    system_status: 4,
-};
+const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 30, autopilot: 8, base_mode: 0, system_status: 4 };
 
 /// One fix that the camera sent, beside what it should have been.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,12 +76,7 @@ impl Camera {
     /// A camera that is switched on at the beginning of the world.
     pub(crate) fn new(settings: CameraSettings, seed: u64) -> Self {
         let clock = SkewedClock::new(settings.clock());
-        let node = Node::new(
-            CAMERA,
-            HEARTBEAT,
-            clock.reading(Span::ZERO),
-            &[ids::VISION_POSITION_ESTIMATE],
-        );
+        let node = Node::new(CAMERA, HEARTBEAT, clock.reading(Span::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
         Self {
             interval: match settings.images {
                 CameraImages::Steady => Some(Span::from_secs_f64(1.0 / settings.rate_hz)),
@@ -180,11 +170,7 @@ impl Camera {
         for request in requests {
             if request.message_id == ids::VISION_POSITION_ESTIMATE {
                 self.interval = request.interval.map(|span| {
-                    if span <= Span::ZERO {
-                        Span::from_secs_f64(1.0 / self.settings.rate_hz)
-                    } else {
-                        span
-                    }
+                    if span <= Span::ZERO { Span::from_secs_f64(1.0 / self.settings.rate_hz) } else { span }
                 });
                 self.next_exposure = world;
             }
@@ -194,8 +180,7 @@ impl Camera {
     /// Takes an image. Every image draws the same number of random values, so that one more outlier or dropout leaves
     /// the noise of the others as it was.
     fn expose(&mut self, world: Span, pose: Pose<Arena>) {
-        let is_dropped =
-            self.stream.happens(self.settings.dropout) || self.is_dark(world) || self.is_covered;
+        let is_dropped = self.stream.happens(self.settings.dropout) || self.is_dark(world) || self.is_covered;
         let is_outlier = self.stream.happens(self.settings.outlier);
         let gross = f64::from(u8::from(is_outlier));
         let error = Noise::draw(&mut self.stream, &self.settings, gross);
@@ -217,10 +202,7 @@ impl Camera {
             sent,
             stamp: self.clock.reading(world),
             position: Point2::new(tag.x + Meters(error.x_m), tag.y + Meters(error.y_m)),
-            heading: self
-                .settings
-                .sees_heading
-                .then(|| pose.heading + Radians(error.heading_rad)),
+            heading: self.settings.sees_heading.then(|| pose.heading + Radians(error.heading_rad)),
             true_tag: Pose::new(tag.x, tag.y, pose.heading),
             is_outlier,
         };
@@ -230,11 +212,7 @@ impl Camera {
                 images.pop_front();
             }
             let heading = fix.heading.unwrap_or(pose.heading);
-            images.push_back(overhead_view::image(
-                self.image_count,
-                fix.position,
-                heading,
-            ));
+            images.push_back(overhead_view::image(self.image_count, fix.position, heading));
             return;
         }
         let place = self.pending.partition_point(|other| other.sent <= sent);
@@ -243,10 +221,7 @@ impl Camera {
 
     fn is_dark(&self, world: Span) -> bool {
         let now_s = world.as_secs_f64();
-        self.settings
-            .blackouts
-            .iter()
-            .any(|dark| (dark.from_s..dark.to_s).contains(&now_s))
+        self.settings.blackouts.iter().any(|dark| (dark.from_s..dark.to_s).contains(&now_s))
     }
 
     fn message(&self, fix: &CameraFix) -> Message {
@@ -282,9 +257,8 @@ struct Noise {
 impl Noise {
     /// `gross` is 1 for an outlier and 0 otherwise; an outlier's own error is drawn in either case.
     fn draw(stream: &mut Stream, settings: &CameraSettings, gross: f64) -> Self {
-        let mut error = |sigma: f64, outlier_sigma: f64| {
-            sigma * stream.normal() + gross * outlier_sigma * stream.normal()
-        };
+        let mut error =
+            |sigma: f64, outlier_sigma: f64| sigma * stream.normal() + gross * outlier_sigma * stream.normal();
         Self {
             x_m: error(settings.position_sigma_m, settings.outlier_sigma_m),
             y_m: error(settings.position_sigma_m, settings.outlier_sigma_m),

@@ -3,18 +3,12 @@
 use serde::de::{Deserialize, Deserializer, Error};
 
 /// A number from `low` to `high`, both included; NaN is outside.
-pub(crate) fn within<'de, D: Deserializer<'de>>(
-    deserializer: D,
-    low: f64,
-    high: f64,
-) -> Result<f64, D::Error> {
+pub(crate) fn within<'de, D: Deserializer<'de>>(deserializer: D, low: f64, high: f64) -> Result<f64, D::Error> {
     let value = f64::deserialize(deserializer)?;
     if (low..=high).contains(&value) {
         Ok(value)
     } else {
-        Err(D::Error::custom(format!(
-            "{value} is outside {low} to {high}; give a number in that range"
-        )))
+        Err(D::Error::custom(format!("{value} is outside {low} to {high}; give a number in that range")))
     }
 }
 

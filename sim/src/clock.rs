@@ -26,10 +26,7 @@ pub(crate) struct SkewedClock {
 impl SkewedClock {
     /// A clock that was powered up at the beginning of the world.
     pub(crate) const fn new(settings: ClockSettings) -> Self {
-        Self {
-            settings,
-            powered_at: Span::ZERO,
-        }
+        Self { settings, powered_at: Span::ZERO }
     }
 
     /// Powers the clock up anew at `world`; it counts from zero, whatever its first start value was.
@@ -41,9 +38,7 @@ impl SkewedClock {
     /// What the clock would show if its ticks were infinitely fine.
     pub(crate) fn exact<C: Clock>(&self, world: Span) -> Stamp<C> {
         let powered = world - self.powered_at;
-        let gained = Span::from_nanos(
-            (powered.as_nanos() as f64 * self.settings.skew_ppm * 1e-6).round() as i64,
-        );
+        let gained = Span::from_nanos((powered.as_nanos() as f64 * self.settings.skew_ppm * 1e-6).round() as i64);
         // Start values are 48-bit at most (checked when the scenario is read), so the cast keeps them.
         Stamp::from_micros(self.settings.start_micros as i64) + powered + gained
     }
@@ -68,11 +63,7 @@ mod tests {
     use super::*;
 
     fn clock(start_micros: u64, skew_ppm: f64, tick_micros: u32) -> SkewedClock {
-        SkewedClock::new(ClockSettings {
-            start_micros,
-            skew_ppm,
-            tick_micros,
-        })
+        SkewedClock::new(ClockSettings { start_micros, skew_ppm, tick_micros })
     }
 
     #[test]
@@ -85,14 +76,8 @@ mod tests {
     #[test]
     fn readings_are_whole_ticks_below_the_exact_time() {
         let coarse = clock(250, 0.0, 1_000);
-        assert_eq!(
-            coarse.reading::<BrickClock>(Span::from_millis(3)),
-            Stamp::from_millis(3)
-        );
-        assert_eq!(
-            coarse.exact::<BrickClock>(Span::from_millis(3)),
-            Stamp::from_micros(3_250)
-        );
+        assert_eq!(coarse.reading::<BrickClock>(Span::from_millis(3)), Stamp::from_millis(3));
+        assert_eq!(coarse.exact::<BrickClock>(Span::from_millis(3)), Stamp::from_micros(3_250));
     }
 
     #[test]
@@ -109,9 +94,6 @@ mod tests {
     fn a_restart_counts_from_zero() {
         let mut restarted = clock(5_000_000, 100.0, 1);
         restarted.restart(Span::from_millis(10_000));
-        assert_eq!(
-            restarted.reading::<BrickClock>(Span::from_millis(10_007)),
-            Stamp::from_micros(7_000)
-        );
+        assert_eq!(restarted.reading::<BrickClock>(Span::from_millis(10_007)), Stamp::from_micros(7_000));
     }
 }

@@ -12,9 +12,7 @@
 //! Half a step out of phase with the encoders the double sums are exactly the true way and turn: a drive's speed changes at the ends
 //! of its steps only.
 
-use posebridge_telemetry::{
-    Arena, Meters, MetersPerSecondSquared, Observation, Observed, Pose, SensorId, Span,
-};
+use posebridge_telemetry::{Arena, Meters, MetersPerSecondSquared, Observation, Observed, Pose, SensorId, Span};
 
 use crate::montecarlo::{Arrival, Drive};
 use crate::random::Stream;
@@ -35,9 +33,7 @@ impl FrameAccelerometers {
     #[must_use]
     pub fn mounted_on(&self, mut drive: Drive, seed: u64, run: u32) -> Drive {
         let felt = self.felt(&drive, seed, run);
-        drive
-            .arrivals
-            .retain(|arrival| arrival.observation.sensor != SensorId::ACCELEROMETER);
+        drive.arrivals.retain(|arrival| arrival.observation.sensor != SensorId::ACCELEROMETER);
         drive.arrivals.extend(felt);
         // Of one step they come before the wheels, so that these can be held against them.
         let place = |arrival: &Arrival| {
@@ -88,11 +84,7 @@ fn mean_speeds(pair: &[Pose<Arena>], dt_s: f64) -> (f64, f64) {
     let (sin, cos) = middle_rad.sin_cos();
     let chord_m = (to.x - from.x).0 * cos + (to.y - from.y).0 * sin;
     let half = 0.5 * turn_rad;
-    let per_chord = if half.abs() < 1e-6 {
-        1.0
-    } else {
-        half / half.sin()
-    };
+    let per_chord = if half.abs() < 1e-6 { 1.0 } else { half / half.sin() };
     (chord_m * per_chord / dt_s, turn_rad / dt_s)
 }
 
@@ -127,17 +119,11 @@ mod tests {
 
     #[test]
     fn without_noise_their_integrals_are_the_way_and_the_turns() {
-        let exact = FrameAccelerometers {
-            sigma_m_per_s2: 0.0,
-            bias_sigma_m_per_s2: 0.0,
-            spacing: Meters(0.112),
-        };
+        let exact = FrameAccelerometers { sigma_m_per_s2: 0.0, bias_sigma_m_per_s2: 0.0, spacing: Meters(0.112) };
         let drive = exact.mounted_on(drive(), 1, 0);
         let (speed, way, turn) = sums(&drive);
         let per_step = drive.truth.windows(2).map(|pair| mean_speeds(pair, 0.05));
-        let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| {
-            (way + 0.05 * v, turn + 0.05 * w)
-        });
+        let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| (way + 0.05 * v, turn + 0.05 * w));
         assert!(speed.abs() < 1e-9, "{speed}");
         assert!((way - true_way).abs() < 1e-9, "{way} {true_way}");
         assert!((turn - true_turn).abs() < 1e-9, "{turn} {true_turn}");
@@ -147,20 +133,11 @@ mod tests {
 
     #[test]
     fn they_replace_the_others_and_repeat_by_seed_and_run() {
-        let settings = FrameAccelerometers {
-            sigma_m_per_s2: 0.012,
-            bias_sigma_m_per_s2: 0.05,
-            spacing: Meters(0.112),
-        };
+        let settings = FrameAccelerometers { sigma_m_per_s2: 0.012, bias_sigma_m_per_s2: 0.05, spacing: Meters(0.112) };
         let mounted = |run| settings.mounted_on(drive(), 1, run);
         let count = |drive: &Drive| {
-            let sensors = drive
-                .arrivals
-                .iter()
-                .map(|arrival| arrival.observation.sensor);
-            sensors
-                .filter(|sensor| *sensor == SensorId::ACCELEROMETER)
-                .count()
+            let sensors = drive.arrivals.iter().map(|arrival| arrival.observation.sensor);
+            sensors.filter(|sensor| *sensor == SensorId::ACCELEROMETER).count()
         };
         assert_eq!(count(&mounted(0)), count(&drive()));
         assert_eq!(mounted(0), mounted(0));

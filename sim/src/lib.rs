@@ -50,7 +50,5 @@ pub use camera::{CAMERA, CameraFix};
 pub use firmware::BRICK;
 pub use personality::ev3_beacon;
 pub use scenario::{BUNDLED, Scenario, ScenarioError, Steering};
-pub use simulation::{
-    Doer, FORGOTTEN_AT_ONCE, REMEMBERED, ReceivedEstimate, Simulation, TruthSample,
-};
+pub use simulation::{Doer, FORGOTTEN_AT_ONCE, REMEMBERED, ReceivedEstimate, Simulation, TruthSample};
 pub use world::STEP;

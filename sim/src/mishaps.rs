@@ -65,20 +65,12 @@ impl Mishaps {
 
     /// Takes this share of the grip of a wheel for a while.
     pub(crate) fn take_grip(&mut self, wheel: SlippingWheel, share: f64, duration: Span) {
-        let lost = LostGrip {
-            share,
-            steps_left: duration.as_nanos() / STEP.as_nanos(),
-        };
+        let lost = LostGrip { share, steps_left: duration.as_nanos() / STEP.as_nanos() };
         let wheels = &mut self.lost_grip;
         match wheel {
             SlippingWheel::Left => wheels.left = lost,
             SlippingWheel::Right => wheels.right = lost,
-            SlippingWheel::Both => {
-                *wheels = Pair {
-                    left: lost,
-                    right: lost,
-                }
-            }
+            SlippingWheel::Both => *wheels = Pair { left: lost, right: lost },
         }
     }
 
@@ -97,10 +89,7 @@ impl Mishaps {
             Meters(carried.by.left_m * share),
             Heading::from_rad(carried.by.turn_rad * share),
         );
-        let moved = (
-            carried.from * way,
-            carried.by.turn_rad / f64::from(CARRIED_STEPS),
-        );
+        let moved = (carried.from * way, carried.by.turn_rad / f64::from(CARRIED_STEPS));
         if carried.steps >= CARRIED_STEPS {
             self.carried = None;
         }

@@ -71,8 +71,7 @@ impl Motor {
             self.angle_rad += 0.5 * before * STEP_S;
         } else {
             self.speed_rad_per_s = after;
-            self.angle_rad +=
-                end * STEP_S + (before - end) * self.time_constant_s * (1.0 - self.decay);
+            self.angle_rad += end * STEP_S + (before - end) * self.time_constant_s * (1.0 - self.decay);
         }
     }
 
@@ -97,18 +96,13 @@ pub(crate) struct Backlash {
 impl Backlash {
     /// Play of `gap_rad` in all, with the wheel in its middle.
     pub(crate) const fn new(gap_rad: f64) -> Self {
-        Self {
-            half_gap_rad: 0.5 * gap_rad,
-            wheel_rad: 0.0,
-        }
+        Self { half_gap_rad: 0.5 * gap_rad, wheel_rad: 0.0 }
     }
 
     /// Moves the shaft to `shaft_rad` and returns how far the wheel turned, in radians.
     pub(crate) fn follow(&mut self, shaft_rad: f64) -> f64 {
         let before = self.wheel_rad;
-        self.wheel_rad = before
-            .max(shaft_rad - self.half_gap_rad)
-            .min(shaft_rad + self.half_gap_rad);
+        self.wheel_rad = before.max(shaft_rad - self.half_gap_rad).min(shaft_rad + self.half_gap_rad);
         self.wheel_rad - before
     }
 }

@@ -14,12 +14,7 @@ use posebridge_telemetry::{Address, Span, Stamp};
 const SEQUENCE: usize = 4;
 
 /// Any message: only the number of its frame is looked at.
-const NOT_SENT: Heartbeat = Heartbeat {
-    vehicle_type: 0,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 0,
-};
+const NOT_SENT: Heartbeat = Heartbeat { vehicle_type: 0, autopilot: 0, base_mode: 0, system_status: 0 };
 
 /// Frames of the brick SDK behind those that wait.
 pub(crate) struct Outgoing<'a>(&'a mut Vec<Vec<u8>>);
@@ -89,12 +84,7 @@ impl<C: Clock> Node<C> {
     }
 
     /// Takes a message from the link and returns what it asks for beyond the session's own business.
-    pub(crate) fn handle(
-        &mut self,
-        now: Stamp<C>,
-        from: Address,
-        message: &Message,
-    ) -> Vec<IntervalRequest> {
+    pub(crate) fn handle(&mut self, now: Stamp<C>, from: Address, message: &Message) -> Vec<IntervalRequest> {
         self.session.handle(now, from, message);
         self.drain()
     }
@@ -122,8 +112,7 @@ impl<C: Clock> Node<C> {
     /// Takes the next number from the encoder, which counts for both: it writes a frame that is not sent.
     fn next_sequence(&mut self) -> u8 {
         let mut frame = Vec::new();
-        self.encoder
-            .encode(self.own, &Message::Heartbeat(NOT_SENT), &mut frame);
+        self.encoder.encode(self.own, &Message::Heartbeat(NOT_SENT), &mut frame);
         frame.get(SEQUENCE).copied().unwrap_or_default()
     }
 

@@ -46,13 +46,9 @@ impl Segment {
         let (ahead, left) = if self.curvature_per_m == 0.0 {
             (along_m, 0.0)
         } else {
-            (
-                turn.sin() / self.curvature_per_m,
-                (1.0 - turn.cos()) / self.curvature_per_m,
-            )
+            (turn.sin() / self.curvature_per_m, (1.0 - turn.cos()) / self.curvature_per_m)
         };
-        self.start
-            * Transform2::<Body, Body>::new(Meters(ahead), Meters(left), Heading::from_rad(turn))
+        self.start * Transform2::<Body, Body>::new(Meters(ahead), Meters(left), Heading::from_rad(turn))
     }
 
     fn project(&self, point: Point2<Arena>) -> Projection {
@@ -92,15 +88,11 @@ impl Leg {
 
     /// Where it begins and points.
     pub(crate) fn start(&self) -> Pose<Arena> {
-        self.segments
-            .first()
-            .map_or_else(Pose::default, |s| s.start)
+        self.segments.first().map_or_else(Pose::default, |s| s.start)
     }
 
     fn end(&self) -> Pose<Arena> {
-        self.segments
-            .last()
-            .map_or_else(Pose::default, |s| s.at(s.length_m))
+        self.segments.last().map_or_else(Pose::default, |s| s.at(s.length_m))
     }
 
     /// The place next to `point`, not far from `near_m` along the leg.
@@ -146,11 +138,7 @@ impl Path {
     /// The path of a scenario.
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let (laps, smooth_laps, is_endless) = match scenario.drive.end {
-            DriveEnd::LastLap => (
-                scenario.drive.laps as usize,
-                scenario.drive.laps as usize,
-                false,
-            ),
+            DriveEnd::LastLap => (scenario.drive.laps as usize, scenario.drive.laps as usize, false),
             DriveEnd::Never => (1, SMOOTH_LAPS, true),
         };
         let start = scenario.start.pose();
@@ -161,13 +149,8 @@ impl Path {
                 let legs = lap.into_iter().cycle().take(laps * lap_legs).collect();
                 Self::of_legs(legs, lap_legs)
             }
-            Course::Circle {
-                radius_m,
-                direction,
-            } => Self::smooth(start, smooth_laps, &[direction.sign() / radius_m]),
-            Course::FigureEight { radius_m } => {
-                Self::smooth(start, smooth_laps, &[1.0 / radius_m, -1.0 / radius_m])
-            }
+            Course::Circle { radius_m, direction } => Self::smooth(start, smooth_laps, &[direction.sign() / radius_m]),
+            Course::FigureEight { radius_m } => Self::smooth(start, smooth_laps, &[1.0 / radius_m, -1.0 / radius_m]),
             Course::Waypoints { points_m } if is_endless => round_trip(start, points_m),
             Course::Waypoints { points_m } => waypoints(start, points_m, laps),
         }
@@ -175,19 +158,10 @@ impl Path {
 
     /// Legs with a stop between them; the first `lap_legs` of them make a lap.
     fn of_legs(legs: Vec<Leg>, lap_legs: usize) -> Self {
-        let lap = legs
-            .iter()
-            .take(lap_legs)
-            .flat_map(|leg| leg.segments.iter().copied())
-            .collect();
+        let lap = legs.iter().take(lap_legs).flat_map(|leg| leg.segments.iter().copied()).collect();
         let first = legs.first().map(Leg::start).unwrap_or_default();
         let last = legs.last().map(Leg::end).unwrap_or_default();
-        Self {
-            legs,
-            lap,
-            lap_legs,
-            is_closed: first.origin().distance(last.origin()).0 < CLOSED_M,
-        }
+        Self { legs, lap, lap_legs, is_closed: first.origin().distance(last.origin()).0 < CLOSED_M }
     }
 
     /// One leg of full circles with these curvatures, lap after lap.
@@ -196,15 +170,8 @@ impl Path {
         for curvature in curvatures_per_m {
             pen.circle(*curvature);
         }
-        let leg = Leg {
-            segments: pen.segments.repeat(laps),
-        };
-        Self {
-            legs: vec![leg],
-            lap: pen.segments,
-            lap_legs: 1,
-            is_closed: true,
-        }
+        let leg = Leg { segments: pen.segments.repeat(laps) };
+        Self { legs: vec![leg], lap: pen.segments, lap_legs: 1, is_closed: true }
     }
 
     /// All legs in the order of driving.
@@ -251,10 +218,7 @@ impl Path {
 
     /// Distance of a point from the nearest place of the path, in metres.
     pub(crate) fn distance_m(&self, point: Point2<Arena>) -> f64 {
-        self.lap
-            .iter()
-            .map(|segment| segment.project(point).distance_m)
-            .fold(f64::INFINITY, f64::min)
+        self.lap.iter().map(|segment| segment.project(point).distance_m).fold(f64::INFINITY, f64::min)
     }
 
     /// The path of one lap as points, for drawing.
@@ -264,9 +228,7 @@ impl Path {
             let pieces = if segment.curvature_per_m == 0.0 {
                 1.0
             } else {
-                (segment.length_m / POLYLINE_STEP_M)
-                    .ceil()
-                    .clamp(2.0, 256.0)
+                (segment.length_m / POLYLINE_STEP_M).ceil().clamp(2.0, 256.0)
             };
             let step_m = segment.length_m / pieces;
             points.extend((1..=pieces as u32).map(|i| segment.at(f64::from(i) * step_m).origin()));
@@ -283,18 +245,11 @@ struct Pen {
 
 impl Pen {
     const fn new(at: Pose<Arena>) -> Self {
-        Self {
-            at,
-            segments: Vec::new(),
-        }
+        Self { at, segments: Vec::new() }
     }
 
     fn piece(&mut self, length_m: f64, curvature_per_m: f64) {
-        let segment = Segment {
-            start: self.at,
-            length_m,
-            curvature_per_m,
-        };
+        let segment = Segment { start: self.at, length_m, curvature_per_m };
         self.at = segment.at(length_m);
         self.segments.push(segment);
     }
@@ -309,30 +264,23 @@ impl Pen {
 
 fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<Leg> {
     let mut at = start;
-    let corner =
-        Transform2::<Body, Body>::new(Meters(side_m), Meters(0.0), Heading::from_rad(turn_rad));
+    let corner = Transform2::<Body, Body>::new(Meters(side_m), Meters(0.0), Heading::from_rad(turn_rad));
     (0..4)
         .map(|_| {
             let mut pen = Pen::new(at);
             pen.piece(side_m, 0.0);
             at = at * corner;
-            Leg {
-                segments: pen.segments,
-            }
+            Leg { segments: pen.segments }
         })
         .collect()
 }
 
 fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
-    let points: Vec<Point2<Arena>> = points_m
-        .iter()
-        .map(|[x, y]| start * Point2::<Body>::new(Meters(*x), Meters(*y)))
-        .collect();
+    let points: Vec<Point2<Arena>> =
+        points_m.iter().map(|[x, y]| start * Point2::<Body>::new(Meters(*x), Meters(*y))).collect();
     let lap: Vec<Leg> = points.windows(2).map(|w| straight(w[0], w[1])).collect();
     let way_back = match points.as_slice() {
-        [first, .., last] if laps > 1 && first.distance(*last).0 >= CLOSED_M => {
-            Some(straight(*last, *first))
-        }
+        [first, .., last] if laps > 1 && first.distance(*last).0 >= CLOSED_M => Some(straight(*last, *first)),
         _ => None,
     };
     let mut legs = lap.clone();
@@ -347,9 +295,7 @@ fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
 fn round_trip(start: Pose<Arena>, points_m: &[[f64; 2]]) -> Path {
     let mut points_m = points_m.to_vec();
     let ends = points_m.first().copied().zip(points_m.last().copied());
-    if let Some((first, _)) =
-        ends.filter(|(first, last)| (first[0] - last[0]).hypot(first[1] - last[1]) >= CLOSED_M)
-    {
+    if let Some((first, _)) = ends.filter(|(first, last)| (first[0] - last[0]).hypot(first[1] - last[1]) >= CLOSED_M) {
         points_m.push(first);
     }
     waypoints(start, &points_m, 1)
@@ -359,9 +305,7 @@ fn straight(from: Point2<Arena>, to: Point2<Arena>) -> Leg {
     let heading = Heading::from_rad(wrap_rad((to.y - from.y).0.atan2((to.x - from.x).0)));
     let mut pen = Pen::new(Pose::new(from.x, from.y, heading));
     pen.piece(from.distance(to).0, 0.0);
-    Leg {
-        segments: pen.segments,
-    }
+    Leg { segments: pen.segments }
 }
 
 #[cfg(test)]
@@ -370,10 +314,7 @@ mod tests {
     use crate::scenario::{Direction, StartPose};
 
     fn path(course: Course) -> Path {
-        Path::new(&Scenario {
-            path: course,
-            ..Scenario::default()
-        })
+        Path::new(&Scenario { path: course, ..Scenario::default() })
     }
 
     fn point(x_m: f64, y_m: f64) -> Point2<Arena> {
@@ -382,10 +323,7 @@ mod tests {
 
     #[test]
     fn a_square_is_closed_and_has_four_sides() {
-        let square = path(Course::Square {
-            side_m: 1.0,
-            direction: Direction::Left,
-        });
+        let square = path(Course::Square { side_m: 1.0, direction: Direction::Left });
         assert!(square.is_closed() && (square.length_m() - 4.0).abs() < 1e-12);
         assert_eq!(square.polyline().len(), 5);
         assert!((square.distance_m(point(0.5, 0.5)) - 0.5).abs() < 1e-12);
@@ -394,10 +332,7 @@ mod tests {
 
     #[test]
     fn an_arc_knows_its_left_and_its_curvature() {
-        let circle = path(Course::Circle {
-            radius_m: 0.5,
-            direction: Direction::Left,
-        });
+        let circle = path(Course::Circle { radius_m: 0.5, direction: Direction::Left });
         let leg = &circle.legs()[0];
         // Half way round, at (0, 1); a point inside the circle lies to the left.
         let half = leg.project(point(0.0, 0.9), 0.5 * leg.length_m());
@@ -408,10 +343,7 @@ mod tests {
 
     #[test]
     fn a_right_hand_circle_lies_to_the_right() {
-        let circle = path(Course::Circle {
-            radius_m: 0.5,
-            direction: Direction::Right,
-        });
+        let circle = path(Course::Circle { radius_m: 0.5, direction: Direction::Right });
         assert!(circle.distance_m(point(0.0, -1.0)) < 1e-9);
         let quarter = circle.legs()[0].project(point(0.5, -0.5), 0.7);
         assert!(quarter.distance_m < 1e-9 && (quarter.along_m - 0.5 * FRAC_PI_2).abs() < 1e-9);
@@ -431,9 +363,7 @@ mod tests {
     #[test]
     fn further_laps_of_open_way_points_come_back_first() {
         let scenario = Scenario {
-            path: Course::Waypoints {
-                points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]],
-            },
+            path: Course::Waypoints { points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]] },
             ..Scenario::default()
         };
         assert!(!Path::new(&scenario).is_closed());
@@ -443,14 +373,7 @@ mod tests {
 
     #[test]
     fn the_start_pose_moves_the_path() {
-        let scenario = Scenario {
-            start: StartPose {
-                x_m: 2.0,
-                y_m: 1.0,
-                heading_deg: 90.0,
-            },
-            ..Scenario::default()
-        };
+        let scenario = Scenario { start: StartPose { x_m: 2.0, y_m: 1.0, heading_deg: 90.0 }, ..Scenario::default() };
         let corner = Path::new(&scenario).polyline()[1];
         assert!((corner.x.0 - 2.0).abs() < 1e-9 && (corner.y.0 - 2.0).abs() < 1e-9);
     }

@@ -40,14 +40,8 @@ impl SensorBoard {
         Self {
             encoders: Pair::default(),
             gyro: Gyro::new(scenario.gyro, Stream::new(scenario.seed, "gyro")),
-            accelerometers: Accelerometers::new(
-                scenario.accelerometer,
-                Stream::new(scenario.seed, "accelerometers"),
-            ),
-            thermometer: scenario
-                .thermometer
-                .as_ref()
-                .map(|settings| Thermometer::new(settings, scenario.seed)),
+            accelerometers: Accelerometers::new(scenario.accelerometer, Stream::new(scenario.seed, "accelerometers")),
+            thermometer: scenario.thermometer.as_ref().map(|settings| Thermometer::new(settings, scenario.seed)),
             turned_rad: 0.0,
             wheel_speed_m_per_s: Pair::default(),
             last: InertialReading::default(),
@@ -59,10 +53,7 @@ impl SensorBoard {
 
     /// Follows the body by one step of the world.
     pub(crate) fn sense(&mut self, body: &Body) {
-        self.encoders
-            .as_mut()
-            .zip(body.shaft_rad())
-            .map(|(encoder, shaft_rad)| encoder.sense(shaft_rad));
+        self.encoders.as_mut().zip(body.shaft_rad()).map(|(encoder, shaft_rad)| encoder.sense(shaft_rad));
         self.turned_rad = body.turned_rad();
         self.wheel_speed_m_per_s = body.wheel_speed_m_per_s();
         self.steps_since_last += 1;
@@ -154,11 +145,7 @@ struct Gyro {
 
 impl Gyro {
     fn new(settings: GyroSettings, stream: Stream) -> Self {
-        let mut gyro = Self {
-            settings,
-            stream,
-            bias_deg_per_s: 0.0,
-        };
+        let mut gyro = Self { settings, stream, bias_deg_per_s: 0.0 };
         gyro.power_up();
         gyro
     }
@@ -174,10 +161,7 @@ impl Gyro {
         let noise = self.settings.sigma_deg_per_s * self.stream.normal();
         let felt = turn_rad_per_s.to_degrees() + self.bias_deg_per_s + noise;
         let range = self.settings.range_deg_per_s;
-        quantise(felt, self.settings.quantum_deg_per_s)
-            .max(-range)
-            .min(range)
-            .to_radians()
+        quantise(felt, self.settings.quantum_deg_per_s).max(-range).min(range).to_radians()
     }
 }
 
@@ -191,21 +175,14 @@ struct Accelerometers {
 
 impl Accelerometers {
     fn new(settings: AccelerometerSettings, stream: Stream) -> Self {
-        let mut accelerometers = Self {
-            settings,
-            stream,
-            bias_m_per_s2: Pair::default(),
-        };
+        let mut accelerometers = Self { settings, stream, bias_m_per_s2: Pair::default() };
         accelerometers.power_up();
         accelerometers
     }
 
     fn power_up(&mut self) {
         let sigma = self.settings.bias_sigma_m_per_s2;
-        self.bias_m_per_s2 = Pair {
-            left: sigma * self.stream.normal(),
-            right: sigma * self.stream.normal(),
-        };
+        self.bias_m_per_s2 = Pair { left: sigma * self.stream.normal(), right: sigma * self.stream.normal() };
     }
 
     fn read(&mut self, truth_m_per_s2: Pair<f64>) -> Pair<f64> {
@@ -218,11 +195,7 @@ impl Accelerometers {
 
 /// The nearest whole multiple of `quantum`; the value itself when the quantum is zero.
 fn quantise(value: f64, quantum: f64) -> f64 {
-    if quantum > 0.0 {
-        (value / quantum).round() * quantum
-    } else {
-        value
-    }
+    if quantum > 0.0 { (value / quantum).round() * quantum } else { value }
 }
 
 #[cfg(test)]
@@ -232,11 +205,8 @@ mod tests {
     use super::*;
 
     fn gyro(change: impl FnOnce(&mut GyroSettings)) -> Gyro {
-        let mut settings = GyroSettings {
-            bias_sigma_deg_per_s: 0.0,
-            bias_walk_deg_per_s_sqrt_s: 0.0,
-            ..GyroSettings::default()
-        };
+        let mut settings =
+            GyroSettings { bias_sigma_deg_per_s: 0.0, bias_walk_deg_per_s_sqrt_s: 0.0, ..GyroSettings::default() };
         change(&mut settings);
         Gyro::new(settings, Stream::new(11, "gyro"))
     }
@@ -267,18 +237,14 @@ mod tests {
     fn gyro_noise_has_its_sigma_plus_that_of_the_quantum() {
         let mut gyro = gyro(|_| ());
         let draws = 20_000_u32;
-        let mean_square = (0..draws)
-            .map(|_| gyro.read(0.0, 0.05).to_degrees().powi(2))
-            .sum::<f64>()
-            / f64::from(draws);
+        let mean_square = (0..draws).map(|_| gyro.read(0.0, 0.05).to_degrees().powi(2)).sum::<f64>() / f64::from(draws);
         // 0.36 of noise and 1/12 of rounding; a mean square over 20000 draws is good to 1 %.
         assert!((mean_square - 0.4433).abs() < 0.025, "{mean_square}");
     }
 
     #[test]
     fn the_bias_at_power_up_has_its_sigma_and_walks() {
-        let bias =
-            |seed| Gyro::new(GyroSettings::default(), Stream::new(seed, "gyro")).bias_deg_per_s;
+        let bias = |seed| Gyro::new(GyroSettings::default(), Stream::new(seed, "gyro")).bias_deg_per_s;
         let sigma = ((0..2_000).map(|seed| bias(seed).powi(2)).sum::<f64>() / 2_000.0).sqrt();
         assert!((sigma - 1.0).abs() < 0.07, "{sigma}");
 
@@ -297,10 +263,7 @@ mod tests {
 
     #[test]
     fn accelerometers_have_their_quantum_and_noise() {
-        let settings = AccelerometerSettings {
-            bias_sigma_m_per_s2: 0.0,
-            ..AccelerometerSettings::default()
-        };
+        let settings = AccelerometerSettings { bias_sigma_m_per_s2: 0.0, ..AccelerometerSettings::default() };
         let mut both = Accelerometers::new(settings, Stream::new(5, "accelerometers"));
         let mut sum_squares = 0.0;
         for _ in 0..5_000 {
@@ -324,20 +287,14 @@ mod tests {
             bias_walk_deg_per_s_sqrt_s: 0.0,
             ..scenario.gyro
         };
-        scenario.accelerometer = AccelerometerSettings {
-            sigma_m_per_s2: 0.0,
-            quantum_m_per_s2: 0.0,
-            bias_sigma_m_per_s2: 0.0,
-        };
+        scenario.accelerometer =
+            AccelerometerSettings { sigma_m_per_s2: 0.0, quantum_m_per_s2: 0.0, bias_sigma_m_per_s2: 0.0 };
         let mut body = Body::new(&scenario, Pose::default());
         let mut board = SensorBoard::new(&scenario);
         let (mut turned, mut speed) = (0.0, 0.0);
         for _ in 0..4 {
             for _ in 0..50 {
-                body.step(Pair {
-                    left: 0.1,
-                    right: 0.5,
-                });
+                body.step(Pair { left: 0.1, right: 0.5 });
                 board.sense(&body);
             }
             let reading = board.read_inertial();

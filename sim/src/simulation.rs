@@ -14,8 +14,8 @@ use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{ScanCounters, Scanned, Scanner, ScannerConfig};
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::{
-    Address, Arena, BrickClock, DriveGeometry, HostClock, MetersPerSecond, Point2, Pose,
-    RadiansPerSecond, SensorNoise, Span, Stamp,
+    Address, Arena, BrickClock, DriveGeometry, HostClock, MetersPerSecond, Point2, Pose, RadiansPerSecond, SensorNoise,
+    Span, Stamp,
 };
 
 pub use self::faults::Doer;
@@ -82,12 +82,7 @@ pub const FORGOTTEN_AT_ONCE: Span = Span::from_millis(20_000);
 const MOST_ITEMS: usize = 130_000;
 
 /// Forgets the oldest items of a list that is in the order of the world's time.
-pub(crate) fn forget_oldest<T>(
-    history: History,
-    world: Span,
-    list: &mut Vec<T>,
-    world_of: fn(&T) -> Span,
-) {
+pub(crate) fn forget_oldest<T>(history: History, world: Span, list: &mut Vec<T>, world_of: fn(&T) -> Span) {
     if history != History::Recent {
         return;
     }
@@ -145,10 +140,7 @@ impl Simulation {
         let path = Path::new(&scenario);
         let brick_clock = SkewedClock::new(scenario.brick.clock());
         let brick = Brick::new(&scenario, path.clone(), brick_clock.reading(Span::ZERO));
-        let camera = scenario
-            .camera
-            .is_present
-            .then(|| Camera::new(scenario.camera.clone(), scenario.seed));
+        let camera = scenario.camera.is_present.then(|| Camera::new(scenario.camera.clone(), scenario.seed));
         let history = match scenario.drive.end {
             DriveEnd::LastLap => History::Kept,
             DriveEnd::Never => History::Recent,
@@ -277,8 +269,7 @@ impl Simulation {
         self.brick_clock.restart(self.world);
         self.board.restart();
         let when = self.when();
-        self.brick
-            .restart(when, &mut self.board, self.body.battery_v());
+        self.brick.restart(when, &mut self.board, self.body.battery_v());
         self.duty = Pair::default();
     }
 
@@ -354,10 +345,7 @@ impl Simulation {
     }
 
     fn when(&self) -> When {
-        When {
-            world: self.world,
-            now: self.brick_clock.reading(self.world),
-        }
+        When { world: self.world, now: self.brick_clock.reading(self.world) }
     }
 
     fn tell_camera(&mut self, from: Address, message: &Message) {
@@ -368,9 +356,7 @@ impl Simulation {
 
     fn log_estimate(&mut self, instant: Stamp<BrickClock>, pose: Pose<Arena>) {
         if self.history != History::Forgotten {
-            forget_oldest(self.history, self.world, &mut self.received, |heard| {
-                heard.world
-            });
+            forget_oldest(self.history, self.world, &mut self.received, |heard| heard.world);
             self.received.push(ReceivedEstimate {
                 world: self.world,
                 arrival: self.brick_clock.exact(self.world),
@@ -399,9 +385,7 @@ impl Simulation {
             return;
         }
         self.samples += 1;
-        forget_oldest(self.history, self.world, &mut self.truth, |sample| {
-            sample.world
-        });
+        forget_oldest(self.history, self.world, &mut self.truth, |sample| sample.world);
         let pose = self.body.pose();
         self.truth.push(TruthSample {
             world: self.world,

@@ -50,11 +50,7 @@ impl Thermometer {
     pub(crate) fn step(&mut self) {
         let elapsed_s = self.steps as f64 * STEP_S;
         self.steps += 1;
-        let bath_c = if elapsed_s < self.settings.dipped_at_s {
-            self.settings.before_c
-        } else {
-            self.settings.after_c
-        };
+        let bath_c = if elapsed_s < self.settings.dipped_at_s { self.settings.before_c } else { self.settings.after_c };
         for lag in &mut self.lags {
             lag.state_c += lag.approach * (bath_c - lag.state_c);
         }
@@ -65,11 +61,7 @@ impl Thermometer {
         let true_c: f64 = self.lags.iter().map(|lag| lag.share * lag.state_c).sum();
         let noisy_c = true_c + self.settings.sigma_k * self.noise.normal();
         let step_k = self.settings.resolution_k;
-        if step_k > 0.0 {
-            (noisy_c / step_k).round() * step_k
-        } else {
-            noisy_c
-        }
+        if step_k > 0.0 { (noisy_c / step_k).round() * step_k } else { noisy_c }
     }
 }
 
@@ -97,29 +89,18 @@ mod tests {
             let since_s = (f64::from(millis) * STEP_S - 3.0).max(0.0);
             let left = 0.25 * (-since_s / 5.0).exp() + 0.75 * (-since_s / 20.0).exp();
             let (found, expected) = (thermometer.read(), 60.0 - 40.0 * left);
-            assert!(
-                (found - expected).abs() < 1e-9,
-                "{millis}: {found} {expected}"
-            );
+            assert!((found - expected).abs() < 1e-9, "{millis}: {found} {expected}");
             thermometer.step();
         }
     }
 
     #[test]
     fn it_shows_whole_steps_with_noise_of_the_size_that_was_asked_for() {
-        let coarse = ThermometerSettings {
-            sigma_k: 0.3,
-            resolution_k: 0.5,
-            ..settings()
-        };
+        let coarse = ThermometerSettings { sigma_k: 0.3, resolution_k: 0.5, ..settings() };
         let mut thermometer = Thermometer::new(&coarse, 1);
         let shown: Vec<f64> = (0..2_000).map(|_| thermometer.read()).collect();
         assert!(shown.iter().all(|value| (value * 2.0).fract() == 0.0));
-        let variance = shown
-            .iter()
-            .map(|value| (value - 20.0).powi(2))
-            .sum::<f64>()
-            / 2_000.0;
+        let variance = shown.iter().map(|value| (value - 20.0).powi(2)).sum::<f64>() / 2_000.0;
         // Noise and rounding: 0.09 + 0.25 / 12 = 0.111, give or take three sigma of 2000 draws.
         assert!((variance - 0.111).abs() < 0.011, "{variance}");
     }

@@ -12,27 +12,18 @@ pub(crate) struct Pair<T> {
 impl<T> Pair<T> {
     /// The same function on both sides.
     pub(crate) fn map<U>(self, mut f: impl FnMut(T) -> U) -> Pair<U> {
-        Pair {
-            left: f(self.left),
-            right: f(self.right),
-        }
+        Pair { left: f(self.left), right: f(self.right) }
     }
 
     /// Both sides together with those of another pair.
     pub(crate) fn zip<U>(self, other: Pair<U>) -> Pair<(T, U)> {
-        Pair {
-            left: (self.left, other.left),
-            right: (self.right, other.right),
-        }
+        Pair { left: (self.left, other.left), right: (self.right, other.right) }
     }
 }
 
 impl<T> Pair<T> {
     /// Both sides by mutable reference.
     pub(crate) const fn as_mut(&mut self) -> Pair<&mut T> {
-        Pair {
-            left: &mut self.left,
-            right: &mut self.right,
-        }
+        Pair { left: &mut self.left, right: &mut self.right }
     }
 }

@@ -66,12 +66,8 @@ impl Body {
         };
         let backlash = Backlash::new(robot.backlash_deg.to_radians());
         Self {
-            motors: radius_m
-                .map(|r| Motor::new(robot.motor.constants(0.5 * robot.mass_kg * r * r))),
-            backlash: Pair {
-                left: backlash,
-                right: backlash,
-            },
+            motors: radius_m.map(|r| Motor::new(robot.motor.constants(0.5 * robot.mass_kg * r * r))),
+            backlash: Pair { left: backlash, right: backlash },
             radius_m,
             track_m: robot.track_width_m * (1.0 + track),
             battery_v: robot.battery_v,
@@ -86,18 +82,12 @@ impl Body {
 
     /// Lets the motors run for one step at these duties, each from -1 to 1 of the battery's voltage.
     pub(crate) fn step(&mut self, duty: Pair<f64>) {
-        self.battery_v = (self.battery_v - self.battery_drop_v_per_step)
-            .max(LOWEST_BATTERY_V.min(self.battery_v));
+        self.battery_v = (self.battery_v - self.battery_drop_v_per_step).max(LOWEST_BATTERY_V.min(self.battery_v));
         let battery_v = self.battery_v;
-        let rotation = self
-            .motors
-            .as_mut()
-            .zip(self.backlash.as_mut())
-            .zip(duty)
-            .map(|((motor, play), duty)| {
-                motor.step(battery_v * duty);
-                play.follow(motor.angle_rad())
-            });
+        let rotation = self.motors.as_mut().zip(self.backlash.as_mut()).zip(duty).map(|((motor, play), duty)| {
+            motor.step(battery_v * duty);
+            play.follow(motor.angle_rad())
+        });
         let rolled = self.radius_m.zip(rotation).map(|(r, angle)| r * angle);
         self.wheel_speed_m_per_s = rolled.map(|travel| travel / STEP_S);
         let grip = self.mishaps.grip();
@@ -108,9 +98,7 @@ impl Body {
             return;
         }
         let gripped = self.slip.grip(rotation).zip(self.radius_m);
-        let travel = gripped
-            .zip(grip)
-            .map(|((angle, r), share)| r * angle * share);
+        let travel = gripped.zip(grip).map(|((angle, r), share)| r * angle * share);
         let travel = travel.map(|s| self.slip.travel(s));
         let turn = self.slip.turn((travel.right - travel.left) / self.track_m);
         self.advance(0.5 * (travel.left + travel.right), turn);
@@ -130,11 +118,8 @@ impl Body {
         let direction = self.pose.heading.rad() + 0.5 * turn_rad;
         let half = 0.5 * turn_rad;
         // The chord of an arc; its series below 1 mrad is exact to 1e-13.
-        let chord = if half.abs() < 1e-3 {
-            forward_m * (1.0 - half * half / 6.0)
-        } else {
-            forward_m * half.sin() / half
-        };
+        let chord =
+            if half.abs() < 1e-3 { forward_m * (1.0 - half * half / 6.0) } else { forward_m * half.sin() / half };
         self.pose = Pose::new(
             Meters(self.pose.x.0 + chord * direction.cos()),
             Meters(self.pose.y.0 + chord * direction.sin()),
@@ -215,20 +200,15 @@ impl Slip {
             return rotation_rad;
         }
         self.begin_events();
-        rotation_rad
-            .zip(self.lost_rad.as_mut())
-            .map(|(angle, lost)| {
-                let slipped = lost.min(angle.abs());
-                *lost -= slipped;
-                angle - slipped.copysign(angle)
-            })
+        rotation_rad.zip(self.lost_rad.as_mut()).map(|(angle, lost)| {
+            let slipped = lost.min(angle.abs());
+            *lost -= slipped;
+            angle - slipped.copysign(angle)
+        })
     }
 
     fn begin_events(&mut self) {
-        if self
-            .events
-            .happens(self.errors.slip_events_per_min / 60.0 * STEP_S)
-        {
+        if self.events.happens(self.errors.slip_events_per_min / 60.0 * STEP_S) {
             let spin_rad = self.events.uniform(SLIP_DEG.0, SLIP_DEG.1).to_radians();
             if self.events.sign() > 0.0 {
                 self.lost_rad.right += spin_rad;
@@ -236,10 +216,7 @@ impl Slip {
                 self.lost_rad.left += spin_rad;
             }
         }
-        if self
-            .events
-            .happens(self.errors.kicks_per_min / 60.0 * STEP_S)
-        {
+        if self.events.happens(self.errors.kicks_per_min / 60.0 * STEP_S) {
             let size_rad = self.events.uniform(KICK_DEG.0, KICK_DEG.1).to_radians();
             self.kick_rad = self.events.sign() * size_rad;
             self.kick_rad_per_step = size_rad * STEP_S / KICK_S;
@@ -250,16 +227,11 @@ impl Slip {
         if rolled_m == 0.0 {
             return rolled_m;
         }
-        rolled_m
-            + self.errors.wheel_travel_m_per_sqrt_m * rolled_m.abs().sqrt() * self.noise.normal()
+        rolled_m + self.errors.wheel_travel_m_per_sqrt_m * rolled_m.abs().sqrt() * self.noise.normal()
     }
 
     fn turn(&mut self, turn_rad: f64) -> f64 {
-        let kicked = self
-            .kick_rad
-            .abs()
-            .min(self.kick_rad_per_step)
-            .copysign(self.kick_rad);
+        let kicked = self.kick_rad.abs().min(self.kick_rad_per_step).copysign(self.kick_rad);
         self.kick_rad -= kicked;
         if turn_rad == 0.0 {
             return turn_rad + kicked;
@@ -282,18 +254,12 @@ mod tests {
     }
 
     fn exact() -> Scenario {
-        let mut scenario = Scenario {
-            errors: ErrorSettings::none(),
-            ..Scenario::default()
-        };
+        let mut scenario = Scenario { errors: ErrorSettings::none(), ..Scenario::default() };
         scenario.robot.backlash_deg = 0.0;
         scenario
     }
 
-    const AHEAD: Pair<f64> = Pair {
-        left: 0.5,
-        right: 0.5,
-    };
+    const AHEAD: Pair<f64> = Pair { left: 0.5, right: 0.5 };
 
     #[test]
     fn equal_wheels_drive_straight_by_radius_times_angle() {
@@ -327,20 +293,14 @@ mod tests {
         let sigma = (sum_squares / runs as f64).sqrt();
         let expected = 0.004 * path_m.sqrt();
         // The relative error of a sigma from 200 draws is 5 %.
-        assert!(
-            (sigma / expected - 1.0).abs() < 0.15,
-            "{sigma} against {expected}"
-        );
+        assert!((sigma / expected - 1.0).abs() < 0.15, "{sigma} against {expected}");
     }
 
     #[test]
     fn turn_noise_grows_with_the_square_root_of_the_turn() {
         let mut scenario = exact();
         scenario.errors.turn_rad_per_sqrt_rad = 0.01;
-        let spin = Pair {
-            left: -0.5,
-            right: 0.5,
-        };
+        let spin = Pair { left: -0.5, right: 0.5 };
         let runs = 200_u64;
         let (mut sum_squares, mut turn_rad) = (0.0, 0.0);
         for seed in 0..runs {
@@ -350,20 +310,14 @@ mod tests {
         }
         let sigma = (sum_squares / runs as f64).sqrt();
         let expected = 0.01 * turn_rad.sqrt();
-        assert!(
-            (sigma / expected - 1.0).abs() < 0.15,
-            "{sigma} against {expected}"
-        );
+        assert!((sigma / expected - 1.0).abs() < 0.15, "{sigma} against {expected}");
     }
 
     #[test]
     fn a_battery_that_runs_down_slows_the_robot_and_stops_at_five_volts() {
         let mut scenario = exact();
         scenario.robot.battery_drop_v_per_min = 6.0;
-        let full = Pair {
-            left: 1.0,
-            right: 1.0,
-        };
+        let full = Pair { left: 1.0, right: 1.0 };
         let speed_at = |millis| driven(&scenario, full, millis).forward_m_per_s();
         let at = |volts: f64| 0.028 * (volts - 0.330) / 0.487;
         // 8 V at the beginning, 0.1 V less each second; the speed lags by a tenth of a second.
@@ -377,9 +331,7 @@ mod tests {
         scenario.errors.track_error_sigma = 0.02;
         scenario.errors.track_error = 0.01;
         let errors: Vec<f64> = (0..1_000)
-            .map(|seed| {
-                Body::new(&scenario.clone().with_seed(seed), Pose::default()).track_m / 0.112 - 1.0
-            })
+            .map(|seed| Body::new(&scenario.clone().with_seed(seed), Pose::default()).track_m / 0.112 - 1.0)
             .collect();
         let mean = errors.iter().sum::<f64>() / 1_000.0;
         let sigma = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / 1_000.0).sqrt();
@@ -415,10 +367,7 @@ mod tests {
     }
 
     /// What both wheels turn in a step, in radians.
-    const TURNING: Pair<f64> = Pair {
-        left: 0.001,
-        right: 0.001,
-    };
+    const TURNING: Pair<f64> = Pair { left: 0.001, right: 0.001 };
 
     /// The sizes of all events; `step` makes one step and tells the size of what began in it, or zero.
     fn events_of(errors: ErrorSettings, mut step: impl FnMut(&mut Slip) -> f64) -> Vec<f64> {
@@ -438,10 +387,7 @@ mod tests {
 
     #[test]
     fn slip_events_come_at_their_rate_and_size_on_either_wheel() {
-        let errors = ErrorSettings {
-            slip_events_per_min: PER_MIN,
-            ..ErrorSettings::none()
-        };
+        let errors = ErrorSettings { slip_events_per_min: PER_MIN, ..ErrorSettings::none() };
         let sizes_deg = events_of(errors, |slip| {
             slip.lost_rad = Pair::default();
             let gripped = slip.grip(TURNING);
@@ -453,10 +399,7 @@ mod tests {
 
     #[test]
     fn kicks_come_at_their_rate_and_size_to_either_side() {
-        let errors = ErrorSettings {
-            kicks_per_min: PER_MIN,
-            ..ErrorSettings::none()
-        };
+        let errors = ErrorSettings { kicks_per_min: PER_MIN, ..ErrorSettings::none() };
         let sizes_deg = events_of(errors, |slip| {
             slip.kick_rad = 0.0;
             assert_eq!(slip.grip(TURNING), TURNING, "a kick costs no travel");
@@ -516,10 +459,7 @@ mod tests {
             body.step(Pair::default());
         }
         let at_rest = (body.pose().x.0, body.shaft_rad().left);
-        let back = Pair {
-            left: -0.3,
-            right: -0.3,
-        };
+        let back = Pair { left: -0.3, right: -0.3 };
         while body.shaft_rad().left > at_rest.1 - 3.9_f64.to_radians() {
             body.step(back);
         }

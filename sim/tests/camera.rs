@@ -10,9 +10,8 @@ const RUN_S: f64 = 600.0;
 fn position_and_heading_have_their_sigmas() {
     let fixes = seen(|_| ());
     let count = fixes.len() as f64;
-    let sigma = |error: &dyn Fn(&CameraFix) -> f64| {
-        (fixes.iter().map(|f| error(f).powi(2)).sum::<f64>() / count).sqrt()
-    };
+    let sigma =
+        |error: &dyn Fn(&CameraFix) -> f64| (fixes.iter().map(|f| error(f).powi(2)).sum::<f64>() / count).sqrt();
     let x_m = sigma(&|f| f.position.x.0 - f.true_tag.x.0);
     let y_m = sigma(&|f| f.position.y.0 - f.true_tag.y.0);
     let heading_deg = sigma(&|f| (f.heading.unwrap() - f.true_tag.heading).0.to_degrees());
@@ -25,10 +24,7 @@ fn position_and_heading_have_their_sigmas() {
 #[test]
 fn latency_lies_within_its_jitter_around_its_mean() {
     let fixes = seen(|_| ());
-    let latencies: Vec<f64> = fixes
-        .iter()
-        .map(|f| (f.sent - f.exposed).as_millis_f64())
-        .collect();
+    let latencies: Vec<f64> = fixes.iter().map(|f| (f.sent - f.exposed).as_millis_f64()).collect();
     let mean = latencies.iter().sum::<f64>() / latencies.len() as f64;
     assert!((mean - 80.0).abs() < 1.5, "{mean} ms");
     assert!(latencies.iter().all(|l| (50.0..=110.0).contains(l)));
@@ -74,10 +70,7 @@ fn fixes_queue_up_or_overtake_as_configured() {
             camera.jitter_ms = 140.0;
         });
         assert!(fixes.windows(2).all(|pair| pair[0].sent <= pair[1].sent));
-        fixes
-            .windows(2)
-            .filter(|pair| pair[0].exposed > pair[1].exposed)
-            .count()
+        fixes.windows(2).filter(|pair| pair[0].exposed > pair[1].exposed).count()
     };
     assert_eq!(overtaken(CameraOrder::Fifo), 0);
     assert!(overtaken(CameraOrder::Free) > 100);
@@ -86,16 +79,9 @@ fn fixes_queue_up_or_overtake_as_configured() {
 #[test]
 fn nothing_is_seen_in_a_blackout() {
     let fixes = seen(|camera| {
-        camera.blackouts = vec![Blackout {
-            from_s: 60.0,
-            to_s: 240.0,
-        }];
+        camera.blackouts = vec![Blackout { from_s: 60.0, to_s: 240.0 }];
     });
-    assert!(
-        !fixes
-            .iter()
-            .any(|f| (60.0..240.0).contains(&f.exposed.as_secs_f64()))
-    );
+    assert!(!fixes.iter().any(|f| (60.0..240.0).contains(&f.exposed.as_secs_f64())));
     assert!(fixes.iter().any(|f| f.exposed.as_secs_f64() > 240.0));
 }
 

@@ -9,8 +9,7 @@ use posebridge_protocol::message::{
 use posebridge_sim::scenario::Wire;
 use posebridge_sim::{BRICK, CAMERA, Scenario, Simulation, Steering, TruthSample};
 use posebridge_telemetry::{
-    Address, Arena, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span,
-    Stamp,
+    Address, Arena, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp,
 };
 use proptest::prelude::*;
 
@@ -32,9 +31,8 @@ fn brick_and_camera_introduce_themselves() {
     for expected in [(BRICK, 10), (CAMERA, 30)] {
         assert_eq!(types.iter().filter(|t| **t == expected).count(), 2);
     }
-    let described = heard
-        .iter()
-        .any(|(from, message)| *from == BRICK && matches!(message, Message::RobotDescription(_)));
+    let described =
+        heard.iter().any(|(from, message)| *from == BRICK && matches!(message, Message::RobotDescription(_)));
     assert!(described);
 }
 
@@ -60,10 +58,7 @@ fn the_standard_wire_uses_standard_messages_only() {
     let count = |wanted: fn(&Message) -> bool| heard.iter().filter(|(_, m)| wanted(m)).count();
     assert_eq!(count(|m| matches!(m, Message::WheelDistance { .. })), 40);
     assert_eq!(count(|m| matches!(m, Message::ScaledImu(_))), 40);
-    assert_eq!(
-        count(|m| matches!(m, Message::WheelTicks(_) | Message::Inertial(_))),
-        0
-    );
+    assert_eq!(count(|m| matches!(m, Message::WheelTicks(_) | Message::Inertial(_))), 0);
 }
 
 #[test]
@@ -77,11 +72,7 @@ fn each_answers_timesync_with_its_own_clock() {
     scenario.camera.clock_skew_ppm = 0.0;
     let mut world = World::new(scenario);
     world.run(1_234);
-    world.send(&Message::TimeSync(TimeSync {
-        answer_nanos: 0,
-        request_nanos: 77,
-        target: None,
-    }));
+    world.send(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 77, target: None }));
     let answers: Vec<(Address, TimeSync)> = world
         .run(1)
         .into_iter()
@@ -109,15 +100,8 @@ fn a_station_can_change_stop_and_restore_intervals() {
             interval,
         }));
         let heard = world.run(990);
-        let ticks = heard
-            .iter()
-            .filter(|(_, m)| matches!(m, Message::WheelTicks(_)));
-        (
-            ticks.count(),
-            heard
-                .iter()
-                .any(|(_, m)| matches!(m, Message::CommandAck(_))),
-        )
+        let ticks = heard.iter().filter(|(_, m)| matches!(m, Message::WheelTicks(_)));
+        (ticks.count(), heard.iter().any(|(_, m)| matches!(m, Message::CommandAck(_))))
     };
     assert_eq!(count_after(Some(Span::from_millis(10))), (100, true));
     assert_eq!(count_after(None), (0, true));
@@ -163,11 +147,8 @@ fn telemetry_agrees_with_the_truth_at_its_stamp() {
     scenario.brick.clock_skew_ppm = 0.0;
     scenario.robot.backlash_deg = 0.0;
     let mut world = World::new(scenario);
-    let ticks: Vec<WheelTicks> = world
-        .run(6_000)
-        .into_iter()
-        .filter_map(|(_, message)| wheel_ticks(&message))
-        .collect();
+    let ticks: Vec<WheelTicks> =
+        world.run(6_000).into_iter().filter_map(|(_, message)| wheel_ticks(&message)).collect();
     let samples = world.simulation.truth();
     let mut compared = 0;
     for tick in ticks {
@@ -175,18 +156,10 @@ fn telemetry_agrees_with_the_truth_at_its_stamp() {
         let Some(sample) = samples.iter().find(same) else {
             continue;
         };
-        let counted_m =
-            0.5 * (tick.left.0 + tick.right.0) as f64 * 0.028_f64 * 1.0_f64.to_radians();
-        let driven_m = sample
-            .pose
-            .origin()
-            .distance(world.simulation.start_pose().origin())
-            .0;
+        let counted_m = 0.5 * (tick.left.0 + tick.right.0) as f64 * 0.028_f64 * 1.0_f64.to_radians();
+        let driven_m = sample.pose.origin().distance(world.simulation.start_pose().origin()).0;
         // A count is 0.49 mm; slip of 0.6 mm per root metre comes on top.
-        assert!(
-            (counted_m - driven_m).abs() < 0.004,
-            "{counted_m} against {driven_m}"
-        );
+        assert!((counted_m - driven_m).abs() < 0.004, "{counted_m} against {driven_m}");
         compared += 1;
     }
     assert!(compared > 100, "{compared}");
@@ -198,11 +171,7 @@ fn a_restarted_brick_counts_from_zero_and_drives_on() {
     world.run(5_000);
     let progress = world.simulation.progress();
     world.simulation.restart_brick();
-    let first = world
-        .run(100)
-        .into_iter()
-        .find_map(|(_, message)| wheel_ticks(&message))
-        .unwrap();
+    let first = world.run(100).into_iter().find_map(|(_, message)| wheel_ticks(&message)).unwrap();
     assert!(matches!(first.stamp, WireStamp::Micros32(micros) if micros < 60_000));
     assert!(first.left.0.abs() < 50 && first.right.0.abs() < 50);
     assert!(progress > 0.1 && world.simulation.progress() >= progress);
@@ -324,10 +293,7 @@ struct World {
 
 impl World {
     fn new(scenario: Scenario) -> Self {
-        Self {
-            simulation: Simulation::new(scenario),
-            encoder: Encoder::new(WireVersion::V2),
-        }
+        Self { simulation: Simulation::new(scenario), encoder: Encoder::new(WireVersion::V2) }
     }
 
     /// Lets milliseconds pass and returns what was heard.
@@ -349,12 +315,7 @@ impl World {
     /// Sends the newest truth that is at least `age_ms` old as an estimate.
     fn send_truth_of(&mut self, age_ms: i64, flags: PoseFlags) {
         let limit = self.simulation.elapsed() - Span::from_millis(age_ms);
-        let sample = self
-            .simulation
-            .truth()
-            .iter()
-            .rev()
-            .find(|t| t.world <= limit);
+        let sample = self.simulation.truth().iter().rev().find(|t| t.world <= limit);
         if let Some(sample) = sample.copied() {
             let stamp = sample.brick.as_micros() as u32;
             self.send(&planar_pose(stamp, sample.pose, flags));
@@ -385,32 +346,23 @@ fn whole_output(simulation: &mut Simulation) -> Vec<u8> {
 
 fn messages(bytes: &[u8]) -> Vec<(Address, Message)> {
     let mut heard = Vec::new();
-    Scanner::new(ScannerConfig::default()).push(
-        Stamp::<HostClock>::ZERO,
-        bytes,
-        &mut |scanned: Scanned<'_>| match scanned {
+    Scanner::new(ScannerConfig::default()).push(Stamp::<HostClock>::ZERO, bytes, &mut |scanned: Scanned<'_>| {
+        match scanned {
             Scanned::Frame(frame) => {
                 heard.extend(dialect::decode(&frame).unwrap().map(|m| (frame.source, m)));
             }
             other @ (Scanned::Unknown(_) | Scanned::Defect(_)) => {
                 panic!("the simulation sent {other:?}")
             }
-        },
-    );
+        }
+    });
     heard
 }
 
 const fn wheel_ticks(message: &Message) -> Option<WheelTicks> {
-    if let Message::WheelTicks(ticks) = message {
-        Some(*ticks)
-    } else {
-        None
-    }
+    if let Message::WheelTicks(ticks) = message { Some(*ticks) } else { None }
 }
 
-fn stamps(
-    heard: &[(Address, Message)],
-    pick: impl Fn(&Message) -> Option<WireStamp>,
-) -> Vec<WireStamp> {
+fn stamps(heard: &[(Address, Message)], pick: impl Fn(&Message) -> Option<WireStamp>) -> Vec<WireStamp> {
     heard.iter().filter_map(|(_, m)| pick(m)).collect()
 }

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use posebridge_sim::impairment::{
-    BurstLoss, Cause, Delay, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink,
-    Impairment, LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+    BurstLoss, Cause, Delay, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink, Impairment, LinkEvent,
+    LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
 };
 use posebridge_telemetry::{HostClock, Span, Stamp};
 use proptest::prelude::*;
@@ -180,11 +180,7 @@ fn a_long_delay_does_not_fill_the_memory() {
 #[test]
 fn an_outage_frees_the_line() {
     let profile = DirectionProfile {
-        rate: Some(Rate {
-            bytes_per_s: 100.0,
-            buffer_bytes: 2_000,
-            burst_bytes: 0,
-        }),
+        rate: Some(Rate { bytes_per_s: 100.0, buffer_bytes: 2_000, burst_bytes: 0 }),
         ..DirectionProfile::default()
     };
     let mut direction = Impairment::new(&profile, LinkKind::Stream, 1, "test");
@@ -201,13 +197,8 @@ fn an_outage_frees_the_line() {
 
 #[test]
 fn an_outage_ends_a_long_delay() {
-    let profile = DirectionProfile {
-        delay: Delay {
-            base_ms: 0.0,
-            jitter_mean_ms: 60_000.0,
-        },
-        ..DirectionProfile::default()
-    };
+    let profile =
+        DirectionProfile { delay: Delay { base_ms: 0.0, jitter_mean_ms: 60_000.0 }, ..DirectionProfile::default() };
     // What was on the way is gone, so the next unit need not arrive behind it: of two long delays the second is the shorter one
     // in half of all cases.
     let arrives_sooner = |seed: &u64| {
@@ -263,12 +254,7 @@ struct Run {
 }
 
 impl Run {
-    fn of(
-        profile: &DirectionProfile,
-        kind: LinkKind,
-        traffic: &[(Stamp<HostClock>, Vec<u8>)],
-        seed: u64,
-    ) -> Self {
+    fn of(profile: &DirectionProfile, kind: LinkKind, traffic: &[(Stamp<HostClock>, Vec<u8>)], seed: u64) -> Self {
         let mut direction = Impairment::new(profile, kind, seed, "test");
         let mut arrived = Vec::new();
         let mut poll_until = |direction: &mut Impairment, now| {
@@ -316,10 +302,7 @@ impl Run {
             for place in entry.bytes.clone() {
                 let as_what = self.damaged(entry.unit, place);
                 let key = (entry.unit, place);
-                let arrival = arrivals.entry(key).or_insert_with(|| Arrival {
-                    instants: Vec::new(),
-                    as_what,
-                });
+                let arrival = arrivals.entry(key).or_insert_with(|| Arrival { instants: Vec::new(), as_what });
                 arrival.instants.push(at);
             }
         }
@@ -328,9 +311,7 @@ impl Run {
 
     fn places(&self, wanted: impl Fn(Fate) -> bool) -> Vec<(u64, usize)> {
         let entries = self.log.iter().filter(|entry| wanted(entry.fate));
-        entries
-            .flat_map(|entry| entry.bytes.clone().map(|place| (entry.unit, place)))
-            .collect()
+        entries.flat_map(|entry| entry.bytes.clone().map(|place| (entry.unit, place))).collect()
     }
 
     /// Every offered byte is delivered once or lost once, by the log and by the counters.
@@ -370,38 +351,23 @@ fn profile() -> impl Strategy<Value = DirectionProfile> {
     let stall = prop::option::of((0.0..0.2, 0.0..50.0, 0.0..300.0));
     let slot_ms = prop::option::of(0.5..20.0);
     (rate, burst_loss, 0.0..0.2, 0.0..0.01, delay, stall, slot_ms).prop_map(
-        |(rate, burst_loss, loss, bit_error_rate, (base_ms, jitter_mean_ms), stall, slot_ms)| {
-            DirectionProfile {
-                rate: rate.map(|(bytes_per_s, buffer_bytes, burst_bytes)| Rate {
-                    bytes_per_s,
-                    buffer_bytes,
-                    burst_bytes,
-                }),
-                loss,
-                burst_loss: burst_loss.map(|(mean_good_s, mean_bad_s, loss_good, loss_bad)| {
-                    BurstLoss {
-                        mean_good_s,
-                        mean_bad_s,
-                        loss_good,
-                        loss_bad,
-                    }
-                }),
-                bit_error_rate,
-                delay: Delay {
-                    base_ms,
-                    jitter_mean_ms,
-                },
-                stalls: stall
-                    .into_iter()
-                    .map(|(probability, from_ms, longer_ms)| Stall {
-                        probability,
-                        from_ms,
-                        to_ms: from_ms + longer_ms,
-                    })
-                    .collect(),
-                slot_ms,
-                ..DirectionProfile::default()
-            }
+        |(rate, burst_loss, loss, bit_error_rate, (base_ms, jitter_mean_ms), stall, slot_ms)| DirectionProfile {
+            rate: rate.map(|(bytes_per_s, buffer_bytes, burst_bytes)| Rate { bytes_per_s, buffer_bytes, burst_bytes }),
+            loss,
+            burst_loss: burst_loss.map(|(mean_good_s, mean_bad_s, loss_good, loss_bad)| BurstLoss {
+                mean_good_s,
+                mean_bad_s,
+                loss_good,
+                loss_bad,
+            }),
+            bit_error_rate,
+            delay: Delay { base_ms, jitter_mean_ms },
+            stalls: stall
+                .into_iter()
+                .map(|(probability, from_ms, longer_ms)| Stall { probability, from_ms, to_ms: from_ms + longer_ms })
+                .collect(),
+            slot_ms,
+            ..DirectionProfile::default()
         },
     )
 }

@@ -3,8 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
 
 use posebridge_sim::impairment::{
-    BurstLoss, Delay, Delivery, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink,
-    Impairment, LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+    BurstLoss, Delay, Delivery, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink, Impairment,
+    LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
 };
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
@@ -12,13 +12,8 @@ const SEED: u64 = 20;
 
 #[test]
 fn jitter_is_exponential_above_the_base() {
-    let profile = DirectionProfile {
-        delay: Delay {
-            base_ms: 15.0,
-            jitter_mean_ms: 8.0,
-        },
-        ..DirectionProfile::default()
-    };
+    let profile =
+        DirectionProfile { delay: Delay { base_ms: 15.0, jitter_mean_ms: 8.0 }, ..DirectionProfile::default() };
     let delays_ms = delays_ms(&profile, LinkKind::Stream, 4_000);
     assert!(delays_ms.iter().all(|delay| *delay >= 15.0));
     follows(&delays_ms, |delay| 1.0 - (-(delay - 15.0) / 8.0).exp());
@@ -27,11 +22,7 @@ fn jitter_is_exponential_above_the_base() {
 #[test]
 fn stalls_come_as_often_and_last_as_long_as_they_should() {
     let profile = DirectionProfile {
-        stalls: vec![Stall {
-            probability: 0.05,
-            from_ms: 50.0,
-            to_ms: 500.0,
-        }],
+        stalls: vec![Stall { probability: 0.05, from_ms: 50.0, to_ms: 500.0 }],
         ..DirectionProfile::default()
     };
     let delays_ms = delays_ms(&profile, LinkKind::Stream, 20_000);
@@ -43,11 +34,7 @@ fn stalls_come_as_often_and_last_as_long_as_they_should() {
 #[test]
 fn a_saturated_line_carries_its_rate_and_drops_the_rest() {
     let profile = DirectionProfile {
-        rate: Some(Rate {
-            bytes_per_s: 5_760.0,
-            buffer_bytes: 2_048,
-            burst_bytes: 0,
-        }),
+        rate: Some(Rate { bytes_per_s: 5_760.0, buffer_bytes: 2_048, burst_bytes: 0 }),
         ..DirectionProfile::default()
     };
     for kind in [LinkKind::Stream, LinkKind::Datagram] {
@@ -70,12 +57,7 @@ fn a_saturated_line_carries_its_rate_and_drops_the_rest() {
 #[test]
 fn bursts_last_and_lie_apart_as_the_two_states_say() {
     let profile = DirectionProfile {
-        burst_loss: Some(BurstLoss {
-            mean_good_s: 0.5,
-            mean_bad_s: 0.05,
-            loss_good: 0.0,
-            loss_bad: 1.0,
-        }),
+        burst_loss: Some(BurstLoss { mean_good_s: 0.5, mean_bad_s: 0.05, loss_good: 0.0, loss_bad: 1.0 }),
         ..DirectionProfile::default()
     };
     let mut direction = Impairment::new(&profile, LinkKind::Datagram, SEED, "bursts");
@@ -107,12 +89,7 @@ fn bursts_last_and_lie_apart_as_the_two_states_say() {
 #[test]
 fn a_link_begins_in_either_state_as_often_as_it_is_in_it() {
     let profile = DirectionProfile {
-        burst_loss: Some(BurstLoss {
-            mean_good_s: 3.0,
-            mean_bad_s: 1.0,
-            loss_good: 0.0,
-            loss_bad: 1.0,
-        }),
+        burst_loss: Some(BurstLoss { mean_good_s: 3.0, mean_bad_s: 1.0, loss_good: 0.0, loss_bad: 1.0 }),
         ..DirectionProfile::default()
     };
     let is_bad_at_first = |seed: &u64| {
@@ -126,12 +103,7 @@ fn a_link_begins_in_either_state_as_often_as_it_is_in_it() {
 #[test]
 fn each_state_loses_with_its_own_probability() {
     let lossy = |loss_good, loss_bad| DirectionProfile {
-        burst_loss: Some(BurstLoss {
-            mean_good_s: 1.0,
-            mean_bad_s: 1.0,
-            loss_good,
-            loss_bad,
-        }),
+        burst_loss: Some(BurstLoss { mean_good_s: 1.0, mean_bad_s: 1.0, loss_good, loss_bad }),
         ..DirectionProfile::default()
     };
     for (good, bad) in [(0.1, 0.1), (0.0, 1.0), (0.2, 0.6)] {
@@ -144,20 +116,14 @@ fn each_state_loses_with_its_own_probability() {
             // Looks a second apart hang together a little: e^-2 of one survives to the next, 1.3 sigma at most.
             let lost = direction.counters().bytes_lost_in_bursts as f64;
             let mean = 8_000.0 * 0.5 * (good + bad);
-            assert!(
-                (lost - mean).abs() < 200.0,
-                "{kind:?} {good} {bad}: {lost} for {mean}"
-            );
+            assert!((lost - mean).abs() < 200.0, "{kind:?} {good} {bad}: {lost} for {mean}");
         }
     }
 }
 
 #[test]
 fn bits_fail_at_their_rate_and_none_more_than_another() {
-    let profile = DirectionProfile {
-        bit_error_rate: 1e-3,
-        ..DirectionProfile::default()
-    };
+    let profile = DirectionProfile { bit_error_rate: 1e-3, ..DirectionProfile::default() };
     let (log, deliveries) = pass(&profile, LinkKind::Stream, 4_000, &[0; 250]);
     let mut per_bit = [0_usize; 8];
     for entry in &log {
@@ -168,24 +134,15 @@ fn bits_fail_at_their_rate_and_none_more_than_another() {
     let flipped: usize = per_bit.iter().sum();
     happens(flipped, 8_000_000, 1e-3);
     are_equally_likely(&per_bit);
-    let ones: u32 = deliveries
-        .iter()
-        .flat_map(|delivery| &delivery.bytes)
-        .map(|byte| byte.count_ones())
-        .sum();
+    let ones: u32 = deliveries.iter().flat_map(|delivery| &delivery.bytes).map(|byte| byte.count_ones()).sum();
     assert_eq!(ones as usize, flipped, "what the log says is what arrived");
 }
 
 #[test]
 fn single_bytes_go_missing_at_their_rate() {
-    let profile = DirectionProfile {
-        byte_loss: 0.002,
-        ..DirectionProfile::default()
-    };
+    let profile = DirectionProfile { byte_loss: 0.002, ..DirectionProfile::default() };
     let (log, deliveries) = pass(&profile, LinkKind::Stream, 4_000, &[0; 250]);
-    let missing = log
-        .iter()
-        .filter(|entry| matches!(entry.fate, Fate::Lost(_)));
+    let missing = log.iter().filter(|entry| matches!(entry.fate, Fate::Lost(_)));
     let missing: usize = missing.map(|entry| entry.bytes.len()).sum();
     happens(missing, 1_000_000, 0.002);
     let arrived: usize = deliveries.iter().map(|delivery| delivery.bytes.len()).sum();
@@ -196,25 +153,16 @@ fn single_bytes_go_missing_at_their_rate() {
 fn whole_units_are_lost_at_their_rate() {
     let profile = LinkProfile::default().with_extra(0.1, 0.0).to_station;
     let (log, _) = pass(&profile, LinkKind::Stream, 20_000, b"frame");
-    let lost = log
-        .iter()
-        .filter(|entry| matches!(entry.fate, Fate::Lost(_)));
+    let lost = log.iter().filter(|entry| matches!(entry.fate, Fate::Lost(_)));
     happens(lost.count(), 20_000, 0.1);
-    assert!(
-        log.iter().all(|entry| entry.bytes == (0..5)),
-        "whole or not at all"
-    );
+    assert!(log.iter().all(|entry| entry.bytes == (0..5)), "whole or not at all");
 }
 
 #[test]
 fn datagrams_are_repeated_and_overtaken_at_their_rates() {
     let profile = DirectionProfile {
         duplicate: 0.05,
-        reorder: Some(Reorder {
-            probability: 0.1,
-            from_ms: 2.0,
-            to_ms: 6.0,
-        }),
+        reorder: Some(Reorder { probability: 0.1, from_ms: 2.0, to_ms: 6.0 }),
         ..DirectionProfile::default()
     };
     let mut direction = Impairment::new(&profile, LinkKind::Datagram, SEED, "copies");
@@ -249,10 +197,7 @@ fn datagrams_are_repeated_and_overtaken_at_their_rates() {
 
 #[test]
 fn arrivals_lie_on_the_slots_and_wait_evenly_for_them() {
-    let profile = DirectionProfile {
-        slot_ms: Some(15.0),
-        ..DirectionProfile::default()
-    };
+    let profile = DirectionProfile { slot_ms: Some(15.0), ..DirectionProfile::default() };
     let mut direction = Impairment::new(&profile, LinkKind::Stream, SEED, "slots");
     let mut waits_ms = Vec::new();
     let mut phases = Vec::new();
@@ -271,10 +216,7 @@ fn arrivals_lie_on_the_slots_and_wait_evenly_for_them() {
 
 #[test]
 fn what_waits_for_one_slot_comes_together() {
-    let profile = DirectionProfile {
-        slot_ms: Some(15.0),
-        ..DirectionProfile::default()
-    };
+    let profile = DirectionProfile { slot_ms: Some(15.0), ..DirectionProfile::default() };
     let mut direction = Impairment::new(&profile, LinkKind::Stream, SEED, "slots");
     for millis in 0..300 {
         direction.offer(ms(millis), b"ab");
@@ -283,19 +225,13 @@ fn what_waits_for_one_slot_comes_together() {
     while let Some(delivery) = direction.poll(ms(400)) {
         chunks.push(delivery.bytes.len());
     }
-    assert!(
-        chunks[1..20].iter().all(|length| *length == 30),
-        "{chunks:?}"
-    );
+    assert!(chunks[1..20].iter().all(|length| *length == 30), "{chunks:?}");
 }
 
 #[test]
 fn pieces_of_random_size_are_equally_likely_up_to_the_largest() {
     let profile = DirectionProfile {
-        fragment: Some(Fragment {
-            most_bytes: 8,
-            sizes: PieceSizes::Random,
-        }),
+        fragment: Some(Fragment { most_bytes: 8, sizes: PieceSizes::Random }),
         ..DirectionProfile::default()
     };
     let (_, deliveries) = pass(&profile, LinkKind::Stream, 20, &[7; 10_000]);
@@ -305,28 +241,18 @@ fn pieces_of_random_size_are_equally_likely_up_to_the_largest() {
     }
     are_equally_likely(&sizes);
     let fixed = DirectionProfile {
-        fragment: Some(Fragment {
-            most_bytes: 20,
-            sizes: PieceSizes::Fixed,
-        }),
+        fragment: Some(Fragment { most_bytes: 20, sizes: PieceSizes::Fixed }),
         ..DirectionProfile::default()
     };
     let (_, deliveries) = pass(&fixed, LinkKind::Stream, 1, &[7; 45]);
-    let sizes: Vec<usize> = deliveries
-        .iter()
-        .map(|delivery| delivery.bytes.len())
-        .collect();
+    let sizes: Vec<usize> = deliveries.iter().map(|delivery| delivery.bytes.len()).collect();
     assert_eq!(sizes, [20, 20, 5]);
 }
 
 #[test]
 fn outages_come_exponentially_last_evenly_and_take_what_is_on_the_way() {
     let profile = LinkProfile {
-        disconnects: Some(Disconnects {
-            mean_up_s: 12.0,
-            down_from_s: 1.0,
-            down_to_s: 10.0,
-        }),
+        disconnects: Some(Disconnects { mean_up_s: 12.0, down_from_s: 1.0, down_to_s: 10.0 }),
         ..LinkProfile::default().with_extra(0.0, 50.0)
     };
     let mut link = ImpairedLink::new(&profile, SEED, Stamp::ZERO);
@@ -361,12 +287,7 @@ fn outages_come_exponentially_last_evenly_and_take_what_is_on_the_way() {
 }
 
 /// Log and deliveries of so many equal units a second apart.
-fn pass(
-    profile: &DirectionProfile,
-    kind: LinkKind,
-    units: i64,
-    bytes: &[u8],
-) -> (Vec<LogEntry>, Vec<Delivery>) {
+fn pass(profile: &DirectionProfile, kind: LinkKind, units: i64, bytes: &[u8]) -> (Vec<LogEntry>, Vec<Delivery>) {
     let mut direction = Impairment::new(profile, kind, SEED, "test");
     let mut deliveries = Vec::new();
     for unit in 0..units {
@@ -419,18 +340,12 @@ fn happens(count: usize, trials: usize, probability: f64) {
     let mean = trials as f64 * probability;
     let sigma = (mean * (1.0 - probability)).sqrt();
     let off = (count as f64 - mean).abs();
-    assert!(
-        off < 3.3 * sigma,
-        "{count} of {trials}, expected {mean} +- {sigma}"
-    );
+    assert!(off < 3.3 * sigma, "{count} of {trials}, expected {mean} +- {sigma}");
 }
 
 /// Chi-square with seven degrees of freedom: 24.3 is its 0.1 % quantile.
 fn are_equally_likely(counts: &[usize; 8]) {
     let mean = counts.iter().sum::<usize>() as f64 / 8.0;
-    let chi_square: f64 = counts
-        .iter()
-        .map(|count| (*count as f64 - mean).powi(2) / mean)
-        .sum();
+    let chi_square: f64 = counts.iter().map(|count| (*count as f64 - mean).powi(2) / mean).sum();
     assert!(chi_square < 24.3, "{chi_square}: {counts:?}");
 }

@@ -29,11 +29,7 @@ fn the_odometry_of_the_square_ends_decimetres_from_the_truth() {
     let error_m = odometry_error_m(last(&run));
     assert!((0.05..0.6).contains(&error_m), "{error_m} m");
     // Steered by that odometry, the robot believes to be home and is not.
-    let home = last(&run)
-        .pose
-        .origin()
-        .distance(run.start_pose().origin())
-        .0;
+    let home = last(&run).pose.origin().distance(run.start_pose().origin()).0;
     assert!(home > 0.05, "{home} m");
 }
 
@@ -54,10 +50,7 @@ fn a_world_without_history_drives_the_same_way_and_keeps_nothing() {
     }
     assert!(with.truth().len() > 90 && with.camera_fixes().len() > 30);
     // The instant at which it was made stands in the truth.
-    assert_eq!(
-        (without.truth().len(), without.camera_fixes().len()),
-        (1, 0)
-    );
+    assert_eq!((without.truth().len(), without.camera_fixes().len()), (1, 0));
 }
 
 #[test]
@@ -69,11 +62,7 @@ fn without_errors_odometry_ends_within_two_counts_of_the_truth() {
         let heading_deg = (end.odometry.heading - end.pose.heading).0.to_degrees();
         assert!(heading_deg.abs() <= 0.5, "{name}: {heading_deg} degrees");
         // The heading is off by a fraction of a count all along the way, so the position is off by that times the size.
-        assert!(
-            odometry_error_m(end) < 0.004,
-            "{name}: {} m",
-            odometry_error_m(end)
-        );
+        assert!(odometry_error_m(end) < 0.004, "{name}: {} m", odometry_error_m(end));
     }
 }
 
@@ -81,11 +70,7 @@ fn without_errors_odometry_ends_within_two_counts_of_the_truth() {
 fn without_errors_the_robot_stays_on_the_path() {
     for name in ["square", "circle", "figure-eight"] {
         let run = driven(exact(bundled(name)));
-        let worst = run
-            .truth()
-            .iter()
-            .map(|t| t.cross_track_m)
-            .fold(0.0, f64::max);
+        let worst = run.truth().iter().map(|t| t.cross_track_m).fold(0.0, f64::max);
         assert!(worst < 0.015, "{name}: {worst} m");
     }
 }

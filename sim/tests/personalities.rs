@@ -17,8 +17,8 @@ const BATTERY: [u8; 4] = [2, 0, 0x00, 0x0B];
 const CLOCK: [u8; 9] = [7, 0, 1, 0, 0, 4, 0, 0x8F, 0x60];
 /// MESSAGEWRITE to inbox 0: tick 6000 ms, 1.5 m, -0.5 m, 0.25 rad, flags 3.
 const ESTIMATE: [u8; 31] = [
-    29, 0, 0x80, 0x09, 0, 25, 0x70, 0x17, 0, 0, 0, 0, 0xC0, 0x3F, 0, 0, 0, 0xBF, 0, 0, 0x80, 0x3E,
-    0, 0, 0, 0x3C, 3, 0, 1, 0, 0,
+    29, 0, 0x80, 0x09, 0, 25, 0x70, 0x17, 0, 0, 0, 0, 0xC0, 0x3F, 0, 0, 0, 0xBF, 0, 0, 0x80, 0x3E, 0, 0, 0, 0x3C, 3, 0,
+    1, 0, 0,
 ];
 
 fn world(personality: Personality, program: BrickProgram) -> Simulation {
@@ -67,8 +67,7 @@ fn the_camera_of_a_lego_brick_has_a_link_of_its_own() {
         let heard = messages(&camera);
         assert!(heard.iter().all(|(from, _)| *from == CAMERA));
         let fixes = |heard: &[(Address, Message)]| {
-            let is_fix =
-                |(_, message): &&(Address, Message)| matches!(message, Message::VisionPosition(_));
+            let is_fix = |(_, message): &&(Address, Message)| matches!(message, Message::VisionPosition(_));
             heard.iter().filter(is_fix).count()
         };
         assert!((25..=30).contains(&fixes(&heard)), "{personality:?}");
@@ -82,10 +81,7 @@ fn the_camera_of_a_lego_brick_has_a_link_of_its_own() {
         Encoder::new(WireVersion::V2).encode(Address::new(255, 190), &wish, &mut bytes);
         simulation.receive_camera(&bytes);
         let (_, camera) = listen(&mut simulation, 3_000);
-        assert!(
-            (5..=8).contains(&fixes(&messages(&camera))),
-            "{personality:?}"
-        );
+        assert!((5..=8).contains(&fixes(&messages(&camera))), "{personality:?}");
     }
 }
 
@@ -140,9 +136,7 @@ fn without_a_program_nothing_is_pushed() {
 #[test]
 fn the_same_program_drives_the_same_way_whatever_the_brick_speaks() {
     let driven = |personality| {
-        let scenario = Scenario::bundled("square")
-            .unwrap()
-            .with_personality(personality);
+        let scenario = Scenario::bundled("square").unwrap().with_personality(personality);
         let mut simulation = Simulation::new(scenario.with_steering(Steering::Odometry));
         // The program of an NXT that is polled waits for the first telegram of whoever looks.
         simulation.receive(&BATTERY);
@@ -150,10 +144,7 @@ fn the_same_program_drives_the_same_way_whatever_the_brick_speaks() {
             listen(&mut simulation, 100);
             assert!(simulation.elapsed() < LONGEST_LAP, "{personality:?}");
         }
-        let poses = simulation
-            .truth()
-            .iter()
-            .map(|sample| (sample.pose, sample.belief));
+        let poses = simulation.truth().iter().map(|sample| (sample.pose, sample.belief));
         poses.collect::<Vec<_>>()
     };
     let expected = driven(Personality::Mavlink);

@@ -81,17 +81,11 @@ fn a_skew_ppm(text: &str) -> Result<f64, String> {
 }
 
 fn number_within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, String> {
-    let number: f64 = text
-        .parse()
-        .map_err(|_no_number| format!("`{text}` is not a number"))?;
+    let number: f64 = text.parse().map_err(|_no_number| format!("`{text}` is not a number"))?;
     if range.contains(&number) {
         Ok(number)
     } else {
-        Err(format!(
-            "{number} is not from {} to {}",
-            range.start(),
-            range.end()
-        ))
+        Err(format!("{number} is not from {} to {}", range.start(), range.end()))
     }
 }
 
@@ -118,9 +112,8 @@ pub struct LabAccuracyArgs {
 /// What `lab accuracy` can run, from the tables.
 fn accuracy_help() -> String {
     let scenarios = SCENARIOS.iter().map(|(name, _)| format!("  {name}\n"));
-    let estimators = Estimator::all()
-        .into_iter()
-        .map(|estimator| format!("  {:20} {}\n", estimator.name(), estimator.summary()));
+    let estimators =
+        Estimator::all().into_iter().map(|estimator| format!("  {:20} {}\n", estimator.name(), estimator.summary()));
     let lines: Vec<String> = std::iter::once("Scenarios:\n".to_owned())
         .chain(scenarios)
         .chain(std::iter::once("Estimators:\n".to_owned()))

@@ -44,11 +44,7 @@ pub fn params() -> String {
     for row in posebridge_estimator::PARAMS {
         let range = format!("{} to {}", row.range.start(), row.range.end());
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "{:<16} {:>8}   {range:<18} {:<7} {}",
-            row.key, row.default, row.unit, row.doc
-        );
+        let _ = writeln!(text, "{:<16} {:>8}   {range:<18} {:<7} {}", row.key, row.default, row.unit, row.doc);
     }
     text
 }
@@ -57,10 +53,7 @@ pub fn params() -> String {
 #[must_use]
 pub fn schema() -> serde_json::Value {
     let mut schema = schemars::schema_for!(Config).to_value();
-    let filters: Vec<_> = posebridge_estimator::FILTERS
-        .iter()
-        .map(|entry| entry.name)
-        .collect();
+    let filters: Vec<_> = posebridge_estimator::FILTERS.iter().map(|entry| entry.name).collect();
     if let Some(section) = schema.pointer_mut("/$defs/FilterSection") {
         section["properties"]["name"]["enum"] = serde_json::json!(filters);
         for row in posebridge_estimator::PARAMS {
@@ -86,10 +79,7 @@ mod tests {
     fn every_tunable_has_a_line_with_its_range() {
         let text = params();
         assert_eq!(text.lines().count(), posebridge_estimator::PARAMS.len());
-        assert!(
-            text.contains("slip_nis            10.83   4 to 100           "),
-            "{text}"
-        );
+        assert!(text.contains("slip_nis            10.83   4 to 100           "), "{text}");
     }
 
     #[test]
@@ -97,12 +87,7 @@ mod tests {
         let schema = schema();
         for row in posebridge_estimator::PARAMS {
             let tunable = &schema["$defs"]["FilterSection"]["properties"][row.key];
-            assert_eq!(
-                tunable["default"],
-                serde_json::json!(row.default),
-                "{}",
-                row.key
-            );
+            assert_eq!(tunable["default"], serde_json::json!(row.default), "{}", row.key);
         }
     }
 }

@@ -36,11 +36,8 @@ pub struct ImportArgs {
 /// The file cannot be read or makes no sense, or the recording cannot be written.
 pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
     let out = create(args).at_start()?;
-    let station = Station {
-        config: args.config.as_deref(),
-        robot: args.robot.as_deref(),
-        settings: &args.data.settings,
-    };
+    let station =
+        Station { config: args.config.as_deref(), robot: args.robot.as_deref(), settings: &args.data.settings };
     let imported = import::import(&args.file, &args.data, station, out);
     if imported.is_err() {
         // Half a recording would be taken for a whole one.
@@ -50,11 +47,7 @@ pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
     for note in &account.notes {
         say(note);
     }
-    say(&format!(
-        "wrote `{}`: {} inputs",
-        args.out.display(),
-        account.inputs
-    ));
+    say(&format!("wrote `{}`: {} inputs", args.out.display(), account.inputs));
     Ok(())
 }
 

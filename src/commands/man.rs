@@ -41,12 +41,10 @@ pub fn execute(args: &ManArgs) -> Result<(), Failure> {
 }
 
 fn write(folder: &Path, pages: &[Page]) -> Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder `{}`", folder.display()))?;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder `{}`", folder.display()))?;
     for page in pages {
         let path = folder.join(&page.file);
-        std::fs::write(&path, &page.roff)
-            .with_context(|| format!("cannot write `{}`", path.display()))?;
+        std::fs::write(&path, &page.roff).with_context(|| format!("cannot write `{}`", path.display()))?;
     }
     Ok(())
 }
@@ -69,10 +67,7 @@ fn add(command: &Command, pages: &mut Vec<Page>) -> Result<()> {
     let name = command.get_display_name().unwrap_or(command.get_name());
     let mut roff = Vec::new();
     Man::new(command.clone()).render(&mut roff)?;
-    pages.push(Page {
-        file: format!("{name}.1"),
-        roff: String::from_utf8(roff).context(name.to_owned())?,
-    });
+    pages.push(Page { file: format!("{name}.1"), roff: String::from_utf8(roff).context(name.to_owned())? });
     for subcommand in command.get_subcommands() {
         add(subcommand, pages)?;
     }

@@ -34,27 +34,17 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
         return Err(anyhow::anyhow!("the descriptor has no run")).at_start();
     };
     if data.runs.len() > 1 {
-        say(&format!(
-            "{} runs match; this plays {name}, choose another with --run",
-            data.runs.len()
-        ));
+        say(&format!("{} runs match; this plays {name}, choose another with --run", data.runs.len()));
     }
     let run = data.load(name, &args.data).at_start()?;
     tell_bad_rows(&run);
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .at_start()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().at_start()?;
     runtime.block_on(async {
         let timer = HostTimer::start();
         let mut signals = Signals::listen().at_start()?;
         let mut port = station_link::port(&args.link, timer).at_start()?;
         say(&station_link::open(&args.link, &mut port).await.at_start()?);
-        let mut player = Player {
-            port,
-            timer,
-            speed: args.speed,
-        };
+        let mut player = Player { port, timer, speed: args.speed };
         tokio::select! {
             result = player.play(&run, args) => result.while_running(),
             () = signals.received() => Ok(()),
@@ -85,35 +75,17 @@ struct Player {
 
 impl Player {
     async fn play(&mut self, run: &RobotRun, args: &PlayArgs) -> Result<()> {
-        let Some(first) = run.run.observations.first() else {
-            bail!("run `{}` is empty", run.run.name)
-        };
-        let mut brick = BrickPlayer::new(
-            first.observation.stamp,
-            run.filter_config.geometry,
-            &run.run.name,
-        );
+        let Some(first) = run.run.observations.first() else { bail!("run `{}` is empty", run.run.name) };
+        let mut brick = BrickPlayer::new(first.observation.stamp, run.filter_config.geometry, &run.run.name);
         if !args.at_once {
             say("waiting for a station");
             self.wait_for_station(&mut brick).await;
         }
         brick.announce();
-        say(&format!(
-            "playing {}: {} observations",
-            run.run.name,
-            run.run.observations.len()
-        ));
+        say(&format!("playing {}: {} observations", run.run.name, run.run.observations.len()));
         let start = self.timer.now();
-        let whole = run
-            .run
-            .observations
-            .last()
-            .map_or(Span::ZERO, |last| last.arrival - first.arrival);
-        let clock = DataClock {
-            start,
-            speed: self.speed,
-            whole,
-        };
+        let whole = run.run.observations.last().map_or(Span::ZERO, |last| last.arrival - first.arrival);
+        let clock = DataClock { start, speed: self.speed, whole };
         let mut unsent: BTreeMap<&'static str, u64> = BTreeMap::new();
         for timed in &run.run.observations {
             let due = start + self.real_span(timed.arrival - first.arrival);
@@ -125,15 +97,11 @@ impl Player {
         }
         self.fall_silent().await;
         for (kind, count) in unsent {
-            say(&format!(
-                "{count} observations of kind {kind} have no message and were not sent"
-            ));
+            say(&format!("{count} observations of kind {kind} have no message and were not sent"));
         }
         match self.port.counters().drops_out {
             0 => Ok(()),
-            frames => bail!(
-                "{frames} chunks were not sent because the link was down or full: play slower"
-            ),
+            frames => bail!("{frames} chunks were not sent because the link was down or full: play slower"),
         }
     }
 
@@ -174,12 +142,7 @@ impl Player {
     }
 
     /// Answers the station until `due`.
-    async fn serve_until(
-        &mut self,
-        due: Stamp<HostClock>,
-        clock: DataClock,
-        brick: &mut BrickPlayer,
-    ) {
+    async fn serve_until(&mut self, due: Stamp<HostClock>, clock: DataClock, brick: &mut BrickPlayer) {
         loop {
             let now = self.timer.now();
             brick.pass_time(clock.elapsed(now));

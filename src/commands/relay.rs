@@ -15,9 +15,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use posebridge_link::{HostTimer, Port, PortEvent};
 use posebridge_recording::container::{FORMAT, Header};
-use posebridge_sim::impairment::{
-    End, FrameLedger, ImpairedLink, LinkEvent, LinkKind, LinkProfile,
-};
+use posebridge_sim::impairment::{End, FrameLedger, ImpairedLink, LinkEvent, LinkKind, LinkProfile};
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, PeerId, Span, Stamp};
 
 pub use self::ends::RelayEnds;
@@ -43,10 +41,7 @@ const LAST_WORDS: Span = Span::from_millis(1_000);
 /// The profile or a link makes no sense, or the recording cannot be written.
 pub fn execute(args: &RelayArgs) -> Result<(), Failure> {
     let profile = link_profile::load(&args.impair).at_start()?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .at_start()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().at_start()?;
     let result = runtime.block_on(relay(args, &profile));
     // An attempt to open a device that hangs must not keep the program alive.
     runtime.shutdown_background();
@@ -56,12 +51,8 @@ pub fn execute(args: &RelayArgs) -> Result<(), Failure> {
 async fn relay(args: &RelayArgs, profile: &LinkProfile) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let mut signals = Signals::listen().at_start()?;
-    let brick = RealEnd::open("brick", &args.ends.brick, timer, profile.kind)
-        .await
-        .at_start()?;
-    let station = RealEnd::open("station", &args.ends.station, timer, profile.kind)
-        .await
-        .at_start()?;
+    let brick = RealEnd::open("brick", &args.ends.brick, timer, profile.kind).await.at_start()?;
+    let station = RealEnd::open("station", &args.ends.station, timer, profile.kind).await.at_start()?;
     let recorder = start_recorder(args, &timer).at_start()?;
     let start = timer.now();
     let mut relay = Relay {
@@ -76,16 +67,8 @@ async fn relay(args: &RelayArgs, profile: &LinkProfile) -> Result<(), Failure> {
         recorder,
         recording_failure: None,
     };
-    relay.record(
-        start,
-        Input::Link {
-            link: TO_STATION,
-            state: LinkState::Up,
-        },
-    );
-    let end = args
-        .duration
-        .map(|duration| start + Span::from_secs_f64(duration));
+    relay.record(start, Input::Link { link: TO_STATION, state: LinkState::Up });
+    let end = args.duration.map(|duration| start + Span::from_secs_f64(duration));
     tokio::select! {
         () = relay.run(end) => {}
         () = signals.received() => {}
@@ -104,30 +87,19 @@ fn start_recorder(args: &RelayArgs, timer: &HostTimer) -> Result<Option<Recorder
         return Ok(None);
     };
     let urls = [&args.ends.brick, &args.ends.station].map(|end| url_of(end).to_owned());
-    let config = Config {
-        links: urls
-            .iter()
-            .take(1)
-            .map(|url| LinkSection::new(url))
-            .collect(),
-        ..Config::default()
-    };
+    let config = Config { links: urls.iter().take(1).map(|url| LinkSection::new(url)).collect(), ..Config::default() };
     let header = Header {
         format: FORMAT,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
         utc_start_micros: timer.utc_start(),
-        config_toml: toml::to_string(&config)
-            .context("writing the configuration into the recording")?,
+        config_toml: toml::to_string(&config).context("writing the configuration into the recording")?,
         links: urls.to_vec(),
     };
     Recorder::start(Path::new(path), &header).map(Some)
 }
 
 fn url_of(end: &StationLink) -> &str {
-    end.listen
-        .as_deref()
-        .or(end.link.as_deref())
-        .unwrap_or_default()
+    end.listen.as_deref().or(end.link.as_deref()).unwrap_or_default()
 }
 
 /// A real link at one end.
@@ -142,12 +114,7 @@ struct RealEnd {
 }
 
 impl RealEnd {
-    async fn open(
-        name: &'static str,
-        flags: &StationLink,
-        timer: HostTimer,
-        kind: LinkKind,
-    ) -> Result<Self> {
+    async fn open(name: &'static str, flags: &StationLink, timer: HostTimer, kind: LinkKind) -> Result<Self> {
         let mut port = station_link::port(flags, timer).with_context(|| format!("{name} end"))?;
         let place = station_link::open(flags, &mut port).await?;
         say(&format!("{name} end {place}"));
@@ -160,13 +127,7 @@ impl RealEnd {
             )),
             (LinkKind::Stream, false) | (LinkKind::Datagram, true) => {}
         }
-        Ok(Self {
-            name,
-            port,
-            outbox: Outbox::default(),
-            was_up: false,
-            is_finished: false,
-        })
+        Ok(Self { name, port, outbox: Outbox::default(), was_up: false, is_finished: false })
     }
 
     fn note(&mut self, event: &PortEvent) {
@@ -201,10 +162,7 @@ impl Relay {
     async fn run(&mut self, end: Option<Stamp<HostClock>>) {
         loop {
             let retry = self.has_waiting().then(|| self.timer.now() + RETRY);
-            let wake = [self.link.deadline(), end, retry]
-                .into_iter()
-                .flatten()
-                .min();
+            let wake = [self.link.deadline(), end, retry].into_iter().flatten().min();
             let (from, event) = tokio::select! {
                 event = self.brick.port.next() => (End::Brick, Some(event)),
                 event = self.station.port.next() => (End::Station, Some(event)),
@@ -275,10 +233,7 @@ impl Relay {
     }
 
     fn record(&mut self, at: Stamp<HostClock>, input: Input) {
-        let is_lost = self
-            .recorder
-            .as_mut()
-            .is_some_and(|recorder| recorder.record(at, input).is_err());
+        let is_lost = self.recorder.as_mut().is_some_and(|recorder| recorder.record(at, input).is_err());
         if is_lost && let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
             tracing::error!(error = format!("{error:#}"), "the recording ends here");
             self.recording_failure = Some(error);
@@ -302,17 +257,13 @@ impl Relay {
 
     /// Whether an end still has to take something.
     fn has_waiting(&self) -> bool {
-        !self.brick.outbox.is_empty(&self.brick.port)
-            || !self.station.outbox.is_empty(&self.station.port)
+        !self.brick.outbox.is_empty(&self.brick.port) || !self.station.outbox.is_empty(&self.station.port)
     }
 
     /// Whether a file has been played and nothing of it is left. What goes to the end of the file waits for nobody.
     fn is_played(&self) -> bool {
         let mut is_played = false;
-        for (from, to, end) in [
-            (&self.brick, &self.station, End::Station),
-            (&self.station, &self.brick, End::Brick),
-        ] {
+        for (from, to, end) in [(&self.brick, &self.station, End::Station), (&self.station, &self.brick, End::Brick)] {
             if !from.is_finished {
                 continue;
             }
@@ -356,11 +307,8 @@ impl Relay {
             to_station: direction(End::Station, &self.station, &self.to_station),
             to_brick: direction(End::Brick, &self.brick, &self.to_brick),
         };
-        let text = if args.json {
-            serde_json::to_string_pretty(&report).while_running()? + "\n"
-        } else {
-            report.table()
-        };
+        let text =
+            if args.json { serde_json::to_string_pretty(&report).while_running()? + "\n" } else { report.table() };
         stdout::print(&text).while_running()?;
         let recorded = self.recorder.map(Recorder::finish).transpose();
         match self.recording_failure {

@@ -81,11 +81,7 @@ pub struct Replayed {
 /// The recording cannot be read or makes no sense, or an output cannot be written.
 pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
-    let replayed = if is_own(&args.session.recording) {
-        own::replay(args)?
-    } else {
-        foreign::replay(args)?
-    };
+    let replayed = if is_own(&args.session.recording) { own::replay(args)? } else { foreign::replay(args)? };
     print(args, &replayed, timer.now() - Stamp::ZERO).while_running()?;
     save_calibration(args, &replayed, timer.utc_start()).while_running()
 }
@@ -96,20 +92,12 @@ fn save_calibration(args: &ReplayArgs, replayed: &Replayed, utc_micros: u64) -> 
         return Ok(());
     };
     let mut learners = replayed.outcomes.iter().rev();
-    let Some((filter, learned)) =
-        learners.find_map(|outcome| Some((&outcome.name, outcome.learned.last()?)))
-    else {
+    let Some((filter, learned)) = learners.find_map(|outcome| Some((&outcome.name, outcome.learned.last()?))) else {
         let names: Vec<_> = replayed.outcomes.iter().map(|o| o.name.as_str()).collect();
-        bail!(
-            "there is no calibration to save: of {} none learns one",
-            names.join(", ")
-        )
+        bail!("there is no calibration to save: of {} none learns one", names.join(", "))
     };
-    let provenance = Provenance {
-        utc_micros,
-        source: format!("{}, {}", replayed.recording, learned.run),
-        filter: filter.clone(),
-    };
+    let provenance =
+        Provenance { utc_micros, source: format!("{}, {}", replayed.recording, learned.run), filter: filter.clone() };
     save(path, learned, &provenance)
 }
 
@@ -121,16 +109,9 @@ fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
     let runs = replayed.runs.len();
     let mut rows = Vec::new();
     for Outcome { name, errors, .. } in &replayed.outcomes {
-        rows.push(EstimatorRow {
-            name,
-            errors,
-            runs: runs as u64,
-        });
+        rows.push(EstimatorRow { name, errors, runs: runs as u64 });
     }
-    let mut text = format!(
-        "{}: {} observations, {runs} run(s)\n\n",
-        replayed.recording, replayed.observations
-    );
+    let mut text = format!("{}: {} observations, {runs} run(s)\n\n", replayed.recording, replayed.observations);
     text += &estimator_table(&rows);
     for outcome in &replayed.outcomes {
         if let Some(rms_m) = outcome.position_rms_uncorrected_m {
@@ -145,13 +126,8 @@ fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
     }
     for outcome in &replayed.outcomes {
         // Writing to a String cannot fail.
-        let _ = write!(
-            text,
-            "\n{}\n{}{}",
-            outcome.name,
-            source_table(&outcome.sources),
-            learned_table(&outcome.learned),
-        );
+        let _ =
+            write!(text, "\n{}\n{}{}", outcome.name, source_table(&outcome.sources), learned_table(&outcome.learned),);
     }
     if !replayed.smoothed.is_empty() {
         let rows: Vec<SmoothRow<'_>> = replayed.smoothed.iter().map(SmoothedRun::row).collect();
@@ -169,9 +145,7 @@ fn print(args: &ReplayArgs, replayed: &Replayed, wall: Span) -> Result<()> {
 fn cpu_time() -> Result<Span> {
     use nix::sys::resource::{UsageWho, getrusage};
     let usage = getrusage(UsageWho::RUSAGE_SELF)?;
-    let micros = |time: nix::sys::time::TimeVal| {
-        Span::from_micros(time.tv_sec() * 1_000_000 + time.tv_usec())
-    };
+    let micros = |time: nix::sys::time::TimeVal| Span::from_micros(time.tv_sec() * 1_000_000 + time.tv_usec());
     Ok(micros(usage.user_time()) + micros(usage.system_time()))
 }
 
@@ -199,6 +173,5 @@ fn draw(
         smoothed,
         ..RunLayers::default()
     };
-    std::fs::write(path, (figure.render)(&layers))
-        .with_context(|| format!("writing `{}`", path.display()))
+    std::fs::write(path, (figure.render)(&layers)).with_context(|| format!("writing `{}`", path.display()))
 }

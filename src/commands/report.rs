@@ -56,11 +56,7 @@ pub struct ReportArgs {
 /// The recording cannot be read or makes no sense, or a file cannot be written.
 pub fn execute(args: &ReportArgs) -> Result<(), Failure> {
     let window = Window::of(&args.session).at_start()?;
-    let story = if is_own(&args.session.recording) {
-        of_own(args, window)?
-    } else {
-        of_foreign(args, window)?
-    };
+    let story = if is_own(&args.session.recording) { of_own(args, window)? } else { of_foreign(args, window)? };
     for note in &story.notes {
         say(&format!("{}: {note}", story.recording));
     }
@@ -86,16 +82,7 @@ fn of_own(args: &ReportArgs, window: Window) -> Result<Story, Failure> {
     let alone = OwnRecording::pipeline(flags, &alone).at_start()?;
     let mut chronicle = Chronicle::new(recording.origin());
     let mut dead_reckoning = Collector::default();
-    let mut lanes = [
-        Lane {
-            pipeline,
-            watch: &mut chronicle,
-        },
-        Lane {
-            pipeline: alone,
-            watch: &mut dead_reckoning,
-        },
-    ];
+    let mut lanes = [Lane { pipeline, watch: &mut chronicle }, Lane { pipeline: alone, watch: &mut dead_reckoning }];
     let passage = recording.run(&mut lanes, window, None).while_running()?;
     let [Lane { pipeline, .. }, _] = lanes;
     let prior = config.filter_config().at_start()?.calibration;
@@ -131,11 +118,7 @@ fn track_of(collector: &Collector) -> Option<Track> {
 
 /// A robot without a name has a path all the same.
 fn title_of(config: &Config) -> String {
-    if config.robot.name.is_empty() {
-        "Path".to_owned()
-    } else {
-        config.robot.name.clone()
-    }
+    if config.robot.name.is_empty() { "Path".to_owned() } else { config.robot.name.clone() }
 }
 
 fn own_facts(recording: &OwnRecording, config: &Config, run: &RunStory) -> Vec<(String, String)> {
@@ -151,10 +134,7 @@ fn own_facts(recording: &OwnRecording, config: &Config, run: &RunStory) -> Vec<(
     }
     let length = format!("{:.1} s", chronicle.length().as_secs_f64());
     facts.push(fact("length", length));
-    facts.push(fact(
-        "recorded by",
-        format!("posebridge {}", header.program_version),
-    ));
+    facts.push(fact("recorded by", format!("posebridge {}", header.program_version)));
     facts
 }
 
@@ -182,8 +162,7 @@ fn of_foreign(args: &ReportArgs, window: Window) -> Result<Story, Failure> {
         let first = robot_run.run.observations.first();
         let origin = first.map_or(Stamp::ZERO, |first| first.arrival);
         let mut chronicle = Chronicle::new(origin);
-        let scored =
-            replay_run(&robot_run, filter, &mut chronicle, (window, None)).while_running()?;
+        let scored = replay_run(&robot_run, filter, &mut chronicle, (window, None)).while_running()?;
         let mut dead_reckoning = Collector::default();
         let alone = (window, None);
         replay_run(&robot_run, DEAD_RECKONING, &mut dead_reckoning, alone).while_running()?;
@@ -233,15 +212,8 @@ fn foreign_facts(foreign: &Foreign) -> Vec<(String, String)> {
 
 /// What a terminal shows: errors, and a verdict for each sensor.
 fn text(story: &Story) -> String {
-    let rows: Vec<EstimatorRow<'_>> = story
-        .runs
-        .iter()
-        .map(|run| EstimatorRow {
-            name: &run.name,
-            errors: &run.errors,
-            runs: 1,
-        })
-        .collect();
+    let rows: Vec<EstimatorRow<'_>> =
+        story.runs.iter().map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
     let mut text = format!("{}, filter {}\n\n", story.recording, story.filter);
     text += &runs_table(&rows);
     for run in &story.runs {

@@ -26,10 +26,7 @@ use crate::truth_file;
 /// The scenario or the link makes no sense, or the truth cannot be written.
 pub fn execute(args: &SimArgs) -> Result<(), Failure> {
     let scenario = scenario(args).at_start()?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .at_start()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().at_start()?;
     let simulation = runtime.block_on(brick(simulation(scenario, args), args))?;
     if let Some(path) = &args.truth {
         write_truth(path, &simulation).while_running()?;
@@ -67,9 +64,7 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
 fn check_links(args: &SimArgs, personality: Personality) -> Result<()> {
     let has_camera_link = args.camera.camera_listen.is_some() || args.camera.camera_link.is_some();
     if has_camera_link && personality.shares_link_with_camera() {
-        bail!(
-            "the camera speaks on the brick's link; it has one of its own with --brick nxt, nxt-push or ev3 only"
-        );
+        bail!("the camera speaks on the brick's link; it has one of its own with --brick nxt, nxt-push or ev3 only");
     }
     if args.announce.is_some() && personality != Personality::Ev3 {
         bail!("--announce is for --brick ev3; other bricks do not announce themselves");
@@ -83,28 +78,17 @@ fn simulation(scenario: Scenario, args: &SimArgs) -> Simulation {
     if args.images_listen.is_some() {
         simulation = simulation.with_images();
     }
-    if args.truth.is_some() {
-        simulation
-    } else {
-        simulation.without_history()
-    }
+    if args.truth.is_some() { simulation } else { simulation.without_history() }
 }
 
 async fn brick(mut simulation: Simulation, args: &SimArgs) -> Result<Simulation, Failure> {
     let timer = HostTimer::start();
     let mut signals = Signals::listen().at_start()?;
     let (mut ports, place) = ports(args, timer).await.at_start()?;
-    say(&format!(
-        "brick up, seed {}, {place}",
-        simulation.scenario().seed
-    ));
+    say(&format!("brick up, seed {}, {place}", simulation.scenario().seed));
     let stop = CancellationToken::new();
     let (progress, _) = watch::channel(0.0);
-    let company = Company {
-        stop: &stop,
-        progress: &progress,
-        reach: None,
-    };
+    let company = Company { stop: &stop, progress: &progress, reach: None };
     tokio::select! {
         () = drive(&mut simulation, &mut ports, timer, company) => {}
         () = signals.received() => {}
@@ -117,10 +101,7 @@ async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)>
     let (brick, mut place) = open(&args.link, timer).await?;
     let beacon_port = brick.local_address().map(|address| address.port());
     let mut ports = BrickPorts::of(Cable::fixed(brick));
-    let camera = StationLink {
-        listen: args.camera.camera_listen.clone(),
-        link: args.camera.camera_link.clone(),
-    };
+    let camera = StationLink { listen: args.camera.camera_listen.clone(), link: args.camera.camera_link.clone() };
     if camera.listen.is_some() || camera.link.is_some() {
         let (port, its_place) = open(&camera, timer).await?;
         ports.camera = Some(port);
@@ -128,10 +109,7 @@ async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)>
         place.push_str(&its_place);
     }
     if args.images_listen.is_some() {
-        let eye = StationLink {
-            listen: args.images_listen.clone(),
-            link: None,
-        };
+        let eye = StationLink { listen: args.images_listen.clone(), link: None };
         let (port, its_place) = open(&eye, timer).await?;
         ports.images = Some(port);
         place.push_str("; its images ");
@@ -139,10 +117,7 @@ async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)>
     }
     if let Some(url) = &args.announce {
         let beacon = beacon_of(beacon_port)?;
-        let to = StationLink {
-            listen: None,
-            link: Some(url.clone()),
-        };
+        let to = StationLink { listen: None, link: Some(url.clone()) };
         let (port, _) = open(&to, timer).await?;
         ports.announcement = Some(Announcement::new(port, beacon));
     }
@@ -180,11 +155,7 @@ mod tests {
 
     /// What `posebridge sim square --listen pty:x` with these arguments would simulate.
     fn scenario_of(arguments: &[&str]) -> Result<Scenario> {
-        let all = [
-            &["posebridge", "sim", "square", "--listen", "pty:x"],
-            arguments,
-        ]
-        .concat();
+        let all = [&["posebridge", "sim", "square", "--listen", "pty:x"], arguments].concat();
         let Some(Command::Sim(args)) = Cli::try_parse_from(all)?.command else {
             bail!("another command");
         };
@@ -212,14 +183,7 @@ mod tests {
         assert!(camera.contains("on the brick's link"), "{camera}");
         let beacon = message(&["--brick", "nxt", "--announce", "udp://127.0.0.1:3015"]);
         assert!(beacon.contains("--brick ev3"), "{beacon}");
-        let both = [
-            "--brick",
-            "nxt",
-            "--camera-listen",
-            "udp://:0",
-            "--camera-link",
-            "udp://x:1",
-        ];
+        let both = ["--brick", "nxt", "--camera-listen", "udp://:0", "--camera-link", "udp://x:1"];
         assert!(message(&both).contains("cannot be used with"));
         assert!(scenario_of(&["--brick", "nxt", "--camera-listen", "udp://:0"]).is_ok());
     }

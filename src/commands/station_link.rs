@@ -16,11 +16,7 @@ pub(super) fn port(flags: &StationLink, timer: HostTimer) -> Result<Port> {
         (None, Some(url)) => (url, Role::Dial),
         (None, None) => bail!("give --listen URL or --link URL"),
     };
-    let config = PortConfig {
-        id: LinkId(0),
-        url: LinkUrl::parse(text)?,
-        role,
-    };
+    let config = PortConfig { id: LinkId(0), url: LinkUrl::parse(text)?, role };
     Ok(Port::new(config, timer))
 }
 
@@ -30,9 +26,7 @@ pub(super) fn port(flags: &StationLink, timer: HostTimer) -> Result<Port> {
 /// No waiting will help: an address in use, no permission.
 pub(super) async fn open(flags: &StationLink, port: &mut Port) -> Result<String> {
     let name = port.url().to_string();
-    port.open_first()
-        .await
-        .with_context(|| format!("opening `{name}`"))?;
+    port.open_first().await.with_context(|| format!("opening `{name}`"))?;
     Ok(match (&flags.listen, port.local_address()) {
         (Some(_), Some(address)) => format!("listening on {address}"),
         _ => format!("on {name}"),

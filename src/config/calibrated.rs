@@ -50,10 +50,7 @@ impl CalibratedRobot {
     fn profile_calibration(&self) -> Calibration {
         let bias = self.learned.gyro_bias_rad_per_s;
         Calibration {
-            gyro_bias_rad_per_s: Known {
-                sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s),
-                ..bias
-            },
+            gyro_bias_rad_per_s: Known { sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s), ..bias },
             ..self.learned
         }
     }
@@ -64,9 +61,7 @@ impl CalibratedRobot {
     /// What was learned is so far off that `--robot` would refuse it.
     pub fn to_toml(&self) -> Result<String> {
         let profile = self.profile();
-        profile
-            .calibration()
-            .context("what was learned is no calibration")?;
+        profile.calibration().context("what was learned is no calibration")?;
         let mut robot = toml::Table::try_from(profile)?;
         let noise = robot.remove("noise");
         // A table inside a table would make sections of one number each.
@@ -90,11 +85,7 @@ impl CalibratedRobot {
         for entry in CALIBRATION_KEYS {
             let Known { value, sigma } = (entry.read)(&profile);
             let (value, sigma) = (toml::Value::Float(value), toml::Value::Float(sigma));
-            let _ = writeln!(
-                page,
-                "{} = {{ value = {value}, sigma = {sigma} }}",
-                entry.key
-            );
+            let _ = writeln!(page, "{} = {{ value = {value}, sigma = {sigma} }}", entry.key);
         }
         let bias = self.learned.gyro_bias_rad_per_s;
         let _ = writeln!(
@@ -199,10 +190,7 @@ mod tests {
         let prior = loaded.calibration().unwrap();
         assert_eq!(prior.track_scale, calibrated.learned.track_scale);
         assert_eq!(prior.fix_delay_s, calibrated.learned.fix_delay_s);
-        assert_eq!(
-            loaded.geometry().unwrap(),
-            calibrated.robot.geometry().unwrap()
-        );
+        assert_eq!(loaded.geometry().unwrap(), calibrated.robot.geometry().unwrap());
         assert_eq!(loaded.noise, calibrated.robot.noise);
         assert_eq!((loaded.start, loaded.adopt_description), (None, false));
     }

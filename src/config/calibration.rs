@@ -47,15 +47,8 @@ impl Largest {
     fn check(self, key: &str, entry: CalibrationEntry) -> Result<Known> {
         let CalibrationEntry { value, sigma } = entry;
         let Self(limit) = self;
-        ensure!(
-            value.abs() <= limit,
-            "`robot.calibration.{key}.value` is {value}, must lie in {} to {limit}",
-            -limit
-        );
-        ensure!(
-            (0.0..=limit).contains(&sigma),
-            "`robot.calibration.{key}.sigma` is {sigma}, must lie in 0 to {limit}"
-        );
+        ensure!(value.abs() <= limit, "`robot.calibration.{key}.value` is {value}, must lie in {} to {limit}", -limit);
+        ensure!((0.0..=limit).contains(&sigma), "`robot.calibration.{key}.sigma` is {sigma}, must lie in 0 to {limit}");
         Ok(Known { value, sigma })
     }
 }
@@ -154,10 +147,7 @@ mod tests {
     #[test]
     fn an_entry_out_of_range_is_named_with_its_range() {
         let refused = |track_scale: CalibrationEntry| {
-            let calibration = RobotCalibration {
-                track_scale,
-                ..RobotCalibration::default()
-            };
+            let calibration = RobotCalibration { track_scale, ..RobotCalibration::default() };
             calibration.checked(0.03).unwrap_err().to_string()
         };
         let (value, sigma) = (0.0, -0.1);
@@ -171,24 +161,15 @@ mod tests {
             "`robot.calibration.track_scale.value` is -0.6, must lie in -0.5 to 0.5"
         );
         for broken in [f64::NAN, f64::INFINITY] {
-            refused(CalibrationEntry {
-                value: broken,
-                sigma: 0.1,
-            });
-            refused(CalibrationEntry {
-                value: 0.0,
-                sigma: broken,
-            });
+            refused(CalibrationEntry { value: broken, sigma: 0.1 });
+            refused(CalibrationEntry { value: 0.0, sigma: broken });
         }
     }
 
     #[test]
     fn the_gyro_s_bias_is_known_as_well_as_its_noise_says_unless_it_was_measured() {
         let bias = |given| {
-            let calibration = RobotCalibration {
-                gyro_bias_rad_per_s: given,
-                ..RobotCalibration::default()
-            };
+            let calibration = RobotCalibration { gyro_bias_rad_per_s: given, ..RobotCalibration::default() };
             calibration.checked(0.03).unwrap().gyro_bias_rad_per_s
         };
         let (value, sigma) = (0.0, 0.03);
@@ -209,12 +190,7 @@ mod tests {
         let calibration = file.checked(9.0).unwrap();
         for (row, entry) in CALIBRATION_KEYS.iter().enumerate() {
             let (value, sigma) = (value_of(row), 0.25);
-            assert_eq!(
-                (entry.read)(&calibration),
-                Known { value, sigma },
-                "{}",
-                entry.key
-            );
+            assert_eq!((entry.read)(&calibration), Known { value, sigma }, "{}", entry.key);
         }
         assert_eq!(RobotCalibration::from(calibration), file);
     }

@@ -25,11 +25,7 @@ pub struct DashboardSection {
 
 impl Default for DashboardSection {
     fn default() -> Self {
-        Self {
-            enabled: true,
-            listen: DEFAULT_LISTEN.to_owned(),
-            always_token: false,
-        }
+        Self { enabled: true, listen: DEFAULT_LISTEN.to_owned(), always_token: false }
     }
 }
 
@@ -40,16 +36,9 @@ impl DashboardSection {
     /// It is no IP address with a port.
     pub fn checked(&self) -> Result<Listen> {
         let address: SocketAddr = self.listen.parse().with_context(|| {
-            format!(
-                "`dashboard.listen` is `{}`; give an IP address and a port, such as {DEFAULT_LISTEN}",
-                self.listen
-            )
+            format!("`dashboard.listen` is `{}`; give an IP address and a port, such as {DEFAULT_LISTEN}", self.listen)
         })?;
-        Ok(if self.listen == DEFAULT_LISTEN {
-            Listen::OrNext(address)
-        } else {
-            Listen::Exactly(address)
-        })
+        Ok(if self.listen == DEFAULT_LISTEN { Listen::OrNext(address) } else { Listen::Exactly(address) })
     }
 }
 
@@ -60,10 +49,7 @@ mod tests {
     #[test]
     fn the_default_may_move_on_and_another_address_is_taken_as_it_is() {
         let listen = |text: &str| {
-            let section = DashboardSection {
-                listen: text.to_owned(),
-                ..DashboardSection::default()
-            };
+            let section = DashboardSection { listen: text.to_owned(), ..DashboardSection::default() };
             section.checked()
         };
         let default = DashboardSection::default().checked().unwrap();
@@ -71,9 +57,6 @@ mod tests {
         let other = "0.0.0.0:80".parse().unwrap();
         assert_eq!(listen("0.0.0.0:80").unwrap(), Listen::Exactly(other));
         let error = listen("localhost").unwrap_err().to_string();
-        assert!(
-            error.starts_with("`dashboard.listen` is `localhost`; give"),
-            "{error}"
-        );
+        assert!(error.starts_with("`dashboard.listen` is `localhost`; give"), "{error}");
     }
 }

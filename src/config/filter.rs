@@ -24,10 +24,7 @@ pub struct FilterSection {
 
 impl Default for FilterSection {
     fn default() -> Self {
-        Self {
-            name: "pose".to_owned(),
-            params: BTreeMap::new(),
-        }
+        Self { name: "pose".to_owned(), params: BTreeMap::new() }
     }
 }
 
@@ -37,13 +34,8 @@ impl FilterSection {
     /// # Errors
     /// There is no such filter; the message lists those that there are.
     pub fn entry(&self) -> Result<&'static FilterEntry> {
-        filter_named(&self.name).ok_or_else(|| {
-            anyhow!(
-                "`filter.name` is `{}`; there are: {}",
-                self.name,
-                names_of_filters()
-            )
-        })
+        filter_named(&self.name)
+            .ok_or_else(|| anyhow!("`filter.name` is `{}`; there are: {}", self.name, names_of_filters()))
     }
 
     /// Why it would never tell a pose, where that is so; with what to do about it.
@@ -55,9 +47,7 @@ impl FilterSection {
                 "the filter `{name}` uses no fixes and is not told where the robot starts, so it knows no pose: give `[robot.start]` with x_m, \
                  y_m, heading_deg, position_sigma_m and heading_sigma_deg, or take another filter, such as `pose`"
             )),
-            Placing::Nowhere => Some(format!(
-                "the filter `{name}` estimates one quantity and no pose; `pose` does"
-            )),
+            Placing::Nowhere => Some(format!("the filter `{name}` estimates one quantity and no pose; `pose` does")),
             Placing::Fix | Placing::Start => None,
         }
     }
@@ -87,11 +77,7 @@ pub fn names_of_filters() -> String {
 ///
 /// # Errors
 /// A value makes no sense; the message names its key.
-pub fn filter_config(
-    robot: &RobotFile,
-    filter: &FilterSection,
-    world: World,
-) -> Result<FilterConfig> {
+pub fn filter_config(robot: &RobotFile, filter: &FilterSection, world: World) -> Result<FilterConfig> {
     Ok(FilterConfig {
         geometry: robot.geometry()?,
         noise: robot.noise()?,

@@ -55,16 +55,10 @@ pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigE
     let Some(path) = path else {
         let loaded = load_text("config/default.toml (embedded)", DEFAULT_TOML, settings)?;
         // What stands there is the default: nobody has chosen it.
-        return Ok(Loaded {
-            file: toml::Table::new(),
-            ..loaded
-        });
+        return Ok(Loaded { file: toml::Table::new(), ..loaded });
     };
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|why| ConfigError::Unreadable {
-        path: name.clone(),
-        why,
-    })?;
+    let text = std::fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: name.clone(), why })?;
     load_text(&name, &text, settings)
 }
 
@@ -73,17 +67,10 @@ pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigE
 /// # Errors
 /// As [`load`].
 pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded, ConfigError> {
-    let wrong = |why: String| ConfigError::Wrong {
-        path: name.to_owned(),
-        why,
-    };
+    let wrong = |why: String| ConfigError::Wrong { path: name.to_owned(), why };
     let config: Config = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
     let file: toml::Table = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
-    Ok(Loaded {
-        config: lay_over(&config, settings)?,
-        file,
-        settings: settings.to_vec(),
-    })
+    Ok(Loaded { config: lay_over(&config, settings)?, file, settings: settings.to_vec() })
 }
 
 /// A configuration with some keys set. They are judged together: a section that has no default may be made of several.
@@ -95,10 +82,7 @@ pub fn lay_over(config: &Config, settings: &[Setting]) -> Result<Config, ConfigE
     laid_over(config, &all).map_err(|why| {
         let guilty = guilty_of(config, &all, &why);
         let names: Vec<String> = guilty.iter().map(ToString::to_string).collect();
-        ConfigError::WrongSetting {
-            setting: names.join(" --set "),
-            why,
-        }
+        ConfigError::WrongSetting { setting: names.join(" --set "), why }
     })
 }
 
@@ -118,10 +102,7 @@ fn guilty_of<'a>(config: &Config, settings: &[&'a Setting], why: &str) -> Vec<&'
         others.map(|(_, setting)| *setting).collect()
     };
     let innocent_without = |at: &usize| laid_over(config, &others(*at)).is_ok();
-    if let Some(setting) = (0..settings.len())
-        .find(innocent_without)
-        .and_then(|at| settings.get(at))
-    {
+    if let Some(setting) = (0..settings.len()).find(innocent_without).and_then(|at| settings.get(at)) {
         return vec![*setting];
     }
     let is_named = |setting: &&&Setting| {
@@ -140,12 +121,7 @@ fn located(error: &toml::de::Error, text: &str) -> String {
     if let Some(span) = error.span() {
         let before = text.get(..span.start).unwrap_or_default();
         let line = before.matches('\n').count() + 1;
-        let column = before
-            .chars()
-            .rev()
-            .take_while(|character| *character != '\n')
-            .count()
-            + 1;
+        let column = before.chars().rev().take_while(|character| *character != '\n').count() + 1;
         // Writing to a String cannot fail.
         let _ = write!(said, "line {line}, column {column}: ");
         if let Some(source) = text.lines().nth(line - 1) {
@@ -161,14 +137,9 @@ mod tests {
     use super::*;
 
     fn with(settings: &[&str]) -> Result<Config, String> {
-        let settings: Vec<Setting> = settings
-            .iter()
-            .map(|text| Setting::parse(text).unwrap())
-            .collect();
+        let settings: Vec<Setting> = settings.iter().map(|text| Setting::parse(text).unwrap()).collect();
         let loaded = load_text("test", "", &settings);
-        loaded
-            .map(|loaded| loaded.config)
-            .map_err(|error| error.to_string())
+        loaded.map(|loaded| loaded.config).map_err(|error| error.to_string())
     }
 
     const START: [&str; 5] = [
@@ -188,16 +159,8 @@ mod tests {
     #[test]
     fn the_setting_that_is_wrong_is_named_and_no_other() {
         let error = with(&START[..1]).unwrap_err();
-        assert!(
-            error.starts_with("`--set robot.start.x_m=0.5`: missing field `y_m`"),
-            "{error}"
-        );
-        for wrong in [
-            "robot.start.z_m=1",
-            "robot.track=1",
-            "robot.track_width_m=wide",
-            "robot.name.x=1",
-        ] {
+        assert!(error.starts_with("`--set robot.start.x_m=0.5`: missing field `y_m`"), "{error}");
+        for wrong in ["robot.start.z_m=1", "robot.track=1", "robot.track_width_m=wide", "robot.name.x=1"] {
             for place in 0..=START.len() {
                 let mut settings = START.to_vec();
                 settings.insert(place, wrong);
@@ -208,14 +171,8 @@ mod tests {
         }
         // Two that are wrong: the one that the reader stumbles over; and a section that is not whole, by all that are given.
         let error = with(&["robot.start.x_m=0.5", "robot.axle=1"]).unwrap_err();
-        assert!(
-            error.contains("`--set robot.axle=1`: unknown field"),
-            "{error}"
-        );
+        assert!(error.contains("`--set robot.axle=1`: unknown field"), "{error}");
         let error = with(&START[..2]).unwrap_err();
-        assert!(
-            error.contains("x_m=0.5 --set robot.start.y_m=0`: missing field"),
-            "{error}"
-        );
+        assert!(error.contains("x_m=0.5 --set robot.start.y_m=0`: missing field"), "{error}");
     }
 }

@@ -20,20 +20,15 @@ impl Setting {
     /// # Errors
     /// There is no `=`, or a part of the key is empty.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let (key, value) = text
-            .split_once('=')
-            .ok_or_else(|| format!("`{text}` has no `=`: write KEY=VALUE"))?;
+        let (key, value) = text.split_once('=').ok_or_else(|| format!("`{text}` has no `=`: write KEY=VALUE"))?;
         let path: Vec<String> = key.trim().split('.').map(str::to_owned).collect();
         if path.iter().any(String::is_empty) {
-            return Err(format!(
-                "`{key}` has an empty part: write for example robot.track_width_m=0.112"
-            ));
+            return Err(format!("`{key}` has an empty part: write for example robot.track_width_m=0.112"));
         }
         let value = value.trim();
         let parsed = toml::from_str::<toml::Table>(&format!("v = {value}")).ok();
-        let value = parsed
-            .and_then(|mut table| table.remove("v"))
-            .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+        let value =
+            parsed.and_then(|mut table| table.remove("v")).unwrap_or_else(|| toml::Value::String(value.to_owned()));
         Ok(Self { path, value })
     }
 
@@ -47,18 +42,12 @@ impl Setting {
         };
         let mut table = table;
         for part in way {
-            let entry = table
-                .entry(part.clone())
-                .or_insert_with(|| toml::Value::Table(toml::Table::new()));
-            table = entry
-                .as_table_mut()
-                .ok_or_else(|| format!("`{part}` is no table"))?;
+            let entry = table.entry(part.clone()).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+            table = entry.as_table_mut().ok_or_else(|| format!("`{part}` is no table"))?;
         }
         // Whole numbers are fine where a fraction is possible: 1 means 1.0.
         let value = match (&self.value, table.get(last)) {
-            (toml::Value::Integer(whole), Some(toml::Value::Float(_))) => {
-                toml::Value::Float(*whole as f64)
-            }
+            (toml::Value::Integer(whole), Some(toml::Value::Float(_))) => toml::Value::Float(*whole as f64),
             _ => self.value.clone(),
         };
         table.insert(last.clone(), value);
@@ -126,11 +115,7 @@ fn origin_of(path: &[String], loaded: &Loaded) -> Origin {
             None => return Origin::Default,
         }
     }
-    if table.contains_key(last) {
-        Origin::File
-    } else {
-        Origin::Default
-    }
+    if table.contains_key(last) { Origin::File } else { Origin::Default }
 }
 
 #[cfg(test)]
@@ -144,18 +129,9 @@ mod tests {
         let loaded = load_text("test", "[robot]\nname = \"a\"\n", &settings).unwrap();
         assert_eq!(loaded.config.robot.track_width_m, 1.0);
         let printed = print(&loaded).unwrap();
-        assert!(
-            printed.contains("robot.track_width_m = 1.0    # flag"),
-            "{printed}"
-        );
-        assert!(
-            printed.contains("robot.name = \"a\"    # file"),
-            "{printed}"
-        );
-        assert!(
-            printed.contains("robot.ticks_per_turn = 360.0    # default"),
-            "{printed}"
-        );
+        assert!(printed.contains("robot.track_width_m = 1.0    # flag"), "{printed}");
+        assert!(printed.contains("robot.name = \"a\"    # file"), "{printed}");
+        assert!(printed.contains("robot.ticks_per_turn = 360.0    # default"), "{printed}");
     }
 
     #[test]

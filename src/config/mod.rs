@@ -24,8 +24,7 @@ mod thermometer;
 mod world;
 
 pub use bricks::{
-    Ev3Distance, Ev3Section, FixSection, LineSection, NxtSection, NxtSensorKind, NxtSensorSection,
-    Place,
+    Ev3Distance, Ev3Section, FixSection, LineSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
 };
 pub use calibrated::{CalibratedRobot, Provenance, utc_date};
 pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration};
@@ -41,8 +40,7 @@ pub use robots::{BundledRobot, ROBOTS, UnknownRobot, list as list_of_robots};
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{
-    AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection,
-    StationConfig,
+    AtInstant, CameraConfig, ClockConfig, Config, LinkSection, OutputSection, RecordSection, StationConfig,
 };
 pub use template::{TemplateLink, template};
 pub use thermometer::RobotThermometer;

@@ -22,10 +22,7 @@ impl Least {
             Self::Zero => (value >= 0.0, "zero or more"),
             Self::AboveZero => (value > 0.0, "more than zero"),
         };
-        ensure!(
-            is_good && value.is_finite(),
-            "`robot.noise.{key}` is {value}, must be {wanted}"
-        );
+        ensure!(is_good && value.is_finite(), "`robot.noise.{key}` is {value}, must be {wanted}");
         Ok(())
     }
 }
@@ -105,40 +102,24 @@ mod tests {
     fn a_noise_that_makes_no_sense_is_named_with_its_key() {
         let refused = |noise: RobotNoise| noise.checked().unwrap_err().to_string();
         assert_eq!(
-            refused(RobotNoise {
-                beacon_range_m: 0.0,
-                ..RobotNoise::default()
-            }),
+            refused(RobotNoise { beacon_range_m: 0.0, ..RobotNoise::default() }),
             "`robot.noise.beacon_range_m` is 0, must be more than zero"
         );
         assert_eq!(
-            refused(RobotNoise {
-                gyro_rad_per_s: -1.0,
-                ..RobotNoise::default()
-            }),
+            refused(RobotNoise { gyro_rad_per_s: -1.0, ..RobotNoise::default() }),
             "`robot.noise.gyro_rad_per_s` is -1, must be zero or more"
         );
         for value in [f64::NAN, f64::INFINITY] {
-            let noise = RobotNoise {
-                temperature_k: value,
-                ..RobotNoise::default()
-            };
+            let noise = RobotNoise { temperature_k: value, ..RobotNoise::default() };
             assert!(noise.checked().is_err(), "{value}");
         }
     }
 
     #[test]
     fn every_number_reaches_the_filter_under_its_own_name() {
-        let noise = RobotNoise {
-            landmark_range_m: 0.15,
-            landmark_bearing_rad: 0.03,
-            ..RobotNoise::default()
-        };
+        let noise = RobotNoise { landmark_range_m: 0.15, landmark_bearing_rad: 0.03, ..RobotNoise::default() };
         let checked = noise.checked().unwrap();
-        assert_eq!(
-            (checked.landmark_range_m, checked.landmark_bearing_rad),
-            (0.15, 0.03)
-        );
+        assert_eq!((checked.landmark_range_m, checked.landmark_bearing_rad), (0.15, 0.03));
         assert_eq!(checked.gyro_bias_rad_per_s, 2.0 * DEGREE);
     }
 }

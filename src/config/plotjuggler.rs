@@ -21,10 +21,7 @@ pub struct PlotJugglerSection {
 
 impl Default for PlotJugglerSection {
     fn default() -> Self {
-        Self {
-            enabled: false,
-            address: PLOTJUGGLER_ADDRESS.to_owned(),
-        }
+        Self { enabled: false, address: PLOTJUGGLER_ADDRESS.to_owned() }
     }
 }
 
@@ -54,21 +51,13 @@ mod tests {
 
     #[test]
     fn an_address_is_an_ip_address_with_a_port() {
-        let checked = |text: &str| {
-            PlotJugglerSection {
-                address: text.to_owned(),
-                ..PlotJugglerSection::default()
-            }
-            .checked()
-        };
+        let checked =
+            |text: &str| PlotJugglerSection { address: text.to_owned(), ..PlotJugglerSection::default() }.checked();
         let default = PlotJugglerSection::default().checked().unwrap();
         assert_eq!(default, "127.0.0.1:9870".parse().unwrap());
         assert_eq!(checked("[::1]:80").unwrap(), "[::1]:80".parse().unwrap());
         let error = checked("localhost:9870").unwrap_err().to_string();
-        assert!(
-            error.starts_with("`plotjuggler.address` is `localhost:9870`; give"),
-            "{error}"
-        );
+        assert!(error.starts_with("`plotjuggler.address` is `localhost:9870`; give"), "{error}");
         let error = checked("127.0.0.1:0").unwrap_err().to_string();
         assert!(error.contains("nobody listens at port 0"), "{error}");
     }

@@ -36,8 +36,7 @@ impl RobotProfile {
     /// The file cannot be read, it has no `[robot]`, or one of its tables makes no sense.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display();
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("reading the robot from `{name}`"))?;
+        let text = std::fs::read_to_string(path).with_context(|| format!("reading the robot from `{name}`"))?;
         Self::from_toml(&text).with_context(|| format!("robot `{name}`"))
     }
 
@@ -47,15 +46,10 @@ impl RobotProfile {
     /// It has no `[robot]`, or one of its tables makes no sense.
     pub fn from_toml(text: &str) -> Result<Self> {
         let table: toml::Table = toml::from_str(text)?;
-        let Some(robot) = table.get("robot") else {
-            bail!("there is no [robot] table")
-        };
+        let Some(robot) = table.get("robot") else { bail!("there is no [robot] table") };
         let mut robot: RobotFile = robot.clone().try_into().context("[robot]")?;
         // A descriptor keeps the start beside the robot, because it belongs to the recording.
-        if let (None, Some(start)) = (
-            robot.start,
-            table.get("start").and_then(toml::Value::as_table),
-        ) {
+        if let (None, Some(start)) = (robot.start, table.get("start").and_then(toml::Value::as_table)) {
             robot.start = start_of(start);
         }
         let filter = match table.get("filter") {
@@ -83,14 +77,10 @@ impl Config {
 fn start_of(start: &toml::Table) -> Option<RobotStart> {
     let number = |key: &str| {
         let value = start.get(key)?;
-        value
-            .as_float()
-            .or(value.as_integer().map(|whole| whole as f64))
+        value.as_float().or(value.as_integer().map(|whole| whole as f64))
     };
-    let degrees = |stem: &str| {
-        number(&format!("{stem}_deg"))
-            .or_else(|| number(&format!("{stem}_rad")).map(f64::to_degrees))
-    };
+    let degrees =
+        |stem: &str| number(&format!("{stem}_deg")).or_else(|| number(&format!("{stem}_rad")).map(f64::to_degrees));
     Some(RobotStart {
         x_m: number("x_m")?,
         y_m: number("y_m")?,
@@ -121,10 +111,7 @@ mod tests {
     fn a_profile_may_name_its_filter() {
         let text = "[robot]\n[filter]\nname = \"odometry\"\n";
         let profile = RobotProfile::from_toml(text).unwrap();
-        assert_eq!(
-            Config::default().with_robot(profile).filter.name,
-            "odometry"
-        );
+        assert_eq!(Config::default().with_robot(profile).filter.name, "odometry");
     }
 
     #[test]

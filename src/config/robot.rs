@@ -2,9 +2,7 @@
 
 use anyhow::{Result, ensure};
 use posebridge_estimator::StartPose;
-use posebridge_telemetry::{
-    Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise,
-};
+use posebridge_telemetry::{Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -98,10 +96,7 @@ impl RobotFile {
             ("track_width_m", self.track_width_m),
             ("ticks_per_turn", self.ticks_per_turn),
         ] {
-            ensure!(
-                value.is_finite() && value > 0.0,
-                "`robot.{key}` is {value}, must be a positive number"
-            );
+            ensure!(value.is_finite() && value > 0.0, "`robot.{key}` is {value}, must be a positive number");
         }
         Ok(DriveGeometry {
             left_wheel_radius: Meters(self.left_wheel_radius_m),
@@ -135,14 +130,10 @@ impl RobotFile {
         let Some(start) = self.start else {
             return Ok(None);
         };
-        for (key, value) in [
-            ("position_sigma_m", start.position_sigma_m),
-            ("heading_sigma_deg", start.heading_sigma_deg),
-        ] {
-            ensure!(
-                value.is_finite() && value > 0.0,
-                "`robot.start.{key}` is {value}, must be more than zero"
-            );
+        for (key, value) in
+            [("position_sigma_m", start.position_sigma_m), ("heading_sigma_deg", start.heading_sigma_deg)]
+        {
+            ensure!(value.is_finite() && value > 0.0, "`robot.start.{key}` is {value}, must be more than zero");
         }
         let heading = Heading::from_rad(start.heading_deg.to_radians());
         Ok(Some(StartPose {

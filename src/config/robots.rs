@@ -23,14 +23,7 @@ macro_rules! bundled {
     };
 }
 
-bundled![
-    "arduino-2wd",
-    "ev3-educator",
-    "nxt-43mm",
-    "nxt-56mm",
-    "pybricks-spike",
-    "sim",
-];
+bundled!["arduino-2wd", "ev3-educator", "nxt-43mm", "nxt-56mm", "pybricks-spike", "sim",];
 
 /// There is no such robot.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -47,9 +40,7 @@ impl BundledRobot {
     /// There is none; the error lists all.
     pub fn named(name: &str) -> Result<Self, UnknownRobot> {
         let found = ROBOTS.iter().find(|robot| robot.name == name);
-        found.copied().ok_or_else(|| UnknownRobot {
-            name: name.to_owned(),
-        })
+        found.copied().ok_or_else(|| UnknownRobot { name: name.to_owned() })
     }
 
     /// What it is, as the first line of its file says.
@@ -62,9 +53,7 @@ impl BundledRobot {
 /// All names with what they are, a line each.
 #[must_use]
 pub fn list() -> String {
-    let lines = ROBOTS
-        .iter()
-        .map(|robot| format!("  {:<15} {}", robot.name, robot.summary()));
+    let lines = ROBOTS.iter().map(|robot| format!("  {:<15} {}", robot.name, robot.summary()));
     lines.collect::<Vec<_>>().join("\n")
 }
 
@@ -91,10 +80,7 @@ mod tests {
     #[test]
     fn an_unknown_robot_is_told_with_those_that_there_are() {
         let error = BundledRobot::named("nxt").unwrap_err().to_string();
-        assert!(
-            error.starts_with("there is no robot `nxt`; there are:\n  arduino-2wd     The two-"),
-            "{error}"
-        );
+        assert!(error.starts_with("there is no robot `nxt`; there are:\n  arduino-2wd     The two-"), "{error}");
         assert_eq!(error.lines().count(), 1 + ROBOTS.len());
     }
 }

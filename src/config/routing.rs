@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_protocol::routing::{
-    Choice, Forward, FrameFilter, LinkRules, RateLimits, message_id_named,
-};
+use posebridge_protocol::routing::{Choice, Forward, FrameFilter, LinkRules, RateLimits, message_id_named};
 use posebridge_telemetry::{ComponentId, Span, SystemId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,9 +27,7 @@ impl Default for RoutingSection {
     /// Longer than a frame may be on its way round: a Bluetooth link stalls for up to 10 s (config/links/bluetooth-spp.toml), and
     /// the 64 KiB of forwarded frames that may wait for a line take 11.4 s at 57600 baud.
     fn default() -> Self {
-        Self {
-            duplicate_window_ms: 15_000,
-        }
+        Self { duplicate_window_ms: 15_000 }
     }
 }
 
@@ -68,10 +64,7 @@ pub struct FrameFilterSection {
 
 /// A message by its name or its number.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
-#[serde(
-    untagged,
-    expecting = "a message is its name, such as \"ATTITUDE\", or its number"
-)]
+#[serde(untagged, expecting = "a message is its name, such as \"ATTITUDE\", or its number")]
 pub enum MessageRef {
     /// The number on the wire.
     Id(u32),
@@ -119,18 +112,14 @@ pub(super) fn rules_of(links: &[LinkSection]) -> Result<Vec<LinkRules>> {
                 groups.len() - 1
             }) as u16
         });
-        let of_link =
-            rules_of_link(link, group).with_context(|| format!("link {index} `{}`", link.url))?;
+        let of_link = rules_of_link(link, group).with_context(|| format!("link {index} `{}`", link.url))?;
         rules.push(of_link);
     }
     Ok(rules)
 }
 
 fn rules_of_link(link: &LinkSection, group: Option<u16>) -> Result<LinkRules> {
-    ensure!(
-        link.group.as_deref() != Some(""),
-        "`group` is empty; leave it out where a link stands alone"
-    );
+    ensure!(link.group.as_deref() != Some(""), "`group` is empty; leave it out where a link stands alone");
     Ok(LinkRules {
         group,
         forward: match link.forward {
@@ -168,18 +157,12 @@ impl LimitsSection {
                 "`min_interval_ms`: message {id} stands there by its name and by its number"
             );
         }
-        Ok(RateLimits {
-            least_intervals,
-            bytes_per_s: (self.bytes_per_s != 0).then_some(self.bytes_per_s),
-        })
+        Ok(RateLimits { least_intervals, bytes_per_s: (self.bytes_per_s != 0).then_some(self.bytes_per_s) })
     }
 }
 
 fn choice<T>(allow: &[u8], block: &[u8], typed: fn(u8) -> T) -> Choice<T> {
-    Choice {
-        allow: allow.iter().copied().map(typed).collect(),
-        block: block.iter().copied().map(typed).collect(),
-    }
+    Choice { allow: allow.iter().copied().map(typed).collect(), block: block.iter().copied().map(typed).collect() }
 }
 
 fn ids(messages: &[MessageRef]) -> Result<Vec<u32>> {
@@ -197,18 +180,13 @@ fn id_of(name: &str) -> Result<u32> {
         return checked(id);
     }
     let Some(id) = message_id_named(name) else {
-        bail!(
-            "there is no message `{name}`; names are those of common.xml and posebridge.xml, others go by number"
-        );
+        bail!("there is no message `{name}`; names are those of common.xml and posebridge.xml, others go by number");
     };
     Ok(id)
 }
 
 fn checked(id: u32) -> Result<u32> {
-    ensure!(
-        id <= LARGEST_ID,
-        "message {id} cannot be; ids end at {LARGEST_ID}"
-    );
+    ensure!(id <= LARGEST_ID, "message {id} cannot be; ids end at {LARGEST_ID}");
     Ok(id)
 }
 
@@ -220,12 +198,7 @@ mod tests {
 
     fn rules(text: &str) -> anyhow::Result<Vec<LinkRules>> {
         let config = load_text("test", text, &[])?.config;
-        Ok(config
-            .pipeline()?
-            .links
-            .into_iter()
-            .map(|link| link.rules)
-            .collect())
+        Ok(config.pipeline()?.links.into_iter().map(|link| link.rules).collect())
     }
 
     #[test]
@@ -254,55 +227,25 @@ mod tests {
         assert_eq!(links[0].inward.messages.block, [30, 42_102]);
         assert_eq!(links[0].inward.systems.allow, [SystemId(1), SystemId(2)]);
         let out = &links[2].outward;
-        assert_eq!(
-            (out.messages.allow.clone(), out.systems.block.clone()),
-            (vec![0], vec![SystemId(7)])
-        );
-        assert_eq!(
-            (out.components.allow[0].0, out.components.block[0].0),
-            (190, 1)
-        );
+        assert_eq!((out.messages.allow.clone(), out.systems.block.clone()), (vec![0], vec![SystemId(7)]));
+        assert_eq!((out.components.allow[0].0, out.components.block[0].0), (190, 1));
         let limits = &links[2].limits;
         assert_eq!(limits.bytes_per_s, Some(500));
         let intervals: Vec<_> = limits.least_intervals.iter().collect();
-        assert_eq!(
-            intervals,
-            [
-                (&30, &Span::from_millis(200)),
-                (&42_102, &Span::from_millis(100))
-            ]
-        );
+        assert_eq!(intervals, [(&30, &Span::from_millis(200)), (&42_102, &Span::from_millis(100))]);
     }
 
     #[test]
     fn what_makes_no_sense_is_named_by_its_key() {
         for (line, expected) in [
-            (
-                r#"filter_in = { allow_messages = ["ATTITUD"] }"#,
-                ["filter_in", "allow_messages"],
-            ),
-            (
-                r"filter_out = { block_messages = [16777216] }",
-                ["filter_out", "block_messages"],
-            ),
-            (
-                r#"limits = { min_interval_ms = { ATTITUDE = 1, "30" = 2 } }"#,
-                ["limits", "min_interval_ms"],
-            ),
-            (
-                r"limits = { min_interval_ms = { NONE = 1 } }",
-                ["limits", "min_interval_ms"],
-            ),
+            (r#"filter_in = { allow_messages = ["ATTITUD"] }"#, ["filter_in", "allow_messages"]),
+            (r"filter_out = { block_messages = [16777216] }", ["filter_out", "block_messages"]),
+            (r#"limits = { min_interval_ms = { ATTITUDE = 1, "30" = 2 } }"#, ["limits", "min_interval_ms"]),
+            (r"limits = { min_interval_ms = { NONE = 1 } }", ["limits", "min_interval_ms"]),
             (r#"group = """#, ["link 0", "group"]),
             (r#"forward = "some""#, ["line 3", "forward"]),
-            (
-                r"filter_in = { block_messages = [1.5] }",
-                ["filter_in", "its number"],
-            ),
-            (
-                r"filter_in = { allow_message = [1] }",
-                ["line 3", "allow_message"],
-            ),
+            (r"filter_in = { block_messages = [1.5] }", ["filter_in", "its number"]),
+            (r"filter_in = { allow_message = [1] }", ["line 3", "allow_message"]),
         ] {
             let text = format!("[[link]]\nurl = \"udp://:14550\"\n{line}\n");
             let error = format!("{:#}", rules(&text).unwrap_err());

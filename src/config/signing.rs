@@ -3,9 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Result, ensure};
-use posebridge_protocol::signing::{
-    Heard, Key, Memory, RADIO_STATUS, SigningConfig, StreamId, Timestamp, Unsigned,
-};
+use posebridge_protocol::signing::{Heard, Key, Memory, RADIO_STATUS, SigningConfig, StreamId, Timestamp, Unsigned};
 use posebridge_telemetry::Address;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -85,11 +83,7 @@ impl SigningSection {
         SigningConfig {
             key,
             link_id: self.link_id,
-            unsigned: if self.required {
-                Unsigned::RefuseExcept(accepted)
-            } else {
-                Unsigned::Accept
-            },
+            unsigned: if self.required { Unsigned::RefuseExcept(accepted) } else { Unsigned::Accept },
             memory,
         }
     }
@@ -120,14 +114,9 @@ impl MemoryRecord {
     #[must_use]
     pub fn memory(&self) -> Memory {
         let stream = |stream: &StreamRecord| {
-            let id = StreamId {
-                source: Address::new(stream.system, stream.component),
-                link_id: stream.link_id,
-            };
-            let heard = Heard {
-                timestamp: Timestamp::from_units(stream.timestamp),
-                date: Timestamp::from_units(stream.date),
-            };
+            let id = StreamId { source: Address::new(stream.system, stream.component), link_id: stream.link_id };
+            let heard =
+                Heard { timestamp: Timestamp::from_units(stream.timestamp), date: Timestamp::from_units(stream.date) };
             (id, heard)
         };
         Memory {
@@ -152,10 +141,7 @@ impl Config {
                 continue;
             };
             let name = format!("link {index} `{}`", link.url);
-            ensure!(
-                !link.send_mavlink1,
-                "{name}: MAVLink 1 cannot be signed; take away `send_mavlink1` or `signing`"
-            );
+            ensure!(!link.send_mavlink1, "{name}: MAVLink 1 cannot be signed; take away `send_mavlink1` or `signing`");
             ensure!(
                 !matches!(LinkTarget::parse(&link.url), Ok(LinkTarget::Sim(_))),
                 "{name}: the simulated brick does not sign; take away `signing`"
@@ -180,10 +166,7 @@ mod tests {
 
     fn checked(links: &str) -> Result<(), String> {
         let config = load_text("test", links, &[]).unwrap().config;
-        config
-            .pipeline()
-            .map(drop)
-            .map_err(|error| format!("{error:#}"))
+        config.pipeline().map(drop).map_err(|error| format!("{error:#}"))
     }
 
     #[test]
@@ -208,14 +191,8 @@ mod tests {
     #[test]
     fn a_memory_survives_toml() {
         let key = Key::from_bytes([3; 32]);
-        let stream = StreamId {
-            source: Address::new(1, 2),
-            link_id: 3,
-        };
-        let heard = Heard {
-            timestamp: Timestamp::MAX,
-            date: Timestamp::from_units(4),
-        };
+        let stream = StreamId { source: Address::new(1, 2), link_id: 3 };
+        let heard = Heard { timestamp: Timestamp::MAX, date: Timestamp::from_units(4) };
         for floor in [None, Some(Timestamp::from_units(9))] {
             let memory = Memory {
                 written: Timestamp::from_units(5),

@@ -6,8 +6,8 @@ use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::{LinkUrl, Role};
 use posebridge_pipeline::{
-    AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS, OutputInstant,
-    OutputStream, PipelineConfig, Voices,
+    AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS, OutputInstant, OutputStream,
+    PipelineConfig, Voices,
 };
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_protocol::routing::LinkRules;
@@ -71,10 +71,7 @@ pub struct StationConfig {
 /// One link.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(deny_unknown_fields)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "four independent keys of a file, each with a name"
-)]
+#[expect(clippy::struct_excessive_bools, reason = "four independent keys of a file, each with a name")]
 pub struct LinkSection {
     /// What to open; see `posebridge run --help` for the kinds.
     pub url: String,
@@ -178,20 +175,14 @@ impl Default for CameraConfig {
 impl CameraConfig {
     /// When cameras are asked for a fix.
     fn fix_requests(&self) -> Result<FixRequestConfig> {
-        for (key, limit) in [
-            ("ask_above_m", self.ask_above_m),
-            ("ask_above_deg", self.ask_above_deg),
-        ] {
+        for (key, limit) in [("ask_above_m", self.ask_above_m), ("ask_above_deg", self.ask_above_deg)] {
             ensure!(
                 limit.is_none_or(|limit| limit.is_finite() && limit > 0.0),
                 "`camera.{key}` is {}, must be more than zero; leave it out to ask nobody",
                 limit.unwrap_or_default()
             );
         }
-        ensure!(
-            self.ask_interval_ms >= 10,
-            "`camera.ask_interval_ms` must be at least 10"
-        );
+        ensure!(self.ask_interval_ms >= 10, "`camera.ask_interval_ms` must be at least 10");
         Ok(FixRequestConfig {
             above_m: self.ask_above_m,
             above_rad: self.ask_above_deg.map(f64::to_radians),
@@ -251,11 +242,7 @@ impl Default for Config {
 impl Default for StationConfig {
     /// 1/197: the same system as the robot, MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
     fn default() -> Self {
-        Self {
-            system: 1,
-            component: 197,
-            robot_system: 0,
-        }
+        Self { system: 1, component: 197, robot_system: 0 }
     }
 }
 
@@ -325,19 +312,12 @@ fn outputs_for_ground_stations() -> Vec<OutputSection> {
 }
 
 fn output(message: &str, interval_ms: u32) -> OutputSection {
-    OutputSection {
-        message: message.to_owned(),
-        interval_ms,
-        at: AtInstant::Observed,
-    }
+    OutputSection { message: message.to_owned(), interval_ms, at: AtInstant::Observed }
 }
 
 impl Default for ClockConfig {
     fn default() -> Self {
-        Self {
-            timesync_period_ms: 200,
-            telemetry_interval_ms: 0,
-        }
+        Self { timesync_period_ms: 200, telemetry_interval_ms: 0 }
     }
 }
 
@@ -363,8 +343,7 @@ impl RecordSection {
         let limit = |number: u32| (number != 0).then_some(number);
         Limits {
             part_bytes: limit(self.part_max_mb).map(|mb| u64::from(mb) * MEGABYTE),
-            part_span: limit(self.part_max_minutes)
-                .map(|minutes| Span::from_millis(i64::from(minutes) * 60_000)),
+            part_span: limit(self.part_max_minutes).map(|minutes| Span::from_millis(i64::from(minutes) * 60_000)),
             floor_bytes: u64::from(self.min_free_mb) * MEGABYTE,
             output_spacing: Span::from_millis(i64::from(self.outputs_interval_ms)),
         }
@@ -388,17 +367,12 @@ impl Config {
     pub fn pipeline(&self) -> Result<PipelineConfig> {
         self.check_signing()?;
         let rules = rules_of(&self.links)?.into_iter();
-        let links = self
-            .links
-            .iter()
-            .zip(rules)
-            .enumerate()
-            .map(|(index, (link, rules))| {
-                let brick = brick_link(link, &self.robot, &self.camera.json);
-                let brick = brick.with_context(|| format!("link {index} `{}`", link.url))?;
-                let pipeline = link.pipeline(index, rules)?;
-                Ok(LinkConfig { brick, ..pipeline })
-            });
+        let links = self.links.iter().zip(rules).enumerate().map(|(index, (link, rules))| {
+            let brick = brick_link(link, &self.robot, &self.camera.json);
+            let brick = brick.with_context(|| format!("link {index} `{}`", link.url))?;
+            let pipeline = link.pipeline(index, rules)?;
+            Ok(LinkConfig { brick, ..pipeline })
+        });
         let interval = Span::from_millis(i64::from(self.clock.telemetry_interval_ms));
         let wanted = match self.clock.telemetry_interval_ms {
             0 => vec![],
@@ -407,10 +381,7 @@ impl Config {
                 (posebridge_protocol::dialect::ids::PB_INERTIAL, interval),
             ],
         };
-        ensure!(
-            self.clock.timesync_period_ms >= 10,
-            "`clock.timesync_period_ms` must be at least 10"
-        );
+        ensure!(self.clock.timesync_period_ms >= 10, "`clock.timesync_period_ms` must be at least 10");
         Ok(PipelineConfig {
             own: Address::new(self.station.system, self.station.component),
             filter: self.filter.name.clone(),
@@ -420,8 +391,7 @@ impl Config {
             } else {
                 DescriptionPolicy::Ignore
             },
-            robot_system: (self.station.robot_system != 0)
-                .then_some(SystemId(self.station.robot_system)),
+            robot_system: (self.station.robot_system != 0).then_some(SystemId(self.station.robot_system)),
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             fix_requests: self.camera.fix_requests()?,
             timesync_period: Span::from_millis(i64::from(self.clock.timesync_period_ms)),
@@ -447,21 +417,10 @@ impl Config {
     /// # Errors
     /// A URL cannot be understood; the message names the link.
     pub fn targets(&self) -> Result<Vec<(LinkTarget, Role)>> {
-        ensure!(
-            !self.links.is_empty(),
-            "there is no link: give `--link URL` or a `[[link]]` in the configuration"
-        );
+        ensure!(!self.links.is_empty(), "there is no link: give `--link URL` or a `[[link]]` in the configuration");
         let target = |(index, link): (usize, &LinkSection)| {
-            let target = LinkTarget::parse(&link.url)
-                .with_context(|| format!("link {index} `{}`", link.url))?;
-            Ok((
-                target,
-                if link.listen {
-                    Role::Listen
-                } else {
-                    Role::Dial
-                },
-            ))
+            let target = LinkTarget::parse(&link.url).with_context(|| format!("link {index} `{}`", link.url))?;
+            Ok((target, if link.listen { Role::Listen } else { Role::Dial }))
         };
         self.links.iter().enumerate().map(target).collect()
     }
@@ -475,24 +434,10 @@ impl LinkSection {
             brick: None,
             id: LinkId(index as u16),
             framing: framing_of(&self.url),
-            version: if self.accept_mavlink1 {
-                AcceptedVersions::V1AndV2
-            } else {
-                AcceptedVersions::V2
-            },
-            speaks: if self.send_mavlink1 {
-                WireVersion::V1
-            } else {
-                WireVersion::V2
-            },
-            outputs: outputs
-                .collect::<Result<_>>()
-                .with_context(|| format!("link {index} `{}`", self.url))?,
-            voices: if self.ground_station {
-                Voices::OwnAndRobot
-            } else {
-                Voices::Own
-            },
+            version: if self.accept_mavlink1 { AcceptedVersions::V1AndV2 } else { AcceptedVersions::V2 },
+            speaks: if self.send_mavlink1 { WireVersion::V1 } else { WireVersion::V2 },
+            outputs: outputs.collect::<Result<_>>().with_context(|| format!("link {index} `{}`", self.url))?,
+            voices: if self.ground_station { Voices::OwnAndRobot } else { Voices::Own },
             signing: None,
             rules,
         })
@@ -515,11 +460,7 @@ impl OutputSection {
     fn pipeline(&self) -> Result<OutputStream> {
         let Some((_, kind)) = OUTPUTS.iter().find(|(name, _)| *name == self.message) else {
             let known: Vec<_> = OUTPUTS.iter().map(|(name, _)| *name).collect();
-            bail!(
-                "`outputs.message` is `{}`; there are: {}",
-                self.message,
-                known.join(", ")
-            );
+            bail!("`outputs.message` is `{}`; there are: {}", self.message, known.join(", "));
         };
         Ok(OutputStream {
             kind: *kind,

@@ -79,10 +79,7 @@ fn further_blocks<'a, 'b>(
     family: &'b str,
 ) -> impl Iterator<Item = &'b Block<'a>> {
     own.iter().filter(move |block| {
-        family_of(block.header) == family
-            && default
-                .iter()
-                .all(|other| name_of(other.header) != name_of(block.header))
+        family_of(block.header) == family && default.iter().all(|other| name_of(other.header) != name_of(block.header))
     })
 }
 
@@ -140,10 +137,7 @@ fn others(lines: &[&str], known: &[&str]) -> Vec<String> {
                 kept.push(format!("# {line}"));
             }
             // An example of a key that stands there.
-            None if line
-                .strip_prefix("# ")
-                .and_then(key_of)
-                .is_some_and(|key| known.contains(&key)) => {}
+            None if line.strip_prefix("# ").and_then(key_of).is_some_and(|key| known.contains(&key)) => {}
             None if line.is_empty() => {
                 kept.append(&mut comments);
                 kept.push(String::new());
@@ -184,17 +178,9 @@ fn blocks_of(text: &str) -> (Vec<&str>, Vec<Block<'_>>) {
         };
         if line.starts_with('[') {
             let is_comment = |line: &&str| line.starts_with('#');
-            let above = lines
-                .iter()
-                .rev()
-                .take_while(|line| is_comment(line))
-                .count();
+            let above = lines.iter().rev().take_while(|line| is_comment(line)).count();
             let above = lines.split_off(lines.len() - above);
-            blocks.push(Block {
-                above,
-                header: line,
-                lines: Vec::new(),
-            });
+            blocks.push(Block { above, header: line, lines: Vec::new() });
         } else {
             lines.push(line);
         }
@@ -253,11 +239,8 @@ mod tests {
             let profile = RobotProfile::from_toml(robot.text).unwrap();
             let mut expected = Config::default().with_robot(profile);
             let own: Config = toml::from_str(robot.text).unwrap();
-            expected.links = vec![LinkSection {
-                url: "tcp://127.0.0.1:1".to_owned(),
-                listen: false,
-                ..own.links[0].clone()
-            }];
+            expected.links =
+                vec![LinkSection { url: "tcp://127.0.0.1:1".to_owned(), listen: false, ..own.links[0].clone() }];
             assert_eq!(loaded, expected, "{text}");
             // What is commented out is no other value than what holds without it.
             let live = with_defaults_live(&text);

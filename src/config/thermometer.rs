@@ -39,9 +39,7 @@ const fn no_gain() -> f64 {
 pub(super) fn checked(thermometers: &[RobotThermometer]) -> Result<Vec<ThermometerConfig>> {
     let mut known: Vec<ThermometerConfig> = Vec::with_capacity(thermometers.len());
     for (index, thermometer) in thermometers.iter().enumerate() {
-        let config = thermometer
-            .checked()
-            .with_context(|| format!("`robot.thermometer`, number {}", index + 1))?;
+        let config = thermometer.checked().with_context(|| format!("`robot.thermometer`, number {}", index + 1))?;
         ensure!(
             known.iter().all(|other| other.channel != config.channel),
             "`robot.thermometer` has the channel `{}` twice",
@@ -62,21 +60,11 @@ impl RobotThermometer {
             "`channel` is `{}`, must be scaled_pressure or a name of at most ten printable characters that begins with temp",
             self.channel
         );
-        for (key, value) in [
-            ("sigma_k", self.sigma_k),
-            ("resolution_k", self.resolution_k),
-        ] {
-            ensure!(
-                value.is_finite() && value >= 0.0,
-                "`{key}` is {value}, must be zero or more"
-            );
+        for (key, value) in [("sigma_k", self.sigma_k), ("resolution_k", self.resolution_k)] {
+            ensure!(value.is_finite() && value >= 0.0, "`{key}` is {value}, must be zero or more");
         }
         let model = if self.lags_s.is_empty() {
-            ensure!(
-                self.gain == 1.0,
-                "`gain` is {}, but without `lags_s` the gain must be 1",
-                self.gain
-            );
+            ensure!(self.gain == 1.0, "`gain` is {}, but without `lags_s` the gain must be 1", self.gain);
             None
         } else {
             let model = DynamicModel::empty()
@@ -86,11 +74,7 @@ impl RobotThermometer {
         };
         Ok(ThermometerConfig {
             channel,
-            settings: ThermometerSettings {
-                model,
-                sigma_k: self.sigma_k,
-                resolution_k: self.resolution_k,
-            },
+            settings: ThermometerSettings { model, sigma_k: self.sigma_k, resolution_k: self.resolution_k },
         })
     }
 }
@@ -124,10 +108,7 @@ mod tests {
             ("channel = \"temp\"\nsigma_k = nan", "sigma_k"),
             ("channel = \"temp\"\nresolution_k = -1.0", "resolution_k"),
             ("channel = \"temp\"\nlag_s = [2.0]", "lag_s"),
-            (
-                "channel = \"temp\"\n[[robot.thermometer]]\nchannel = \"temp\"",
-                "twice",
-            ),
+            ("channel = \"temp\"\n[[robot.thermometer]]\nchannel = \"temp\"", "twice"),
         ] {
             let refused = thermometers(&format!("[[robot.thermometer]]\n{line}\n"));
             let said = format!("{:#}", refused.unwrap_err());

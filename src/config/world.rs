@@ -80,27 +80,18 @@ fn places(key: &str, places: &[NumberedPlace]) -> Result<BTreeMap<u32, Point2<Ar
     let mut known = BTreeMap::new();
     for &NumberedPlace { id, x_m, y_m } in places {
         let at = point(&format!("{key}, id {id}"), PointPlace { x_m, y_m })?;
-        ensure!(
-            known.insert(id, at).is_none(),
-            "`[world]` {key}: the id {id} is there twice"
-        );
+        ensure!(known.insert(id, at).is_none(), "`[world]` {key}: the id {id} is there twice");
     }
     Ok(known)
 }
 
-fn by_id<K: Ord>(
-    places: &BTreeMap<u32, Point2<Arena>>,
-    id: fn(u32) -> K,
-) -> BTreeMap<K, Point2<Arena>> {
+fn by_id<K: Ord>(places: &BTreeMap<u32, Point2<Arena>>, id: fn(u32) -> K) -> BTreeMap<K, Point2<Arena>> {
     places.iter().map(|(key, at)| (id(*key), *at)).collect()
 }
 
 fn point(key: &str, place: PointPlace) -> Result<Point2<Arena>> {
     let PointPlace { x_m, y_m } = place;
-    ensure!(
-        x_m.is_finite() && y_m.is_finite(),
-        "`[world]` {key}: it lies at ({x_m}, {y_m}): both must be finite"
-    );
+    ensure!(x_m.is_finite() && y_m.is_finite(), "`[world]` {key}: it lies at ({x_m}, {y_m}): both must be finite");
     Ok(Point2::new(Meters(x_m), Meters(y_m)))
 }
 
@@ -120,14 +111,8 @@ mod tests {
              walls = [{ from = { x_m = 0.0, y_m = 0.0 }, to = { x_m = 2.0, y_m = 0.0 } }]\n",
         )
         .unwrap();
-        assert_eq!(
-            world.landmarks[&LandmarkId(6)],
-            Point2::new(Meters(1.0), Meters(2.0))
-        );
-        assert_eq!(
-            world.beacons[&BeaconId(0)],
-            Point2::new(Meters(-1.0), Meters(0.5))
-        );
+        assert_eq!(world.landmarks[&LandmarkId(6)], Point2::new(Meters(1.0), Meters(2.0)));
+        assert_eq!(world.beacons[&BeaconId(0)], Point2::new(Meters(-1.0), Meters(0.5)));
         assert_eq!(world.walls[0].to, Point2::new(Meters(2.0), Meters(0.0)));
     }
 
@@ -135,9 +120,7 @@ mod tests {
     fn what_cannot_stand_there_is_named() {
         let refused = |text: &str| world(text).unwrap_err().to_string();
         assert_eq!(
-            refused(
-                "beacons = [{ id = 1, x_m = 0.0, y_m = 0.0 }, { id = 1, x_m = 1.0, y_m = 0.0 }]"
-            ),
+            refused("beacons = [{ id = 1, x_m = 0.0, y_m = 0.0 }, { id = 1, x_m = 1.0, y_m = 0.0 }]"),
             "`[world]` beacons: the id 1 is there twice"
         );
         assert_eq!(

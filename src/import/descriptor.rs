@@ -40,10 +40,7 @@ impl Source {
             heading_sigma_deg: start.heading_sigma_rad.to_degrees(),
         });
         let config = Config {
-            robot: RobotFile {
-                start,
-                ..robot_run.robot.clone()
-            },
+            robot: RobotFile { start, ..robot_run.robot.clone() },
             filter: robot_run.filter.clone(),
             world: WorldConfig {
                 landmarks: places(robot_run.run.landmarks.iter().map(|(id, at)| (id.0, *at))),
@@ -71,17 +68,11 @@ impl Source {
             (run.withheld.len(), "fixes that the descriptor withholds"),
         ];
         let left_out = left_out.into_iter().filter(|(count, _)| *count > 0);
-        Ok(left_out
-            .map(|(count, what)| format!("left out: {count} {what}"))
-            .collect())
+        Ok(left_out.map(|(count, what)| format!("left out: {count} {what}")).collect())
     }
 }
 
 fn places(places: impl Iterator<Item = (u32, Point2<Arena>)>) -> Vec<NumberedPlace> {
-    let place = |(id, at): (u32, Point2<Arena>)| NumberedPlace {
-        id,
-        x_m: at.x.0,
-        y_m: at.y.0,
-    };
+    let place = |(id, at): (u32, Point2<Arena>)| NumberedPlace { id, x_m: at.x.0, y_m: at.y.0 };
     places.map(place).collect()
 }

@@ -40,10 +40,7 @@ pub enum Beyond {
 impl Default for Room {
     /// As much as a computer on which somebody waits for a result may have to spare.
     fn default() -> Self {
-        Self {
-            most_bytes: 4 << 30,
-            beyond: Beyond::Refused,
-        }
+        Self { most_bytes: 4 << 30, beyond: Beyond::Refused }
     }
 }
 
@@ -117,11 +114,7 @@ impl LoggedInputs {
 ///
 /// # Errors
 /// The file cannot be read to its end or holds no frame, or its times make no sense.
-pub fn logged_frames(
-    path: &Path,
-    station: Station<'_>,
-    take: &mut dyn FnMut(u64, &[u8]),
-) -> Result<Vec<String>> {
+pub fn logged_frames(path: &Path, station: Station<'_>, take: &mut dyn FnMut(u64, &[u8])) -> Result<Vec<String>> {
     let own = station.config()?.station;
     tlog::frames_in_time(path, Address::new(own.system, own.component), take)
 }
@@ -130,12 +123,7 @@ pub fn logged_frames(
 ///
 /// # Errors
 /// The file cannot be read or makes no sense, or `out` cannot be written.
-pub fn import<W: Write + Seek>(
-    path: &Path,
-    data: &DataFlags,
-    station: Station<'_>,
-    out: W,
-) -> Result<(W, Account)> {
+pub fn import<W: Write + Seek>(path: &Path, data: &DataFlags, station: Station<'_>, out: W) -> Result<(W, Account)> {
     match InputFile::open(path)?.kind {
         Kind::Tlog => {
             let source = tlog::Source::open(path, station.config()?)?;
@@ -148,10 +136,9 @@ pub fn import<W: Write + Seek>(
             write(out, &header, |sink| source.inputs(sink))
         }
         Kind::Own => bail!("`{}` is a recording of posebridge already", path.display()),
-        Kind::Bytes => bail!(
-            "`{}`: bytes without times cannot be replayed; a telemetry log (*.tlog) has times",
-            path.display()
-        ),
+        Kind::Bytes => {
+            bail!("`{}`: bytes without times cannot be replayed; a telemetry log (*.tlog) has times", path.display())
+        }
     }
 }
 
@@ -184,9 +171,8 @@ fn own_bytes(path: &Path, mut file: InputFile, room: Room) -> Result<(Vec<u8>, V
     let (name, size) = (file.name.clone(), file.size);
     // Looked at before it is read: what is none may be large.
     if let Err(error @ ReadError::NotMcap) = Reader::open(file.beginning()?) {
-        return Err(error).with_context(|| {
-            format!("recording `{name}` ({size} bytes): `posebridge run` writes recordings")
-        });
+        return Err(error)
+            .with_context(|| format!("recording `{name}` ({size} bytes): `posebridge run` writes recordings"));
     }
     parts::joined(path, file.whole(room.most_bytes)?, room)
 }
@@ -206,11 +192,7 @@ pub fn session(path: &Path, station: Station<'_>) -> Result<Session> {
     }
     let (bytes, notes) = recording_bytes(path, station)?;
     let reader = Reader::open(&bytes).with_context(|| format!("recording `{}`", path.display()))?;
-    Ok(Session {
-        header: reader.header().clone(),
-        notes,
-        inputs: Inputs::Recorded(bytes),
-    })
+    Ok(Session { header: reader.header().clone(), notes, inputs: Inputs::Recorded(bytes) })
 }
 
 fn header_of(config: &Config, utc_start_micros: u64) -> Result<Header> {
@@ -218,8 +200,7 @@ fn header_of(config: &Config, utc_start_micros: u64) -> Result<Header> {
         format: FORMAT,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
         utc_start_micros,
-        config_toml: toml::to_string(config)
-            .context("writing the configuration into the recording")?,
+        config_toml: toml::to_string(config).context("writing the configuration into the recording")?,
         links: config.links.iter().map(|link| link.url.clone()).collect(),
     })
 }

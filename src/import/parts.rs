@@ -83,11 +83,7 @@ struct RoomLeft {
 
 impl RoomLeft {
     const fn new(room: Room, taken: u64) -> Self {
-        Self {
-            room,
-            left: room.most_bytes.saturating_sub(taken),
-            left_out: None,
-        }
+        Self { room, left: room.most_bytes.saturating_sub(taken), left_out: None }
     }
 
     /// Whether a part of this size still fits; one that has to is an error.
@@ -117,18 +113,13 @@ impl RoomLeft {
 }
 
 /// The part behind part `number`, which is the file at `path`; takes its bytes from the room.
-fn continuation(
-    (path, number): (&Path, u32),
-    room: &mut RoomLeft,
-) -> Result<Option<(PathBuf, Vec<u8>)>> {
+fn continuation((path, number): (&Path, u32), room: &mut RoomLeft) -> Result<Option<(PathBuf, Vec<u8>)>> {
     let next = part_path(&first_path(path, number), number + 1);
     if !next.is_file() {
         return Ok(None);
     }
     let name = next.display();
-    let size = std::fs::metadata(&next)
-        .with_context(|| format!("looking at `{name}`"))?
-        .len();
+    let size = std::fs::metadata(&next).with_context(|| format!("looking at `{name}`"))?.len();
     if !room.has(&next, size)? {
         return Ok(None);
     }
@@ -155,20 +146,13 @@ fn first_path(path: &Path, number: u32) -> PathBuf {
     }
 }
 
-fn copy(
-    path: &Path,
-    bytes: &[u8],
-    writer: &mut Writer<Cursor<Vec<u8>>>,
-    notes: &mut Vec<String>,
-) -> Result<()> {
+fn copy(path: &Path, bytes: &[u8], writer: &mut Writer<Cursor<Vec<u8>>>, notes: &mut Vec<String>) -> Result<()> {
     let name = name_of(path);
     let mut reader = Reader::open(bytes).with_context(|| name.clone())?;
     for item in &mut reader {
         match item {
             Ok((now, input)) => writer.record(now, &input)?,
-            Err(error) => notes.push(format!(
-                "{name}: {error}; the replay is not that of the live run any more"
-            )),
+            Err(error) => notes.push(format!("{name}: {error}; the replay is not that of the live run any more")),
         }
     }
     if let Ending::Torn { offset, what } = reader.ending() {
@@ -178,10 +162,7 @@ fn copy(
 }
 
 fn name_of(path: &Path) -> String {
-    path.file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned()
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 #[cfg(test)]
@@ -194,20 +175,12 @@ mod tests {
     /// Seven seconds of ticks, four a second, in parts of two seconds.
     fn record(folder: &Path) -> PathBuf {
         let path = folder.join("recording.mcap");
-        let limits = Limits {
-            part_span: Some(Span::from_millis(2_000)),
-            ..Limits::default()
-        };
-        let header = Header {
-            format: container::FORMAT,
-            ..Header::default()
-        };
+        let limits = Limits { part_span: Some(Span::from_millis(2_000)), ..Limits::default() };
+        let header = Header { format: container::FORMAT, ..Header::default() };
         let mut parts = Parts::create(&path, header, limits, 0).unwrap();
         for number in 0..28 {
             let now = Stamp::from_millis(250 * i64::from(number));
-            parts
-                .record(now, u64::from(number as u32), &Input::Tick)
-                .unwrap();
+            parts.record(now, u64::from(number as u32), &Input::Tick).unwrap();
         }
         parts.finish(28).unwrap();
         path
@@ -255,10 +228,7 @@ mod tests {
         let path = record(folder.path());
         let first = std::fs::read(&path).unwrap();
         let second = std::fs::metadata(folder.path().join("recording.2.mcap")).unwrap();
-        let room = |beyond| Room {
-            most_bytes: first.len() as u64 + second.len(),
-            beyond,
-        };
+        let room = |beyond| Room { most_bytes: first.len() as u64 + second.len(), beyond };
         let refused = joined(&path, first.clone(), room(Beyond::Refused));
         let refused = refused.unwrap_err().to_string();
         assert!(refused.contains("recording.3.mcap"), "{refused}");
@@ -267,15 +237,9 @@ mod tests {
         let (begun, notes) = joined(&path, first.clone(), room(Beyond::LeftOut)).unwrap();
         let (all, _) = joined(&path, first.clone(), Room::default()).unwrap();
         let (begun, all) = (instants(&begun), instants(&all));
-        assert!(
-            all.starts_with(&begun) && begun.len() < all.len(),
-            "{begun:?}"
-        );
+        assert!(all.starts_with(&begun) && begun.len() < all.len(), "{begun:?}");
         assert_eq!(notes[0], "2 parts were joined");
-        assert!(
-            notes[1].starts_with("`recording.3.mcap` and what follows it are left out"),
-            "{notes:?}"
-        );
+        assert!(notes[1].starts_with("`recording.3.mcap` and what follows it are left out"), "{notes:?}");
     }
 
     #[test]

@@ -45,9 +45,7 @@ impl Told {
             return Some(advanced);
         }
         let wrapped = advanced + self.wraps_micros?;
-        (0..=LEAP_MICROS as i64)
-            .contains(&wrapped)
-            .then_some(wrapped)
+        (0..=LEAP_MICROS as i64).contains(&wrapped).then_some(wrapped)
     }
 }
 
@@ -82,11 +80,7 @@ pub(super) struct Timed<'f> {
 impl Timed<'_> {
     /// As one that may wait.
     fn kept(self) -> Timed<'static> {
-        Timed {
-            micros: self.micros,
-            told: self.told,
-            frame: Cow::Owned(self.frame.into_owned()),
-        }
+        Timed { micros: self.micros, told: self.told, frame: Cow::Owned(self.frame.into_owned()) }
     }
 }
 
@@ -108,23 +102,15 @@ impl Found {
     pub(super) fn notes(&self) -> Vec<String> {
         let all = [
             (self.damaged, "times that are damaged, not used"),
-            (
-                self.steps_back,
-                "steps back of the computer's date, taken out",
-            ),
-            (
-                self.steps_ahead,
-                "steps ahead of the computer's date that no other clock shares, taken out",
-            ),
+            (self.steps_back, "steps back of the computer's date, taken out"),
+            (self.steps_ahead, "steps ahead of the computer's date that no other clock shares, taken out"),
             (
                 self.silences,
                 "silences of more than a minute that no other clock confirms: a date that was set would look the same",
             ),
         ];
         let occurring = all.into_iter().filter(|(count, _)| *count > 0);
-        occurring
-            .map(|(count, what)| format!("{count} {what}"))
-            .collect()
+        occurring.map(|(count, what)| format!("{count} {what}")).collect()
     }
 }
 
@@ -149,12 +135,7 @@ impl Timeline {
             shift_micros: 0,
             run: VecDeque::new(),
             clocks: BTreeMap::new(),
-            found: Found {
-                damaged: 0,
-                steps_back: 0,
-                steps_ahead: 0,
-                silences: 0,
-            },
+            found: Found { damaged: 0, steps_back: 0, steps_ahead: 0, silences: 0 },
         }
     }
 
@@ -163,11 +144,8 @@ impl Timeline {
         if self.run.is_empty() && !self.is_off(&record) {
             return self.hand_on(&record, take);
         }
-        let has_returned = !self.is_off(&record)
-            && self
-                .run
-                .back()
-                .is_some_and(|before| !agree(before.micros, record.micros));
+        let has_returned =
+            !self.is_off(&record) && self.run.back().is_some_and(|before| !agree(before.micros, record.micros));
         if has_returned {
             self.drop_times(self.run.len(), take);
             return self.hand_on(&record, take);
@@ -242,11 +220,8 @@ impl Timeline {
     /// log of rare messages, at the first.
     fn base(&self) -> Option<usize> {
         let times = || self.run.iter().map(|record| record.micros);
-        let agreeing = times()
-            .zip(times().skip(1))
-            .position(|(one, other)| agree(one, other));
-        let is_ahead =
-            |micros: u64| is_possible(micros) && self.shifted(micros) > self.latest_micros;
+        let agreeing = times().zip(times().skip(1)).position(|(one, other)| agree(one, other));
+        let is_ahead = |micros: u64| is_possible(micros) && self.shifted(micros) > self.latest_micros;
         let is_rising = times().is_sorted() && times().all(is_ahead);
         agreeing.or(is_rising.then_some(0))
     }
@@ -286,9 +261,7 @@ impl Timeline {
     fn wrong_by(&self) -> Option<i64> {
         let base = self.run.front()?;
         let of_run = self.run.iter().zip(self.run.iter().skip(1));
-        let following = of_run
-            .take_while(|(before, after)| agree(before.micros, after.micros))
-            .map(|(_, after)| after);
+        let following = of_run.take_while(|(before, after)| agree(before.micros, after.micros)).map(|(_, after)| after);
         let mut of_another = None;
         for record in std::iter::once(base).chain(following) {
             let Some((is_hosts, wrong)) = self.told_wrong(record) else {
@@ -319,9 +292,7 @@ impl Timeline {
 
 /// Whether a record with one of these times may follow one with the other.
 pub(super) const fn agree(one_micros: u64, other_micros: u64) -> bool {
-    is_possible(one_micros)
-        && is_possible(other_micros)
-        && one_micros.abs_diff(other_micros) <= LEAP_MICROS
+    is_possible(one_micros) && is_possible(other_micros) && one_micros.abs_diff(other_micros) <= LEAP_MICROS
 }
 
 /// Nobody kept a log then.
@@ -351,11 +322,7 @@ mod tests {
                 wraps_micros: Some(WRAPS_S as i64 * SECOND as i64),
                 is_hosts: false,
             });
-            let record = Timed {
-                micros: at_s.saturating_mul(SECOND),
-                told,
-                frame: Cow::default(),
-            };
+            let record = Timed { micros: at_s.saturating_mul(SECOND), told, frame: Cow::default() };
             timeline.push(record, &mut take);
         }
         let found = timeline.finish(&mut take);
@@ -369,18 +336,9 @@ mod tests {
 
     #[test]
     fn times_that_come_back_are_damage_however_many_they_are() {
-        let damaged = |damaged| Found {
-            damaged,
-            ..Found::default()
-        };
-        assert_eq!(
-            without_clock(&[10, 11, 99_999, 12]),
-            (vec![0, 1, 1, 2], damaged(1))
-        );
-        assert_eq!(
-            without_clock(&[10, 11, 99_999, 99_999, 12, 13]),
-            (vec![0, 1, 1, 1, 2, 3], damaged(2))
-        );
+        let damaged = |damaged| Found { damaged, ..Found::default() };
+        assert_eq!(without_clock(&[10, 11, 99_999, 12]), (vec![0, 1, 1, 2], damaged(1)));
+        assert_eq!(without_clock(&[10, 11, 99_999, 99_999, 12, 13]), (vec![0, 1, 1, 1, 2, 3], damaged(2)));
         let beyond = 1 << 63;
         let mut times = vec![10, 11];
         times.extend([beyond; 10]);
@@ -388,10 +346,7 @@ mod tests {
         let (stamps, found) = without_clock(&times);
         assert_eq!((stamps[11], stamps[12], stamps[13]), (1, 2, 3));
         assert_eq!(found, damaged(10));
-        assert_eq!(
-            without_clock(&[500, 0, 501, 502]),
-            (vec![0, 0, 1, 2], damaged(1))
-        );
+        assert_eq!(without_clock(&[500, 0, 501, 502]), (vec![0, 0, 1, 2], damaged(1)));
     }
 
     #[test]
@@ -400,10 +355,7 @@ mod tests {
         assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
         let shared = [(10, 3), (11, 4), (5_000, 4_993), (5_001, 4_994)];
         let (stamps, found) = judged(&shared.map(|(at, said)| (at, Some(said))));
-        assert_eq!(
-            (stamps, found),
-            (vec![0, 1, 4_990, 4_991], Found::default())
-        );
+        assert_eq!((stamps, found), (vec![0, 1, 4_990, 4_991], Found::default()));
     }
 
     #[test]

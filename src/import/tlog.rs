@@ -85,30 +85,16 @@ impl Source {
             spare: Vec::new(),
             sink,
         };
-        inputs.give(
-            Stamp::ZERO,
-            &Input::Link {
-                link: LINK,
-                state: LinkState::Up,
-            },
-        );
-        let (bytes_outside, found) = in_time(
-            &self.path,
-            (self.own, self.first_micros),
-            &mut |micros, frame| inputs.hand_on(micros, frame),
-        )?;
+        inputs.give(Stamp::ZERO, &Input::Link { link: LINK, state: LinkState::Up });
+        let (bytes_outside, found) =
+            in_time(&self.path, (self.own, self.first_micros), &mut |micros, frame| inputs.hand_on(micros, frame))?;
         inputs.failure.map_or(Ok(()), Err)?;
         let counts = [
-            (
-                inputs.of_station,
-                format!("frames of the station {} itself", self.own),
-            ),
+            (inputs.of_station, format!("frames of the station {} itself", self.own)),
             (bytes_outside, "bytes outside frames".to_owned()),
         ];
         let counts = counts.into_iter().filter(|(count, _)| *count > 0);
-        let mut notes: Vec<String> = counts
-            .map(|(count, what)| format!("{count} {what}"))
-            .collect();
+        let mut notes: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
         notes.extend(found.notes());
         Ok(notes)
     }
@@ -119,22 +105,14 @@ impl Source {
 ///
 /// # Errors
 /// The file cannot be read to its end, or holds no frame, or its times make no sense.
-pub(super) fn frames_in_time(
-    path: &Path,
-    own: Address,
-    take: &mut Take<'_>,
-) -> Result<Vec<String>> {
+pub(super) fn frames_in_time(path: &Path, own: Address, take: &mut Take<'_>) -> Result<Vec<String>> {
     let first_micros = beginning_of(path, own)?.first_micros;
     let (_, found) = in_time(path, (own, first_micros), take)?;
     Ok(found.notes())
 }
 
 /// Also says how many bytes lie outside of frames.
-fn in_time(
-    path: &Path,
-    (own, first_micros): (Address, u64),
-    take: &mut Take<'_>,
-) -> Result<(u64, Found)> {
+fn in_time(path: &Path, (own, first_micros): (Address, u64), take: &mut Take<'_>) -> Result<(u64, Found)> {
     let mut timeline = Timeline::new(first_micros);
     let reader = records(InputFile::open(path)?, |record| {
         timeline.push(timed(&record, own), take);
@@ -218,8 +196,7 @@ impl Sought {
             .and_then(|frame| own_request(&frame, own))
             .and_then(|at| micros.checked_sub(u64::try_from(at.as_micros()).ok()?));
         let before = self.before.replace((micros, zero));
-        let Some((before, zero_before)) = before.filter(|(before, _)| agree(*before, micros))
-        else {
+        let Some((before, zero_before)) = before.filter(|(before, _)| agree(*before, micros)) else {
             return;
         };
         let first = *self.first.get_or_insert(before);
@@ -240,10 +217,7 @@ impl Sought {
                 "`{name}`: the time at byte {offset} is {lone} us after 1970, beyond the year 2100, and no two times behind it agree: the times are damaged"
             );
         };
-        Ok(Beginning {
-            zero_micros: self.zero.unwrap_or(first_micros),
-            first_micros,
-        })
+        Ok(Beginning { zero_micros: self.zero.unwrap_or(first_micros), first_micros })
     }
 }
 
@@ -292,11 +266,7 @@ impl Inputs<'_, '_> {
         let mut bytes = std::mem::take(&mut self.spare);
         bytes.clear();
         bytes.extend_from_slice(frame);
-        let input = Input::Bytes {
-            link: LINK,
-            peer: PeerId(0),
-            bytes,
-        };
+        let input = Input::Bytes { link: LINK, peer: PeerId(0), bytes };
         self.give(at, &input);
         if let Input::Bytes { bytes, .. } = input {
             self.spare = bytes;

@@ -132,10 +132,7 @@ struct ClockObject {
     uncertainty_s: Number,
 }
 
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde hands a reference to the field"
-)]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands a reference to the field")]
 fn is_none(number: &Number) -> bool {
     number.get().is_none()
 }
@@ -183,17 +180,9 @@ fn text(timestamp: f64, name: &str, object: Object) -> String {
 }
 
 fn truth_messages(point: &TruthPoint) -> Vec<String> {
-    let place = |[x_m, y_m, heading_rad]: [Number; 3]| {
-        Object::Place(PlaceObject {
-            x_m,
-            y_m,
-            heading_rad,
-        })
-    };
+    let place = |[x_m, y_m, heading_rad]: [Number; 3]| Object::Place(PlaceObject { x_m, y_m, heading_rad });
     let really = place([point.x_m, point.y_m, point.heading_rad]);
-    let odometry = point
-        .odometry
-        .map(|odometry| text(point.t_s, "odometry", place(odometry)));
+    let odometry = point.odometry.map(|odometry| text(point.t_s, "odometry", place(odometry)));
     let truth = text(point.t_s, "truth", really);
     std::iter::once(truth).chain(odometry).collect()
 }
@@ -233,10 +222,7 @@ fn sensor_object(record: &FusionPoint) -> SensorObject {
 }
 
 const fn errors_object(errors: &ErrorsRow) -> ErrorsObject {
-    ErrorsObject {
-        odometry_m: errors.odometry_m,
-        estimate_m: errors.estimate_m,
-    }
+    ErrorsObject { odometry_m: errors.odometry_m, estimate_m: errors.estimate_m }
 }
 
 fn link_object(link: &LinkRow) -> LinkObject {
@@ -256,11 +242,7 @@ fn link_object(link: &LinkRow) -> LinkObject {
 }
 
 fn clock_object(clock: &ClockRow) -> ClockObject {
-    ClockObject {
-        offset_s: clock.offset_s,
-        skew_ppm: clock.skew_ppm,
-        uncertainty_s: seconds(clock.uncertainty_ms),
-    }
+    ClockObject { offset_s: clock.offset_s, skew_ppm: clock.skew_ppm, uncertainty_s: seconds(clock.uncertainty_ms) }
 }
 
 fn seconds(millis: Number) -> Number {
@@ -299,11 +281,7 @@ mod tests {
                 }],
                 ..RobotFrame::default()
             }],
-            clock: Some(ClockRow {
-                offset_s: -1.0,
-                uncertainty_ms: 2.0.into(),
-                ..ClockRow::default()
-            }),
+            clock: Some(ClockRow { offset_s: -1.0, uncertainty_ms: 2.0.into(), ..ClockRow::default() }),
             ..Frame::default()
         };
         assert_eq!(

@@ -41,8 +41,8 @@ impl PlotJuggler {
     /// # Errors
     /// There is no socket to be had, or no thread.
     pub fn start(address: SocketAddr, frames: FrameTap) -> Result<Self> {
-        let socket = socket_for(address)
-            .with_context(|| format!("plotjuggler: opening a UDP socket to send to {address}"))?;
+        let socket =
+            socket_for(address).with_context(|| format!("plotjuggler: opening a UDP socket to send to {address}"))?;
         let thread = std::thread::Builder::new()
             .name("plotjuggler".to_owned())
             .spawn(move || send_all(&socket, address, &frames))
@@ -104,10 +104,7 @@ mod tests {
         let here = receiver.local_addr().unwrap();
         let socket = socket_for(here).unwrap();
         assert!(socket.local_addr().unwrap().ip().is_loopback());
-        let frame = Frame {
-            clock: Some(ClockRow::default()),
-            ..Frame::default()
-        };
+        let frame = Frame { clock: Some(ClockRow::default()), ..Frame::default() };
         let mut sent = Sent::default();
         send(&socket, here, &frame, &mut sent);
         // No system sends to port 0.

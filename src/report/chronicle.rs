@@ -6,15 +6,11 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use posebridge_analysis::figures::session::{
-    ClockSample, ErrorSample, InnovationSample, LearnedSample, LinkSample,
-};
+use posebridge_analysis::figures::session::{ClockSample, ErrorSample, InnovationSample, LearnedSample, LinkSample};
 use posebridge_analysis::metrics::InnovationTest;
 use posebridge_analysis::{SourceTally, Track};
 use posebridge_pipeline::Pipeline;
-use posebridge_telemetry::{
-    Estimate, Event, FusionRecord, HostClock, LinkId, SensorId, Span, Stamp,
-};
+use posebridge_telemetry::{Estimate, Event, FusionRecord, HostClock, LinkId, SensorId, Span, Stamp};
 
 use super::happenings::Happenings;
 use crate::collect::{Collector, Thinned};
@@ -72,10 +68,8 @@ impl Chronicle {
     /// One that counts time from the first input.
     #[must_use]
     pub fn new(origin: Stamp<HostClock>) -> Self {
-        let learned = CALIBRATION_KEYS.iter().map(|entry| LearnedStory {
-            key: entry.key,
-            samples: Thinned::keeping(KEPT),
-        });
+        let learned =
+            CALIBRATION_KEYS.iter().map(|entry| LearnedStory { key: entry.key, samples: Thinned::keeping(KEPT) });
         Self {
             collector: Collector::default(),
             sources: Vec::new(),
@@ -101,9 +95,7 @@ impl Chronicle {
     #[must_use]
     pub fn errors(&self, truth: &Track) -> Vec<ErrorSample> {
         let estimates = self.estimates.items().iter();
-        estimates
-            .filter_map(|(t_s, estimate)| ErrorSample::of(*t_s, estimate, truth))
-            .collect()
+        estimates.filter_map(|(t_s, estimate)| ErrorSample::of(*t_s, estimate, truth)).collect()
     }
 
     /// What was not known from the beginning, and was learned: its sigma has fallen.
@@ -131,10 +123,7 @@ impl Chronicle {
     }
 
     fn take_record(&mut self, t_s: f64, record: &FusionRecord) {
-        let known = self
-            .sources
-            .iter()
-            .position(|source| source.sensor == record.sensor);
+        let known = self.sources.iter().position(|source| source.sensor == record.sensor);
         let index = known.unwrap_or_else(|| {
             self.sources.push(SourceStory {
                 sensor: record.sensor,
@@ -157,24 +146,17 @@ impl Chronicle {
             Event::Health { link, health, .. } => {
                 let samples = self.links.entry(*link);
                 let samples = samples.or_insert_with(|| Thinned::keeping(KEPT));
-                samples.push(LinkSample {
-                    t_s,
-                    health: *health,
-                });
+                samples.push(LinkSample { t_s, health: *health });
             }
-            Event::BrickClockAligned {
-                offset,
-                skew_ppm,
-                uncertainty,
-                round_trip,
-                ..
-            } => self.clock.push(ClockSample {
-                t_s,
-                offset_s: offset.as_secs_f64(),
-                skew_ppm: *skew_ppm,
-                uncertainty_s: uncertainty.as_secs_f64(),
-                round_trip_s: round_trip.map(Span::as_secs_f64),
-            }),
+            Event::BrickClockAligned { offset, skew_ppm, uncertainty, round_trip, .. } => {
+                self.clock.push(ClockSample {
+                    t_s,
+                    offset_s: offset.as_secs_f64(),
+                    skew_ppm: *skew_ppm,
+                    uncertainty_s: uncertainty.as_secs_f64(),
+                    round_trip_s: round_trip.map(Span::as_secs_f64),
+                })
+            }
             Event::Estimated { estimate, .. } => {
                 if estimate.validity.position {
                     self.estimates.push((t_s, *estimate));
@@ -216,11 +198,7 @@ impl Watch for Chronicle {
         let t_s = (now - self.origin).as_secs_f64();
         for (entry, story) in CALIBRATION_KEYS.iter().zip(&mut self.learned) {
             let known = (entry.read)(&calibration);
-            story.samples.push(LearnedSample {
-                t_s,
-                value: known.value,
-                sigma: known.sigma,
-            });
+            story.samples.push(LearnedSample { t_s, value: known.value, sigma: known.sigma });
         }
     }
 }

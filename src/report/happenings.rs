@@ -36,13 +36,9 @@ impl Happenings {
     pub fn take(&mut self, t_s: f64, event: &Event) {
         match event {
             Event::RobotSeen { robot } => self.note(t_s, format!("robot {robot} heard")),
-            Event::RobotLost { robot, silence } => self.note(
-                t_s,
-                format!(
-                    "robot {robot} lost: silent for {:.1} s",
-                    silence.as_secs_f64()
-                ),
-            ),
+            Event::RobotLost { robot, silence } => {
+                self.note(t_s, format!("robot {robot} lost: silent for {:.1} s", silence.as_secs_f64()))
+            }
             Event::BrickRestarted { robot } => {
                 self.note(t_s, format!("the brick of robot {robot} restarted"));
             }
@@ -53,23 +49,13 @@ impl Happenings {
                 };
                 self.note(t_s, format!("link {link} {state}"));
             }
-            Event::Text {
-                source,
-                severity,
-                text,
-            } => self.note(t_s, format!("{source} says (severity {severity}): {text}")),
-            Event::BrickClockAligned { uncertainty, .. } => {
-                self.note_once(
-                    t_s,
-                    &aligned("the brick's clock", *uncertainty),
-                    "brick clock",
-                );
+            Event::Text { source, severity, text } => {
+                self.note(t_s, format!("{source} says (severity {severity}): {text}"))
             }
-            Event::CameraClockAligned {
-                camera,
-                uncertainty,
-                ..
-            } => {
+            Event::BrickClockAligned { uncertainty, .. } => {
+                self.note_once(t_s, &aligned("the brick's clock", *uncertainty), "brick clock");
+            }
+            Event::CameraClockAligned { camera, uncertainty, .. } => {
                 let whose = format!("the clock of camera {camera}");
                 self.note_once(t_s, &aligned(&whose, *uncertainty), &whose);
             }
@@ -78,10 +64,7 @@ impl Happenings {
                 let what = format!("first on link {link}: {}", kind_of(defect));
                 self.note_once(t_s, &what, &what);
             }
-            Event::Observed { .. }
-            | Event::Fused { .. }
-            | Event::Temperature { .. }
-            | Event::Health { .. } => {}
+            Event::Observed { .. } | Event::Fused { .. } | Event::Temperature { .. } | Event::Health { .. } => {}
         }
     }
 
@@ -123,12 +106,7 @@ fn aligned(whose: &str, uncertainty: Span) -> String {
 }
 
 fn moved(jump: PoseJump) -> String {
-    format!(
-        " by {:.0} mm, {:.0} mm and {:.1} degrees",
-        jump.dx_m * 1e3,
-        jump.dy_m * 1e3,
-        jump.turn.0.to_degrees()
-    )
+    format!(" by {:.0} mm, {:.0} mm and {:.1} degrees", jump.dx_m * 1e3, jump.dy_m * 1e3, jump.turn.0.to_degrees())
 }
 
 const fn kind_of(defect: &Defect) -> &'static str {
@@ -156,29 +134,17 @@ mod tests {
     use posebridge_telemetry::{Address, LinkId, RobotId};
 
     fn text(text: &str) -> Event {
-        Event::Text {
-            source: Address::new(1, 1),
-            severity: 4,
-            text: text.to_owned(),
-        }
+        Event::Text { source: Address::new(1, 1), severity: 4, text: text.to_owned() }
     }
 
     #[test]
     fn damage_is_named_once_and_the_rest_in_order() {
         let mut happenings = Happenings::default();
-        let damage = Event::Defect {
-            link: LinkId(0),
-            defect: Defect::Garbage { bytes: 3 },
-        };
+        let damage = Event::Defect { link: LinkId(0), defect: Defect::Garbage { bytes: 3 } };
         happenings.take(1.0, &text("battery low"));
         happenings.take(2.0, &damage);
         happenings.take(3.0, &damage);
-        happenings.take(
-            4.0,
-            &Event::BrickRestarted {
-                robot: RobotId::default(),
-            },
-        );
+        happenings.take(4.0, &Event::BrickRestarted { robot: RobotId::default() });
         let said: Vec<&str> = happenings.all.iter().map(|one| one.what.as_str()).collect();
         assert_eq!(said.len(), 3);
         assert_eq!(said[0], "1/1 says (severity 4): battery low");

@@ -85,8 +85,7 @@ pub fn text(replayed: &Replayed, wall: Span, cpu: Span) -> Result<String> {
         wall_seconds: wall.as_secs_f64(),
         cpu_seconds: cpu.as_secs_f64(),
         recorded_seconds: replayed.recorded.as_secs_f64(),
-        times_real_time: (wall > Span::ZERO)
-            .then(|| replayed.recorded.as_secs_f64() / wall.as_secs_f64()),
+        times_real_time: (wall > Span::ZERO).then(|| replayed.recorded.as_secs_f64() / wall.as_secs_f64()),
         changed: &replayed.changed,
         estimators: replayed.outcomes.iter().map(estimator).collect(),
         runs: &replayed.runs,
@@ -171,13 +170,7 @@ mod tests {
 
     #[test]
     fn what_was_learned_stands_under_its_run_and_its_key() {
-        let calibration = Calibration {
-            track_scale: Known {
-                value: 0.116,
-                sigma: 0.004,
-            },
-            ..Calibration::default()
-        };
+        let calibration = Calibration { track_scale: Known { value: 0.116, sigma: 0.004 }, ..Calibration::default() };
         let outcome = Outcome {
             name: "pose".to_owned(),
             errors: ErrorSummary::default(),

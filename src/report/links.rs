@@ -72,9 +72,7 @@ fn losses(report: &LinkReport) -> String {
 /// Tables of all links: what came, what left, who sent.
 #[must_use]
 pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Clone) -> String {
-    let received = links
-        .clone()
-        .map(|(id, report)| received(*id, &report.health));
+    let received = links.clone().map(|(id, report)| received(*id, &report.health));
     let sent = links.clone().map(|(id, report)| sent(*id, &report.health));
     let senders = links.flat_map(|(id, report)| {
         let of_link = report.sources.iter();
@@ -123,12 +121,8 @@ pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Cl
 }
 
 fn received(id: LinkId, health: &LinkHealth) -> [String; 12] {
-    let millis = |span: Option<Span>| {
-        span.map_or_else(
-            || NO_VALUE.to_owned(),
-            |span| format!("{:.2}", span.as_millis_f64()),
-        )
-    };
+    let millis =
+        |span: Option<Span>| span.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.2}", span.as_millis_f64()));
     [
         format!("link {id}"),
         health.frames_in.to_string(),
@@ -164,23 +158,12 @@ fn sent(id: LinkId, health: &LinkHealth) -> [String; 11] {
 
 fn sender(id: LinkId, said: &SourceHealth) -> [String; 4] {
     let whole = said.frames + said.lost;
-    let share = if whole == 0 {
-        NO_VALUE.to_owned()
-    } else {
-        format!("{:.2}", said.lost as f64 / whole as f64 * 100.0)
-    };
-    [
-        format!("link {id} {}", said.source),
-        said.frames.to_string(),
-        said.lost.to_string(),
-        share,
-    ]
+    let share =
+        if whole == 0 { NO_VALUE.to_owned() } else { format!("{:.2}", said.lost as f64 / whole as f64 * 100.0) };
+    [format!("link {id} {}", said.source), said.frames.to_string(), said.lost.to_string(), share]
 }
 
-fn table<const COLUMNS: usize>(
-    header: [&str; COLUMNS],
-    rows: impl IntoIterator<Item = [String; COLUMNS]>,
-) -> String {
+fn table<const COLUMNS: usize>(header: [&str; COLUMNS], rows: impl IntoIterator<Item = [String; COLUMNS]>) -> String {
     let mut table = Table::new(header);
     for row in rows {
         table.push(row);
@@ -202,26 +185,13 @@ mod tests {
                 forwarded: 7,
                 thinned: 4,
                 drops_out: 2,
-                port: PortCounts {
-                    drops_out: 3,
-                    queued_frames: 9,
-                    queued_bytes: 400,
-                    ..PortCounts::default()
-                },
+                port: PortCounts { drops_out: 3, queued_frames: 9, queued_bytes: 400, ..PortCounts::default() },
                 round_trip: Some(Span::from_micros(31_250)),
                 ..LinkHealth::default()
             },
             sources: vec![
-                SourceHealth {
-                    source: Address::new(1, 1),
-                    frames: 97,
-                    lost: 3,
-                },
-                SourceHealth {
-                    source: Address::new(1, 100),
-                    frames: 203,
-                    lost: 0,
-                },
+                SourceHealth { source: Address::new(1, 1), frames: 97, lost: 3 },
+                SourceHealth { source: Address::new(1, 100), frames: 203, lost: 0 },
             ],
         }
     }
@@ -243,17 +213,9 @@ mod tests {
             let line = text.lines().find(|line| line.starts_with(start));
             line.unwrap_or_default().split_whitespace().collect()
         };
-        assert_eq!(
-            row("link 0 "),
-            [
-                "link", "0", "300", "3", "0", "12", "0", "0", "0", "0", "0", "31.25", "-"
-            ]
-        );
+        assert_eq!(row("link 0 "), ["link", "0", "300", "3", "0", "12", "0", "0", "0", "0", "0", "31.25", "-"]);
         assert_eq!(row("link 0 1/1 "), ["link", "0", "1/1", "97", "3", "3.00"]);
-        assert_eq!(
-            row("link 0 1/100"),
-            ["link", "0", "1/100", "203", "0", "0.00"]
-        );
+        assert_eq!(row("link 0 1/100"), ["link", "0", "1/100", "203", "0", "0.00"]);
         assert!(text.contains("link 1"));
         let nothing = tables(std::iter::empty());
         assert!(nothing.starts_with("received on") && !nothing.contains("sender"));

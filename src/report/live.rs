@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use posebridge_telemetry::{
-    Celsius, ChannelName, Estimate, Event, HostClock, LinkId, LinkState, Repeats, RobotId,
-    ScalarEstimate, Span, Stamp, Verdict,
+    Celsius, ChannelName, Estimate, Event, HostClock, LinkId, LinkState, Repeats, RobotId, ScalarEstimate, Span, Stamp,
+    Verdict,
 };
 use tokio::sync::watch;
 
@@ -57,12 +57,7 @@ struct LinkView {
 
 impl Default for LinkView {
     fn default() -> Self {
-        Self {
-            state: LinkState::Down,
-            report: LinkReport::default(),
-            bytes_per_s: 0.0,
-            frames_per_s: 0.0,
-        }
+        Self { state: LinkState::Down, report: LinkReport::default(), bytes_per_s: 0.0, frames_per_s: 0.0 }
     }
 }
 
@@ -113,10 +108,7 @@ impl LiveView {
     /// A block that says nothing, for measurements.
     #[must_use]
     pub fn silent() -> Self {
-        Self {
-            voice: Voice::Silent,
-            ..Self::new(None)
-        }
+        Self { voice: Voice::Silent, ..Self::new(None) }
     }
 
     /// Takes an event.
@@ -124,20 +116,10 @@ impl LiveView {
         self.now = now;
         match event {
             Event::Link { link, state } => self.links.entry(*link).or_default().state = *state,
-            Event::Health {
-                link,
-                health,
-                sources,
-            } => self.links.entry(*link).or_default().take(LinkReport {
-                health: *health,
-                sources: sources.clone(),
-            }),
-            Event::BrickClockAligned {
-                offset,
-                skew_ppm,
-                uncertainty,
-                ..
-            } => {
+            Event::Health { link, health, sources } => {
+                self.links.entry(*link).or_default().take(LinkReport { health: *health, sources: sources.clone() })
+            }
+            Event::BrickClockAligned { offset, skew_ppm, uncertainty, .. } => {
                 self.clock = Some((*offset, *skew_ppm, *uncertainty));
             }
             Event::Fused { record, .. } if record.kind == "fix" => {
@@ -149,31 +131,16 @@ impl LiveView {
                     off.note(estimate);
                 }
             }
-            Event::Temperature {
-                brick,
-                channel,
-                shown,
-                settled,
-                ..
-            } => {
-                self.thermometers
-                    .insert((*brick, *channel), (*shown, *settled));
+            Event::Temperature { brick, channel, shown, settled, .. } => {
+                self.thermometers.insert((*brick, *channel), (*shown, *settled));
             }
             Event::RobotSeen { robot } => self.say(&format!("heard {robot}")),
             Event::RobotLost { robot, silence } => {
-                self.say(&format!(
-                    "lost {robot}, silent for {:.1} s",
-                    silence.as_secs_f64()
-                ));
+                self.say(&format!("lost {robot}, silent for {:.1} s", silence.as_secs_f64()));
             }
-            Event::BrickRestarted { robot } => self.say(&format!(
-                "{robot} was restarted: clock and counters re-based"
-            )),
+            Event::BrickRestarted { robot } => self.say(&format!("{robot} was restarted: clock and counters re-based")),
             Event::Text { source, text, .. } => self.say(&format!("{source} says: {text}")),
-            Event::Fused { .. }
-            | Event::Observed { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Defect { .. } => {}
+            Event::Fused { .. } | Event::Observed { .. } | Event::CameraClockAligned { .. } | Event::Defect { .. } => {}
         }
     }
 
@@ -282,12 +249,7 @@ impl LiveView {
         }
         match self.last_fix {
             Some((verdict, lag)) => {
-                let _ = write!(
-                    block,
-                    "   fix {} {:.0} ms late",
-                    verdict.reason(),
-                    lag.as_millis_f64()
-                );
+                let _ = write!(block, "   fix {} {:.0} ms late", verdict.reason(), lag.as_millis_f64());
             }
             None => block.push_str("   no fix yet"),
         }
@@ -299,26 +261,15 @@ impl LiveView {
 }
 
 /// What a thermometer shows, what it will show in the end, and the bound that holds that with 95 %.
-fn thermometer_line(
-    brick: RobotId,
-    channel: ChannelName,
-    shown: Celsius,
-    settled: Option<ScalarEstimate>,
-) -> String {
+fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settled: Option<ScalarEstimate>) -> String {
     let place = brick.address;
-    let settled = settled.map_or_else(
-        || "unknown".to_owned(),
-        |settled| format!("{:.2} ± {:.2} °C", settled.value, settled.bound_95()),
-    );
+    let settled = settled
+        .map_or_else(|| "unknown".to_owned(), |settled| format!("{:.2} ± {:.2} °C", settled.value, settled.bound_95()));
     format!("\n  {channel} of {place}  {:.2} °C -> {settled}", shown.0)
 }
 
 fn pose_line(estimate: &Estimate) -> String {
-    let flag = if estimate.is_dead_reckoning {
-        "  dead reckoning"
-    } else {
-        ""
-    };
+    let flag = if estimate.is_dead_reckoning { "  dead reckoning" } else { "" };
     format!(
         "\n  pose  x {:.3} ± {:.3} m   y {:.3} ± {:.3} m   heading {:.1} ± {:.1} deg{flag}",
         estimate.pose.x.0,
@@ -338,10 +289,7 @@ mod tests {
     #[test]
     fn a_thermometer_has_a_line_of_its_own_with_the_bound_of_its_end() {
         let mut view = LiveView::silent();
-        let brick = RobotId {
-            link: LinkId(0),
-            address: Address::new(7, 158),
-        };
+        let brick = RobotId { link: LinkId(0), address: Address::new(7, 158) };
         for (shown, settled) in [(20.0, None), (36.2, Some((48.7, 0.306)))] {
             let settled = settled.map(|(value, sigma)| ScalarEstimate {
                 stamp: Stamp::ZERO,

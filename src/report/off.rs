@@ -27,11 +27,7 @@ impl Off {
     /// Of a brick that is watched.
     #[must_use]
     pub const fn new(tap: TruthTap) -> Self {
-        Self {
-            tap,
-            truth: VecDeque::new(),
-            estimates: VecDeque::new(),
-        }
+        Self { tap, truth: VecDeque::new(), estimates: VecDeque::new() }
     }
 
     /// A line for people; `None` before anything is known.
@@ -39,10 +35,9 @@ impl Off {
         self.follow();
         let newest = self.truth.back()?;
         let odometry_m = newest.odometry.origin().distance(newest.pose.origin()).0;
-        let estimate = self.estimate_m().map_or_else(
-            || "estimate not known".to_owned(),
-            |off_m| format!("estimate {off_m:.3} m off"),
-        );
+        let estimate = self
+            .estimate_m()
+            .map_or_else(|| "estimate not known".to_owned(), |off_m| format!("estimate {off_m:.3} m off"));
         Some(format!("odometry {odometry_m:.2} m off, {estimate}"))
     }
 
@@ -52,19 +47,13 @@ impl Off {
             if self.estimates.len() >= MOST_ESTIMATES {
                 self.estimates.pop_front();
             }
-            self.estimates.push_back(TimedPose {
-                stamp: estimate.stamp,
-                pose: estimate.pose,
-            });
+            self.estimates.push_back(TimedPose { stamp: estimate.stamp, pose: estimate.pose });
         }
     }
 
     /// How far the last estimate whose instant the truth has reached was off then, in metres.
     fn estimate_m(&self) -> Option<f64> {
-        let samples = self.truth.iter().map(|sample| TimedPose {
-            stamp: sample.brick,
-            pose: sample.pose,
-        });
+        let samples = self.truth.iter().map(|sample| TimedPose { stamp: sample.brick, pose: sample.pose });
         let really = Track::new(samples, LONGEST_GAP);
         self.estimates.iter().rev().find_map(|estimate| {
             let pose = really.at(estimate.stamp)?;
@@ -73,8 +62,7 @@ impl Off {
     }
 
     fn follow(&mut self) {
-        self.truth
-            .extend(self.tap.take().into_iter().map(|live| live.sample));
+        self.truth.extend(self.tap.take().into_iter().map(|live| live.sample));
         let newest = self.truth.back().map(|sample| sample.world);
         while let (Some(newest), Some(oldest)) = (newest, self.truth.front())
             && newest - oldest.world > KEPT

@@ -4,9 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use posebridge_analysis::metrics::{
-    PathError, errors_of_estimates, errors_of_track, path_error, summarise,
-};
+use posebridge_analysis::metrics::{PathError, errors_of_estimates, errors_of_track, path_error, summarise};
 use posebridge_analysis::report::{run_table, source_table};
 use posebridge_analysis::{ErrorSummary, FIGURES, RunLayers, RunRow, TimedPose, Track};
 use posebridge_sim::{Simulation, Steering, TruthSample};
@@ -34,16 +32,9 @@ impl Truth {
     #[must_use]
     pub fn of(simulation: &Simulation) -> Self {
         let samples = simulation.truth();
-        let positions: Vec<Point2<Arena>> =
-            samples.iter().map(|sample| sample.pose.origin()).collect();
+        let positions: Vec<Point2<Arena>> = samples.iter().map(|sample| sample.pose.origin()).collect();
         let track = |pose: fn(&TruthSample) -> posebridge_telemetry::Pose<Arena>| {
-            Track::new(
-                samples.iter().map(|sample| TimedPose {
-                    stamp: sample.brick,
-                    pose: pose(sample),
-                }),
-                LONGEST_GAP,
-            )
+            Track::new(samples.iter().map(|sample| TimedPose { stamp: sample.brick, pose: pose(sample) }), LONGEST_GAP)
         };
         Self {
             track: track(|sample| sample.pose),
@@ -58,10 +49,7 @@ impl Truth {
 /// Errors of the estimate and of the brick's own odometry.
 #[must_use]
 pub fn errors(collector: &Collector, truth: &Truth) -> (ErrorSummary, ErrorSummary) {
-    let estimate = summarise(&errors_of_estimates(
-        collector.estimates.items(),
-        &truth.track,
-    ));
+    let estimate = summarise(&errors_of_estimates(collector.estimates.items(), &truth.track));
     let odometry = summarise(&errors_of_track(&truth.odometry, &truth.track));
     (estimate, odometry)
 }
@@ -71,14 +59,8 @@ pub fn errors(collector: &Collector, truth: &Truth) -> (ErrorSummary, ErrorSumma
 pub fn table(collector: &Collector, truth: &Truth, other: Option<&Truth>) -> String {
     let (estimate, odometry) = errors(collector, truth);
     let mut text = run_table(&[
-        RunRow {
-            name: "brick's own odometry",
-            errors: &odometry,
-        },
-        RunRow {
-            name: "estimate",
-            errors: &estimate,
-        },
+        RunRow { name: "brick's own odometry", errors: &odometry },
+        RunRow { name: "estimate", errors: &estimate },
     ]);
     // Writing to a String cannot fail.
     let _ = writeln!(text, "\npath error when steering by     rms mm    max mm");
@@ -87,16 +69,9 @@ pub fn table(collector: &Collector, truth: &Truth, other: Option<&Truth>) -> Str
             Steering::Odometry => "the brick's own odometry",
             Steering::Estimate => "the estimate",
         };
-        let millimetres = |metres: Option<f64>| {
-            metres.map_or_else(|| "-".to_owned(), |m| format!("{:.1}", m * 1e3))
-        };
+        let millimetres = |metres: Option<f64>| metres.map_or_else(|| "-".to_owned(), |m| format!("{:.1}", m * 1e3));
         let PathError { rms_m, max_m, .. } = run.path_error;
-        let _ = writeln!(
-            text,
-            "  {name:<28} {:>8}  {:>8}",
-            millimetres(rms_m),
-            millimetres(max_m)
-        );
+        let _ = writeln!(text, "  {name:<28} {:>8}  {:>8}", millimetres(rms_m), millimetres(max_m));
     }
     text
 }
@@ -117,12 +92,7 @@ pub fn links(collector: &Collector) -> String {
 ///
 /// # Errors
 /// A file cannot be written.
-pub fn draw(
-    folder: &Path,
-    title: &str,
-    collector: &Collector,
-    truth: Option<&Truth>,
-) -> Result<Vec<PathBuf>> {
+pub fn draw(folder: &Path, title: &str, collector: &Collector, truth: Option<&Truth>) -> Result<Vec<PathBuf>> {
     let layers = RunLayers {
         title,
         ideal: truth.map_or(&[], |truth| &truth.path),
@@ -135,8 +105,7 @@ pub fn draw(
     let mut drawn = Vec::new();
     for figure in FIGURES {
         let path = folder.join(format!("{}.svg", figure.name));
-        std::fs::write(&path, (figure.render)(&layers))
-            .with_context(|| format!("writing `{}`", path.display()))?;
+        std::fs::write(&path, (figure.render)(&layers)).with_context(|| format!("writing `{}`", path.display()))?;
         drawn.push(path);
     }
     Ok(drawn)

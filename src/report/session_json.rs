@@ -11,11 +11,7 @@ use crate::config::CALIBRATION_KEYS;
 /// The object.
 #[must_use]
 pub fn object(story: &Story) -> Value {
-    let facts: BTreeMap<&str, &str> = story
-        .facts
-        .iter()
-        .map(|(name, value)| (name.as_str(), value.as_str()))
-        .collect();
+    let facts: BTreeMap<&str, &str> = story.facts.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
     json!({
         "recording": story.recording,
         "facts": facts,
@@ -76,10 +72,7 @@ fn calibration(run: &RunStory) -> Option<Value> {
     let learned = run.learned.as_ref()?;
     let entries = CALIBRATION_KEYS.iter().map(|entry| {
         let Known { value, sigma } = (entry.read)(&learned.calibration);
-        (
-            entry.key.to_owned(),
-            json!({ "value": value, "sigma": sigma }),
-        )
+        (entry.key.to_owned(), json!({ "value": value, "sigma": sigma }))
     });
     Some(Value::Object(entries.collect::<Map<String, Value>>()))
 }

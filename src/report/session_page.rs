@@ -24,28 +24,16 @@ pub fn page(story: &Story) -> Page {
         "Made by posebridge {} from the recorded inputs alone, by the engine that runs live.",
         env!("CARGO_PKG_VERSION")
     )));
-    Page {
-        title: format!("Report of {}", story.recording),
-        parts,
-    }
+    Page { title: format!("Report of {}", story.recording), parts }
 }
 
 fn summary(story: &Story) -> Vec<Part> {
-    let mut rows: Vec<Vec<String>> = story
-        .facts
-        .iter()
-        .map(|(name, value)| vec![name.clone(), value.clone()])
-        .collect();
+    let mut rows: Vec<Vec<String>> =
+        story.facts.iter().map(|(name, value)| vec![name.clone(), value.clone()]).collect();
     rows.push(vec!["filter".to_owned(), story.filter.clone()]);
-    let mut parts = vec![Part::Listing {
-        header: vec!["recording".to_owned(), story.recording.clone()],
-        rows,
-    }];
+    let mut parts = vec![Part::Listing { header: vec!["recording".to_owned(), story.recording.clone()], rows }];
     if !story.changed.is_empty() {
-        parts.push(Part::Text(format!(
-            "Replayed with {}: this is not what ran.",
-            story.changed.join(", ")
-        )));
+        parts.push(Part::Text(format!("Replayed with {}: this is not what ran.", story.changed.join(", "))));
     }
     if !story.notes.is_empty() {
         parts.push(Part::List(story.notes.clone()));
@@ -59,11 +47,7 @@ fn run_parts(story: &Story, run: &RunStory, index: usize) -> Vec<Part> {
         parts.push(Part::Heading(format!("Run {}", run.name)));
     }
     let (tone, word, text) = run.verdict();
-    parts.push(Part::Verdict {
-        tone,
-        word: word.to_owned(),
-        text,
-    });
+    parts.push(Part::Verdict { tone, word: word.to_owned(), text });
     parts.push(Part::Text(in_figures(run)));
     parts.push(Part::Pictures(main_pictures(run, index)));
     parts.extend(source_parts(run, index));
@@ -76,17 +60,12 @@ fn run_parts(story: &Story, run: &RunStory, index: usize) -> Vec<Part> {
 /// How long, how many, how far off: in one sentence each.
 fn in_figures(run: &RunStory) -> String {
     let chronicle = &run.chronicle;
-    let mut text = format!(
-        "{:.1} s, {} observations.",
-        chronicle.length().as_secs_f64(),
-        chronicle.collector.observations
-    );
+    let mut text =
+        format!("{:.1} s, {} observations.", chronicle.length().as_secs_f64(), chronicle.collector.observations);
     let errors = &run.errors;
-    if let (Some(rms_m), Some(max_m), Some(end_m)) = (
-        errors.position_rms_m,
-        errors.position_max_m,
-        errors.position_end_m,
-    ) {
+    if let (Some(rms_m), Some(max_m), Some(end_m)) =
+        (errors.position_rms_m, errors.position_max_m, errors.position_end_m)
+    {
         // Writing to a String cannot fail.
         let _ = write!(
             text,
@@ -99,11 +78,7 @@ fn in_figures(run: &RunStory) -> String {
     }
     if let Some(heading_rad) = errors.heading_rms_rad {
         // Writing to a String cannot fail.
-        let _ = write!(
-            text,
-            " The heading is {:.2} degrees off.",
-            heading_rad.to_degrees()
-        );
+        let _ = write!(text, " The heading is {:.2} degrees off.", heading_rad.to_degrees());
     }
     if let Some(anees) = errors.anees {
         let _ = write!(text, " ANEES {anees:.2}: 1 is honest, more is too sure.");
@@ -119,11 +94,7 @@ fn millimetres(length_m: f64) -> String {
 }
 
 fn picture(index: usize, name: &str, svg: String, caption: &str) -> Picture {
-    Picture {
-        name: format!("run{}-{name}", index + 1),
-        svg,
-        caption: caption.to_owned(),
-    }
+    Picture { name: format!("run{}-{name}", index + 1), svg, caption: caption.to_owned() }
 }
 
 fn main_pictures(run: &RunStory, index: usize) -> Vec<Picture> {
@@ -181,15 +152,8 @@ fn source_parts(run: &RunStory, index: usize) -> Vec<Part> {
         "dof",
         "correlation",
     ];
-    parts.push(Part::table(
-        &header,
-        verdicts.iter().map(source_row).collect(),
-    ));
-    let predicted = run
-        .chronicle
-        .sources
-        .iter()
-        .filter(|source| !source.samples.items().is_empty());
+    parts.push(Part::table(&header, verdicts.iter().map(source_row).collect()));
+    let predicted = run.chronicle.sources.iter().filter(|source| !source.samples.items().is_empty());
     let pictures = predicted.map(|source| {
         let name = source.sensor.name();
         let series = InnovationSeries {
@@ -214,9 +178,7 @@ fn source_parts(run: &RunStory, index: usize) -> Vec<Part> {
 
 fn source_row(verdict: &SourceVerdict) -> Vec<String> {
     let tally = &verdict.tally;
-    let number = |value: Option<f64>| {
-        value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.3}"))
-    };
+    let number = |value: Option<f64>| value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.3}"));
     vec![
         verdict.sensor.name().to_owned(),
         (tally.used + tally.reset_to).to_string(),
@@ -237,9 +199,7 @@ fn learned_parts(run: &RunStory, index: usize) -> Vec<Part> {
     let Some(learned) = &run.learned else {
         return Vec::new();
     };
-    let open = CALIBRATION_KEYS
-        .iter()
-        .filter(|entry| (entry.read)(&learned.prior).sigma > 0.0);
+    let open = CALIBRATION_KEYS.iter().filter(|entry| (entry.read)(&learned.prior).sigma > 0.0);
     let rows: Vec<Vec<String>> = open
         .map(|entry| {
             let (unit, factor) = shown_unit(entry.key);
@@ -257,14 +217,8 @@ fn learned_parts(run: &RunStory, index: usize) -> Vec<Part> {
         Part::Subheading("What was learned of the robot".to_owned()),
         Part::table(&["entry", "unit", "before", "after"], rows),
     ];
-    let series: Vec<LearnedSeries<'_>> = run
-        .chronicle
-        .learned()
-        .map(|story| LearnedSeries {
-            key: story.key,
-            samples: story.samples.items(),
-        })
-        .collect();
+    let series: Vec<LearnedSeries<'_>> =
+        run.chronicle.learned().map(|story| LearnedSeries { key: story.key, samples: story.samples.items() }).collect();
     if !series.is_empty() {
         parts.push(Part::Pictures(vec![picture(
             index,
@@ -301,11 +255,7 @@ fn link_parts(run: &RunStory, index: usize) -> Vec<Part> {
     if pictures.is_empty() {
         return Vec::new();
     }
-    vec![
-        Part::Subheading("Links and clock".to_owned()),
-        link_table(chronicle),
-        Part::Pictures(pictures),
-    ]
+    vec![Part::Subheading("Links and clock".to_owned()), link_table(chronicle), Part::Pictures(pictures)]
 }
 
 fn link_table(chronicle: &Chronicle) -> Part {
@@ -335,10 +285,7 @@ fn link_table(chronicle: &Chronicle) -> Part {
             health.stalls.to_string(),
             (health.drops_out + health.port.drops_out).to_string(),
             health.reconnects.to_string(),
-            round_trip.map_or_else(
-                || NO_VALUE.to_owned(),
-                |span| format!("{:.1}", span.as_millis_f64()),
-            ),
+            round_trip.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.1}", span.as_millis_f64())),
         ]
     });
     Part::table(&header, rows.collect())
@@ -349,19 +296,13 @@ fn happenings(chronicle: &Chronicle) -> Vec<Part> {
     if all.all.is_empty() {
         return Vec::new();
     }
-    let rows = all
-        .all
-        .iter()
-        .map(|one| vec![format!("{:.2}", one.t_s), one.what.clone()]);
+    let rows = all.all.iter().map(|one| vec![format!("{:.2}", one.t_s), one.what.clone()]);
     let mut rows: Vec<Vec<String>> = rows.collect();
     if all.more > 0 {
         rows.push(vec![String::new(), format!("and {} more", all.more)]);
     }
     vec![
         Part::Subheading("What happened".to_owned()),
-        Part::Listing {
-            header: vec!["time [s]".to_owned(), "what".to_owned()],
-            rows,
-        },
+        Part::Listing { header: vec!["time [s]".to_owned(), "what".to_owned()], rows },
     ]
 }

@@ -89,21 +89,14 @@ impl RunStory {
         };
         let (bad, good) = (with(Tone::Bad), with(Tone::Good));
         if !bad.is_empty() {
-            let text = format!(
-                "look at {}: what to do stands with it below",
-                bad.join(", ")
-            );
+            let text = format!("look at {}: what to do stands with it below", bad.join(", "));
             return (Tone::Bad, "Not all is well:", text);
         }
         if good.is_empty() {
-            let text =
-                "no sensor has been predicted often enough to judge the filter by it".to_owned();
+            let text = "no sensor has been predicted often enough to judge the filter by it".to_owned();
             return (Tone::Open, "Nothing to judge by:", text);
         }
-        let text = format!(
-            "what the filter claims fits what it saw of {}",
-            good.join(", ")
-        );
+        let text = format!("what the filter claims fits what it saw of {}", good.join(", "));
         (Tone::Good, "All is well:", text)
     }
 }

@@ -23,10 +23,7 @@ fn warning(index: usize, section: &LinkSection, address: SocketAddr) -> Option<S
     }
     let (state, cure) = match &section.signing {
         Some(signing) if signing.required => return None,
-        Some(_) => (
-            "its signing is not required",
-            "set `required = true` in its `signing`",
-        ),
+        Some(_) => ("its signing is not required", "set `required = true` in its `signing`"),
         None => (
             "it is not signed",
             "make a key with `posebridge key new FILE` and give the link `signing = { key_file = \"FILE\" }` (docs/signing.md)",

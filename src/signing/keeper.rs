@@ -67,14 +67,7 @@ impl Keeper {
             .name("signing".to_owned())
             .spawn(move || write_all(&kept, &snapshots, &flag))
             .context("starting the thread that keeps the stamps of signatures")?;
-        Ok(Self {
-            links,
-            sender,
-            is_writing,
-            thread,
-            due: Stamp::ZERO + Memory::WRITTEN_EVERY,
-            met: 0,
-        })
+        Ok(Self { links, sender, is_writing, thread, due: Stamp::ZERO + Memory::WRITTEN_EVERY, met: 0 })
     }
 
     /// Has the stamps written down if it is time or if somebody new was heard. Never waits: while the disk is behind, the next
@@ -100,20 +93,12 @@ impl Keeper {
         // A thread that has died says so below.
         drop(self.sender.send(last));
         drop(self.sender);
-        self.thread
-            .join()
-            .map_err(|_panic| anyhow!("the thread that keeps the stamps of signatures died"))?
+        self.thread.join().map_err(|_panic| anyhow!("the thread that keeps the stamps of signatures died"))?
     }
 
     fn snapshot(&self, now: Stamp<HostClock>, pipeline: &Pipeline, ending: Ending) -> Snapshot {
-        let memories = self
-            .links
-            .iter()
-            .map(|id| pipeline.signing_memory(*id, now));
-        Snapshot {
-            memories: memories.collect(),
-            ending,
-        }
+        let memories = self.links.iter().map(|id| pipeline.signing_memory(*id, now));
+        Snapshot { memories: memories.collect(), ending }
     }
 }
 
@@ -171,22 +156,12 @@ mod tests {
     fn a_link_that_cannot_be_written_keeps_none_behind_it_from_being_written() {
         let root = tempfile::tempdir().unwrap();
         let folders = [1, 2, 3].map(|link| root.path().join(format!("stick-{link}")));
-        let links: Vec<Kept> = folders
-            .iter()
-            .zip(1..)
-            .map(|(folder, link)| kept(folder, link))
-            .collect();
+        let links: Vec<Kept> = folders.iter().zip(1..).map(|(folder, link)| kept(folder, link)).collect();
         for gone in &folders[..2] {
             std::fs::remove_dir_all(gone).unwrap();
         }
-        let memory = Memory {
-            own: Timestamp::from_units(7),
-            ..Memory::default()
-        };
-        let snapshot = Snapshot {
-            memories: vec![Some(memory.clone()); 3],
-            ending: Ending::Closed,
-        };
+        let memory = Memory { own: Timestamp::from_units(7), ..Memory::default() };
+        let snapshot = Snapshot { memories: vec![Some(memory.clone()); 3], ending: Ending::Closed };
         let error = format!("{:#}", write(&links, &snapshot).unwrap_err());
         assert!(error.starts_with("link 1: "), "{error}");
         let read = links[2].file.read(&links[2].key).unwrap();
@@ -211,10 +186,7 @@ mod tests {
         assert!(keeper.is_writing.load(Ordering::Acquire));
         let later = late + Memory::LARGEST_LOSS;
         keeper.offer(later, &pipeline);
-        assert!(
-            snapshots.try_recv().is_err(),
-            "nobody has written the first"
-        );
+        assert!(snapshots.try_recv().is_err(), "nobody has written the first");
         keeper.is_writing.store(false, Ordering::Release);
         keeper.offer(later, &pipeline);
         assert!(snapshots.try_recv().is_ok(), "the one that was put off");
@@ -224,10 +196,7 @@ mod tests {
     fn the_thread_says_when_it_can_take_more() {
         let root = tempfile::tempdir().unwrap();
         let (sender, snapshots) = sync_channel(1);
-        let nothing_new = Snapshot {
-            memories: vec![None],
-            ending: Ending::Cut,
-        };
+        let nothing_new = Snapshot { memories: vec![None], ending: Ending::Cut };
         sender.send(nothing_new).unwrap();
         drop(sender);
         let is_writing = AtomicBool::new(true);

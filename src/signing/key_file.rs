@@ -21,12 +21,9 @@ const LONGEST: u64 = 1_024;
 /// There is no such file, somebody else can read or change it, or it holds no key. The message shows nothing of it.
 pub fn read_key(path: &Path) -> Result<Key> {
     let name = path.display();
-    let file = File::open(path).with_context(|| {
-        format!("reading the key `{name}` (`posebridge key new {name}` makes one)")
-    })?;
-    let metadata = file
-        .metadata()
-        .with_context(|| format!("reading the key `{name}`"))?;
+    let file = File::open(path)
+        .with_context(|| format!("reading the key `{name}` (`posebridge key new {name}` makes one)"))?;
+    let metadata = file.metadata().with_context(|| format!("reading the key `{name}`"))?;
     if !metadata.is_file() {
         bail!("`{name}` is no file and holds no key");
     }
@@ -42,8 +39,7 @@ pub fn read_key(path: &Path) -> Result<Key> {
         .read_to_string(&mut text)
         // What the system says of bytes that are no text would be true and of no help.
         .map_err(|_no_text| anyhow!("`{name}` holds no key: it is no text"))?;
-    text.parse()
-        .with_context(|| format!("`{name}` holds no key"))
+    text.parse().with_context(|| format!("`{name}` holds no key"))
 }
 
 /// Makes a key from random bytes of the operating system and writes it to a new file.
@@ -53,20 +49,14 @@ pub fn read_key(path: &Path) -> Result<Key> {
 pub fn create_key(path: &Path) -> Result<Key> {
     let name = path.display();
     let mut bytes = [0; 32];
-    getrandom::fill(&mut bytes)
-        .map_err(|error| anyhow!("the operating system gives no random bytes: {error}"))?;
+    getrandom::fill(&mut bytes).map_err(|error| anyhow!("the operating system gives no random bytes: {error}"))?;
     let key = Key::from_bytes(bytes);
-    let mut file = OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(OWNER_ONLY)
-        .open(path)
-        .map_err(|error| {
-            if error.kind() == ErrorKind::AlreadyExists {
-                return anyhow!("`{name}` is there already, and a key is never overwritten");
-            }
-            anyhow::Error::from(error).context(format!("creating the key `{name}`"))
-        })?;
+    let mut file = OpenOptions::new().write(true).create_new(true).mode(OWNER_ONLY).open(path).map_err(|error| {
+        if error.kind() == ErrorKind::AlreadyExists {
+            return anyhow!("`{name}` is there already, and a key is never overwritten");
+        }
+        anyhow::Error::from(error).context(format!("creating the key `{name}`"))
+    })?;
     writeln!(file, "{}", key.reveal_hex())
         .and_then(|()| file.sync_all())
         .with_context(|| format!("writing the key `{name}`"))?;

@@ -42,13 +42,7 @@ impl SigningSession {
             let (memory, file) = resume(section, &key, date).with_context(|| name.clone())?;
             warn_of_date(&name, date, &memory);
             let id = LinkId(index as u16);
-            session.kept.push(Kept {
-                name,
-                link: id,
-                key: key.clone(),
-                file,
-                begun: memory.clone(),
-            });
+            session.kept.push(Kept { name, link: id, key: key.clone(), file, begun: memory.clone() });
             session.links.push((id, section.pipeline(key, memory)));
         }
         Ok(session)
@@ -113,11 +107,7 @@ fn resume(section: &SigningSection, key: &Key, date: Timestamp) -> Result<(Memor
     let file = StateFile::lock(Path::new(&section.key_file), section.link_id)?;
     let memory = match file.read(key)? {
         Some((memory, ending)) => memory.resumed(date, ending),
-        None => Memory {
-            written: date,
-            clock: date,
-            ..Memory::default()
-        },
+        None => Memory { written: date, clock: date, ..Memory::default() },
     };
     Ok((memory, file))
 }
@@ -166,11 +156,7 @@ fn key_named(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Ke
         return Ok(key.clone());
     }
     let names: Vec<String> = given.iter().map(Key::name).collect();
-    let told = if names.is_empty() {
-        String::new()
-    } else {
-        format!(" (you gave {})", names.join(", "))
-    };
+    let told = if names.is_empty() { String::new() } else { format!(" (you gave {})", names.join(", ")) };
     let cure = format!(
         "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{told}"
     );

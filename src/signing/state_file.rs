@@ -71,10 +71,7 @@ impl StateFile {
                 anyhow!("locking `{name}`: {error}")
             }
         })?;
-        Ok(Self {
-            path: beside(key_file, link_id, "state"),
-            _lock: lock,
-        })
+        Ok(Self { path: beside(key_file, link_id, "state"), _lock: lock })
     }
 
     /// What the last session with this key has left behind.
@@ -90,8 +87,7 @@ impl StateFile {
         };
         self.check_who_may_write(&file)?;
         let mut text = String::new();
-        file.read_to_string(&mut text)
-            .with_context(|| format!("reading `{name}`"))?;
+        file.read_to_string(&mut text).with_context(|| format!("reading `{name}`"))?;
         let cure = || {
             format!(
                 "`{name}` does not hold the stamps that signing goes on from; make a new key for everybody, or delete the file and \
@@ -106,19 +102,13 @@ impl StateFile {
             // Another key stood in that file: no stamp of it means anything.
             return Ok(None);
         }
-        let ending = if state.closed {
-            Ending::Closed
-        } else {
-            Ending::Cut
-        };
+        let ending = if state.closed { Ending::Closed } else { Ending::Cut };
         Ok(Some((state.memory.memory(), ending)))
     }
 
     fn check_who_may_write(&self, file: &File) -> Result<()> {
         let name = self.path.display();
-        let metadata = file
-            .metadata()
-            .with_context(|| format!("reading `{name}`"))?;
+        let metadata = file.metadata().with_context(|| format!("reading `{name}`"))?;
         let owner = Uid::from_raw(metadata.uid());
         if metadata.mode() & OTHERS_WRITE != 0 || !(owner.is_root() || owner == Uid::effective()) {
             bail!(
@@ -136,22 +126,14 @@ impl StateFile {
     /// It cannot be written.
     pub(super) fn write(&self, memory: &MemoryRecord, ending: Ending) -> Result<()> {
         let name = self.path.display();
-        let state = State {
-            version: VERSION,
-            closed: ending == Ending::Closed,
-            memory: memory.clone(),
-        };
+        let state = State { version: VERSION, closed: ending == Ending::Closed, memory: memory.clone() };
         let text = toml::to_string(&state).with_context(|| format!("writing `{name}`"))?;
         replace(&self.path, &text, File::sync_all).with_context(|| format!("writing `{name}`"))
     }
 }
 
 /// Replaces a file as a whole; `sync` brings a file or a directory to the disk.
-fn replace(
-    path: &Path,
-    text: &str,
-    mut sync: impl FnMut(&File) -> std::io::Result<()>,
-) -> std::io::Result<()> {
+fn replace(path: &Path, text: &str, mut sync: impl FnMut(&File) -> std::io::Result<()>) -> std::io::Result<()> {
     let mut new = path.as_os_str().to_owned();
     new.push(".new");
     let new = PathBuf::from(new);
@@ -160,11 +142,7 @@ fn replace(
         Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
         Ok(()) | Err(_) => {}
     }
-    let mut file = OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(OWNER_ONLY)
-        .open(&new)?;
+    let mut file = OpenOptions::new().write(true).create_new(true).mode(OWNER_ONLY).open(&new)?;
     file.write_all(text.as_bytes())?;
     // Else a power failure could leave the new name with nothing behind it.
     sync(&file)?;
@@ -195,10 +173,7 @@ mod tests {
     use posebridge_protocol::signing::Timestamp;
 
     fn memory() -> Memory {
-        Memory {
-            own: Timestamp::from_units(77),
-            ..Memory::default()
-        }
+        Memory { own: Timestamp::from_units(77), ..Memory::default() }
     }
 
     #[test]
@@ -245,11 +220,7 @@ mod tests {
         assert_eq!(synced, expected);
         let refused = replace(&path, "later", |file| {
             let is_dir = file.metadata().unwrap().is_dir();
-            if is_dir {
-                Err(ErrorKind::StorageFull.into())
-            } else {
-                Ok(())
-            }
+            if is_dir { Err(ErrorKind::StorageFull.into()) } else { Ok(()) }
         });
         assert!(refused.is_err(), "a name that may get lost is no success");
         assert_eq!(directory_of(Path::new("a.key")), Path::new("."));

@@ -8,12 +8,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
-use posebridge_dashboard::model::{
-    CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts, SimulatorNow,
-};
+use posebridge_dashboard::model::{CalibrationRow, ParameterRow, ParameterValue, SimulatorFacts, SimulatorNow};
 use posebridge_dashboard::{
-    Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Standing, StartError, Taps, TokenPolicy,
-    TruthSample,
+    Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Standing, StartError, Taps, TokenPolicy, TruthSample,
 };
 use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
@@ -93,9 +90,7 @@ pub fn start(
     if reserved.is_none() && taps.is_empty() {
         return Ok(None);
     }
-    let (bound, listen) = reserved
-        .map(|reserved| (reserved.bound, reserved.listen))
-        .unzip();
+    let (bound, listen) = reserved.map(|reserved| (reserved.bound, reserved.listen)).unzip();
     let facts = facts_of(config, simulated.as_ref())?;
     let simulator = facts.simulator.as_ref().map(|simulator| SimulatorNow {
         steering: simulator.steering.clone(),
@@ -116,12 +111,7 @@ pub fn start(
     if let (true, Some(url)) = (flags.open, dashboard.url()) {
         open_in_browser(url)?;
     }
-    let outlet = Outlet {
-        feed,
-        commands,
-        timer,
-        simulator,
-    };
+    let outlet = Outlet { feed, commands, timer, simulator };
     Ok(Some((dashboard, outlet)))
 }
 
@@ -141,27 +131,19 @@ fn tell(dashboard: &Dashboard, listen: Option<Listen>) {
     if let Some(Listen::OrNext(first)) = listen
         && first != address
     {
-        say(&format!(
-            "{first} is in use, perhaps by another station: the dashboard takes the next free port"
-        ));
+        say(&format!("{first} is in use, perhaps by another station: the dashboard takes the next free port"));
     }
     for url in dashboard.urls() {
         say(&format!("dashboard: {url}"));
     }
     if !address.ip().is_loopback() {
-        say(
-            "the address holds a token that lets anybody command this station, and it travels unencrypted",
-        );
+        say("the address holds a token that lets anybody command this station, and it travels unencrypted");
     }
 }
 
 /// Opens an address with what the desktop opens addresses with.
 fn open_in_browser(url: String) -> Result<()> {
-    let opener = if cfg!(target_os = "macos") {
-        "open"
-    } else {
-        "xdg-open"
-    };
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let work = move || {
         let opened = std::process::Command::new(opener)
             .arg(&url)
@@ -170,16 +152,10 @@ fn open_in_browser(url: String) -> Result<()> {
             .stderr(std::process::Stdio::null())
             .status();
         if !opened.is_ok_and(|status| status.success()) {
-            say(&format!(
-                "`{opener}` opened no browser: open the address yourself"
-            ));
+            say(&format!("`{opener}` opened no browser: open the address yourself"));
         }
     };
-    std::thread::Builder::new()
-        .name("open".to_owned())
-        .spawn(work)
-        .map(drop)
-        .context("starting a browser")
+    std::thread::Builder::new().name("open".to_owned()).spawn(work).map(drop).context("starting a browser")
 }
 
 /// Gives what was shown since it was asked last, one by one.
@@ -205,11 +181,7 @@ fn facts_of(config: &Config, simulated: Option<&Simulated<'_>>) -> Result<Facts>
         links: config.links.iter().map(|link| link.url.clone()).collect(),
         parameters: parameter_rows(&params),
         simulator: simulated.map(simulator_facts),
-        token: if config.dashboard.always_token {
-            TokenPolicy::Always
-        } else {
-            TokenPolicy::Elsewhere
-        },
+        token: if config.dashboard.always_token { TokenPolicy::Always } else { TokenPolicy::Elsewhere },
     })
 }
 
@@ -221,10 +193,7 @@ pub fn simulator_facts(simulated: &Simulated<'_>) -> SimulatorFacts {
     SimulatorFacts {
         scenario: simulated.name.to_owned(),
         path: world.path().iter().map(|at| [at.x.0, at.y.0]).collect(),
-        link_profiles: PROFILES
-            .iter()
-            .map(|(name, _)| (*name).to_owned())
-            .collect(),
+        link_profiles: PROFILES.iter().map(|(name, _)| (*name).to_owned()).collect(),
         steering: match simulated.scenario.steering {
             Steering::Odometry => "odometry".to_owned(),
             Steering::Estimate => "estimate".to_owned(),
@@ -249,10 +218,7 @@ fn parameter_rows(params: &Params) -> Vec<ParameterRow> {
 }
 
 fn parameter_values(params: &Params) -> Vec<ParameterValue> {
-    let values = PARAMS.iter().map(|row| ParameterValue {
-        name: row.key.to_owned(),
-        value: (row.read)(params),
-    });
+    let values = PARAMS.iter().map(|row| ParameterValue { name: row.key.to_owned(), value: (row.read)(params) });
     values.collect()
 }
 
@@ -297,32 +263,17 @@ pub fn standing_of(pipeline: &Pipeline, recorder: Option<&Recorder>) -> Standing
 impl Outlet {
     /// Tells what an input has led to; drops it if the dashboard is behind.
     pub fn tell(&self, now: Stamp<HostClock>, events: &Arc<[Event]>) {
-        self.feed.tell(Batch {
-            now,
-            took: self.timer.now() - now,
-            events: Arc::clone(events),
-            standing: None,
-        });
+        self.feed.tell(Batch { now, took: self.timer.now() - now, events: Arc::clone(events), standing: None });
     }
 
     /// Tells what stands, and how the simulated brick was set since the run began.
     pub fn tell_standing(&self, now: Stamp<HostClock>, standing: Standing, orders: BrickOrders) {
         let simulator = self.simulator.as_ref().map(|begun| SimulatorNow {
-            steering: orders
-                .steering
-                .map_or_else(|| begun.steering.clone(), |by| by.word().to_owned()),
+            steering: orders.steering.map_or_else(|| begun.steering.clone(), |by| by.word().to_owned()),
             link_profile: orders.link_profile.map(|name| name.as_str().to_owned()),
         });
-        let standing = Standing {
-            simulator,
-            ..standing
-        };
-        self.feed.tell(Batch {
-            now,
-            took: Span::ZERO,
-            events: Arc::default(),
-            standing: Some(standing),
-        });
+        let standing = Standing { simulator, ..standing };
+        self.feed.tell(Batch { now, took: Span::ZERO, events: Arc::default(), standing: Some(standing) });
     }
 }
 

@@ -16,8 +16,8 @@ use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, Header};
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_telemetry::{
-    ChannelName, HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand,
-    Span, Stamp, SteeringSource,
+    ChannelName, HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand, Span, Stamp,
+    SteeringSource,
 };
 use tokio::sync::mpsc;
 
@@ -197,8 +197,7 @@ impl Desk {
     fn pass_on(&mut self, command: &SimulatorCommand) -> Result<()> {
         let name = command.name();
         let brick = self.brick.as_ref();
-        let brick = brick
-            .with_context(|| format!("{name}: this station has no simulated brick of its own"))?;
+        let brick = brick.with_context(|| format!("{name}: this station has no simulated brick of its own"))?;
         if let SimulatorCommand::LinkProfile(Some(profile)) = command {
             LinkProfile::bundled(profile.as_str()).with_context(|| name.to_owned())?;
         }
@@ -235,10 +234,7 @@ impl Desk {
         );
         let (path, number) = free_name(&self.folder, RECORDING, self.next_number)?;
         let config = with_tunables(&self.recorded, values);
-        ensure!(
-            self.folder.is_dir(),
-            done("not recording, its folder is gone:", &path)
-        );
+        ensure!(self.folder.is_dir(), done("not recording, its folder is gone:", &path));
         let header = header(&config, &self.timer)?;
         let limits = config.record.limits();
         // A replay begins with all links down, as a run does: their states stand in the place of the inputs that told of them.
@@ -284,14 +280,8 @@ pub(super) fn free_name(folder: &Path, name: &str, first: u32) -> Result<(PathBu
 /// What became of something, as the pipeline is told.
 pub(super) fn report_of(outcome: Result<String>) -> Input {
     match outcome {
-        Ok(text) => Input::Report {
-            severity: INFO,
-            text,
-        },
-        Err(error) => Input::Report {
-            severity: WARNING,
-            text: format!("{error:#}"),
-        },
+        Ok(text) => Input::Report { severity: INFO, text },
+        Err(error) => Input::Report { severity: WARNING, text: format!("{error:#}") },
     }
 }
 
@@ -304,8 +294,7 @@ pub fn header(config: &Config, timer: &HostTimer) -> Result<Header> {
         format: FORMAT,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
         utc_start_micros: timer.utc_start(),
-        config_toml: toml::to_string(config)
-            .context("writing the configuration into the recording")?,
+        config_toml: toml::to_string(config).context("writing the configuration into the recording")?,
         links: config.links.iter().map(|link| link.url.clone()).collect(),
     })
 }
@@ -319,9 +308,7 @@ pub(super) fn done(what: &str, path: &Path) -> String {
 
 fn with_tunables(config: &Config, values: &[(ParameterName, f64)]) -> Config {
     let mut config = config.clone();
-    let values = values
-        .iter()
-        .map(|(name, value)| (name.as_str().to_owned(), *value));
+    let values = values.iter().map(|(name, value)| (name.as_str().to_owned(), *value));
     config.filter.params.extend(values);
     config
 }
@@ -338,9 +325,7 @@ mod tests {
     }
 
     fn tuned(value: f64) -> Request {
-        Request::SaveParameters {
-            values: vec![(ParameterName::from_bytes(b"slip_nis"), value)],
-        }
+        Request::SaveParameters { values: vec![(ParameterName::from_bytes(b"slip_nis"), value)] }
     }
 
     #[test]
@@ -373,10 +358,7 @@ mod tests {
         let mut desk = desk(&folder.path().join("gone"));
         for (request, beginning) in [
             (tuned(20.0), "not saved parameters.toml in "),
-            (
-                Request::StartRecording { values: vec![] },
-                "not recording, its folder is gone: recording.mcap",
-            ),
+            (Request::StartRecording { values: vec![] }, "not recording, its folder is gone: recording.mcap"),
             (Request::StopRecording, "nothing is being recorded"),
         ] {
             let report = desk.carry_out((Stamp::ZERO, 0), &request, &mut None);
@@ -391,11 +373,7 @@ mod tests {
     #[test]
     fn only_a_station_with_a_simulated_brick_does_things_to_it_and_never_waits_for_it() {
         let folder = tempfile::tempdir().unwrap();
-        let kidnap = SimulatorCommand::Kidnap {
-            forward_m: 0.0,
-            left_m: 0.3,
-            turn_rad: 0.0,
-        };
+        let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.3, turn_rad: 0.0 };
         let told = |desk: &mut Desk, command| {
             let request = Request::Simulator(command);
             match desk.carry_out((Stamp::ZERO, 0), &request, &mut None) {
@@ -405,28 +383,17 @@ mod tests {
             }
         };
         let mut without = desk(folder.path());
-        assert_eq!(
-            told(&mut without, kidnap),
-            "kidnap: this station has no simulated brick of its own"
-        );
+        assert_eq!(told(&mut without, kidnap), "kidnap: this station has no simulated brick of its own");
         let (sender, mut receiver) = mpsc::channel(1);
         let mut with = desk(folder.path()).with_brick(Some(sender));
         assert_eq!(told(&mut with, kidnap), "done");
         assert_eq!(told(&mut with, kidnap), "kidnap: too many at a time");
         assert_eq!(receiver.try_recv(), Ok(kidnap));
-        let profile =
-            |name: &[u8]| SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(name)));
+        let profile = |name: &[u8]| SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(name)));
         let unknown = told(&mut with, profile(b"string"));
         assert!(unknown.starts_with("link-profile: "), "{unknown}");
-        assert!(
-            unknown.contains("string") && unknown.contains("usb"),
-            "{unknown}"
-        );
-        assert_eq!(
-            with.orders(),
-            BrickOrders::default(),
-            "what was refused does not hold"
-        );
+        assert!(unknown.contains("string") && unknown.contains("usb"), "{unknown}");
+        assert_eq!(with.orders(), BrickOrders::default(), "what was refused does not hold");
         assert_eq!(told(&mut with, profile(b"usb")), "done");
         let usb = ChannelName::from_bytes(b"usb");
         assert_eq!(with.orders().link_profile, Some(usb));
@@ -440,17 +407,12 @@ mod tests {
         let mut desk = desk(folder.path());
         let mut recorder = None;
         let start = Request::StartRecording { values: vec![] };
-        let up = Input::Link {
-            link: LinkId(0),
-            state: LinkState::Up,
-        };
+        let up = Input::Link { link: LinkId(0), state: LinkState::Up };
         desk.note(&up);
         for (now_s, name) in (0..).zip(["recording.mcap", "recording-2.mcap"]) {
-            for (request, what) in [
-                (&start, "recording"),
-                (&start, "already recording"),
-                (&Request::StopRecording, "recorded"),
-            ] {
+            for (request, what) in
+                [(&start, "recording"), (&start, "already recording"), (&Request::StopRecording, "recorded")]
+            {
                 let told = done(what, &folder.path().join(name));
                 let now = Stamp::from_millis(1_000 * now_s);
                 let report = desk.carry_out((now, 0), request, &mut recorder);
@@ -507,10 +469,7 @@ mod tests {
         }
         let mut failures = Failures::default();
         let ended = desk.finish(&mut failures);
-        let names: Vec<_> = ended
-            .iter()
-            .filter_map(|(path, _)| path.file_name())
-            .collect();
+        let names: Vec<_> = ended.iter().filter_map(|(path, _)| path.file_name()).collect();
         let expected = ["recording.mcap", "recording-2.mcap", "recording-3.mcap"];
         assert_eq!(names, expected);
     }

@@ -5,9 +5,7 @@
 //! when nothing has come in the meantime: under steady telemetry the shard's sends then only store.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{
-    Receiver, RecvTimeoutError, SendError, SyncSender, TryRecvError, TrySendError, sync_channel,
-};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SendError, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::thread::Thread;
 use std::time::Duration;
@@ -47,12 +45,7 @@ pub(super) struct Gulps<T> {
 pub(super) fn channel<T>(places: usize) -> (Sender<T>, Gulps<T>) {
     let (sender, receiver) = sync_channel(places);
     let shared = Arc::new(Shared::default());
-    let gulps = Gulps {
-        receiver,
-        shared: Arc::clone(&shared),
-        nap: NAP,
-        has_napped: false,
-    };
+    let gulps = Gulps { receiver, shared: Arc::clone(&shared), nap: NAP, has_napped: false };
     (Sender { sender, shared }, gulps)
 }
 
@@ -146,10 +139,7 @@ mod tests {
     fn patience_ends_while_somebody_could_still_send() {
         let (_sender, mut gulps) = channel::<i32>(1);
         for _ in 0..3 {
-            assert_eq!(
-                gulps.next(Duration::from_millis(1)),
-                Err(RecvTimeoutError::Timeout)
-            );
+            assert_eq!(gulps.next(Duration::from_millis(1)), Err(RecvTimeoutError::Timeout));
         }
     }
 

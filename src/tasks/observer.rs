@@ -51,12 +51,7 @@ impl Observer {
             .name("observer".to_owned())
             .spawn(move || watch(seen, events, view))
             .context("starting the observer's thread")?;
-        Ok(Self {
-            sender,
-            thread,
-            dropped: 0,
-            waits: config.events.is_some(),
-        })
+        Ok(Self { sender, thread, dropped: 0, waits: config.events.is_some() })
     }
 
     /// Shows what an input has led to; drops it if the terminal is far behind, unless there is an event file.
@@ -65,11 +60,7 @@ impl Observer {
             return;
         }
         let seen = (now, Arc::clone(events));
-        let is_taken = if self.waits {
-            self.sender.send(seen).is_ok()
-        } else {
-            self.sender.try_send(seen).is_ok()
-        };
+        let is_taken = if self.waits { self.sender.send(seen).is_ok() } else { self.sender.try_send(seen).is_ok() };
         if !is_taken {
             self.dropped += events.len() as u64;
         }
@@ -81,10 +72,7 @@ impl Observer {
     /// The event file could not be written.
     pub fn finish(self) -> Result<(Collector, u64)> {
         drop(self.sender);
-        let collector = self
-            .thread
-            .join()
-            .map_err(|_panic| anyhow!("the observer's thread died"))??;
+        let collector = self.thread.join().map_err(|_panic| anyhow!("the observer's thread died"))??;
         Ok((collector, self.dropped))
     }
 }
@@ -94,8 +82,7 @@ impl Observer {
 /// # Errors
 /// It cannot be created.
 pub fn create(path: &Path) -> Result<BufWriter<File>> {
-    let file = File::create(path)
-        .with_context(|| format!("creating the event file `{}`", path.display()))?;
+    let file = File::create(path).with_context(|| format!("creating the event file `{}`", path.display()))?;
     Ok(BufWriter::new(file))
 }
 

@@ -7,9 +7,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use posebridge_recording::container::{
-    Beginning, Gap, Handover, Header, TruthSample, WriteError, Writer,
-};
+use posebridge_recording::container::{Beginning, Gap, Handover, Header, TruthSample, WriteError, Writer};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
 
 use super::watched::Watched;
@@ -60,11 +58,7 @@ impl Kept {
     /// # Errors
     /// Inputs are; the message says how many.
     pub fn whole(self) -> Result<()> {
-        ensure!(
-            self.lost == 0,
-            "the disk was too slow for {} inputs; a replay is not exact",
-            self.lost
-        );
+        ensure!(self.lost == 0, "the disk was too slow for {} inputs; a replay is not exact", self.lost);
         Ok(())
     }
 }
@@ -96,11 +90,7 @@ impl Part {
         let (out, file) = Watched::create("recording", path)?;
         let mut writer = Writer::create_part(out, header, begins).with_context(|| file.name())?;
         writer.space_outputs(spacing);
-        Ok(Self {
-            file,
-            writer,
-            begun: None,
-        })
+        Ok(Self { file, writer, begun: None })
     }
 }
 
@@ -110,20 +100,14 @@ impl Parts {
     /// # Errors
     /// It cannot be created; one that is there already is never overwritten.
     pub fn create(path: &Path, header: Header, limits: Limits, inputs_before: u64) -> Result<Self> {
-        let begins = Beginning {
-            inputs_before,
-            ..Beginning::default()
-        };
+        let begins = Beginning { inputs_before, ..Beginning::default() };
         let part = Part::create(path, &header, &begins, limits.output_spacing)?;
         Ok(Self {
             first: path.to_owned(),
             header,
             limits,
             part: Some(part),
-            kept: Kept {
-                parts: 1,
-                ..Kept::default()
-            },
+            kept: Kept { parts: 1, ..Kept::default() },
             next: inputs_before,
             last: Stamp::ZERO,
             flushed: Stamp::ZERO,
@@ -166,11 +150,7 @@ impl Parts {
     ///
     /// # Errors
     /// As [`Self::record`].
-    pub fn show_calibration(
-        &mut self,
-        now: Stamp<HostClock>,
-        calibration: &Calibration,
-    ) -> Result<()> {
+    pub fn show_calibration(&mut self, now: Stamp<HostClock>, calibration: &Calibration) -> Result<()> {
         self.write(|writer| writer.record_calibration(now, calibration))
     }
 
@@ -227,10 +207,7 @@ impl Parts {
     }
 
     /// Writes something into it.
-    fn write(
-        &mut self,
-        one: impl FnOnce(&mut Writer<File>) -> Result<(), WriteError>,
-    ) -> Result<()> {
+    fn write(&mut self, one: impl FnOnce(&mut Writer<File>) -> Result<(), WriteError>) -> Result<()> {
         let part = self.open()?;
         one(&mut part.writer).with_context(|| part.file.name())
     }
@@ -250,11 +227,7 @@ impl Parts {
         }
         self.kept.lost += inputs;
         self.next = number;
-        let gap = Gap {
-            inputs,
-            from: self.last,
-            to: now,
-        };
+        let gap = Gap { inputs, from: self.last, to: now };
         self.write(|writer| writer.record_gap(&gap))
     }
 
@@ -269,13 +242,9 @@ impl Parts {
         let bytes = part.file.bytes_there()?;
         part.file.look_at_the_disk(limits.floor_bytes)?;
         let age = part.begun.map_or(Span::ZERO, |begun| now - begun);
-        let is_full = limits.part_bytes.is_some_and(|most| bytes >= most)
-            || limits.part_span.is_some_and(|most| age >= most);
-        if is_full {
-            self.begin_next_part()
-        } else {
-            Ok(())
-        }
+        let is_full =
+            limits.part_bytes.is_some_and(|most| bytes >= most) || limits.part_span.is_some_and(|most| age >= most);
+        if is_full { self.begin_next_part() } else { Ok(()) }
     }
 
     /// The one before ends first, so that never two of them are in memory: what a file's index needs is the most that a recorder keeps.
@@ -285,9 +254,7 @@ impl Parts {
         let begins = Beginning {
             part: number,
             inputs_before: self.next,
-            continues: before
-                .file_name()
-                .map(|name| name.to_string_lossy().into_owned()),
+            continues: before.file_name().map(|name| name.to_string_lossy().into_owned()),
         };
         let path = part_path(&self.first, number);
         let mut next = Part::create(&path, &self.header, &begins, self.limits.output_spacing)?;

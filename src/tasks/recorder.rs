@@ -78,23 +78,12 @@ impl Recorder {
     ///
     /// # Errors
     /// The thread cannot be started.
-    pub fn start_in_session(
-        path: &Path,
-        header: &Header,
-        limits: Limits,
-        inputs_before: u64,
-    ) -> Result<Self> {
+    pub fn start_in_session(path: &Path, header: &Header, limits: Limits, inputs_before: u64) -> Result<Self> {
         let (first, header) = (path.to_owned(), header.clone());
-        Self::spawn(path, inputs_before, move || {
-            Parts::create(&first, header, limits, inputs_before)
-        })
+        Self::spawn(path, inputs_before, move || Parts::create(&first, header, limits, inputs_before))
     }
 
-    fn spawn(
-        first: &Path,
-        given: u64,
-        open: impl FnOnce() -> Result<Parts> + Send + 'static,
-    ) -> Result<Self> {
+    fn spawn(first: &Path, given: u64, open: impl FnOnce() -> Result<Parts> + Send + 'static) -> Result<Self> {
         let (sender, items) = channel(WAITING);
         let part = Arc::new(AtomicU32::new(1));
         let told = Arc::clone(&part);
@@ -105,15 +94,7 @@ impl Recorder {
                 write(open()?, items, &told)
             })
             .context("starting the recorder's thread")?;
-        Ok(Self {
-            sender,
-            thread,
-            first: first.to_owned(),
-            part,
-            given,
-            lost: 0,
-            lost_outputs: 0,
-        })
+        Ok(Self { sender, thread, first: first.to_owned(), part, given, lost: 0, lost_outputs: 0 })
     }
 
     /// Records an input; never waits. What the disk is too slow for is counted.
@@ -179,9 +160,7 @@ impl Recorder {
         let end = Box::new(Item::End(self.given));
         // With a full queue the last gap is not told; it ends where its channel does.
         drop(self.sender.try_send(end));
-        Stopping {
-            thread: self.thread,
-        }
+        Stopping { thread: self.thread }
     }
 
     /// Writes what still waits, ends the file and says what it holds.
@@ -192,10 +171,7 @@ impl Recorder {
         // A thread that has gone says why when it is joined.
         drop(self.sender.send(Box::new(Item::End(self.given))));
         drop(self.sender);
-        Stopping {
-            thread: self.thread,
-        }
-        .wait()
+        Stopping { thread: self.thread }.wait()
     }
 
     /// Hands over something that gives way to the inputs.
@@ -228,9 +204,7 @@ impl Stopping {
     /// # Errors
     /// The file could not be written.
     pub fn wait(self) -> Result<Kept> {
-        self.thread
-            .join()
-            .map_err(|_panic| anyhow!("the recorder's thread died"))?
+        self.thread.join().map_err(|_panic| anyhow!("the recorder's thread died"))?
     }
 }
 
@@ -272,20 +246,12 @@ mod tests {
     use posebridge_telemetry::{LinkId, LinkState, Span};
     use std::sync::mpsc::{SyncSender, sync_channel};
 
-    const LIMITS: Limits = Limits {
-        part_bytes: None,
-        part_span: None,
-        floor_bytes: 0,
-        output_spacing: Span::ZERO,
-    };
+    const LIMITS: Limits = Limits { part_bytes: None, part_span: None, floor_bytes: 0, output_spacing: Span::ZERO };
 
     /// A recorder whose disk does nothing until the sender is dropped.
     fn behind_a_stuck_disk(path: &Path) -> (Recorder, SyncSender<()>) {
         let (stuck, gate) = sync_channel::<()>(1);
-        let header = Header {
-            format: FORMAT,
-            ..Header::default()
-        };
+        let header = Header { format: FORMAT, ..Header::default() };
         let first = path.to_owned();
         let recorder = Recorder::spawn(path, 0, move || {
             assert!(gate.recv().is_err(), "it is never sent anything");
@@ -295,10 +261,7 @@ mod tests {
     }
 
     fn seen() -> Arc<[Event]> {
-        Arc::from([Event::Link {
-            link: LinkId(0),
-            state: LinkState::Up,
-        }])
+        Arc::from([Event::Link { link: LinkId(0), state: LinkState::Up }])
     }
 
     #[test]
@@ -328,19 +291,9 @@ mod tests {
 
         let bytes = std::fs::read(&path).unwrap();
         let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
-        let gaps: Vec<_> = found
-            .iter()
-            .filter_map(|item| item.as_ref().err())
-            .collect();
+        let gaps: Vec<_> = found.iter().filter_map(|item| item.as_ref().err()).collect();
         let expected = u32::try_from(given - lost).unwrap();
-        let [
-            ReadError::Gap {
-                expected: at,
-                found: next,
-                ..
-            },
-        ] = gaps[..]
-        else {
+        let [ReadError::Gap { expected: at, found: next, .. }] = gaps[..] else {
             panic!("{gaps:?}");
         };
         assert_eq!((*at, u64::from(*next)), (expected, given));
@@ -351,20 +304,12 @@ mod tests {
     fn the_recording_that_viewers_are_told_is_the_part_that_is_being_written() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("recording.mcap");
-        let header = Header {
-            format: FORMAT,
-            ..Header::default()
-        };
-        let limits = Limits {
-            part_span: Some(Span::from_millis(2_000)),
-            ..LIMITS
-        };
+        let header = Header { format: FORMAT, ..Header::default() };
+        let limits = Limits { part_span: Some(Span::from_millis(2_000)), ..LIMITS };
         let mut recorder = Recorder::start_limited(&path, &header, limits).unwrap();
         assert_eq!(recorder.current(), path);
         for now_ms in (0..=2_500).step_by(500) {
-            recorder
-                .record(Stamp::from_millis(now_ms), Input::Tick)
-                .unwrap();
+            recorder.record(Stamp::from_millis(now_ms), Input::Tick).unwrap();
         }
         let second = folder.path().join("recording.2.mcap");
         while recorder.current() != second {

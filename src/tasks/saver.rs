@@ -36,11 +36,7 @@ impl Saver {
             .name("saver".to_owned())
             .spawn(move || save_all(&folder, &waiting, &reports))
             .context("starting the thread that saves")?;
-        Ok(Self {
-            jobs,
-            reports: told,
-            thread,
-        })
+        Ok(Self { jobs, reports: told, thread })
     }
 
     /// Hands a configuration over.

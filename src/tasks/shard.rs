@@ -6,9 +6,7 @@ use std::sync::Arc;
 use posebridge_link::{Alarm, HostTimer, Outgoing, PortEvent, PortSet};
 use posebridge_pipeline::Pipeline;
 use posebridge_recording::container::TruthSample;
-use posebridge_telemetry::{
-    Event, HostClock, Input, LinkId, LinkState, Output, Priority, Span, Stamp,
-};
+use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, Priority, Span, Stamp};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
@@ -91,9 +89,7 @@ impl Shard {
         let mut alarm = Alarm::new(self.timer);
         let mut calendar = CalendarWatch::default();
         while !ending.stop.is_cancelled() && finished.len() < self.ports.iter().len() {
-            let silent_at = ending
-                .silence
-                .and_then(|span| last_byte.map(|last| last + span));
+            let silent_at = ending.silence.and_then(|span| last_byte.map(|last| last + span));
             let end_at = [ending.at, silent_at].into_iter().flatten().min();
             let deadline = self.pipeline.deadline().into_iter().chain(end_at).min();
             let (now, input) = tokio::select! {
@@ -138,18 +134,12 @@ impl Shard {
     /// They cannot be written.
     pub fn keep_last_stamps(&mut self) -> anyhow::Result<()> {
         let keeper = self.signing.take();
-        keeper.map_or(Ok(()), |keeper| {
-            keeper.finish(self.timer.now(), &self.pipeline)
-        })
+        keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.pipeline))
     }
 
     /// Tells the pipeline what its ports have counted.
     fn tell_counts(&mut self, now: Stamp<HostClock>) {
-        let counts: Vec<_> = self
-            .ports
-            .iter()
-            .map(|port| (port.id(), port.counts()))
-            .collect();
+        let counts: Vec<_> = self.ports.iter().map(|port| (port.id(), port.counts())).collect();
         for (link, counts) in counts {
             self.take(now, Input::Port { link, counts });
         }
@@ -201,10 +191,7 @@ impl Shard {
         }
         if tap.missed() > missed {
             let samples = tap.missed() - missed;
-            tracing::warn!(
-                samples,
-                "the truth has a hole in the recording: the station was too slow"
-            );
+            tracing::warn!(samples, "the truth has a hole in the recording: the station was too slow");
         }
     }
 
@@ -217,19 +204,10 @@ impl Shard {
         let mut requests = Vec::new();
         while let Some(output) = self.pipeline.poll() {
             match output {
-                Output::Transmit {
-                    link,
-                    to,
-                    priority,
-                    bytes,
-                } => {
+                Output::Transmit { link, to, priority, bytes } => {
                     if let Some(port) = self.ports.get_mut(link) {
                         let frame = &bytes;
-                        port.give(&Outgoing {
-                            to,
-                            priority,
-                            frame,
-                        });
+                        port.give(&Outgoing { to, priority, frame });
                     }
                     if self.tlog.is_some() {
                         sent.push((link, priority, bytes));
@@ -272,12 +250,7 @@ impl Shard {
     }
 
     /// Hands the recorder what came in and what came out. One that has failed is put away; then gives what is to be said.
-    fn record(
-        &mut self,
-        now: Stamp<HostClock>,
-        input: Input,
-        events: &Arc<[Event]>,
-    ) -> Option<Input> {
+    fn record(&mut self, now: Stamp<HostClock>, input: Input, events: &Arc<[Event]>) -> Option<Input> {
         let recorder = self.recorder.as_mut()?;
         if recorder.record(now, input).is_ok() {
             recorder.show(now, events);
@@ -290,8 +263,7 @@ impl Shard {
         };
         tracing::error!(error = format!("{error:#}"), "the recording ends here");
         let report = warning(format!("no longer recording: {error:#}"));
-        self.failures
-            .note::<()>(Err(error.context("the recording is not whole")));
+        self.failures.note::<()>(Err(error.context("the recording is not whole")));
         Some(report)
     }
 
@@ -316,8 +288,7 @@ impl Shard {
         };
         tracing::error!(error = format!("{error:#}"), "the telemetry log ends here");
         let report = warning(format!("no more telemetry log: {error:#}"));
-        self.failures
-            .note::<()>(Err(error.context("the telemetry log is not whole")));
+        self.failures.note::<()>(Err(error.context("the telemetry log is not whole")));
         Some(report)
     }
 }
@@ -339,46 +310,20 @@ fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, Link
 /// What a port's event is to the pipeline.
 fn input_of(link: LinkId, event: PortEvent, ending: &Ending) -> (Stamp<HostClock>, Input) {
     match event {
-        PortEvent::Bytes {
-            peer,
-            arrival,
-            bytes,
-        } => (arrival, Input::Bytes { link, peer, bytes }),
+        PortEvent::Bytes { peer, arrival, bytes } => (arrival, Input::Bytes { link, peer, bytes }),
         PortEvent::Up { at, detail } => {
             tracing::info!(link = link.0, detail, "link up");
-            (
-                at,
-                Input::Link {
-                    link,
-                    state: LinkState::Up,
-                },
-            )
+            (at, Input::Link { link, state: LinkState::Up })
         }
-        PortEvent::Down {
-            at,
-            reason,
-            retry_in,
-        } => {
+        PortEvent::Down { at, reason, retry_in } => {
             if ending.is_driven() {
                 tracing::info!(link = link.0, reason, "link down at the end of the drive");
             } else {
                 let retry_ms = retry_in.as_millis_f64().round();
                 tracing::warn!(link = link.0, reason, retry_ms, "link down");
             }
-            (
-                at,
-                Input::Link {
-                    link,
-                    state: LinkState::Down,
-                },
-            )
+            (at, Input::Link { link, state: LinkState::Down })
         }
-        PortEvent::Finished { at } => (
-            at,
-            Input::Link {
-                link,
-                state: LinkState::Down,
-            },
-        ),
+        PortEvent::Finished { at } => (at, Input::Link { link, state: LinkState::Down }),
     }
 }

@@ -68,12 +68,7 @@ impl TlogRecorder {
     ///
     /// # Errors
     /// The file cannot be created; one that is there already is never overwritten.
-    pub fn start(
-        path: &Path,
-        utc_start_micros: u64,
-        links: &[LinkConfig],
-        floor_bytes: u64,
-    ) -> Result<Self> {
+    pub fn start(path: &Path, utc_start_micros: u64, links: &[LinkConfig], floor_bytes: u64) -> Result<Self> {
         let (out, file) = Watched::create("telemetry log", path)?;
         let (sender, traffic) = channel(WAITING);
         let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, links);
@@ -81,12 +76,7 @@ impl TlogRecorder {
             .name("tlog".to_owned())
             .spawn(move || write(log, traffic, &file, floor_bytes))
             .context("starting the telemetry log's thread")?;
-        Ok(Self {
-            path: path.to_owned(),
-            sender,
-            thread,
-            dropped: 0,
-        })
+        Ok(Self { path: path.to_owned(), sender, thread, dropped: 0 })
     }
 
     /// Takes note of what was given to the pipeline.
@@ -97,31 +87,15 @@ impl TlogRecorder {
         let Input::Bytes { link, peer, bytes } = input else {
             return Ok(());
         };
-        self.offer(Traffic {
-            now,
-            link: *link,
-            direction: Direction::In(*peer),
-            bytes: bytes.clone(),
-        })
+        self.offer(Traffic { now, link: *link, direction: Direction::In(*peer), bytes: bytes.clone() })
     }
 
     /// Takes note of a frame that was sent.
     ///
     /// # Errors
     /// The file could not be written; nothing more is taken.
-    pub fn sent(
-        &mut self,
-        now: Stamp<HostClock>,
-        link: LinkId,
-        priority: Priority,
-        frame: &[u8],
-    ) -> Result<()> {
-        self.offer(Traffic {
-            now,
-            link,
-            direction: Direction::Out(priority),
-            bytes: frame.to_vec(),
-        })
+    pub fn sent(&mut self, now: Stamp<HostClock>, link: LinkId, priority: Priority, frame: &[u8]) -> Result<()> {
+        self.offer(Traffic { now, link, direction: Direction::Out(priority), bytes: frame.to_vec() })
     }
 
     /// Writes what still waits and ends the file.
@@ -130,15 +104,8 @@ impl TlogRecorder {
     /// The file could not be written.
     pub fn finish(self) -> Result<TlogWritten> {
         drop(self.sender);
-        let frames = self
-            .thread
-            .join()
-            .map_err(|_panic| anyhow!("the telemetry log's thread died"))??;
-        Ok(TlogWritten {
-            path: self.path,
-            frames,
-            dropped: self.dropped,
-        })
+        let frames = self.thread.join().map_err(|_panic| anyhow!("the telemetry log's thread died"))??;
+        Ok(TlogWritten { path: self.path, frames, dropped: self.dropped })
     }
 
     fn offer(&mut self, traffic: Traffic) -> Result<()> {

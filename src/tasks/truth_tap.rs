@@ -15,10 +15,7 @@ impl TruthTap {
     /// One who hears what is shown from now on.
     #[must_use]
     pub fn new(truth: &broadcast::Sender<LiveTruth>) -> Self {
-        Self {
-            receiver: truth.subscribe(),
-            missed: 0,
-        }
+        Self { receiver: truth.subscribe(), missed: 0 }
     }
 
     /// What was shown since the last time; never waits.

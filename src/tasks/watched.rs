@@ -24,19 +24,11 @@ impl Watched {
     /// It cannot be created; one that is there already is never overwritten.
     pub fn create(what: &'static str, path: &Path) -> Result<(File, Self)> {
         let name = path.display();
-        let file =
-            File::create_new(path).with_context(|| format!("creating the {what} `{name}`"))?;
+        let file = File::create_new(path).with_context(|| format!("creating the {what} `{name}`"))?;
         let identity = file.metadata().map(|found| (found.dev(), found.ino()));
         let identity = identity.with_context(|| format!("looking at `{name}`"))?;
         let path = path.to_owned();
-        Ok((
-            file,
-            Self {
-                what,
-                path,
-                identity,
-            },
-        ))
+        Ok((file, Self { what, path, identity }))
     }
 
     /// Where it was made.
@@ -59,10 +51,7 @@ impl Watched {
         let found = std::fs::metadata(&self.path).ok();
         match found.filter(|found| (found.dev(), found.ino()) == self.identity) {
             Some(found) => Ok(found.len()),
-            None => bail!(
-                "{}: the file or its folder has been deleted or moved",
-                self.name()
-            ),
+            None => bail!("{}: the file or its folder has been deleted or moved", self.name()),
         }
     }
 

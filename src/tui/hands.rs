@@ -30,23 +30,15 @@ impl Deed {
     #[must_use]
     pub const fn command(self, camera: Camera) -> Command {
         Command::Simulator(match self {
-            Self::Kidnap => SimulatorCommand::Kidnap {
-                forward_m: 0.3,
-                left_m: 0.2,
-                turn_rad: 60_f64.to_radians(),
-            },
+            Self::Kidnap => SimulatorCommand::Kidnap { forward_m: 0.3, left_m: 0.2, turn_rad: 60_f64.to_radians() },
             Self::Camera => SimulatorCommand::Camera(match camera {
                 Camera::Open => Switch::Off,
                 Camera::Covered => Switch::On,
             }),
-            Self::Slip => SimulatorCommand::Slip {
-                wheel: SlippingWheel::Left,
-                factor: 0.8,
-                duration: Span::from_millis(1_000),
-            },
-            Self::PullCable => SimulatorCommand::PullCable {
-                duration: Span::from_millis(3_000),
-            },
+            Self::Slip => {
+                SimulatorCommand::Slip { wheel: SlippingWheel::Left, factor: 0.8, duration: Span::from_millis(1_000) }
+            }
+            Self::PullCable => SimulatorCommand::PullCable { duration: Span::from_millis(3_000) },
         })
     }
 
@@ -76,26 +68,10 @@ mod tests {
                 Camera::Open,
                 r#"{"command":"kidnap","forward_m":0.3,"left_m":0.2,"turn_rad":1.0471975511965976}"#,
             ),
-            (
-                Deed::Camera,
-                Camera::Open,
-                r#"{"command":"camera","on":false}"#,
-            ),
-            (
-                Deed::Camera,
-                Camera::Covered,
-                r#"{"command":"camera","on":true}"#,
-            ),
-            (
-                Deed::Slip,
-                Camera::Open,
-                r#"{"command":"slip","wheel":"left","factor":0.8,"seconds":1}"#,
-            ),
-            (
-                Deed::PullCable,
-                Camera::Open,
-                r#"{"command":"pull-cable","seconds":3}"#,
-            ),
+            (Deed::Camera, Camera::Open, r#"{"command":"camera","on":false}"#),
+            (Deed::Camera, Camera::Covered, r#"{"command":"camera","on":true}"#),
+            (Deed::Slip, Camera::Open, r#"{"command":"slip","wheel":"left","factor":0.8,"seconds":1}"#),
+            (Deed::PullCable, Camera::Open, r#"{"command":"pull-cable","seconds":3}"#),
         ];
         for (deed, camera, json) in cases {
             let (_, expected) = command::read(json.as_bytes()).unwrap();

@@ -100,20 +100,8 @@ pub const KEYS: &[Key] = &[
         help: "the next robot, where several are heard",
         action: Action::NextRobot,
     },
-    Key {
-        strokes: &[Stroke::Left],
-        name: "←",
-        word: "",
-        help: "the robot before",
-        action: Action::PreviousRobot,
-    },
-    Key {
-        strokes: &[Stroke::Escape],
-        name: "Esc",
-        word: "",
-        help: "all panels together",
-        action: Action::Back,
-    },
+    Key { strokes: &[Stroke::Left], name: "←", word: "", help: "the robot before", action: Action::PreviousRobot },
+    Key { strokes: &[Stroke::Escape], name: "Esc", word: "", help: "all panels together", action: Action::Back },
     Key {
         strokes: &[Stroke::Letter('k')],
         name: "k",
@@ -163,9 +151,7 @@ pub fn strokes(mut bytes: &[u8]) -> Vec<Stroke> {
             b' '..=b'~' => found.push(Stroke::Letter(char::from(*first))),
             0x1b => match rest {
                 [b'[' | b'O', sequence @ ..] => {
-                    let end = sequence
-                        .iter()
-                        .position(|byte| (b'@'..=b'~').contains(byte));
+                    let end = sequence.iter().position(|byte| (b'@'..=b'~').contains(byte));
                     let last = end.and_then(|end| sequence.get(end)).copied();
                     found.extend(last.and_then(special));
                     bytes = end.map_or(&[][..], |end| &sequence[end + 1..]);
@@ -198,10 +184,7 @@ mod tests {
     fn keys_are_read_as_xterm_sends_them() {
         use Stroke::{BackTab, Down, Escape, Interrupt, Left, Letter, Right, Tab, Up};
         assert_eq!(strokes(b"q\t?"), [Letter('q'), Tab, Letter('?')]);
-        assert_eq!(
-            strokes(b"\x1b[A\x1b[B\x1bOC\x1b[1;5D\x1b[Z"),
-            [Up, Down, Right, Left, BackTab]
-        );
+        assert_eq!(strokes(b"\x1b[A\x1b[B\x1bOC\x1b[1;5D\x1b[Z"), [Up, Down, Right, Left, BackTab]);
         assert_eq!(strokes(b"\x1b"), [Escape]);
         assert_eq!(strokes(b"\x03\x1b[200~k"), [Interrupt, Letter('k')]);
         assert!(strokes(b"\x1b[1;").is_empty());
@@ -224,9 +207,6 @@ mod tests {
         for (index, stroke) in all.iter().enumerate() {
             assert!(!all[..index].contains(stroke), "{stroke:?}");
         }
-        assert!(
-            KEYS.iter()
-                .all(|key| !key.help.is_empty() && !key.name.is_empty())
-        );
+        assert!(KEYS.iter().all(|key| !key.help.is_empty() && !key.name.is_empty()));
     }
 }

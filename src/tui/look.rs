@@ -40,11 +40,7 @@ impl Look {
     /// What a person asked for by `NO_COLOR`: any value but an empty one.
     #[must_use]
     pub fn of_environment(no_color: Option<&std::ffi::OsStr>) -> Self {
-        if no_color.is_some_and(|value| !value.is_empty()) {
-            Self::Plain
-        } else {
-            Self::Coloured
-        }
+        if no_color.is_some_and(|value| !value.is_empty()) { Self::Plain } else { Self::Coloured }
     }
 
     /// The style of a text.

@@ -73,28 +73,13 @@ impl TerminalView {
         give_back_on_panic(&tty, stderr::give_back);
         let said = stderr::divert();
         let is_over = Arc::new(AtomicBool::new(false));
-        let mut view = Self {
-            tty: Arc::clone(&tty),
-            is_over: Arc::clone(&is_over),
-            thread: None,
-        };
+        let mut view = Self { tty: Arc::clone(&tty), is_over: Arc::clone(&is_over), thread: None };
         let screen = Screen::new(Arc::clone(&tty), look)?;
         let mut model = Model::new(wires.simulator.clone());
         model.say(&wires.greeting);
-        let work = Work {
-            tty,
-            screen,
-            model,
-            wires,
-            said,
-            is_over,
-        };
+        let work = Work { tty, screen, model, wires, said, is_over };
         let thread = std::thread::Builder::new().name("terminal".to_owned());
-        view.thread = Some(
-            thread
-                .spawn(move || work.run())
-                .context("starting the terminal view's thread")?,
-        );
+        view.thread = Some(thread.spawn(move || work.run()).context("starting the terminal view's thread")?);
         Ok(view)
     }
 }
@@ -185,11 +170,7 @@ impl Work {
             self.model.note("this station has no simulated brick");
             return;
         }
-        let camera = if self.model.chosen.is_camera_covered {
-            Camera::Covered
-        } else {
-            Camera::Open
-        };
+        let camera = if self.model.chosen.is_camera_covered { Camera::Covered } else { Camera::Open };
         if !self.wires.commands.give(deed.command(camera)) {
             self.model.note("too many commands wait; try again");
             return;

@@ -22,12 +22,8 @@ const FRAME: u16 = 2;
 
 /// Draws everything.
 pub fn render(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
-    let [head, body, foot] = Layout::vertical([
-        Constraint::Length(1),
-        Constraint::Min(1),
-        Constraint::Length(1),
-    ])
-    .areas(area);
+    let [head, body, foot] =
+        Layout::vertical([Constraint::Length(1), Constraint::Min(1), Constraint::Length(1)]).areas(area);
     head_line(model, look).render(head, buffer);
     for (panel, place) in places(model, area, body) {
         draw_panel(panel, (model, look), place, buffer);
@@ -55,14 +51,11 @@ fn together(model: &Model, body: Rect) -> Vec<(&'static Panel, Rect)> {
     let [map, numbers @ .., events] = PANELS else {
         return Vec::new();
     };
-    let [upper, lower] = Layout::vertical([
-        Constraint::Min(1),
-        Constraint::Length((body.height / EVENTS_SHARE).max(1 + FRAME)),
-    ])
-    .areas(body);
+    let [upper, lower] =
+        Layout::vertical([Constraint::Min(1), Constraint::Length((body.height / EVENTS_SHARE).max(1 + FRAME))])
+            .areas(body);
     let width = NUMBERS_WIDTH.min(upper.width / 5 * 3);
-    let [left, mut right] =
-        Layout::horizontal([Constraint::Min(1), Constraint::Length(width)]).areas(upper);
+    let [left, mut right] = Layout::horizontal([Constraint::Min(1), Constraint::Length(width)]).areas(upper);
     let mut places = vec![(map, left)];
     for (index, panel) in numbers.iter().enumerate() {
         let wanted = u16::try_from((panel.lines)(model)).unwrap_or(u16::MAX);
@@ -76,11 +69,7 @@ fn together(model: &Model, body: Rect) -> Vec<(&'static Panel, Rect)> {
             break;
         }
         places.push((panel, Rect { height, ..right }));
-        right = Rect {
-            y: right.y + height,
-            height: right.height - height,
-            ..right
-        };
+        right = Rect { y: right.y + height, height: right.height - height, ..right };
     }
     places.push((events, lower));
     places
@@ -93,10 +82,7 @@ fn draw_panel(panel: &Panel, (model, look): (&Model, Look), place: Rect, buffer:
         return;
     }
     let title = Span::styled(format!(" {} ", panel.title), look.style(Role::Strong));
-    let block = Block::new()
-        .borders(Borders::ALL)
-        .border_style(look.style(Role::Quiet))
-        .title(title);
+    let block = Block::new().borders(Borders::ALL).border_style(look.style(Role::Quiet)).title(title);
     let inner = block.inner(place);
     block.render(place, buffer);
     (panel.draw)(model, look, inner, buffer);
@@ -114,32 +100,20 @@ fn head_line(model: &Model, look: Look) -> Line<'static> {
     }
     let shown = model.shown();
     if let (Some(robot), 2..) = (model.robot_shown(), shown.len()) {
-        add(
-            format!("robot {} of {}", harmless(&robot.id), shown.len()),
-            Role::Strong,
-        );
+        add(format!("robot {} of {}", harmless(&robot.id), shown.len()), Role::Strong);
     }
     if let Some(errors) = &model.errors {
-        add(
-            format!("estimate {} m off", fixed(errors.estimate_m, 3)),
-            Role::Estimate,
-        );
+        add(format!("estimate {} m off", fixed(errors.estimate_m, 3)), Role::Estimate);
     }
     match &model.recording {
         Some(recording) => {
             let name = harmless(&recording.name);
-            add(
-                format!("recording {name} {}", bytes(recording.bytes)),
-                Role::Quiet,
-            );
+            add(format!("recording {name} {}", bytes(recording.bytes)), Role::Quiet);
         }
         None => add("not recording".to_owned(), Role::Quiet),
     }
     if model.missed > 0 {
-        add(
-            format!("{} messages missed: the terminal is slow", model.missed),
-            Role::Bad,
-        );
+        add(format!("{} messages missed: the terminal is slow", model.missed), Role::Bad);
     }
     Line::from(line)
 }
@@ -151,10 +125,7 @@ fn foot_line(model: &Model, look: Look) -> Line<'static> {
     }
     for key in keys_for(model).filter(|key| !key.word.is_empty()) {
         line.push(Span::styled(key.name, look.style(Role::Strong)));
-        line.push(Span::styled(
-            format!(" {}  ", key.word),
-            look.style(Role::Quiet),
-        ));
+        line.push(Span::styled(format!(" {}  ", key.word), look.style(Role::Quiet)));
     }
     Line::from(line)
 }
@@ -162,8 +133,7 @@ fn foot_line(model: &Model, look: Look) -> Line<'static> {
 /// The keys that do anything: those for the simulated brick only where there is one.
 fn keys_for(model: &Model) -> impl Iterator<Item = &'static Key> + use<> {
     let has_brick = model.simulator.is_some();
-    KEYS.iter()
-        .filter(move |key| has_brick || !matches!(key.action, Action::Do(_)))
+    KEYS.iter().filter(move |key| has_brick || !matches!(key.action, Action::Do(_)))
 }
 
 fn help(look: Look, body: Rect, buffer: &mut Buffer) {

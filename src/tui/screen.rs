@@ -30,12 +30,7 @@ impl Screen {
     pub(super) fn new(tty: Arc<Tty>, look: Look) -> Result<Self> {
         let area = tty.area()?;
         let terminal = blank(&tty, area)?;
-        Ok(Self {
-            tty,
-            look,
-            terminal,
-            area,
-        })
+        Ok(Self { tty, look, terminal, area })
     }
 
     /// Shows a model, unless the terminal has not taken all of the last picture yet.
@@ -65,11 +60,6 @@ impl Screen {
 fn blank(tty: &Arc<Tty>, area: Rect) -> Result<Terminal<CrosstermBackend<Paper>>> {
     let mut paper = Paper(Arc::clone(tty));
     queue!(paper, Clear(ClearType::All))?;
-    let options = TerminalOptions {
-        viewport: Viewport::Fixed(area),
-    };
-    Ok(Terminal::with_options(
-        CrosstermBackend::new(paper),
-        options,
-    )?)
+    let options = TerminalOptions { viewport: Viewport::Fixed(area) };
+    Ok(Terminal::with_options(CrosstermBackend::new(paper), options)?)
 }

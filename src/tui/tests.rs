@@ -3,8 +3,8 @@ use std::io::Read as _;
 use nix::pty::openpty;
 use nix::sys::termios::tcgetattr;
 use posebridge_dashboard::model::{
-    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow,
-    LogLine, RecordingNow, RobotFrame, TruthPoint,
+    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, RecordingNow,
+    RobotFrame, TruthPoint,
 };
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -48,11 +48,7 @@ fn truth() -> Vec<TruthPoint> {
         x_m: x_m.into(),
         y_m: y_m.into(),
         heading_rad: 3.1.into(),
-        odometry: Some([
-            (x_m * (1.0 + 0.03 * t_s)).into(),
-            (y_m * 1.1).into(),
-            3.0.into(),
-        ]),
+        odometry: Some([(x_m * (1.0 + 0.03 * t_s)).into(), (y_m * 1.1).into(), 3.0.into()]),
     });
     points.collect()
 }
@@ -71,12 +67,7 @@ fn records() -> Vec<FusionPoint> {
         [
             record(step, "wheels", "accepted", 0.2),
             record(step, "gyro", "accepted", f64::NAN),
-            record(
-                step,
-                "camera",
-                if step % 9 == 8 { "gated" } else { "accepted" },
-                1.02,
-            ),
+            record(step, "camera", if step % 9 == 8 { "gated" } else { "accepted" }, 1.02),
         ]
     });
     steps.collect()
@@ -84,16 +75,14 @@ fn records() -> Vec<FusionPoint> {
 
 fn fixes() -> Vec<FixPoint> {
     let verdicts = ["accepted", "gated", "too old", "accepted", "reset to"];
-    let points = drive(5)
-        .zip(verdicts)
-        .map(|((_, x_m, y_m), verdict)| FixPoint {
-            t_s: 9.0,
-            x_m: (x_m * 0.9).into(),
-            y_m: (y_m * 0.9).into(),
-            verdict: verdict.to_owned(),
-            lag_s: 0.1.into(),
-            ..FixPoint::default()
-        });
+    let points = drive(5).zip(verdicts).map(|((_, x_m, y_m), verdict)| FixPoint {
+        t_s: 9.0,
+        x_m: (x_m * 0.9).into(),
+        y_m: (y_m * 0.9).into(),
+        verdict: verdict.to_owned(),
+        lag_s: 0.1.into(),
+        ..FixPoint::default()
+    });
     points.collect()
 }
 
@@ -108,12 +97,8 @@ fn links() -> Vec<LinkRow> {
         round_trip_ms: 1.25.into(),
         ..LinkRow::default()
     };
-    let other = LinkRow {
-        id: 1,
-        name: "udp://127.0.0.1:14550".to_owned(),
-        state: "down".to_owned(),
-        ..LinkRow::default()
-    };
+    let other =
+        LinkRow { id: 1, name: "udp://127.0.0.1:14550".to_owned(), state: "down".to_owned(), ..LinkRow::default() };
     vec![link, other]
 }
 
@@ -125,19 +110,11 @@ fn calibration() -> Vec<CalibrationRow> {
         sigma,
         unit: String::new(),
     };
-    vec![
-        row("radius_scale", 0.0056, 0.0025),
-        row("gyro_bias_rad_per_s", -0.013, 0.0009),
-        row("fix_delay_s", 0.0, 0.0),
-    ]
+    vec![row("radius_scale", 0.0056, 0.0025), row("gyro_bias_rad_per_s", -0.013, 0.0009), row("fix_delay_s", 0.0, 0.0)]
 }
 
 fn log() -> Vec<LogLine> {
-    let line = |t_s: f64, severity: u8, text: &str| LogLine {
-        t_s,
-        severity,
-        text: text.to_owned(),
-    };
+    let line = |t_s: f64, severity: u8, text: &str| LogLine { t_s, severity, text: text.to_owned() };
     vec![
         line(0.2, 5, "heard 0/1/1"),
         line(4.0, 4, "1/1: \u{1b}[2Jfix gated\u{7}"),
@@ -159,16 +136,10 @@ fn frame() -> Frame {
                 ..RobotFrame::default()
             },
             // Heard, but nobody estimates it.
-            RobotFrame {
-                id: "0/1/100".to_owned(),
-                ..RobotFrame::default()
-            },
+            RobotFrame { id: "0/1/100".to_owned(), ..RobotFrame::default() },
         ],
         truth: truth(),
-        errors: Some(ErrorsRow {
-            odometry_m: 0.4217.into(),
-            estimate_m: 0.0061.into(),
-        }),
+        errors: Some(ErrorsRow { odometry_m: 0.4217.into(), estimate_m: 0.0061.into() }),
         links: Some(links()),
         clock: Some(ClockRow {
             offset_s: -3.25,
@@ -177,10 +148,7 @@ fn frame() -> Frame {
             method: "two-way".to_owned(),
         }),
         log: log(),
-        recording: Some(Some(RecordingNow {
-            name: "recording.mcap".to_owned(),
-            bytes: 1_234_567,
-        })),
+        recording: Some(Some(RecordingNow { name: "recording.mcap".to_owned(), bytes: 1_234_567 })),
         ..Frame::default()
     }
 }
@@ -197,9 +165,7 @@ fn model() -> Model {
 
 fn drawn(model: &Model, look: Look, (width, height): (u16, u16)) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-    terminal
-        .draw(|frame| render(model, look, frame.area(), frame.buffer_mut()))
-        .unwrap();
+    terminal.draw(|frame| render(model, look, frame.area(), frame.buffer_mut())).unwrap();
     terminal.backend().buffer().clone()
 }
 
@@ -262,11 +228,7 @@ fn numbers_that_are_none_are_drawn_as_dashes() {
     model.take(&Frame {
         robots: vec![RobotFrame {
             id: "0/1/1".to_owned(),
-            estimates: vec![EstimatePoint {
-                x_m: f64::NAN.into(),
-                y_m: 1e30.into(),
-                ..EstimatePoint::default()
-            }],
+            estimates: vec![EstimatePoint { x_m: f64::NAN.into(), y_m: 1e30.into(), ..EstimatePoint::default() }],
             fixes: vec![FixPoint::default()],
             ..RobotFrame::default()
         }],
@@ -275,10 +237,7 @@ fn numbers_that_are_none_are_drawn_as_dashes() {
         ..Frame::default()
     });
     let text = pictured(&model, (80, 24));
-    assert!(
-        text.contains("odometry – m off, estimate – m off"),
-        "{text}"
-    );
+    assert!(text.contains("odometry – m off, estimate – m off"), "{text}");
 }
 
 #[test]
@@ -287,20 +246,10 @@ fn without_colours_the_same_cells_are_drawn() {
     let coloured = drawn(&model, Look::Coloured, (120, 40));
     let plain = drawn(&model, Look::Plain, (120, 40));
     assert_eq!(text_of(&coloured), text_of(&plain));
-    assert!(
-        coloured
-            .content
-            .iter()
-            .any(|cell| cell.fg == Color::LightBlue)
-    );
+    assert!(coloured.content.iter().any(|cell| cell.fg == Color::LightBlue));
     let has_colour = |cell: &&Cell| cell.fg != Color::Reset || cell.bg != Color::Reset;
     assert_eq!(plain.content.iter().find(has_colour), None);
-    assert!(
-        plain
-            .content
-            .iter()
-            .any(|cell| cell.modifier == Modifier::BOLD)
-    );
+    assert!(plain.content.iter().any(|cell| cell.modifier == Modifier::BOLD));
 }
 
 #[test]
@@ -352,12 +301,8 @@ fn what_comes_is_bounded() {
     let mut many = frame();
     many.robots.truncate(1);
     let record = many.robots[0].fusion[0].clone();
-    many.robots[0].fusion = (0..100)
-        .map(|index| FusionPoint {
-            sensor: format!("sensor {index}"),
-            ..record.clone()
-        })
-        .collect();
+    many.robots[0].fusion =
+        (0..100).map(|index| FusionPoint { sensor: format!("sensor {index}"), ..record.clone() }).collect();
     let mut model = Model::default();
     model.take(&many);
     assert_eq!(model.robots[0].sources.len(), 32);

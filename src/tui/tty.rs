@@ -46,10 +46,7 @@ pub struct Tty {
 /// # Errors
 /// Standard output or input is none, or one that can do nothing but letters.
 pub fn ensure_terminal() -> Result<()> {
-    ensure!(
-        io::stdout().is_terminal(),
-        "--tui: standard output is no terminal; run it in one, or without --tui"
-    );
+    ensure!(io::stdout().is_terminal(), "--tui: standard output is no terminal; run it in one, or without --tui");
     ensure!(
         io::stdin().is_terminal(),
         "--tui: standard input is no terminal, so no key could be heard; run it in one, or without --tui"
@@ -69,8 +66,7 @@ impl Tty {
     pub fn take() -> Result<Arc<Self>> {
         let name = nix::unistd::ttyname(io::stdout()).context("--tui: the terminal has no name")?;
         // That of somebody else, as after `su`, may be opened by the name that every process has for its own.
-        Self::take_at(&name)
-            .or_else(|error| Self::take_at(Path::new("/dev/tty")).map_err(|_neither| error))
+        Self::take_at(&name).or_else(|error| Self::take_at(Path::new("/dev/tty")).map_err(|_neither| error))
     }
 
     /// Takes the terminal of this name.
@@ -164,11 +160,7 @@ impl Tty {
             Err(TryLockError::WouldBlock) => Vec::new(),
         };
         self.write_patiently(&mut rest);
-        let mut end = if rest.is_empty() {
-            Vec::new()
-        } else {
-            vec![CANCEL]
-        };
+        let mut end = if rest.is_empty() { Vec::new() } else { vec![CANCEL] };
         // Writing to a vector cannot fail.
         drop(queue!(end, ResetColor, Show, LeaveAlternateScreen));
         self.write_patiently(&mut end);
@@ -208,10 +200,7 @@ impl Drop for Tty {
 }
 
 fn is_for_later(error: &io::Error) -> bool {
-    matches!(
-        error.kind(),
-        io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
-    )
+    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 
 /// What is drawn on: it only collects, and [`Tty::drain`] writes.

@@ -5,17 +5,13 @@ use posebridge_dashboard::model::Number;
 /// A number with so many decimals, or a dash if there is none.
 #[must_use]
 pub(super) fn fixed(number: Number, decimals: usize) -> String {
-    number
-        .get()
-        .map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
+    number.get().map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 /// The same with its sign.
 #[must_use]
 pub(super) fn signed(number: Number, decimals: usize) -> String {
-    number
-        .get()
-        .map_or_else(|| "–".to_owned(), |value| format!("{value:+.decimals$}"))
+    number.get().map_or_else(|| "–".to_owned(), |value| format!("{value:+.decimals$}"))
 }
 
 /// An angle in degrees.

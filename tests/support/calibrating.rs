@@ -14,11 +14,7 @@ pub(crate) fn calibrate(folder: &Path, args: &[&str]) -> Value {
 
 /// Exit code and talk of a command that cannot do what it is asked.
 pub(crate) fn refused(folder: &Path, args: &[&str]) -> (i32, String) {
-    let output = posebridge(folder)
-        .arg("calibrate")
-        .args(args)
-        .output()
-        .expect("the program starts");
+    let output = posebridge(folder).arg("calibrate").args(args).output().expect("the program starts");
     assert!(output.stdout.is_empty());
     let said = String::from_utf8(output.stderr).expect("it says text");
     (output.status.code().expect("it ends by itself"), said)

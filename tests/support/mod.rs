@@ -1,14 +1,8 @@
 //! The program under test as a user would start it, in a folder of its own.
 
-#![allow(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![allow(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 #![allow(dead_code, reason = "each test file uses its own part of this")]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a helper is used depends on the file that includes it"
-)]
+#![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -22,10 +16,7 @@ pub(crate) fn root() -> PathBuf {
 /// The program, to be started in `folder`.
 pub(crate) fn posebridge(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_posebridge"));
-    command
-        .current_dir(folder)
-        .env_remove("POSEBRIDGE_DATA")
-        .env_remove("POSEBRIDGE_LOG");
+    command.current_dir(folder).env_remove("POSEBRIDGE_DATA").env_remove("POSEBRIDGE_LOG");
     command
 }
 
@@ -55,17 +46,9 @@ pub(crate) struct Running {
 impl Running {
     /// Starts a program.
     pub(crate) fn start(command: &mut Command) -> Self {
-        let mut child = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the program starts");
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
         let stderr = child.stderr.take().expect("stderr is piped");
-        Self {
-            child,
-            lines: BufReader::new(stderr),
-            heard: String::new(),
-        }
+        Self { child, lines: BufReader::new(stderr), heard: String::new() }
     }
 
     /// Its process.
@@ -78,11 +61,7 @@ impl Running {
         loop {
             let mut line = String::new();
             let read = self.lines.read_line(&mut line).expect("stderr is text");
-            assert!(
-                read > 0,
-                "it ended before it said `{text}`; it said:\n{}",
-                self.heard
-            );
+            assert!(read > 0, "it ended before it said `{text}`; it said:\n{}", self.heard);
             self.heard.push_str(&line);
             if line.contains(text) {
                 return line;
@@ -124,11 +103,7 @@ impl Running {
         let (mut printed, mut said) = (String::new(), String::new());
         // Neither may fill up while the other one is read.
         std::thread::scope(|scope| {
-            scope.spawn(|| {
-                self.lines
-                    .read_to_string(&mut said)
-                    .expect("stderr is text")
-            });
+            scope.spawn(|| self.lines.read_to_string(&mut said).expect("stderr is text"));
             stdout.read_to_string(&mut printed).expect("stdout is text");
         });
         let status = self.child.wait().expect("it can be waited for");
@@ -147,11 +122,7 @@ impl Running {
         let mut stdout = self.child.stdout.take().expect("stdout is piped");
         // What it still says must be read, or it would wait for us.
         std::thread::scope(|scope| {
-            scope.spawn(|| {
-                self.lines
-                    .read_to_string(&mut self.heard)
-                    .expect("stderr is text")
-            });
+            scope.spawn(|| self.lines.read_to_string(&mut self.heard).expect("stderr is text"));
             stdout.read_to_string(&mut text).expect("stdout is text");
         });
         let status = self.child.wait().expect("it can be waited for");

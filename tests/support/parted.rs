@@ -1,12 +1,6 @@
 //! A recording in parts, without a robot.
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a helper is used depends on the file that includes it"
-)]
+#![allow(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
+#![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
 use std::path::Path;
 
@@ -17,15 +11,9 @@ use posebridge_telemetry::{Input, Span, Stamp};
 
 /// Seven seconds of ticks, four a second, in parts of two seconds: `recording.mcap` and what continues it.
 pub(crate) fn record_ticks(folder: &Path) {
-    let limits = Limits {
-        part_span: Some(Span::from_millis(2_000)),
-        ..Limits::default()
-    };
-    let header = Header {
-        format: FORMAT,
-        config_toml: toml::to_string(&Config::default()).unwrap(),
-        ..Header::default()
-    };
+    let limits = Limits { part_span: Some(Span::from_millis(2_000)), ..Limits::default() };
+    let header =
+        Header { format: FORMAT, config_toml: toml::to_string(&Config::default()).unwrap(), ..Header::default() };
     let mut parts = Parts::create(&folder.join("recording.mcap"), header, limits, 0).unwrap();
     for number in 0..28_u32 {
         let now = Stamp::from_millis(250 * i64::from(number));

@@ -1,14 +1,8 @@
 //! A person at a terminal: sees the screen of a program, and presses keys.
 
 #![allow(dead_code, reason = "each test file uses its own part of this")]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a helper is used depends on the file that includes it"
-)]
-#![allow(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
+#![allow(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -42,22 +36,12 @@ pub(crate) struct Person {
 impl Person {
     /// Starts a program on a terminal of so many columns and lines.
     pub(crate) fn start(command: &mut Command, (columns, lines): (u16, u16)) -> Self {
-        let size = Winsize {
-            ws_row: lines,
-            ws_col: columns,
-            ws_xpixel: 0,
-            ws_ypixel: 0,
-        };
+        let size = Winsize { ws_row: lines, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
         let pty = openpty(Some(&size), None).expect("a pseudo-terminal");
         let (rows, width) = of_screen((columns, lines));
         let before = tcgetattr(&pty.slave).expect("it has modes");
         let end = || pty.slave.try_clone().expect("it can be shared");
-        let child = command
-            .stdin(end())
-            .stdout(end())
-            .stderr(end())
-            .spawn()
-            .expect("the program starts");
+        let child = command.stdin(end()).stdout(end()).stderr(end()).spawn().expect("the program starts");
         Self {
             wire: File::from(pty.master),
             terminal: pty.slave,
@@ -75,12 +59,7 @@ impl Person {
 
     /// Makes the window larger or smaller.
     pub(crate) fn resize(&mut self, (columns, lines): (u16, u16)) {
-        let size = rustix::termios::Winsize {
-            ws_row: lines,
-            ws_col: columns,
-            ws_xpixel: 0,
-            ws_ypixel: 0,
-        };
+        let size = rustix::termios::Winsize { ws_row: lines, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
         rustix::termios::tcsetwinsize(&self.wire, size).expect("it has a size");
         let (rows, width) = of_screen((columns, lines));
         self.screen.screen_mut().set_size(rows, width);
@@ -98,11 +77,7 @@ impl Person {
         let (lines, columns) = (lines.get(), columns.get());
         let cells = (0..lines).flat_map(|line| (0..columns).map(move |column| (line, column)));
         let mut cells = cells.filter_map(|(line, column)| screen.cell(line, column));
-        cells.any(|cell| {
-            [cell.fgcolor(), cell.bgcolor()]
-                .iter()
-                .any(|colour| *colour != vt100::Color::Default)
-        })
+        cells.any(|cell| [cell.fgcolor(), cell.bgcolor()].iter().any(|colour| *colour != vt100::Color::Default))
     }
 
     /// Looks at the screen until it is as described.
@@ -113,15 +88,9 @@ impl Person {
                 return text;
             }
             let now_s = number_before(&text, " s  ").unwrap_or(0.0);
-            assert!(
-                now_s < PATIENCE_S,
-                "never seen: {what}; there stands\n{text}"
-            );
+            assert!(now_s < PATIENCE_S, "never seen: {what}; there stands\n{text}");
             let ended = self.child.try_wait().expect("it can be asked");
-            assert!(
-                ended.is_none(),
-                "it ended ({ended:?}) before {what}:\n{text}"
-            );
+            assert!(ended.is_none(), "it ended ({ended:?}) before {what}:\n{text}");
             self.look();
         }
     }
@@ -153,11 +122,7 @@ impl Person {
                 break status;
             }
             looks += u32::from(!self.look());
-            assert!(
-                looks < LOOKS,
-                "it does not end; there stands\n{}",
-                self.text()
-            );
+            assert!(looks < LOOKS, "it does not end; there stands\n{}", self.text());
         };
         while self.look() {}
         let after = tcgetattr(&self.terminal).expect("it has modes");

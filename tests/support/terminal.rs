@@ -1,10 +1,7 @@
 //! A pseudo-terminal of a test's own: the test is the device, the program under test opens it like a serial port.
 
 #![allow(dead_code, reason = "each test file uses its own part of this")]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a helper is used depends on the file that includes it"
-)]
+#![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
 use std::fs::File;
 use std::os::fd::OwnedFd;

@@ -24,9 +24,7 @@ pub(crate) fn svg(buffer: &Buffer) -> String {
     let mut dots: BTreeMap<&str, String> = BTreeMap::new();
     let mut frames = String::new();
     for row in 0..rows {
-        let cells: Vec<&Cell> = (0..columns)
-            .filter_map(|column| buffer.cell((column, row)))
-            .collect();
+        let cells: Vec<&Cell> = (0..columns).filter_map(|column| buffer.cell((column, row))).collect();
         letters += &row_of_letters(&cells, row);
         for (column, cell) in (0..columns).zip(&cells) {
             let (x, y) = (MARGIN + column * WIDTH, MARGIN + row * HEIGHT);
@@ -46,16 +44,11 @@ pub(crate) fn svg(buffer: &Buffer) -> String {
     );
     for (colour, path) in &dots {
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            all,
-            "<path d=\"{path}\" stroke=\"{colour}\" stroke-width=\"2.4\" stroke-linecap=\"round\"/>"
-        );
+        let _ = writeln!(all, "<path d=\"{path}\" stroke=\"{colour}\" stroke-width=\"2.4\" stroke-linecap=\"round\"/>");
     }
     let font = "ui-monospace, 'DejaVu Sans Mono', Menlo, Consolas, monospace";
-    let _ = write!(
-        all,
-        "<g font-family=\"{font}\" font-size=\"14.5\" xml:space=\"preserve\">\n{letters}</g>\n</svg>\n"
-    );
+    let _ =
+        write!(all, "<g font-family=\"{font}\" font-size=\"14.5\" xml:space=\"preserve\">\n{letters}</g>\n</svg>\n");
     all
 }
 
@@ -81,16 +74,7 @@ fn kind_of(symbol: char) -> Kind {
 
 /// Unicode's braille patterns: the bits of dots 1 to 8 stand for these columns and rows.
 fn braille(bits: u32, (x, y): (u16, u16), path: &mut String) {
-    let places = [
-        (0, 0),
-        (0, 1),
-        (0, 2),
-        (1, 0),
-        (1, 1),
-        (1, 2),
-        (0, 3),
-        (1, 3),
-    ];
+    let places = [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (0, 3), (1, 3)];
     for (bit, (column, row)) in places.into_iter().enumerate() {
         if bits & (1 << bit) != 0 {
             let (x, y) = (
@@ -104,12 +88,8 @@ fn braille(bits: u32, (x, y): (u16, u16), path: &mut String) {
 
 fn frame([left, right, up, down]: [bool; 4], (x, y): (u16, u16), path: &mut String) {
     let (middle_x, middle_y) = (x + WIDTH / 2, y + HEIGHT / 2);
-    let ends = [
-        (left, (x, middle_y)),
-        (right, (x + WIDTH, middle_y)),
-        (up, (middle_x, y)),
-        (down, (middle_x, y + HEIGHT)),
-    ];
+    let ends =
+        [(left, (x, middle_y)), (right, (x + WIDTH, middle_y)), (up, (middle_x, y)), (down, (middle_x, y + HEIGHT))];
     for (_, (end_x, end_y)) in ends.into_iter().filter(|(is_there, _)| *is_there) {
         let _ = write!(path, "M{middle_x} {middle_y}L{end_x} {end_y}");
     }
@@ -129,21 +109,12 @@ fn row_of_letters(cells: &[&Cell], row: u16) -> String {
             at += 1;
             continue;
         }
-        let run = cells[at..]
-            .iter()
-            .take_while(|cell| is_letter(cell) && look(cell) == look(cells[at]))
-            .count();
+        let run = cells[at..].iter().take_while(|cell| is_letter(cell) && look(cell) == look(cells[at])).count();
         let (colour, is_bold) = look(cells[at]);
         let weight = if is_bold { " font-weight=\"bold\"" } else { "" };
-        let (x, y) = (
-            usize::from(MARGIN) + at * usize::from(WIDTH),
-            MARGIN + row * HEIGHT + BASELINE,
-        );
+        let (x, y) = (usize::from(MARGIN) + at * usize::from(WIDTH), MARGIN + row * HEIGHT + BASELINE);
         let length = run * usize::from(WIDTH);
-        let letters: String = cells[at..at + run]
-            .iter()
-            .map(|cell| cell.symbol())
-            .collect();
+        let letters: String = cells[at..at + run].iter().map(|cell| cell.symbol()).collect();
         let letters = letters.replace('&', "&amp;").replace('<', "&lt;");
         let _ = writeln!(
             text,

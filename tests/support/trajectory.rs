@@ -1,12 +1,6 @@
 //! Trajectories as `posebridge export --format tum` writes them.
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a lint fires depends on the file that includes it"
-)]
+#![allow(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
+#![allow(clippy::allow_attributes, reason = "whether a lint fires depends on the file that includes it")]
 
 use std::path::Path;
 
@@ -14,10 +8,7 @@ use std::path::Path;
 pub(crate) fn trajectory(path: &Path) -> Vec<(f64, f64, f64)> {
     let text = std::fs::read_to_string(path).unwrap();
     let poses = text.lines().map(|line| {
-        let fields: Vec<f64> = line
-            .split(' ')
-            .map(|field| field.parse().unwrap())
-            .collect();
+        let fields: Vec<f64> = line.split(' ').map(|field| field.parse().unwrap()).collect();
         assert_eq!(fields.len(), 8, "{line}");
         (fields[0], fields[1], fields[2])
     });

@@ -1,13 +1,7 @@
 //! A drive of the simulated brick, recorded as `posebridge run` would have recorded it, in virtual time.
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![allow(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 #![allow(dead_code, reason = "each test file uses its own part of this")]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a helper is used depends on the file that includes it"
-)]
+#![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
 use std::fs::File;
 use std::path::Path;
@@ -29,11 +23,7 @@ pub(crate) fn record_drive_and_truth(path: &Path, scenario: Scenario, rest: Span
     let (mut writer, simulation) = drive(path, scenario, rest);
     let samples = simulation.truth().iter();
     let truth: Vec<TruthSample> = samples
-        .map(|sample| TruthSample {
-            stamp: sample.brick,
-            pose: sample.pose,
-            odometry: Some(sample.odometry),
-        })
+        .map(|sample| TruthSample { stamp: sample.brick, pose: sample.pose, odometry: Some(sample.odometry) })
         .collect();
     let now = Stamp::ZERO + simulation.elapsed();
     writer.record_truth(now, &truth).unwrap();
@@ -53,10 +43,7 @@ fn drive(path: &Path, scenario: Scenario, rest: Span) -> (Writer<File>, Simulati
     let mut simulation = Simulation::new(scenario);
     let mut writer = Writer::create(File::create(path).unwrap(), &header).unwrap();
     let link = LinkId(0);
-    let mut inputs = vec![Input::Link {
-        link,
-        state: LinkState::Up,
-    }];
+    let mut inputs = vec![Input::Link { link, state: LinkState::Up }];
     let mut ends_at = None;
     while ends_at.is_none_or(|end| simulation.elapsed() < end) {
         let now = Stamp::ZERO + simulation.elapsed();

@@ -28,11 +28,7 @@ pub(crate) const PLANAR_POSE: Kind = kind(42_102, 53, 52);
 pub(crate) const ROBOT_DESCRIPTION: Kind = kind(42_104, 5, 40);
 
 const fn kind(id: u32, crc_extra: u8, length: u8) -> Kind {
-    Kind {
-        id,
-        crc_extra,
-        length,
-    }
+    Kind { id, crc_extra, length }
 }
 
 /// One step of CRC-16/MCRF4XX without a table.
@@ -57,10 +53,7 @@ pub(crate) struct Payload {
 
 impl Payload {
     pub(crate) const fn new() -> Self {
-        Self {
-            bytes: [0; LONGEST_SENT],
-            length: 0,
-        }
+        Self { bytes: [0; LONGEST_SENT], length: 0 }
     }
 
     /// Appends a field. What would not fit is left out; no message here is that long.
@@ -99,10 +92,7 @@ impl Frame {
     pub(crate) fn new(kind: Kind, origin: Origin, payload: &Payload) -> Self {
         let payload = payload.trimmed();
         let [id0, id1, id2, _] = kind.id.to_le_bytes();
-        let mut frame = Self {
-            bytes: [0; HEADER + LONGEST_SENT + CHECKSUM],
-            length: 0,
-        };
+        let mut frame = Self { bytes: [0; HEADER + LONGEST_SENT + CHECKSUM], length: 0 };
         frame.append(&[START, payload.len() as u8, 0, 0, origin.sequence]);
         frame.append(&[origin.system, origin.component, id0, id1, id2]);
         frame.append(payload);
@@ -132,9 +122,7 @@ mod tests {
     #[test]
     fn the_checksum_has_the_published_check_value() {
         // CRC-16/MCRF4XX of "123456789" (reveng catalogue), before any CRC_EXTRA.
-        let sum = b"123456789"
-            .iter()
-            .fold(0xFFFF, |crc, byte| crc_step(crc, *byte));
+        let sum = b"123456789".iter().fold(0xFFFF, |crc, byte| crc_step(crc, *byte));
         assert_eq!(sum, 0x6F91);
     }
 

@@ -40,13 +40,7 @@ impl Gyro {
     /// A gyro that has seen nothing.
     #[must_use]
     pub const fn new() -> Self {
-        Self {
-            turn_urad: 0,
-            rest: 0,
-            sampled_us: None,
-            sum_urad_per_s: 0,
-            samples: 0,
-        }
+        Self { turn_urad: 0, rest: 0, sampled_us: None, sum_urad_per_s: 0, samples: 0 }
     }
 
     /// Takes a sample: the rate at `now_us`, counter-clockwise positive, in microradians per second (a degree per second
@@ -106,9 +100,7 @@ mod tests {
         gyro.sample(0, 1_000_000);
         gyro.sample(LONGEST_US, 1_000_000);
         gyro.sample(2 * LONGEST_US + 1, 1_000_000);
-        let sent = gyro
-            .take()
-            .map(|inertial| (inertial.turn_urad, inertial.turn_rate));
+        let sent = gyro.take().map(|inertial| (inertial.turn_urad, inertial.turn_rate));
         assert_eq!(sent, Some((1_000_000, 2_000)));
         assert_eq!(gyro.take(), None);
     }
@@ -125,15 +117,9 @@ mod tests {
 
     #[test]
     fn the_total_wraps() {
-        let mut gyro = Gyro {
-            turn_urad: i32::MAX,
-            ..Gyro::new()
-        };
+        let mut gyro = Gyro { turn_urad: i32::MAX, ..Gyro::new() };
         gyro.sample(0, 0);
         gyro.sample(1_000_000, 1);
-        assert_eq!(
-            gyro.take().map(|inertial| inertial.turn_urad),
-            Some(i32::MIN)
-        );
+        assert_eq!(gyro.take().map(|inertial| inertial.turn_urad), Some(i32::MIN));
     }
 }

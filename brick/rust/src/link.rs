@@ -1,8 +1,6 @@
 //! The sending half: one participant on one link.
 
-use crate::frame::{
-    Frame, HEARTBEAT, INERTIAL, Kind, Origin, Payload, ROBOT_DESCRIPTION, TIMESYNC, WHEEL_TICKS,
-};
+use crate::frame::{Frame, HEARTBEAT, INERTIAL, Kind, Origin, Payload, ROBOT_DESCRIPTION, TIMESYNC, WHEEL_TICKS};
 use crate::messages::{Inertial, RobotDescription, TimeRequest, WheelTicks};
 
 /// MAV_TYPE_GROUND_ROVER (minimal.xml).
@@ -46,11 +44,7 @@ impl Link {
     /// A participant whose next frame has this number, because something else sends under its name, too.
     #[must_use]
     pub const fn continued(system: u8, component: u8, sequence: u8) -> Self {
-        Self {
-            system,
-            component,
-            sequence,
-        }
+        Self { system, component, sequence }
     }
 
     /// Says that the robot is there: once per second.
@@ -102,26 +96,18 @@ impl Link {
     /// read as late as can be.
     pub fn answer_time(&mut self, request: &TimeRequest, now_us: u32, sink: &mut impl Sink) {
         let [system, component] = request.target;
-        let is_asked = (system == 0 || system == self.system)
-            && (component == 0 || component == self.component);
+        let is_asked = (system == 0 || system == self.system) && (component == 0 || component == self.component);
         if !is_asked {
             return;
         }
         // An answer of 0 would be a question.
         let nanos = (u64::from(now_us) * 1_000).max(1);
-        let payload = Payload::new()
-            .put(nanos.to_le_bytes())
-            .put(request.ts1)
-            .put(request.from);
+        let payload = Payload::new().put(nanos.to_le_bytes()).put(request.ts1).put(request.from);
         self.send(TIMESYNC, &payload, sink);
     }
 
     fn send(&mut self, kind: Kind, payload: &Payload, sink: &mut impl Sink) {
-        let origin = Origin {
-            sequence: self.sequence,
-            system: self.system,
-            component: self.component,
-        };
+        let origin = Origin { sequence: self.sequence, system: self.system, component: self.component };
         self.sequence = self.sequence.wrapping_add(1);
         sink.put(Frame::new(kind, origin, payload).as_bytes());
     }

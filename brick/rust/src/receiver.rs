@@ -43,10 +43,7 @@ impl Receiver {
     /// A receiver that has heard nothing.
     #[must_use]
     pub const fn new() -> Self {
-        Self {
-            bytes: [0; WINDOW],
-            count: 0,
-        }
+        Self { bytes: [0; WINDOW], count: 0 }
     }
 
     /// Takes the next byte. Poll until `None` after each; a window that nobody polls forgets its oldest byte.
@@ -114,32 +111,22 @@ fn judge(window: &[u8]) -> Judgement {
         return Judgement::Refuted;
     }
     let length = usize::from(length);
-    let (Some(payload), Some(&[low, high])) = (rest.get(..length), rest.get(length..length + 2))
-    else {
+    let (Some(payload), Some(&[low, high])) = (rest.get(..length), rest.get(length..length + 2)) else {
         return Judgement::Open;
     };
     let summed = window.get(1..HEADER + length).unwrap_or_default();
     if checksum(summed, kind.crc_extra) != u16::from_le_bytes([low, high]) {
         return Judgement::Refuted;
     }
-    let read = if kind == PLANAR_POSE {
-        pose(payload)
-    } else {
-        time_request(payload, [system, component])
-    };
+    let read = if kind == PLANAR_POSE { pose(payload) } else { time_request(payload, [system, component]) };
     match read {
-        Some(received) => Judgement::Frame {
-            length: HEADER + length + CHECKSUM,
-            received,
-        },
+        Some(received) => Judgement::Frame { length: HEADER + length + CHECKSUM, received },
         None => Judgement::Refuted,
     }
 }
 
 fn kind_of(id: u32) -> Option<Kind> {
-    [PLANAR_POSE, TIMESYNC]
-        .into_iter()
-        .find(|kind| kind.id == id)
+    [PLANAR_POSE, TIMESYNC].into_iter().find(|kind| kind.id == id)
 }
 
 /// Reads fields one after the other; behind the end of the payload stand the zeros that were not sent.
@@ -163,14 +150,7 @@ fn pose(payload: &[u8]) -> Option<Received> {
     if !floats.iter().all(|number| number.is_finite()) {
         return None;
     }
-    let [
-        x_m,
-        y_m,
-        heading_rad,
-        forward_speed_m_per_s,
-        turn_rate_rad_per_s,
-        covariance @ ..,
-    ] = floats;
+    let [x_m, y_m, heading_rad, forward_speed_m_per_s, turn_rate_rad_per_s, covariance @ ..] = floats;
     let fix_age_ms = u16::from_le_bytes(fields.take());
     let [reset_counter, flags] = fields.take();
     Some(Received::Pose(PlanarPose {
@@ -191,10 +171,6 @@ fn pose(payload: &[u8]) -> Option<Received> {
 fn time_request(payload: &[u8], from: [u8; 2]) -> Option<Received> {
     let mut fields = Fields(payload.iter());
     let tc1: [u8; 8] = fields.take();
-    let request = TimeRequest {
-        ts1: fields.take(),
-        target: fields.take(),
-        from,
-    };
+    let request = TimeRequest { ts1: fields.take(), target: fields.take(), from };
     (tc1 == [0; 8]).then_some(Received::TimeRequest(request))
 }

@@ -1,9 +1,5 @@
 //! What a link can do to bytes: cuts, losses, noise. All receivers must come to the same result.
-#![expect(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -14,18 +10,10 @@ use support::{answers, c_driver, folder, hex, python_driver, rust_answer, unhex,
 fn conversation() -> Vec<(Vec<u8>, String)> {
     let whole = vectors().into_iter().filter(|vector| {
         let is_one = vector.command.starts_with("receive 0 1 1 fd34");
-        is_one
-            && vector.command.len() == "receive 0 1 1 ".len() + 2 * 64
-            && vector.expected.starts_with("pose")
+        is_one && vector.command.len() == "receive 0 1 1 ".len() + 2 * 64 && vector.expected.starts_with("pose")
     });
-    let frames: Vec<(Vec<u8>, String)> = whole
-        .map(|vector| {
-            (
-                unhex(&vector.command["receive 0 1 1 ".len()..]),
-                vector.expected,
-            )
-        })
-        .collect();
+    let frames: Vec<(Vec<u8>, String)> =
+        whole.map(|vector| (unhex(&vector.command["receive 0 1 1 ".len()..]), vector.expected)).collect();
     assert!(frames.len() >= 3, "the vector file has no whole estimates");
     frames
 }
@@ -75,11 +63,7 @@ fn a_lost_byte_costs_the_frame_that_it_was_in_and_no_other() {
             .map(|(_, result)| result.as_str())
             .collect();
         // The last frame has nothing behind it that would refute it; it is then not missed either.
-        assert_eq!(
-            rust_answer(&command(&damaged)),
-            survivors.join(" "),
-            "byte {lost}"
-        );
+        assert_eq!(rust_answer(&command(&damaged)), survivors.join(" "), "byte {lost}");
         commands.push(command(&damaged));
     }
     agree(&commands, "lost");
@@ -125,18 +109,11 @@ fn noise_of_likely_bytes_is_read_alike_by_all() {
 
 #[test]
 fn the_python_module_reads_the_same_in_chunks_of_any_size() {
-    let stream: Vec<u8> = conversation()
-        .into_iter()
-        .flat_map(|(frame, _)| frame)
-        .collect();
+    let stream: Vec<u8> = conversation().into_iter().flat_map(|(frame, _)| frame).collect();
     let expected = rust_answer(&command(&stream));
-    let commands: Vec<String> = (1..=stream.len())
-        .map(|chunk| format!("chunks {chunk} 0 1 1 {}", hex(&stream)))
-        .collect();
-    for (answer, command) in answers(&mut python_driver(), &commands)
-        .iter()
-        .zip(&commands)
-    {
+    let commands: Vec<String> =
+        (1..=stream.len()).map(|chunk| format!("chunks {chunk} 0 1 1 {}", hex(&stream))).collect();
+    for (answer, command) in answers(&mut python_driver(), &commands).iter().zip(&commands) {
         assert_eq!(*answer, expected, "{}", &command[..12]);
     }
 }

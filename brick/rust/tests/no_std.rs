@@ -1,9 +1,6 @@
 //! That the crate needs no standard library, proven by the compiler: a program with a panic handler of its own can only be
 //! built when nothing in it brings the standard library's.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -95,19 +92,13 @@ fn the_same_program_with_the_standard_library_does_not_build() {
     let with_std = PROGRAM.replace("#![no_std]", "#![no_std]\nextern crate std;");
     let output = build("with-std", None, &with_std);
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        !output.status.success() && said.contains("panic_impl"),
-        "{said}"
-    );
+    assert!(!output.status.success() && said.contains("panic_impl"), "{said}");
 }
 
 /// Where rustup has installed the target, the program builds for it; elsewhere the proof above stands for it.
 #[test]
 fn the_program_builds_for_a_cortex_m3_where_its_core_library_is_installed() {
-    let output = rustc()
-        .args(["--print=target-libdir", "--target", BARE_METAL])
-        .output()
-        .unwrap();
+    let output = rustc().args(["--print=target-libdir", "--target", BARE_METAL]).output().unwrap();
     let libraries = String::from_utf8(output.stdout).unwrap();
     if Path::new(libraries.trim()).is_dir() {
         checked(&build(BARE_METAL, Some(BARE_METAL), PROGRAM));

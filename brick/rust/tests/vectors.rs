@@ -1,9 +1,5 @@
 //! The same bytes in every language, and those of a foreign implementation: brick/vectors.
-#![expect(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
 
@@ -24,12 +20,7 @@ fn check(driver: &mut Command, knows: impl Fn(&Vector) -> bool) -> usize {
 #[test]
 fn this_crate_makes_and_understands_the_foreign_bytes() {
     for vector in vectors() {
-        assert_eq!(
-            rust_answer(&vector.command),
-            vector.expected,
-            "{}",
-            vector.command
-        );
+        assert_eq!(rust_answer(&vector.command), vector.expected, "{}", vector.command);
     }
 }
 
@@ -73,10 +64,7 @@ fn thousandths_without_floating_point_are_those_with_it() {
         16_777.2,
         -98_765.43,
     ];
-    let commands: Vec<String> = numbers
-        .iter()
-        .map(|number: &f32| format!("milli {:08x}", number.to_bits()))
-        .collect();
+    let commands: Vec<String> = numbers.iter().map(|number: &f32| format!("milli {:08x}", number.to_bits())).collect();
     let found = answers(&mut c_driver(&folder("milli")), &commands);
     for (number, found) in numbers.iter().zip(found) {
         let exact = (f64::from(*number) * 1_000.0) as i64;

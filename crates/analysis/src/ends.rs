@@ -38,10 +38,7 @@ pub fn run_course<'a>(
         }
         last = Some(estimate);
     }
-    Course {
-        end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)),
-        way_m,
-    }
+    Course { end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)), way_m }
 }
 
 /// End errors over many runs.
@@ -84,11 +81,7 @@ pub fn summarise_ends(ends: &[Option<PoseError>], limits_m: (f64, f64)) -> EndSu
         rms_m: (rms(&x), rms(&y)),
         most_m: (at_share(&x, MOST), at_share(&y, MOST)),
         median_m: at_share(&of(&PoseError::position_m), 0.5),
-        within: (
-            count(&in_x),
-            count(&in_y),
-            count(&|end| in_x(end) && in_y(end)),
-        ),
+        within: (count(&in_x), count(&in_y), count(&|end| in_x(end) && in_y(end))),
         anees: anees(&ends).value,
     }
 }
@@ -128,20 +121,11 @@ pub fn paired(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> Optio
     let both: Vec<(f64, f64)> = pairs
         .filter_map(|(ours, theirs)| {
             let (ours, theirs) = (ours.as_ref()?, theirs.as_ref()?);
-            Some((
-                theirs.dx_m.powi(2) - ours.dx_m.powi(2),
-                theirs.dy_m.powi(2) - ours.dy_m.powi(2),
-            ))
+            Some((theirs.dx_m.powi(2) - ours.dx_m.powi(2), theirs.dy_m.powi(2) - ours.dy_m.powi(2)))
         })
         .collect();
-    let (x, y) = (
-        mean_and_sigma(both.iter().map(|pair| pair.0))?,
-        mean_and_sigma(both.iter().map(|pair| pair.1))?,
-    );
-    Some(Paired {
-        mean_m2: (x.0, y.0),
-        sigma_m2: (x.1, y.1),
-    })
+    let (x, y) = (mean_and_sigma(both.iter().map(|pair| pair.0))?, mean_and_sigma(both.iter().map(|pair| pair.1))?);
+    Some(Paired { mean_m2: (x.0, y.0), sigma_m2: (x.1, y.1) })
 }
 
 /// A mean and its standard deviation; `None` with fewer than two values.
@@ -160,19 +144,12 @@ mod tests {
     use super::*;
 
     fn end(dx_m: f64, dy_m: f64) -> PoseError {
-        PoseError {
-            dx_m,
-            dy_m,
-            heading_rad: None,
-            covariance: None,
-        }
+        PoseError { dx_m, dy_m, heading_rad: None, covariance: None }
     }
 
     #[test]
     fn ninety_five_of_a_hundred_stay_below_the_figure() {
-        let ends: Vec<_> = (1..=100)
-            .map(|run| Some(end(-0.01 * f64::from(run), 0.0)))
-            .collect();
+        let ends: Vec<_> = (1..=100).map(|run| Some(end(-0.01 * f64::from(run), 0.0))).collect();
         let found = summarise_ends(&ends, (0.235, 0.32));
         assert!((found.most_m.0 - 0.95).abs() < 1e-12);
         assert!((found.median_m - 0.5).abs() < 1e-12);
@@ -185,29 +162,15 @@ mod tests {
 
     #[test]
     fn nearer_counts_run_by_run() {
-        let ours = [
-            Some(end(0.1, 0.0)),
-            Some(end(0.3, 0.4)),
-            None,
-            Some(end(9.0, 9.0)),
-        ];
-        let theirs = [
-            Some(end(0.0, 0.2)),
-            Some(end(0.4, 0.2)),
-            Some(end(5.0, 5.0)),
-            None,
-        ];
+        let ours = [Some(end(0.1, 0.0)), Some(end(0.3, 0.4)), None, Some(end(9.0, 9.0))];
+        let theirs = [Some(end(0.0, 0.2)), Some(end(0.4, 0.2)), Some(end(5.0, 5.0)), None];
         assert_eq!(nearer(&ours, &theirs), 2);
     }
 
     #[test]
     fn paired_errors_are_compared_run_by_run() {
         let ours = [Some(end(0.1, 0.0)), None, Some(end(0.2, 0.3))];
-        let theirs = [
-            Some(end(0.3, 0.1)),
-            Some(end(9.0, 9.0)),
-            Some(end(-0.4, 0.0)),
-        ];
+        let theirs = [Some(end(0.3, 0.1)), Some(end(9.0, 9.0)), Some(end(-0.4, 0.0))];
         let found = paired(&ours, &theirs).unwrap();
         // x: 0.08 and 0.12; y: 0.01 and -0.09.
         assert!((found.mean_m2.0 - 0.10).abs() < 1e-12 && (found.mean_m2.1 + 0.04).abs() < 1e-12);

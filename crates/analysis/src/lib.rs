@@ -38,8 +38,8 @@ pub mod wall;
 
 pub use figures::{FIGURES, Figure, FixMark, RunLayers};
 pub use metrics::{
-    Consistency, ConsistencyBand, ErrorSummary, Evidence, METRICS, Metric, PoseError, RecentNis,
-    SourceTally, mean_over_runs, summarise, tally,
+    Consistency, ConsistencyBand, ErrorSummary, Evidence, METRICS, Metric, PoseError, RecentNis, SourceTally,
+    mean_over_runs, summarise, tally,
 };
 pub use report::{EstimatorRow, RunRow};
 pub use smoothed::SmoothedPath;

@@ -46,17 +46,11 @@ mod tests {
 
     #[test]
     fn markup_and_forbidden_characters_in_a_text_are_harmless() {
-        assert_eq!(
-            Escaped("a<b> & \"c\"\u{1}\nd").to_string(),
-            "a&lt;b&gt; &amp; &quot;c&quot;\u{fffd} d"
-        );
+        assert_eq!(Escaped("a<b> & \"c\"\u{1}\nd").to_string(), "a&lt;b&gt; &amp; &quot;c&quot;\u{fffd} d");
     }
 
     #[test]
     fn what_a_url_cannot_hold_is_encoded_byte_by_byte() {
-        assert_eq!(
-            PercentEncoded("<a b=\"#1%\">ä").to_string(),
-            "%3Ca%20b=%22%231%25%22%3E%C3%A4"
-        );
+        assert_eq!(PercentEncoded("<a b=\"#1%\">ä").to_string(), "%3Ca%20b=%22%231%25%22%3E%C3%A4");
     }
 }

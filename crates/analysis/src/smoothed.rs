@@ -51,11 +51,7 @@ impl SmoothedPath {
                 from[row][column] * (1.0 - share) + to[row][column] * share
             })
         });
-        Some(estimate(&SmoothedPose {
-            stamp,
-            pose: on_the_arc(earlier.pose, later.pose, share),
-            covariance,
-        }))
+        Some(estimate(&SmoothedPose { stamp, pose: on_the_arc(earlier.pose, later.pose, share), covariance }))
     }
 
     /// The estimates at its own stamps.
@@ -72,26 +68,15 @@ impl SmoothedPath {
 fn on_the_arc(from: Pose<Arena>, to: Pose<Arena>, share: f64) -> Pose<Arena> {
     let (from, to) = (element(from), element(to));
     let reached = from.then(Se2::exp(from.to(to).log().map(|part| part * share)));
-    Pose::new(
-        Meters(reached.x_m),
-        Meters(reached.y_m),
-        Heading::from_rad(reached.heading_rad),
-    )
+    Pose::new(Meters(reached.x_m), Meters(reached.y_m), Heading::from_rad(reached.heading_rad))
 }
 
 fn element(pose: Pose<Arena>) -> Se2 {
-    Se2 {
-        x_m: pose.x.0,
-        y_m: pose.y.0,
-        heading_rad: pose.heading.rad(),
-    }
+    Se2 { x_m: pose.x.0, y_m: pose.y.0, heading_rad: pose.heading.rad() }
 }
 
 const fn timed(smoothed: &SmoothedPose) -> TimedPose {
-    TimedPose {
-        stamp: smoothed.stamp,
-        pose: smoothed.pose,
-    }
+    TimedPose { stamp: smoothed.stamp, pose: smoothed.pose }
 }
 
 fn estimate(smoothed: &SmoothedPose) -> Estimate {
@@ -115,11 +100,7 @@ mod tests {
         let at = |millis, xy_m, heading_rad, variance| SmoothedPose {
             stamp: Stamp::from_millis(millis),
             pose: Pose::new(Meters(xy_m), Meters(xy_m), Heading::from_rad(heading_rad)),
-            covariance: [
-                [variance, 0.1, 0.2],
-                [0.1, variance, 0.3],
-                [0.2, 0.3, variance],
-            ],
+            covariance: [[variance, 0.1, 0.2], [0.1, variance, 0.3], [0.2, 0.3, variance]],
         };
         // Given in the wrong order.
         SmoothedPath::new(vec![at(3000, 1.0, FRAC_PI_2, 3.0), at(1000, 0.0, 0.0, 1.0)])

@@ -5,8 +5,7 @@
 //! inside a gap. It does not extrapolate, smooth or convert clocks.
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp,
-    Validity,
+    Arena, BrickClock, Estimate, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp, Validity,
 };
 
 /// A pose and the instant for which it holds.
@@ -28,11 +27,7 @@ impl TimedPose {
             forward_speed: MetersPerSecond(0.0),
             turn_rate: RadiansPerSecond(0.0),
             covariance,
-            validity: Validity {
-                position: true,
-                heading: true,
-                speeds: false,
-            },
+            validity: Validity { position: true, heading: true, speeds: false },
             is_dead_reckoning: false,
             fix_age: None,
             reset_counter: 0,
@@ -41,9 +36,7 @@ impl TimedPose {
     }
 
     fn is_finite(&self) -> bool {
-        self.pose.x.0.is_finite()
-            && self.pose.y.0.is_finite()
-            && self.pose.heading.rad().is_finite()
+        self.pose.x.0.is_finite() && self.pose.y.0.is_finite() && self.pose.heading.rad().is_finite()
     }
 }
 
@@ -78,11 +71,7 @@ impl Track {
             }
             same_instant
         });
-        Self {
-            samples,
-            max_gap,
-            dropped,
-        }
+        Self { samples, max_gap, dropped }
     }
 
     /// The samples, in the order of their stamps; no two share a stamp.
@@ -97,8 +86,7 @@ impl Track {
 
     /// The stretches without a gap, in order.
     pub fn parts(&self) -> impl Iterator<Item = &[TimedPose]> {
-        self.samples
-            .chunk_by(|earlier, later| later.stamp - earlier.stamp <= self.max_gap)
+        self.samples.chunk_by(|earlier, later| later.stamp - earlier.stamp <= self.max_gap)
     }
 
     /// The pose at an instant: position on the straight line between the neighbours, heading the short way.
@@ -124,11 +112,7 @@ impl Track {
 fn between(from: Pose<Arena>, to: Pose<Arena>, fraction: f64) -> Pose<Arena> {
     // Weights instead of from + (to - from) * fraction: the difference of two huge coordinates may overflow.
     let blend = |a: Meters, b: Meters| Meters(a.0 * (1.0 - fraction) + b.0 * fraction);
-    Pose::new(
-        blend(from.x, to.x),
-        blend(from.y, to.y),
-        from.heading + (to.heading - from.heading) * fraction,
-    )
+    Pose::new(blend(from.x, to.x), blend(from.y, to.y), from.heading + (to.heading - from.heading) * fraction)
 }
 
 #[cfg(test)]
@@ -149,9 +133,7 @@ mod tests {
 
     #[test]
     fn a_pose_between_two_samples_lies_on_the_straight_line() {
-        let pose = track(&[sample(0, 1.0, 0.0), sample(100, 2.0, 0.4)])
-            .at(Stamp::from_millis(25))
-            .unwrap();
+        let pose = track(&[sample(0, 1.0, 0.0), sample(100, 2.0, 0.4)]).at(Stamp::from_millis(25)).unwrap();
         assert!((pose.x.0 - 1.25).abs() < 1e-12);
         assert!((pose.y.0 + 1.25).abs() < 1e-12);
         assert!((pose.heading.rad() - 0.1).abs() < 1e-12);
@@ -159,19 +141,13 @@ mod tests {
 
     #[test]
     fn the_heading_turns_the_short_way_across_pi() {
-        let pose = track(&[sample(0, 0.0, 3.0), sample(100, 0.0, -3.0)])
-            .at(Stamp::from_millis(50))
-            .unwrap();
+        let pose = track(&[sample(0, 0.0, 3.0), sample(100, 0.0, -3.0)]).at(Stamp::from_millis(50)).unwrap();
         assert!((pose.heading.rad().abs() - std::f64::consts::PI).abs() < 1e-12);
     }
 
     #[test]
     fn a_track_is_silent_outside_itself_and_inside_a_gap_but_not_at_its_edges() {
-        let track = track(&[
-            sample(0, 0.0, 0.0),
-            sample(100, 1.0, 0.0),
-            sample(201, 2.0, 0.0),
-        ]);
+        let track = track(&[sample(0, 0.0, 0.0), sample(100, 1.0, 0.0), sample(201, 2.0, 0.0)]);
         assert_eq!(track.at(Stamp::from_millis(-1)), None);
         assert_eq!(track.at(Stamp::from_millis(150)), None);
         assert_eq!(track.at(Stamp::from_millis(202)), None);
@@ -182,11 +158,7 @@ mod tests {
 
     #[test]
     fn samples_are_sorted_and_the_last_word_on_an_instant_stands() {
-        let track = track(&[
-            sample(50, 5.0, 0.0),
-            sample(0, 0.0, 0.0),
-            sample(50, 6.0, 0.0),
-        ]);
+        let track = track(&[sample(50, 5.0, 0.0), sample(0, 0.0, 0.0), sample(50, 6.0, 0.0)]);
         assert_eq!(track.samples(), [sample(0, 0.0, 0.0), sample(50, 6.0, 0.0)]);
     }
 
@@ -199,9 +171,7 @@ mod tests {
 
     #[test]
     fn huge_coordinates_stay_finite() {
-        let pose = track(&[sample(0, -1e308, 0.0), sample(100, 1.5e308, 0.0)])
-            .at(Stamp::from_millis(50))
-            .unwrap();
+        let pose = track(&[sample(0, -1e308, 0.0), sample(100, 1.5e308, 0.0)]).at(Stamp::from_millis(50)).unwrap();
         assert!(pose.x.0.is_finite());
     }
 }

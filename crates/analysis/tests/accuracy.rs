@@ -9,8 +9,8 @@ use posebridge_analysis::report::{ScoreRow, score_table};
 use posebridge_analysis::{Consistency, TimedPose};
 use posebridge_estimator::{Filter, FilterConfig, Params, StartPose, filter_named};
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, DriveGeometry, Estimate, FusionRecord, Heading, Meters,
-    Observation, Observed, Pose, Radians, SensorId, SensorNoise, Span, Stamp, Verdict,
+    Arena, BrickClock, Calibration, DriveGeometry, Estimate, FusionRecord, Heading, Meters, Observation, Observed,
+    Pose, Radians, SensorId, SensorNoise, Span, Stamp, Verdict,
 };
 use records::record;
 
@@ -23,11 +23,7 @@ struct Toy {
 
 impl Toy {
     fn at(x_m: f64, y_m: f64, heading_rad: f64, variance: f64) -> Self {
-        Self {
-            pose: pose(x_m, y_m, heading_rad),
-            variance,
-            latest: None,
-        }
+        Self { pose: pose(x_m, y_m, heading_rad), variance, latest: None }
     }
 }
 
@@ -74,16 +70,10 @@ fn stamp(step: usize) -> Stamp<BrickClock> {
 
 /// Ten steps at rest at the origin, pointing west; one observation arrives at step 3.
 fn at_rest() -> KnownDrive {
-    let truth = (0..=10).map(|step| TimedPose {
-        stamp: stamp(step),
-        pose: pose(0.0, 0.0, 3.1),
-    });
+    let truth = (0..=10).map(|step| TimedPose { stamp: stamp(step), pose: pose(0.0, 0.0, 3.1) });
     KnownDrive {
         truth: truth.collect(),
-        arrivals: vec![Arrival {
-            step: 3,
-            observation: wheels(2, 0.0),
-        }],
+        arrivals: vec![Arrival { step: 3, observation: wheels(2, 0.0) }],
         scored_from: 1,
     }
 }
@@ -93,10 +83,7 @@ fn wheels(step: usize, angle_rad: f64) -> Observation {
         sensor: SensorId::WHEELS,
         stamp: stamp(step),
         stamp_sigma: Span::ZERO,
-        observed: Observed::WheelAngles {
-            left: Radians(angle_rad),
-            right: Radians(angle_rad),
-        },
+        observed: Observed::WheelAngles { left: Radians(angle_rad), right: Radians(angle_rad) },
     }
 }
 
@@ -104,14 +91,7 @@ fn wheels(step: usize, angle_rad: f64) -> Observation {
 fn a_constant_error_is_its_own_root_mean_square() {
     // 5 m away, and 0.1 rad off across the seam of the circle.
     let result = score(&at_rest(), &mut Toy::at(3.0, 4.0, 3.2, 0.25));
-    assert_eq!(
-        (
-            result.runs(),
-            result.steps(),
-            result.steps_without_estimate()
-        ),
-        (1, 8, 2)
-    );
+    assert_eq!((result.runs(), result.steps(), result.steps_without_estimate()), (1, 8, 2));
     assert_eq!(result.position_rms_m(), Some(5.0));
     assert_eq!(result.position_mean_m(), Some(5.0));
     assert_eq!(result.position_max_m(), Some(5.0));
@@ -127,10 +107,7 @@ fn a_constant_error_is_its_own_root_mean_square() {
 #[test]
 fn runs_merge_over_all_their_steps_and_not_over_their_means() {
     let long = score(&at_rest(), &mut Toy::at(1.0, 0.0, 3.1, 1.0));
-    let short = KnownDrive {
-        scored_from: 9,
-        ..at_rest()
-    };
+    let short = KnownDrive { scored_from: 9, ..at_rest() };
     let mut merged = score(&short, &mut Toy::at(0.0, -7.0, 3.1, 1.0));
     merged.absorb(&long);
     assert_eq!((merged.runs(), merged.steps()), (2, 10));
@@ -173,11 +150,7 @@ fn what_cannot_be_scored_is_counted_and_said() {
     assert_eq!((boast.steps(), boast.refused_covariances()), (8, 8));
     assert_eq!(boast.consistency(), Consistency::OverConfident);
     lost.absorb(&boast);
-    let rows = [ScoreRow {
-        name: "toy",
-        score: &lost,
-        bound_m: None,
-    }];
+    let rows = [ScoreRow { name: "toy", score: &lost, bound_m: None }];
     let table = score_table(&rows);
     for line in [
         "toy: steps left out, no estimate: 4\n",
@@ -197,31 +170,16 @@ fn a_filter_of_the_table_is_scored_as_any_other() {
             track_width: Meters(0.2),
             tick: Radians(0.0),
         },
-        noise: SensorNoise {
-            wheel_travel_m_per_sqrt_m: 0.01,
-            ..SensorNoise::EXACT
-        },
-        start: Some(StartPose {
-            pose: Pose::default(),
-            position_sigma_m: 1e-4,
-            heading_sigma_rad: 1e-4,
-        }),
+        noise: SensorNoise { wheel_travel_m_per_sqrt_m: 0.01, ..SensorNoise::EXACT },
+        start: Some(StartPose { pose: Pose::default(), position_sigma_m: 1e-4, heading_sigma_rad: 1e-4 }),
         params: Params::default(),
         calibration: Calibration::default(),
         world: Arc::default(),
     };
     // 0.1 rad of 0.1 m per step: 10 mm, while the truth stands; so the errors are 10, 20 ... 100 mm.
-    let arrivals = (0..=10).map(|step| Arrival {
-        step,
-        observation: wheels(step, 0.1 * step as f64),
-    });
+    let arrivals = (0..=10).map(|step| Arrival { step, observation: wheels(step, 0.1 * step as f64) });
     let drive = KnownDrive {
-        truth: (0..=10)
-            .map(|step| TimedPose {
-                stamp: stamp(step),
-                pose: Pose::default(),
-            })
-            .collect(),
+        truth: (0..=10).map(|step| TimedPose { stamp: stamp(step), pose: Pose::default() }).collect(),
         arrivals: arrivals.collect(),
         scored_from: 1,
     };
@@ -236,18 +194,11 @@ fn a_filter_of_the_table_is_scored_as_any_other() {
 fn the_table_tells_the_error_as_a_multiple_of_the_bound() {
     let score = score(&at_rest(), &mut Toy::at(3.0, 4.0, 3.1, 1.0));
     let with = |bound_m| {
-        let row = ScoreRow {
-            name: "toy",
-            score: &score,
-            bound_m,
-        };
+        let row = ScoreRow { name: "toy", score: &score, bound_m };
         let table = score_table(&[row]);
         let cells = |line: usize| -> Vec<String> {
             let line = table.lines().nth(line).unwrap();
-            line.split("  ")
-                .filter(|cell| !cell.is_empty())
-                .map(|cell| cell.trim().to_owned())
-                .collect()
+            line.split("  ").filter(|cell| !cell.is_empty()).map(|cell| cell.trim().to_owned()).collect()
         };
         assert_eq!(cells(0)[1..3], ["rms mm", "rms/bound"]);
         cells(1)[2].clone()

@@ -1,23 +1,20 @@
 //! The calibration by watched drives, on drives whose robot is known: what is found, how well it says it knows it, what it leaves
 //! alone, and which mistakes it names.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use posebridge_analysis::calibration::CalibrationError;
 use posebridge_analysis::calibration::free_path::{
-    AS_GIVEN, Entry, FreePath, PathCalibration, PathStart, Sanity, Sight, Standing, Step, Unknown,
-    Wiring, calibrate_path, reckon,
+    AS_GIVEN, Entry, FreePath, PathCalibration, PathStart, Sanity, Sight, Standing, Step, Unknown, Wiring,
+    calibrate_path, reckon,
 };
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::{FilterConfig, Params, StartPose};
 use posebridge_telemetry::{
-    Calibration, DriveGeometry, Known, Meters, Observation, Observed, Pose, Radians, SensorId,
-    SensorNoise, Span, Stamp, World,
+    Calibration, DriveGeometry, Known, Meters, Observation, Observed, Pose, Radians, SensorId, SensorNoise, Span,
+    Stamp, World,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -52,9 +49,7 @@ const TRUTH: Truth = Truth {
 };
 
 /// Turn rates in rad/s, one per 2 s, at 0.2 m/s.
-const BOTH_WAYS: [f64; 12] = [
-    0.0, 0.8, 0.3, -0.9, 0.0, -0.5, 1.0, 0.0, -1.1, 0.4, 0.0, 0.6,
-];
+const BOTH_WAYS: [f64; 12] = [0.0, 0.8, 0.3, -0.9, 0.0, -0.5, 1.0, 0.0, -1.1, 0.4, 0.0, 0.6];
 
 fn normal(random: &mut Pcg64) -> f64 {
     (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0
@@ -70,8 +65,7 @@ fn drive(truth: &Truth, rates: &[f64], rounds: usize, seed: u64) -> FreePath {
         for rate in rates {
             for part in 0..per_rate {
                 // It begins and ends each leg slowly, so that a delay can be told from a shift.
-                let speed =
-                    0.05 + 0.3 * (part as f64 / per_rate as f64 * std::f64::consts::PI).sin();
+                let speed = 0.05 + 0.3 * (part as f64 / per_rate as f64 * std::f64::consts::PI).sin();
                 let rate = if round % 2 == 0 { *rate } else { 0.7 * rate };
                 let (forward, turn) = (speed * STEP_S, rate * STEP_S);
                 let half = 0.5 * turn * TRACK_M * (1.0 + truth.track_scale);
@@ -81,10 +75,8 @@ fn drive(truth: &Truth, rates: &[f64], rounds: usize, seed: u64) -> FreePath {
                     from_s,
                     until_s: from_s + STEP_S,
                     travel: WheelTravel {
-                        left_m: wheels[0]
-                            / (1.0 + truth.radius_scale - 0.5 * truth.radius_difference),
-                        right_m: wheels[1]
-                            / (1.0 + truth.radius_scale + 0.5 * truth.radius_difference),
+                        left_m: wheels[0] / (1.0 + truth.radius_scale - 0.5 * truth.radius_difference),
+                        right_m: wheels[1] / (1.0 + truth.radius_scale + 0.5 * truth.radius_difference),
                     },
                 });
                 let off = truth.slip_m_per_sqrt_m * forward.sqrt() * normal(&mut random);
@@ -101,11 +93,7 @@ fn drive(truth: &Truth, rates: &[f64], rounds: usize, seed: u64) -> FreePath {
     }
     FreePath {
         name: format!("seed {seed}"),
-        start: PathStart {
-            pose: truth.start,
-            position_sigma_m: 0.001,
-            heading_sigma_rad: 0.001,
-        },
+        start: PathStart { pose: truth.start, position_sigma_m: 0.001, heading_sigma_rad: 0.001 },
         sights: sights(truth, &poses, &mut random),
         steps,
     }
@@ -120,10 +108,7 @@ fn sights(truth: &Truth, poses: &[[f64; 3]], random: &mut Pcg64) -> Vec<Sight> {
         let mut seen = |exact: f64| exact + SIGMA_M * normal(random);
         Sight {
             at_s: index as f64 * STEP_S + truth.delay_s,
-            place_m: [
-                seen(x + cos * ahead - sin * left),
-                seen(y + sin * ahead + cos * left),
-            ],
+            place_m: [seen(x + cos * ahead - sin * left), seen(y + sin * ahead + cos * left)],
             sigma_m: SIGMA_M,
             tag_m: [0.0; 2],
         }
@@ -143,10 +128,7 @@ fn config() -> FilterConfig {
             track_width: Meters(TRACK_M),
             tick: Radians(TAU / 1000.0),
         },
-        noise: SensorNoise {
-            travel_m_per_sqrt_m: 0.002,
-            ..SensorNoise::EXACT
-        },
+        noise: SensorNoise { travel_m_per_sqrt_m: 0.002, ..SensorNoise::EXACT },
         start: None,
         params: Params::default(),
         calibration: Calibration {
@@ -187,17 +169,10 @@ fn every_number_is_found_within_its_sigma_over_many_drives() {
         for (square, entry) in squares.iter_mut().zip(&found.entries) {
             assert_eq!(entry.standing, Standing::Found, "{entry:?}");
             let off = entry.after.value - truth_of(entry.unknown, &TRUTH);
-            assert!(
-                off.abs() < 5.0 * entry.after.sigma,
-                "{seed}: {off} {entry:?}"
-            );
+            assert!(off.abs() < 5.0 * entry.after.sigma, "{seed}: {off} {entry:?}");
             *square += (off / entry.after.sigma).powi(2) / DRIVES as f64;
         }
-        assert!(
-            (0.7..1.4).contains(&found.consistency),
-            "{}",
-            found.consistency
-        );
+        assert!((0.7..1.4).contains(&found.consistency), "{}", found.consistency);
     }
     // The sigmas mean what they say, on average over numbers and drives.
     let mean = squares.iter().sum::<f64>() / 6.0;
@@ -208,10 +183,7 @@ fn every_number_is_found_within_its_sigma_over_many_drives() {
 fn where_the_heading_wanders_the_sigmas_say_so_if_they_are_told() {
     const DRIVES: u64 = 24;
     const WANDER: f64 = 0.02;
-    let truth = Truth {
-        wander_rad_per_sqrt_m: WANDER,
-        ..TRUTH
-    };
+    let truth = Truth { wander_rad_per_sqrt_m: WANDER, ..TRUTH };
     let mut told = config();
     told.noise.heading_rad_per_sqrt_m = WANDER;
     // Squares of the errors over their sigmas: told of the wandering, and not told.
@@ -221,10 +193,7 @@ fn where_the_heading_wanders_the_sigmas_say_so_if_they_are_told() {
         let path = [drive(&truth, &BOTH_WAYS, 4, seed)];
         for (told_of, config) in [told.clone(), config()].iter().enumerate() {
             let found = calibrated(config, &path);
-            for (place, unknown) in [Unknown::RadiusDifference, Unknown::TrackScale]
-                .into_iter()
-                .enumerate()
-            {
+            for (place, unknown) in [Unknown::RadiusDifference, Unknown::TrackScale].into_iter().enumerate() {
                 let entry = found.entries.iter().find(|one| one.unknown == unknown);
                 let entry = entry.expect("it is looked for");
                 // Now and then a wandering looks as if wheels and track could not be told apart.
@@ -256,11 +225,7 @@ fn dead_reckoning_with_what_was_found_stays_with_the_robot_on_another_drive() {
     let config = config();
     let found = calibrated(&config, &[drive(&TRUTH, &BOTH_WAYS, 4, 1)]);
     let other = drive(&TRUTH, &BOTH_WAYS, 3, 77);
-    let rms_m = |numbers| {
-        reckon(&config, numbers, &other, other.start.pose[2])
-            .error
-            .rms_m
-    };
+    let rms_m = |numbers| reckon(&config, numbers, &other, other.start.pose[2]).error.rms_m;
     let (before, after) = (rms_m(&found.before), rms_m(&found.after));
     assert!(after < 0.1 * before && after < 0.02, "{before} {after}");
 }
@@ -270,25 +235,17 @@ fn a_held_number_stays_and_is_said_to_be_held() {
     let mut config = config();
     config.calibration.radius_scale = known(0.03, 0.0);
     let found = calibrated(&config, &[drive(&TRUTH, &BOTH_WAYS, 4, 2)]);
-    let Entry {
-        after, standing, ..
-    } = found.entry(Unknown::RadiusScale);
+    let Entry { after, standing, .. } = found.entry(Unknown::RadiusScale);
     assert_eq!((after, standing), (known(0.03, 0.0), Standing::Held));
     let track = found.entry(Unknown::TrackScale).after;
-    assert!(
-        (track.value - TRUTH.track_scale).abs() < 5.0 * track.sigma,
-        "{track:?}"
-    );
+    assert!((track.value - TRUTH.track_scale).abs() < 5.0 * track.sigma, "{track:?}");
 }
 
 #[test]
 fn on_a_straight_line_the_track_is_left_alone() {
     let found = calibrated(&config(), &[drive(&TRUTH, &[0.0; 6], 2, 3)]);
     let track = found.entry(Unknown::TrackScale);
-    assert_eq!(
-        (track.after, track.standing),
-        (known(0.0, 0.1), Standing::Unseen)
-    );
+    assert_eq!((track.after, track.standing), (known(0.0, 0.1), Standing::Unseen));
     let radius = found.entry(Unknown::RadiusScale);
     assert_eq!(radius.standing, Standing::Found);
     assert!((radius.after.value - TRUTH.radius_scale).abs() < 5.0 * radius.after.sigma);
@@ -296,11 +253,7 @@ fn on_a_straight_line_the_track_is_left_alone() {
 
 #[test]
 fn on_one_circle_unequal_wheels_are_not_told_from_the_track() {
-    let truth = Truth {
-        delay_s: 0.0,
-        tag_m: [0.0; 2],
-        ..TRUTH
-    };
+    let truth = Truth { delay_s: 0.0, tag_m: [0.0; 2], ..TRUTH };
     // On a circle a tag to the left is a larger wheel, and a tag ahead is a camera that is late.
     let mut config = config();
     config.calibration.fix_delay_s = known(0.0, 0.0);
@@ -328,10 +281,7 @@ fn a_start_that_nobody_knows_is_found() {
     let off = (found.headings_rad[0] - TRUTH.start[2]).abs();
     assert!(off < 0.05, "{off}");
     let track = found.entry(Unknown::TrackScale).after;
-    assert!(
-        (track.value - TRUTH.track_scale).abs() < 5.0 * track.sigma,
-        "{track:?}"
-    );
+    assert!((track.value - TRUTH.track_scale).abs() < 5.0 * track.sigma, "{track:?}");
 }
 
 /// What a brick that has this mistake would say.
@@ -349,10 +299,7 @@ fn mistaken(path: &FreePath, wiring: Wiring, travel_factor: f64) -> FreePath {
             Wiring::SwappedLeftReversed => (-right_m, left_m),
             Wiring::SwappedRightReversed => (right_m, -left_m),
         };
-        step.travel = WheelTravel {
-            left_m: left_m / travel_factor,
-            right_m: right_m / travel_factor,
-        };
+        step.travel = WheelTravel { left_m: left_m / travel_factor, right_m: right_m / travel_factor };
     }
     path
 }
@@ -361,9 +308,7 @@ fn mistaken(path: &FreePath, wiring: Wiring, travel_factor: f64) -> FreePath {
 fn mistakes_in_the_description_are_named_and_undone() {
     let path = drive(&TRUTH, &BOTH_WAYS, 3, 6);
     for wiring in Wiring::ALL {
-        for (track_factor, travel_factor) in
-            [(1.0, 1.0), (2.0, 1.0), (0.5, 1.0), (1.0, 4.0), (2.0, 0.5)]
-        {
+        for (track_factor, travel_factor) in [(1.0, 1.0), (2.0, 1.0), (0.5, 1.0), (1.0, 4.0), (2.0, 0.5)] {
             let mut config = config();
             config.geometry.track_width = Meters(TRACK_M / track_factor);
             let found = calibrated(&config, &[mistaken(&path, wiring, travel_factor)]);
@@ -373,10 +318,7 @@ fn mistakes_in_the_description_are_named_and_undone() {
             assert_eq!(hypothesis.track_factor, track_factor, "{case}");
             assert_eq!(hypothesis.travel_factor, travel_factor, "{case}");
             let track_m = found.after.track_width_m;
-            assert!(
-                (track_m / TRACK_M - 1.0 - TRUTH.track_scale).abs() < 0.01,
-                "{case}"
-            );
+            assert!((track_m / TRACK_M - 1.0 - TRUTH.track_scale).abs() < 0.01, "{case}");
         }
     }
 }
@@ -384,10 +326,7 @@ fn mistakes_in_the_description_are_named_and_undone() {
 #[test]
 fn a_track_that_is_off_by_a_tenth_is_calibrated_and_not_called_a_mistake() {
     for track_scale in [-0.15, 0.15] {
-        let truth = Truth {
-            track_scale,
-            ..TRUTH
-        };
+        let truth = Truth { track_scale, ..TRUTH };
         let mut config = config();
         config.calibration.track_scale = known(0.0, 0.2);
         let found = calibrated(&config, &[drive(&truth, &BOTH_WAYS, 3, 7)]);
@@ -402,52 +341,26 @@ fn observed(millis: i64, left: f64, right: f64) -> Observation {
         sensor: SensorId::WHEELS,
         stamp: Stamp::from_millis(millis),
         stamp_sigma: Span::ZERO,
-        observed: Observed::WheelAngles {
-            left: Radians(left),
-            right: Radians(right),
-        },
+        observed: Observed::WheelAngles { left: Radians(left), right: Radians(right) },
     }
 }
 
 #[test]
 fn a_drive_is_made_of_usable_observations_in_any_order() {
     let config = FilterConfig {
-        start: Some(StartPose {
-            pose: Pose::default(),
-            position_sigma_m: 0.01,
-            heading_sigma_rad: 0.1,
-        }),
+        start: Some(StartPose { pose: Pose::default(), position_sigma_m: 0.01, heading_sigma_rad: 0.1 }),
         ..config()
     };
-    let good = [
-        observed(0, 0.0, 0.0),
-        observed(100, 0.0, 0.0),
-        observed(200, 1.0, 0.5),
-        observed(300, 1.5, 1.5),
-    ];
+    let good = [observed(0, 0.0, 0.0), observed(100, 0.0, 0.0), observed(200, 1.0, 0.5), observed(300, 1.5, 1.5)];
     let mut odd = good.to_vec();
     odd.reverse();
     odd.push(observed(250, f64::NAN, 0.0));
     odd.push(good[2]);
-    let sight = |at_s: f64, x: f64| Sight {
-        at_s,
-        place_m: [x, 0.0],
-        sigma_m: 0.01,
-        tag_m: [0.0; 2],
-    };
-    let sights = [
-        sight(0.3, 0.1),
-        sight(f64::NAN, 0.0),
-        sight(0.0, 0.0),
-        sight(0.05, 9.0),
-        sight(0.2, f64::INFINITY),
-    ];
+    let sight = |at_s: f64, x: f64| Sight { at_s, place_m: [x, 0.0], sigma_m: 0.01, tag_m: [0.0; 2] };
+    let sights = [sight(0.3, 0.1), sight(f64::NAN, 0.0), sight(0.0, 0.0), sight(0.05, 9.0), sight(0.2, f64::INFINITY)];
     let path = FreePath::new("odd", &config, &odd, sights);
     // At rest nothing rolls, and the second of two sights that are too close is left out.
-    assert_eq!(
-        path,
-        FreePath::new("odd", &config, &good, [sight(0.0, 0.0), sight(0.3, 0.1)])
-    );
+    assert_eq!(path, FreePath::new("odd", &config, &good, [sight(0.0, 0.0), sight(0.3, 0.1)]));
     assert_eq!((path.steps.len(), path.sights.len()), (2, 2));
     assert!((path.steps[0].travel.left_m - 0.03).abs() < 1e-15);
     assert!((path.length_m() - 0.03 * 1.5).abs() < 1e-15);
@@ -457,23 +370,14 @@ fn a_drive_is_made_of_usable_observations_in_any_order() {
 fn without_motion_or_sights_it_says_so() {
     let mut path = drive(&TRUTH, &BOTH_WAYS, 1, 8);
     path.sights.truncate(2);
-    assert!(matches!(
-        calibrate_path(&config(), &[path.clone()]),
-        Err(CalibrationError::TooLittle { found: 2, .. })
-    ));
+    assert!(matches!(calibrate_path(&config(), &[path.clone()]), Err(CalibrationError::TooLittle { found: 2, .. })));
     path.steps.clear();
-    assert!(matches!(
-        calibrate_path(&config(), &[path]),
-        Err(CalibrationError::TooLittle { found: 0, .. })
-    ));
+    assert!(matches!(calibrate_path(&config(), &[path]), Err(CalibrationError::TooLittle { found: 0, .. })));
     assert!(calibrate_path(&config(), &[]).is_err());
 }
 
 #[test]
 fn it_repeats_bit_for_bit() {
-    let paths = [
-        drive(&TRUTH, &BOTH_WAYS, 2, 9),
-        drive(&TRUTH, &BOTH_WAYS, 2, 10),
-    ];
+    let paths = [drive(&TRUTH, &BOTH_WAYS, 2, 9), drive(&TRUTH, &BOTH_WAYS, 2, 10)];
     assert_eq!(calibrated(&config(), &paths), calibrated(&config(), &paths));
 }

@@ -11,11 +11,7 @@ use rand_pcg::Pcg64Mcg;
 const RUNS: u64 = 100;
 
 /// A lower triangular factor of millimetres and milliradians, correlated.
-const FACTOR: [[f64; 3]; 3] = [
-    [0.004, 0.0, 0.0],
-    [-0.002, 0.003, 0.0],
-    [0.001, 0.004, 0.010],
-];
+const FACTOR: [[f64; 3]; 3] = [[0.004, 0.0, 0.0], [-0.002, 0.003, 0.0], [0.001, 0.004, 0.010]];
 
 fn covariance(factor: &[[f64; 3]; 3], scale: f64) -> [[f64; 3]; 3] {
     std::array::from_fn(|row| {
@@ -32,32 +28,20 @@ fn errors_claiming(scale: f64) -> Vec<PoseError> {
     (0..RUNS)
         .map(|_| {
             let unit: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(&mut random));
-            let [dx_m, dy_m, heading_rad] =
-                FACTOR.map(|row| row.iter().zip(unit).map(|(l, u)| l * u).sum());
-            PoseError {
-                dx_m,
-                dy_m,
-                heading_rad: Some(heading_rad),
-                covariance: Some(covariance(&FACTOR, scale)),
-            }
+            let [dx_m, dy_m, heading_rad] = FACTOR.map(|row| row.iter().zip(unit).map(|(l, u)| l * u).sum());
+            PoseError { dx_m, dy_m, heading_rad: Some(heading_rad), covariance: Some(covariance(&FACTOR, scale)) }
         })
         .collect()
 }
 
 #[test]
 fn honest_claims_lie_inside_the_band_and_wrong_ones_on_the_right_side() {
-    for (scale, verdict) in [
-        (1.0, Consistency::Consistent),
-        (0.5, Consistency::OverConfident),
-        (2.0, Consistency::UnderConfident),
-    ] {
+    for (scale, verdict) in
+        [(1.0, Consistency::Consistent), (0.5, Consistency::OverConfident), (2.0, Consistency::UnderConfident)]
+    {
         let outcome = anees(&errors_claiming(scale));
         assert_eq!((outcome.samples, outcome.refused), (100, 0));
-        assert_eq!(
-            Consistency::of_anees(&outcome, RUNS),
-            verdict,
-            "claims {scale} times the truth: {outcome:?}"
-        );
+        assert_eq!(Consistency::of_anees(&outcome, RUNS), verdict, "claims {scale} times the truth: {outcome:?}");
     }
 }
 
@@ -70,23 +54,16 @@ fn one_run_alone_proves_little() {
 
 #[test]
 fn innovations_of_an_honest_sensor_are_consistent_and_of_a_noisier_one_are_not() {
-    for (sigmas, verdict) in [
-        (1.0, Consistency::Consistent),
-        (1.5, Consistency::OverConfident),
-        (0.7, Consistency::UnderConfident),
-    ] {
+    for (sigmas, verdict) in
+        [(1.0, Consistency::Consistent), (1.5, Consistency::OverConfident), (0.7, Consistency::UnderConfident)]
+    {
         let mut random = Pcg64Mcg::seed_from_u64(31);
         let mut tally = SourceTally::new(SensorId::CAMERA);
         for _ in 0..500 {
             let innovation: [f64; 2] = std::array::from_fn(|_| sigmas * sample(&mut random));
             tally.add(&record(innovation));
         }
-        assert_eq!(
-            tally.consistency(),
-            verdict,
-            "{:?}",
-            tally.mean_nis_per_dof()
-        );
+        assert_eq!(tally.consistency(), verdict, "{:?}", tally.mean_nis_per_dof());
     }
 }
 

@@ -12,11 +12,7 @@ const TITLE: &str = "a < b & \"c\"";
 fn names_are_unique_and_every_figure_says_what_it_shows() {
     for (index, figure) in FIGURES.iter().enumerate() {
         assert!(!figure.doc.is_empty(), "{}", figure.name);
-        assert!(
-            FIGURES[..index]
-                .iter()
-                .all(|other| other.name != figure.name)
-        );
+        assert!(FIGURES[..index].iter().all(|other| other.name != figure.name));
     }
 }
 
@@ -26,22 +22,9 @@ fn every_figure_draws_a_whole_run_the_same_way_twice() {
     for figure in FIGURES {
         let svg = (figure.render)(&scene.layers(TITLE));
         check_document(&svg).unwrap();
-        assert_eq!(
-            svg,
-            (figure.render)(&scene.layers(TITLE)),
-            "{}",
-            figure.name
-        );
-        assert!(
-            svg.contains("a &lt; b &amp; &quot;c&quot;"),
-            "{}",
-            figure.name
-        );
-        assert!(
-            svg.contains("times better") && svg.contains("ANEES"),
-            "{}",
-            figure.name
-        );
+        assert_eq!(svg, (figure.render)(&scene.layers(TITLE)), "{}", figure.name);
+        assert!(svg.contains("a &lt; b &amp; &quot;c&quot;"), "{}", figure.name);
+        assert!(svg.contains("times better") && svg.contains("ANEES"), "{}", figure.name);
         assert!(!svg.contains("left out"), "{}", figure.name);
     }
 }
@@ -52,29 +35,11 @@ fn every_figure_does_with_any_layer_missing() {
     let whole = scene.layers(TITLE);
     let views = [
         RunLayers::default(),
-        RunLayers {
-            truth: None,
-            ..whole
-        },
-        RunLayers {
-            odometry: None,
-            ..whole
-        },
-        RunLayers {
-            estimates: &[],
-            ..whole
-        },
-        RunLayers {
-            fixes: &[],
-            ideal: &[],
-            ..whole
-        },
-        RunLayers {
-            truth: None,
-            odometry: None,
-            estimates: &[],
-            ..whole
-        },
+        RunLayers { truth: None, ..whole },
+        RunLayers { odometry: None, ..whole },
+        RunLayers { estimates: &[], ..whole },
+        RunLayers { fixes: &[], ideal: &[], ..whole },
+        RunLayers { truth: None, odometry: None, estimates: &[], ..whole },
     ];
     for figure in FIGURES {
         for layers in &views {
@@ -91,14 +56,8 @@ fn every_figure_does_with_any_layer_missing() {
 fn a_smoothed_path_is_a_layer_of_its_own() {
     let scene = scene::two_laps(7);
     let without = scene.layers(TITLE);
-    let with = RunLayers {
-        smoothed: Some(&scene.odometry),
-        ..without
-    };
-    for (figure, label) in [
-        ("track", "smoothed path"),
-        ("error", "smoothed path's error"),
-    ] {
+    let with = RunLayers { smoothed: Some(&scene.odometry), ..without };
+    for (figure, label) in [("track", "smoothed path"), ("error", "smoothed path's error")] {
         let (plain, smoothed) = (render(figure, &without), render(figure, &with));
         check_document(&smoothed).unwrap();
         assert!(!plain.contains(label), "{figure}");
@@ -132,11 +91,7 @@ fn values_that_are_not_finite_are_counted_and_never_drawn() {
         row.fill(f64::NAN);
     }
     let ideal = [Point2::new(Meters(f64::INFINITY), Meters(0.0))];
-    let layers = RunLayers {
-        estimates: &estimates,
-        ideal: &ideal,
-        ..scene.layers(TITLE)
-    };
+    let layers = RunLayers { estimates: &estimates, ideal: &ideal, ..scene.layers(TITLE) };
     for figure in FIGURES {
         let svg = (figure.render)(&layers);
         check_document(&svg).unwrap();
@@ -151,10 +106,7 @@ fn huge_values_do_not_hide_the_rest() {
     samples[100].pose.x = Meters(1e300);
     samples[101].pose.y = Meters(-f64::MAX);
     let odometry = track_of(&samples);
-    let layers = RunLayers {
-        odometry: Some(&odometry),
-        ..scene.layers(TITLE)
-    };
+    let layers = RunLayers { odometry: Some(&odometry), ..scene.layers(TITLE) };
     let svg = render("track", &layers);
     check_document(&svg).unwrap();
     assert!(svg.contains("left out: "));
@@ -165,22 +117,10 @@ fn huge_values_do_not_hide_the_rest() {
 #[test]
 fn used_and_refused_fixes_differ_in_mark_and_a_refused_one_does_not_stretch_the_map() {
     let scene = scene::two_laps(7);
-    let fix = |x_m, verdict| FixMark {
-        stamp: Stamp::ZERO,
-        position: Point2::new(Meters(x_m), Meters(0.0)),
-        verdict,
-    };
+    let fix = |x_m, verdict| FixMark { stamp: Stamp::ZERO, position: Point2::new(Meters(x_m), Meters(0.0)), verdict };
     let near = [fix(1.0, Verdict::Accepted)];
     let both = [near[0], fix(500.0, Verdict::Gated)];
-    let draw = |fixes| {
-        render(
-            "track",
-            &RunLayers {
-                fixes,
-                ..scene.layers(TITLE)
-            },
-        )
-    };
+    let draw = |fixes| render("track", &RunLayers { fixes, ..scene.layers(TITLE) });
     assert!(draw(&both).contains("fix, used (1)") && draw(&both).contains("fix, refused (1)"));
     let ticks = |svg: &str| svg.matches("#E6E6E6").count();
     assert_eq!(ticks(&draw(&near)), ticks(&draw(&both)));
@@ -195,16 +135,10 @@ fn an_hour_at_100_hz_stays_a_small_picture() {
             timed(step * 10, angle_rad.cos(), angle_rad.sin())
         })
         .collect();
-    let odometry: Vec<TimedPose> = samples
-        .iter()
-        .map(|sample| timed(sample.stamp.as_micros() / 1_000, sample.pose.x.0, 0.0))
-        .collect();
+    let odometry: Vec<TimedPose> =
+        samples.iter().map(|sample| timed(sample.stamp.as_micros() / 1_000, sample.pose.x.0, 0.0)).collect();
     let (truth, odometry) = (track_of(&samples), track_of(&odometry));
-    let layers = RunLayers {
-        truth: Some(&truth),
-        odometry: Some(&odometry),
-        ..RunLayers::default()
-    };
+    let layers = RunLayers { truth: Some(&truth), odometry: Some(&odometry), ..RunLayers::default() };
     let svg = render("error", &layers);
     assert!(svg.len() < 100_000, "{} bytes", svg.len());
 }
@@ -286,11 +220,7 @@ fn check_document(svg: &str) -> Result<(), String> {
         }
         check_points(tag)?;
     }
-    if open.is_empty() && !pieces.is_empty() {
-        Ok(())
-    } else {
-        Err(format!("open: {open:?}"))
-    }
+    if open.is_empty() && !pieces.is_empty() { Ok(()) } else { Err(format!("open: {open:?}")) }
 }
 
 fn check_points(tag: &str) -> Result<(), String> {
@@ -299,9 +229,7 @@ fn check_points(tag: &str) -> Result<(), String> {
     };
     let (points, _) = points.split_once('"').ok_or("points are not closed")?;
     for number in points.split([' ', ',']) {
-        let value: f64 = number
-            .parse()
-            .map_err(|error| format!("{number}: {error}"))?;
+        let value: f64 = number.parse().map_err(|error| format!("{number}: {error}"))?;
         if !value.is_finite() {
             return Err(format!("{number} in {tag}"));
         }

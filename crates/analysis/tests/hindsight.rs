@@ -1,8 +1,5 @@
 //! The path in hindsight and the bound, on a straight way where both are known by hand.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside #[test] stop where the set-up is broken"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use std::sync::Arc;
 
@@ -12,8 +9,8 @@ use posebridge_estimator::offline::OfflineError;
 use posebridge_estimator::offline::batch;
 use posebridge_estimator::{FilterConfig, Params, StartPose};
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, DriveGeometry, Fix, Heading, Meters, Observation, Observed,
-    Point2, Pose, Radians, SensorId, SensorNoise, Span, Stamp,
+    Arena, BrickClock, Calibration, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Pose, Radians,
+    SensorId, SensorNoise, Span, Stamp,
 };
 
 /// Way of a step, m.
@@ -39,11 +36,7 @@ fn config() -> FilterConfig {
             fix_heading_rad: 0.01,
             ..SensorNoise::EXACT
         },
-        start: Some(StartPose {
-            pose: Pose::default(),
-            position_sigma_m: START_SIGMA,
-            heading_sigma_rad: START_SIGMA,
-        }),
+        start: Some(StartPose { pose: Pose::default(), position_sigma_m: START_SIGMA, heading_sigma_rad: START_SIGMA }),
         params: Params::default(),
         calibration: Calibration::default(),
         world: Arc::default(),
@@ -59,28 +52,18 @@ fn pose(x_m: f64) -> Pose<Arena> {
 }
 
 /// What each wheel turns in a step.
-const TURN: WheelTurn = WheelTurn {
-    left: Radians(STEP_M / 0.05),
-    right: Radians(STEP_M / 0.1),
-};
+const TURN: WheelTurn = WheelTurn { left: Radians(STEP_M / 0.05), right: Radians(STEP_M / 0.1) };
 
 /// Straight along x. Fixes are of the step `taken` and arrive two steps later, so far beside the truth.
 fn straight(steps: usize, fixes: &[(usize, f64)]) -> KnownDrive {
-    let observation = |sensor, taken, observed| Observation {
-        sensor,
-        stamp: stamp(taken),
-        stamp_sigma: Span::ZERO,
-        observed,
-    };
+    let observation =
+        |sensor, taken, observed| Observation { sensor, stamp: stamp(taken), stamp_sigma: Span::ZERO, observed };
     let mut arrivals = Vec::new();
     for step in 0..=steps {
         let turned = |turn: Radians| Radians(turn.0 * step as f64);
         let (left, right) = (turned(TURN.left), turned(TURN.right));
         let wheels = Observed::WheelAngles { left, right };
-        arrivals.push(Arrival {
-            step,
-            observation: observation(SensorId::WHEELS, step, wheels),
-        });
+        arrivals.push(Arrival { step, observation: observation(SensorId::WHEELS, step, wheels) });
         for (taken, off_m) in fixes.iter().filter(|(taken, _)| taken + 2 == step) {
             let fix = Fix {
                 position: Point2::new(Meters(STEP_M * *taken as f64), Meters(*off_m)),
@@ -89,21 +72,11 @@ fn straight(steps: usize, fixes: &[(usize, f64)]) -> KnownDrive {
                 tag_in_body: Point2::ORIGIN,
                 reset_counter: 0,
             };
-            arrivals.push(Arrival {
-                step,
-                observation: observation(SensorId::CAMERA, *taken, Observed::Fix(fix)),
-            });
+            arrivals.push(Arrival { step, observation: observation(SensorId::CAMERA, *taken, Observed::Fix(fix)) });
         }
     }
-    let truth = (0..=steps).map(|step| TimedPose {
-        stamp: stamp(step),
-        pose: pose(STEP_M * step as f64),
-    });
-    KnownDrive {
-        truth: truth.collect(),
-        arrivals,
-        scored_from: 1,
-    }
+    let truth = (0..=steps).map(|step| TimedPose { stamp: stamp(step), pose: pose(STEP_M * step as f64) });
+    KnownDrive { truth: truth.collect(), arrivals, scored_from: 1 }
 }
 
 fn bound_of(drive: &KnownDrive) -> BoundSum {
@@ -177,49 +150,23 @@ fn in_hindsight_the_first_step_knows_the_last_fix() {
         }),
         ..config()
     };
-    let drive = straight(
-        60,
-        &[
-            (10, 0.0),
-            (20, 0.0),
-            (30, 0.0),
-            (40, 0.5),
-            (50, 0.0),
-            (55, 0.0),
-        ],
-    );
+    let drive = straight(60, &[(10, 0.0), (20, 0.0), (30, 0.0), (40, 0.5), (50, 0.0), (55, 0.0)]);
     let result = score_in_hindsight(&drive, &told, batch);
     assert_eq!(result.refusal, None);
     let score = result.score;
-    assert_eq!(
-        (score.runs(), score.steps(), score.steps_without_estimate()),
-        (1, 60, 0)
-    );
+    assert_eq!((score.runs(), score.steps(), score.steps_without_estimate()), (1, 60, 0));
     assert!(score.position_max_m().unwrap() < 0.001);
     assert!(score.claimed_rms_m().unwrap() < 0.002);
     let camera = score.sources()[0];
-    assert_eq!(
-        (camera.sensor, camera.used, camera.gated),
-        (SensorId::CAMERA, 5, 1)
-    );
+    assert_eq!((camera.sensor, camera.used, camera.gated), (SensorId::CAMERA, 5, 1));
 }
 
 #[test]
 fn without_a_path_no_step_has_an_estimate_and_the_reason_is_told() {
-    let nowhere = FilterConfig {
-        start: None,
-        ..config()
-    };
+    let nowhere = FilterConfig { start: None, ..config() };
     let result = score_in_hindsight(&straight(20, &[]), &nowhere, batch);
     let refusal = result.refusal.unwrap();
     assert!(matches!(refusal, OfflineError::NothingObserved { .. }));
-    assert_eq!(
-        (
-            result.score.runs(),
-            result.score.steps(),
-            result.score.steps_without_estimate()
-        ),
-        (1, 0, 20)
-    );
+    assert_eq!((result.score.runs(), result.score.steps(), result.score.steps_without_estimate()), (1, 0, 20));
     assert!(result.score.sources().is_empty() && result.score.run_rms_m().is_empty());
 }

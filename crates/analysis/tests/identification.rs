@@ -7,26 +7,19 @@
 
 use posebridge_analysis::identification::fit::{Noise, fit};
 use posebridge_analysis::identification::kind::{Expectation, Likeness};
-use posebridge_analysis::identification::prediction::{
-    Prediction, predict_as_expected, predict_once,
-};
+use posebridge_analysis::identification::prediction::{Prediction, predict_as_expected, predict_once};
 use posebridge_analysis::identification::prior::{Belief, Dynamics, MAX_ORDER, Prior};
 use posebridge_analysis::identification::simulated::{SimulatedSensor, step};
 use posebridge_analysis::identification::{
-    IdentifiedStep, Kind, Lag, Order, Sample, StepError, StepOptions, StepResponse, Way,
-    identify_step, predict, settled_after_s,
+    IdentifiedStep, Kind, Lag, Order, Sample, StepError, StepOptions, StepResponse, Way, identify_step, predict,
+    settled_after_s,
 };
 
 const SIGMA: f64 = 0.05;
 const DIPPED_S: f64 = 20.0;
 
 fn sensor(lags: &[(f64, f64)]) -> SimulatedSensor {
-    SimulatedSensor {
-        lags: lags.to_vec(),
-        sigma: SIGMA,
-        last_digit: 0.0,
-        period_s: 0.5,
-    }
+    SimulatedSensor { lags: lags.to_vec(), sigma: SIGMA, last_digit: 0.0, period_s: 0.5 }
 }
 
 /// Dipped from one temperature into another; eight time constants of 15 s.
@@ -44,32 +37,14 @@ fn a_fit_without_noise_finds_the_response() {
         start: 20.0,
         step: -16.0,
         onset_s: 10.3,
-        lags: vec![
-            Lag {
-                time_constant_s: 3.0,
-                share: 0.35,
-            },
-            Lag {
-                time_constant_s: 15.0,
-                share: 0.65,
-            },
-        ],
+        lags: vec![Lag { time_constant_s: 3.0, share: 0.35 }, Lag { time_constant_s: 15.0, share: 0.65 }],
     };
-    let samples: Vec<Sample> = (0..400)
-        .map(|k| 0.25 * f64::from(k))
-        .map(|at_s| Sample {
-            at_s,
-            value: truth.value_at(at_s),
-        })
-        .collect();
+    let samples: Vec<Sample> =
+        (0..400).map(|k| 0.25 * f64::from(k)).map(|at_s| Sample { at_s, value: truth.value_at(at_s) }).collect();
     let belief = |mean, sigma| Belief { mean, sigma };
     let prior = Prior {
         onset: belief(9.0, 100.0),
-        dynamics: Dynamics::independent(
-            &[belief(0.5, 100.0), belief(3.5, 100.0)],
-            &[belief(0.5, 100.0)],
-        )
-        .unwrap(),
+        dynamics: Dynamics::independent(&[belief(0.5, 100.0), belief(3.5, 100.0)], &[belief(0.5, 100.0)]).unwrap(),
         slowest: None,
         end: None,
     };
@@ -77,9 +52,7 @@ fn a_fit_without_noise_finds_the_response() {
     let found = fit(&samples, &Noise::white(1e-3), &prior, &guess).unwrap();
     let mut response = found.response;
     // Nothing but the guess says which lag is which.
-    response
-        .lags
-        .sort_by(|a, b| a.time_constant_s.total_cmp(&b.time_constant_s));
+    response.lags.sort_by(|a, b| a.time_constant_s.total_cmp(&b.time_constant_s));
     for (name, found, expected) in [
         ("start", response.start, truth.start),
         ("step", response.step, truth.step),
@@ -94,10 +67,7 @@ fn a_fit_without_noise_finds_the_response() {
 
 #[test]
 fn lags_and_their_order_are_found_within_their_sigmas() {
-    for (name, lags) in [
-        ("one", vec![(8.0, 1.0)]),
-        ("two", vec![(3.0, 0.35), (15.0, 0.65)]),
-    ] {
+    for (name, lags) in [("one", vec![(8.0, 1.0)]), ("two", vec![(3.0, 0.35), (15.0, 0.65)])] {
         let (mut squares, mut count) = (0.0, 0.0);
         for seed in 0..20 {
             let found = identified(&dipped(&lags, seed, (20.0, 4.0)));
@@ -119,11 +89,7 @@ fn lags_and_their_order_are_found_within_their_sigmas() {
 fn gain_and_delay_are_told_where_the_step_of_the_quantity_is() {
     // The quantity steps by 8 at 20 s; the sensor shows twice that, 1.5 s later.
     let samples: Vec<Sample> = sensor(&[(6.0, 1.0)]).run(5, 200, step(10.0, 26.0, DIPPED_S + 1.5));
-    let options = StepOptions {
-        onset_s: Some(DIPPED_S),
-        input_step: Some(8.0),
-        ..StepOptions::with_sigma(SIGMA)
-    };
+    let options = StepOptions { onset_s: Some(DIPPED_S), input_step: Some(8.0), ..StepOptions::with_sigma(SIGMA) };
     let found = identify_step(&samples, &options).unwrap();
     assert!((found.gain.unwrap() - 2.0).abs() < 0.01, "{:?}", found.gain);
     let delay_s = found.delay_s.unwrap();
@@ -133,16 +99,10 @@ fn gain_and_delay_are_told_where_the_step_of_the_quantity_is() {
 
 #[test]
 fn a_known_end_makes_the_lags_of_a_short_recording_certain() {
-    let samples: Vec<Sample> = dipped(&[(8.0, 1.0)], 3, (20.0, 4.0))
-        .into_iter()
-        .filter(|sample| sample.at_s < DIPPED_S + 8.0)
-        .collect();
+    let samples: Vec<Sample> =
+        dipped(&[(8.0, 1.0)], 3, (20.0, 4.0)).into_iter().filter(|sample| sample.at_s < DIPPED_S + 8.0).collect();
     let with_end = |end| {
-        let options = StepOptions {
-            end,
-            order: Order::Fixed(1),
-            ..StepOptions::with_sigma(SIGMA)
-        };
+        let options = StepOptions { end, order: Order::Fixed(1), ..StepOptions::with_sigma(SIGMA) };
         identify_step(&samples, &options).unwrap().lags()[0]
     };
     let (open, known) = (with_end(None), with_end(Some(4.0)));
@@ -153,36 +113,20 @@ fn a_known_end_makes_the_lags_of_a_short_recording_certain() {
 #[test]
 fn what_cannot_be_identified_is_refused_with_a_reason() {
     let good = dipped(&[(8.0, 1.0)], 1, (20.0, 4.0));
-    let refused =
-        |samples: &[Sample], options: StepOptions| identify_step(samples, &options).unwrap_err();
+    let refused = |samples: &[Sample], options: StepOptions| identify_step(samples, &options).unwrap_err();
     let options = StepOptions::with_sigma(SIGMA);
-    assert!(matches!(
-        refused(&[], options),
-        StepError::NoStep { samples: 0, .. }
-    ));
+    assert!(matches!(refused(&[], options), StepError::NoStep { samples: 0, .. }));
     let quiet: Vec<Sample> = good.iter().take(30).copied().collect();
-    assert!(matches!(
-        refused(&quiet, options),
-        StepError::NoStep { samples: 30, .. }
-    ));
+    assert!(matches!(refused(&quiet, options), StepError::NoStep { samples: 30, .. }));
     for sigma in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(matches!(
-            refused(&good, StepOptions::with_sigma(sigma)),
-            StepError::Sigma { .. }
-        ));
+        assert!(matches!(refused(&good, StepOptions::with_sigma(sigma)), StepError::Sigma { .. }));
     }
     for order in [0, MAX_ORDER + 1, usize::MAX] {
-        let options = StepOptions {
-            order: Order::Fixed(order),
-            ..options
-        };
+        let options = StepOptions { order: Order::Fixed(order), ..options };
         assert_eq!(refused(&good, options), StepError::Order { order });
     }
     for input_step in [0.0, f64::NAN] {
-        let options = StepOptions {
-            input_step: Some(input_step),
-            ..options
-        };
+        let options = StepOptions { input_step: Some(input_step), ..options };
         assert!(matches!(refused(&good, options), StepError::Given { .. }));
     }
 }
@@ -197,30 +141,19 @@ fn damaged_samples_are_left_out() {
     damaged.insert(50, bad(-1e300, 4.0));
     damaged.insert(30, good[10]);
     assert_eq!(identified(&damaged), identified(&good));
-    let huge: Vec<Sample> = good
-        .iter()
-        .map(|sample| bad(sample.at_s, 1e300 * sample.value))
-        .collect();
+    let huge: Vec<Sample> = good.iter().map(|sample| bad(sample.at_s, 1e300 * sample.value)).collect();
     // Whatever comes of it, it is no panic.
     let _outcome = identify_step(&huge, &StepOptions::with_sigma(SIGMA));
 }
 
 fn on_its_way(predictions: &[Prediction]) -> Vec<Prediction> {
-    predictions
-        .iter()
-        .filter(|p| p.is_on_its_way)
-        .copied()
-        .collect()
+    predictions.iter().filter(|p| p.is_on_its_way).copied().collect()
 }
 
 #[test]
 fn a_prediction_uses_no_later_sample() {
     let samples = dipped(&[(8.0, 1.0)], 1, (20.0, 4.0));
-    let kind = Kind::of(
-        &[identified(&dipped(&[(8.5, 1.0)], 2, (22.0, 4.0)))],
-        Likeness::SameKind,
-    )
-    .unwrap();
+    let kind = Kind::of(&[identified(&dipped(&[(8.5, 1.0)], 2, (22.0, 4.0)))], Likeness::SameKind).unwrap();
     let all = predict(&samples, SIGMA, &kind);
     for count in [30, 50, 70] {
         let part = predict(&samples[..count], SIGMA, &kind);
@@ -236,16 +169,8 @@ fn at_rest_the_reading_is_the_quantity_and_after_settling_again() {
     assert_eq!(all[5].value, samples[5].value);
     assert!(!all[5].is_on_its_way);
     let last = all.last().unwrap();
-    assert!(
-        (last.value - 4.0).abs() < 0.02 && last.sigma < 0.02,
-        "{last:?}"
-    );
-    assert_eq!(
-        predict_once(&samples, SIGMA, &expectation)
-            .unwrap()
-            .is_on_its_way,
-        last.is_on_its_way
-    );
+    assert!((last.value - 4.0).abs() < 0.02 && last.sigma < 0.02, "{last:?}");
+    assert_eq!(predict_once(&samples, SIGMA, &expectation).unwrap().is_on_its_way, last.is_on_its_way);
     assert!(predict_as_expected(&samples, f64::NAN, &expectation).is_empty());
 }
 
@@ -254,8 +179,7 @@ fn it_is_within_two_percent_of_the_step_long_before_the_sensor() {
     let samples = dipped(&[(15.0, 1.0)], 4, (20.0, 4.0));
     let expectation = Expectation::known(&[(15.0, 1.0)]).unwrap();
     let predicted = on_its_way(&predict_as_expected(&samples, SIGMA, &expectation));
-    let settled =
-        |series: Vec<(f64, f64)>| settled_after_s(&series, DIPPED_S, (4.0, 0.02 * 16.0)).unwrap();
+    let settled = |series: Vec<(f64, f64)>| settled_after_s(&series, DIPPED_S, (4.0, 0.02 * 16.0)).unwrap();
     let predicted_s = settled(predicted.iter().map(|p| (p.at_s, p.value)).collect());
     let shown_s = settled(samples.iter().map(|s| (s.at_s, s.value)).collect());
     println!("within 2 %: predicted {predicted_s} s, shown {shown_s} s");
@@ -271,12 +195,7 @@ fn a_kind_learns_from_its_runs_how_much_they_differ() {
     };
     let alike = slowest(&[run(8.0, 1), run(8.0, 2)], Way::Down);
     let unlike = slowest(&[run(6.5, 1), run(10.0, 2)], Way::Down);
-    assert!(
-        unlike.sigma > 2.0 * alike.sigma,
-        "{} {}",
-        unlike.sigma,
-        alike.sigma
-    );
+    assert!(unlike.sigma > 2.0 * alike.sigma, "{} {}", unlike.sigma, alike.sigma);
     assert!((unlike.mean.exp() - 65.0_f64.sqrt()).abs() < 0.1);
     let other_way = slowest(&[run(8.0, 1), run(8.0, 2)], Way::Up);
     assert!(other_way.sigma > 2.0 * alike.sigma);
@@ -306,42 +225,17 @@ fn end_sigma(after_s: f64, (scale, own, share): (f64, f64, f64)) -> f64 {
         start: 55.0,
         step: -34.5,
         onset_s: 0.0,
-        lags: vec![
-            Lag {
-                time_constant_s: 1.16,
-                share: 0.41,
-            },
-            Lag {
-                time_constant_s: 4.0,
-                share: 0.59,
-            },
-        ],
+        lags: vec![Lag { time_constant_s: 1.16, share: 0.41 }, Lag { time_constant_s: 4.0, share: 0.59 }],
     };
     let samples: Vec<Sample> = (-130..(100.0 * after_s) as i32)
         .map(|k| 0.01 * f64::from(k))
-        .map(|at_s| Sample {
-            at_s,
-            value: truth.value_at(at_s),
-        })
+        .map(|at_s| Sample { at_s, value: truth.value_at(at_s) })
         .collect();
     let common = scale * scale;
     let each = common + own * own;
-    let rows = [
-        each,
-        common,
-        0.0,
-        common,
-        each,
-        0.0,
-        0.0,
-        0.0,
-        share * share,
-    ];
+    let rows = [each, common, 0.0, common, each, 0.0, 0.0, 0.0, share * share];
     let prior = Prior {
-        onset: Belief {
-            mean: 0.0,
-            sigma: 0.1,
-        },
+        onset: Belief { mean: 0.0, sigma: 0.1 },
         dynamics: Dynamics::new(
             nalgebra::DVector::from_vec(vec![1.16_f64.ln(), 4.0_f64.ln(), 0.41]),
             nalgebra::DMatrix::from_row_slice(3, 3, &rows),
@@ -353,10 +247,7 @@ fn end_sigma(after_s: f64, (scale, own, share): (f64, f64, f64)) -> f64 {
     };
     let found = fit(&samples, &Noise::white(1.2), &prior, &truth).unwrap();
     let sigma = found.final_sigma() / 34.5;
-    println!(
-        "after {after_s} s, scale {scale}, own {own}: {:.1} % of the step",
-        100.0 * sigma
-    );
+    println!("after {after_s} s, scale {scale}, own {own}: {:.1} % of the step", 100.0 * sigma);
     sigma
 }
 
@@ -391,20 +282,11 @@ fn within_a_kind_no_model_is_without_fault() {
 /// Sensors of one kind that differ from each other: each is predicted by the others, faster than it shows, and its bound holds.
 #[test]
 fn sensors_of_a_kind_predict_each_other() {
-    let lags = [
-        [(2.5, 0.30), (16.0, 0.70)],
-        [(3.0, 0.40), (14.0, 0.60)],
-        [(3.6, 0.35), (18.0, 0.65)],
-    ];
+    let lags = [[(2.5, 0.30), (16.0, 0.70)], [(3.0, 0.40), (14.0, 0.60)], [(3.6, 0.35), (18.0, 0.65)]];
     let ends = [(20.0, 4.0), (24.0, 3.0), (22.0, 5.0)];
-    let runs: Vec<IdentifiedStep> = (0..3)
-        .map(|k| identified(&dipped(&lags[k], k as u64, ends[k])))
-        .collect();
+    let runs: Vec<IdentifiedStep> = (0..3).map(|k| identified(&dipped(&lags[k], k as u64, ends[k]))).collect();
     for judged in 0..3 {
-        let others: Vec<IdentifiedStep> = (0..3)
-            .filter(|k| *k != judged)
-            .map(|k| runs[k].clone())
-            .collect();
+        let others: Vec<IdentifiedStep> = (0..3).filter(|k| *k != judged).map(|k| runs[k].clone()).collect();
         let kind = Kind::of(&others, Likeness::SameKind).unwrap();
         assert_eq!(kind.order(), 2);
         let run = &runs[judged];
@@ -417,14 +299,10 @@ fn sensors_of_a_kind_predict_each_other() {
         let shown: Vec<(f64, f64)> = run.samples.iter().map(|s| (s.at_s, s.value)).collect();
         for share in [0.1, 0.05, 0.02] {
             let (predicted_s, shown_s) = (settled(&series, share), settled(&shown, share));
-            println!(
-                "sensor {judged}, {share}: predicted {predicted_s:.1} s, shown {shown_s:.1} s"
-            );
+            println!("sensor {judged}, {share}: predicted {predicted_s:.1} s, shown {shown_s:.1} s");
             assert!(predicted_s < shown_s);
         }
-        let inside = predicted
-            .iter()
-            .filter(|p| p.bound().0 <= after && after <= p.bound().1);
+        let inside = predicted.iter().filter(|p| p.bound().0 <= after && after <= p.bound().1);
         let rate = inside.count() as f64 / predicted.len() as f64;
         println!("sensor {judged}: end within the bound {rate:.2}");
         assert!(rate > 0.8, "{judged}: {rate}");

@@ -23,11 +23,7 @@ fn number(section: &Section, name: &str) -> f64 {
 #[test]
 fn the_worked_example_is_three_degrees_and_two_samples_suffice() {
     let section = section("worked_example");
-    for name in [
-        "three_samples",
-        "two_samples_known_q",
-        "three_samples_known_q",
-    ] {
+    for name in ["three_samples", "two_samples_known_q", "three_samples_known_q"] {
         let value = number(&section, name);
         assert_eq!(format!("{value:.6}"), "3.000000", "{name}");
     }
@@ -138,10 +134,7 @@ fn rounding_counts_as_noise_of_its_digit() {
         let error = number(&section, &format!("digit_{digit}_error_k"));
         let claimed = number(&section, &format!("digit_{digit}_sigma_k"));
         // Forty runs know a standard deviation to a ninth; rounding is not quite white.
-        assert!(
-            (0.5..1.6).contains(&(error / claimed)),
-            "{digit}: {error} {claimed}"
-        );
+        assert!((0.5..1.6).contains(&(error / claimed)), "{digit}: {error} {claimed}");
     }
 }
 
@@ -154,10 +147,7 @@ fn the_bounds_hold_at_their_rate() {
     for time_constants in ["0.5", "1", "2"] {
         for method in ["known", "identified"] {
             let rate = number(&section, &format!("{method}_rate_at_{time_constants}"));
-            assert!(
-                (rate - 0.95).abs() <= half,
-                "{method} {time_constants}: {rate}"
-            );
+            assert!((rate - 0.95).abs() <= half, "{method} {time_constants}: {rate}");
         }
     }
     assert!(number(&section, "taken_for_known_rate_at_1") < 0.8);

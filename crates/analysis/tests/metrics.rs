@@ -12,17 +12,9 @@ use records::record;
 fn names_are_unique_carry_their_unit_and_say_what_they_mean() {
     for (index, metric) in METRICS.iter().enumerate() {
         let suffix = format!("_{}", metric.unit);
-        assert!(
-            metric.unit == "1" || metric.name.ends_with(&suffix),
-            "{}",
-            metric.name
-        );
+        assert!(metric.unit == "1" || metric.name.ends_with(&suffix), "{}", metric.name);
         assert!(metric.doc.ends_with('.'), "{}", metric.name);
-        assert!(
-            METRICS[..index]
-                .iter()
-                .all(|other| other.name != metric.name)
-        );
+        assert!(METRICS[..index].iter().all(|other| other.name != metric.name));
     }
 }
 
@@ -38,12 +30,7 @@ fn every_metric_has_a_finite_value_on_a_whole_run() {
     let scene = scene::two_laps(7);
     let layers = scene.layers("a whole run");
     let errors = errors_of_estimates(layers.estimates, &scene.truth);
-    let positions: Vec<_> = scene
-        .truth
-        .samples()
-        .iter()
-        .map(|s| s.pose.origin())
-        .collect();
+    let positions: Vec<_> = scene.truth.samples().iter().map(|s| s.pose.origin()).collect();
     let record = record(SensorId::CAMERA, Verdict::Accepted, 3.0);
     let evidence = Evidence {
         errors: &errors,

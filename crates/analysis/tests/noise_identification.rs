@@ -1,18 +1,11 @@
 //! A camera's delay out of motion: found with a sigma that covers, and refused where nothing tells of it.
 
-use posebridge_analysis::noise_identification::{
-    DelayError, DelaySearch, Levels, Sighting, find_delay, levels_of,
-};
-use posebridge_telemetry::{
-    DriveGeometry, Meters, Observation, Observed, Radians, SensorId, Span, Stamp,
-};
+use posebridge_analysis::noise_identification::{DelayError, DelaySearch, Levels, Sighting, find_delay, levels_of};
+use posebridge_telemetry::{DriveGeometry, Meters, Observation, Observed, Radians, SensorId, Span, Stamp};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-const SEARCH: DelaySearch = DelaySearch {
-    from_s: -0.2,
-    to_s: 0.8,
-};
+const SEARCH: DelaySearch = DelaySearch { from_s: -0.2, to_s: 0.8 };
 
 /// How far a robot has turned that turns to and fro, in radians.
 fn turned_rad(at_s: f64) -> f64 {
@@ -50,11 +43,7 @@ fn sightings(seconds: u32, delay_s: f64, seed: u64) -> Vec<Sighting> {
         let at_s = f64::from(i) * 0.1;
         let noise: f64 = StandardNormal.sample(&mut rng);
         let heading = turned_rad(at_s - delay_s) + 0.005 * at_s + 0.0175 * noise;
-        Sighting {
-            at_s,
-            place_m: [0.0, 0.0],
-            heading_rad: Some(heading),
-        }
+        Sighting { at_s, place_m: [0.0, 0.0], heading_rad: Some(heading) }
     };
     (0..seconds * 10).map(sighting).collect()
 }
@@ -63,19 +52,9 @@ fn sightings(seconds: u32, delay_s: f64, seed: u64) -> Vec<Sighting> {
 fn a_delay_is_found_within_three_sigma_and_mostly_within_two() {
     let mut within_two = 0;
     for seed in 0..10 {
-        let found = find_delay(
-            &levels(60, turned_rad),
-            &sightings(60, 0.137, seed),
-            &SEARCH,
-        )
-        .unwrap();
+        let found = find_delay(&levels(60, turned_rad), &sightings(60, 0.137, seed), &SEARCH).unwrap();
         let off = (found.delay_s - 0.137) / found.sigma_s;
-        assert!(
-            off.abs() < 3.0 && found.by_heading,
-            "{seed}: {} ± {}",
-            found.delay_s,
-            found.sigma_s
-        );
+        assert!(off.abs() < 3.0 && found.by_heading, "{seed}: {} ± {}", found.delay_s, found.sigma_s);
         assert!(found.sigma_s < 0.005, "{seed}: {}", found.sigma_s);
         within_two += i32::from(off.abs() < 2.0);
     }
@@ -86,26 +65,14 @@ fn a_delay_is_found_within_three_sigma_and_mostly_within_two() {
 fn what_tells_no_delay_says_why() {
     let seen = sightings(60, 0.137, 1);
     let standing = levels(60, |_| 0.0);
-    assert!(matches!(
-        find_delay(&standing, &seen, &SEARCH),
-        Err(DelayError::NoMotion(_))
-    ));
+    assert!(matches!(find_delay(&standing, &seen, &SEARCH), Err(DelayError::NoMotion(_))));
     let short = find_delay(&levels(60, turned_rad), &seen[..20], &SEARCH);
     assert!(matches!(short, Err(DelayError::TooFew(_))));
-    let narrow = DelaySearch {
-        from_s: 0.2,
-        to_s: 0.5,
-    };
+    let narrow = DelaySearch { from_s: 0.2, to_s: 0.5 };
     let edge = find_delay(&levels(60, turned_rad), &seen, &narrow);
     assert!(matches!(edge, Err(DelayError::AtTheEdge(_))), "{edge:?}");
-    let none = DelaySearch {
-        from_s: 0.2,
-        to_s: f64::NAN,
-    };
-    assert_eq!(
-        find_delay(&standing, &seen, &none),
-        Err(DelayError::NoRange)
-    );
+    let none = DelaySearch { from_s: 0.2, to_s: f64::NAN };
+    assert_eq!(find_delay(&standing, &seen, &none), Err(DelayError::NoRange));
     assert!(find_delay(&Levels::default(), &seen, &SEARCH).is_err());
 }
 
@@ -113,27 +80,9 @@ fn what_tells_no_delay_says_why() {
 fn sightings_that_make_no_sense_are_left_out() {
     let (levels, clean) = (levels(60, turned_rad), sightings(60, 0.137, 3));
     let mut broken = clean.clone();
-    broken.insert(
-        300,
-        Sighting {
-            at_s: f64::NAN,
-            ..clean[300]
-        },
-    );
-    broken.insert(
-        310,
-        Sighting {
-            place_m: [f64::INFINITY, 0.0],
-            ..clean[300]
-        },
-    );
-    broken.insert(
-        320,
-        Sighting {
-            at_s: 1.0,
-            ..clean[300]
-        },
-    );
+    broken.insert(300, Sighting { at_s: f64::NAN, ..clean[300] });
+    broken.insert(310, Sighting { place_m: [f64::INFINITY, 0.0], ..clean[300] });
+    broken.insert(320, Sighting { at_s: 1.0, ..clean[300] });
     let found = find_delay(&levels, &broken, &SEARCH).unwrap();
     assert_eq!(found, find_delay(&levels, &clean, &SEARCH).unwrap());
 }

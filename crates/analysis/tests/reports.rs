@@ -34,44 +34,23 @@ fn estimate() -> ErrorSummary {
 #[test]
 fn the_end_of_a_run() {
     let table = run_table(&[
-        RunRow {
-            name: "brick's own odometry",
-            errors: &odometry(),
-        },
-        RunRow {
-            name: "estimate",
-            errors: &estimate(),
-        },
+        RunRow { name: "brick's own odometry", errors: &odometry() },
+        RunRow { name: "estimate", errors: &estimate() },
     ]);
     insta::assert_snapshot!(table);
 }
 
 #[test]
 fn a_run_without_truth() {
-    let table = run_table(&[RunRow {
-        name: "estimate",
-        errors: &ErrorSummary::default(),
-    }]);
+    let table = run_table(&[RunRow { name: "estimate", errors: &ErrorSummary::default() }]);
     insta::assert_snapshot!(table);
 }
 
 #[test]
 fn estimators_against_each_other() {
-    let boaster = ErrorSummary {
-        anees: Some(4.1),
-        ..estimate()
-    };
-    let broken = ErrorSummary {
-        refused_covariances: 3,
-        dropped: 0,
-        position_max_m: Some(1e300),
-        ..estimate()
-    };
-    let row = |name, errors| EstimatorRow {
-        name,
-        errors,
-        runs: 20,
-    };
+    let boaster = ErrorSummary { anees: Some(4.1), ..estimate() };
+    let broken = ErrorSummary { refused_covariances: 3, dropped: 0, position_max_m: Some(1e300), ..estimate() };
+    let row = |name, errors| EstimatorRow { name, errors, runs: 20 };
     let table = estimator_table(&[
         row("pose", &estimate()),
         row("ekf5", &boaster),

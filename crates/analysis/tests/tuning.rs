@@ -2,13 +2,10 @@
 
 use std::sync::Arc;
 
-use posebridge_analysis::tuning::{
-    Search, TunedKey, fit_run, ln_prior, maximise, offline_params, usual_keys,
-};
+use posebridge_analysis::tuning::{Search, TunedKey, fit_run, ln_prior, maximise, offline_params, usual_keys};
 use posebridge_estimator::{FilterConfig, Params, filter_named};
 use posebridge_telemetry::{
-    Calibration, DriveGeometry, Fix, Meters, Observation, Observed, Point2, Radians, SensorId,
-    SensorNoise, Span, Stamp,
+    Calibration, DriveGeometry, Fix, Meters, Observation, Observed, Point2, Radians, SensorId, SensorNoise, Span, Stamp,
 };
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -44,21 +41,11 @@ fn drive() -> Vec<Observation> {
         let at_s = f64::from(i) * 0.05;
         let travel_m = 0.2 * at_s;
         let angle = Radians(travel_m / 0.03);
-        observations.push((
-            SensorId::WHEELS,
-            at_s,
-            Observed::WheelAngles {
-                left: angle,
-                right: angle,
-            },
-        ));
+        observations.push((SensorId::WHEELS, at_s, Observed::WheelAngles { left: angle, right: angle }));
         if i % 20 == 0 {
             let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
             let fix = Fix {
-                position: Point2::new(
-                    Meters(travel_m + TRUE_SIGMA_M * normal()),
-                    Meters(TRUE_SIGMA_M * normal()),
-                ),
+                position: Point2::new(Meters(travel_m + TRUE_SIGMA_M * normal()), Meters(TRUE_SIGMA_M * normal())),
                 heading: Some(posebridge_telemetry::Heading::from_rad(0.02 * normal())),
                 covariance: None,
                 tag_in_body: Point2::ORIGIN,
@@ -67,14 +54,12 @@ fn drive() -> Vec<Observation> {
             observations.push((SensorId::CAMERA, at_s, Observed::Fix(fix)));
         }
     }
-    let stamped = observations
-        .into_iter()
-        .map(|(sensor, at_s, observed)| Observation {
-            sensor,
-            stamp: Stamp::from_secs_f64(at_s),
-            stamp_sigma: Span::ZERO,
-            observed,
-        });
+    let stamped = observations.into_iter().map(|(sensor, at_s, observed)| Observation {
+        sensor,
+        stamp: Stamp::from_secs_f64(at_s),
+        stamp_sigma: Span::ZERO,
+        observed,
+    });
     stamped.collect()
 }
 
@@ -91,9 +76,7 @@ fn a_fix_noise_told_ten_times_too_large_or_too_small_is_found_again() {
             let fit = fit_run(&observations, (entry.build)(&config).as_mut());
             fit.log_likelihood() + ln_prior(point)
         };
-        let found = maximise(1, &Search::default(), |points| {
-            points.iter().map(value).collect()
-        });
+        let found = maximise(1, &Search::default(), |points| points.iter().map(value).collect());
         let off = found.at[0] + f64::ln(factor);
         let sigma = found.sigma[0].unwrap();
         assert!(off.abs() < 3.0 * sigma + 0.04, "{factor}: {off} ± {sigma}");
@@ -105,16 +88,6 @@ fn a_fix_noise_told_ten_times_too_large_or_too_small_is_found_again() {
 #[test]
 fn the_usual_keys_are_those_of_which_the_observations_tell() {
     let config = config(TRUE_SIGMA_M);
-    let names: Vec<String> = usual_keys(&drive(), &config.noise)
-        .iter()
-        .map(TunedKey::name)
-        .collect();
-    assert_eq!(
-        names,
-        [
-            "noise.wheel_travel_m_per_sqrt_m",
-            "noise.fix_position_m",
-            "noise.fix_heading_rad"
-        ]
-    );
+    let names: Vec<String> = usual_keys(&drive(), &config.noise).iter().map(TunedKey::name).collect();
+    assert_eq!(names, ["noise.wheel_travel_m_per_sqrt_m", "noise.fix_position_m", "noise.fix_heading_rad"]);
 }

@@ -101,8 +101,7 @@ impl Assets {
         folder.map_or_else(
             || {
                 let assets = EMBEDDED.iter();
-                let assets =
-                    assets.filter_map(|(path, plain)| Asset::new(path, Bytes::from_static(plain)));
+                let assets = assets.filter_map(|(path, plain)| Asset::new(path, Bytes::from_static(plain)));
                 Self::Embedded(assets.collect())
             },
             Self::Folder,
@@ -253,13 +252,7 @@ mod tests {
         let assets = Assets::new(Some(web));
         let is_there = |path: &str| assets.answer(path, &HeaderMap::new()).is_some();
         assert!(is_there("/") && is_there("/panels/map.js") && is_there("//index.html"));
-        for path in [
-            "/../secret.txt",
-            "/panels/../../secret.txt",
-            "/link.txt",
-            "/notes",
-            "/panels",
-        ] {
+        for path in ["/../secret.txt", "/panels/../../secret.txt", "/link.txt", "/notes", "/panels"] {
             assert!(!is_there(path), "{path}");
         }
     }

@@ -64,9 +64,7 @@ impl Bound {
         }
         let families = match own {
             IpAddr::V4(_) => Families::V4,
-            IpAddr::V6(_) if SockRef::from(&self.listener).only_v6().unwrap_or(true) => {
-                Families::V6
-            }
+            IpAddr::V6(_) if SockRef::from(&self.listener).only_v6().unwrap_or(true) => Families::V6,
             IpAddr::V6(_) => Families::Both,
         };
         reachable(families)

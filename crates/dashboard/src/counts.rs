@@ -49,44 +49,22 @@ pub(crate) enum Count {
 
 /// Everything that is counted: the name in `/metrics`, the reason for a refusal, what it is.
 pub(crate) const COUNTS: &[Row] = &[
-    total(
-        Count::EventsDropped,
-        "events_dropped_total",
-        "Events that found no room on their way to the dashboard.",
-    ),
+    total(Count::EventsDropped, "events_dropped_total", "Events that found no room on their way to the dashboard."),
     total(
         Count::PointsDropped,
         "points_dropped_total",
         "Points that found no room in a message, or of robots beyond those that are shown.",
     ),
-    Row {
-        kind: "gauge",
-        ..total(Count::Connections, "connections", "Open connections.")
-    },
-    Row {
-        kind: "gauge",
-        ..total(Count::Clients, "clients", "Readers of the stream.")
-    },
-    total(
-        Count::FramesSent,
-        "frames_sent_total",
-        "Messages handed to readers of the stream.",
-    ),
-    total(
-        Count::FramesMissed,
-        "frames_missed_total",
-        "Messages that readers have missed because they were slow.",
-    ),
+    Row { kind: "gauge", ..total(Count::Connections, "connections", "Open connections.") },
+    Row { kind: "gauge", ..total(Count::Clients, "clients", "Readers of the stream.") },
+    total(Count::FramesSent, "frames_sent_total", "Messages handed to readers of the stream."),
+    total(Count::FramesMissed, "frames_missed_total", "Messages that readers have missed because they were slow."),
     total(
         Count::TapFramesMissed,
         "tap_frames_missed_total",
         "Messages that the terminal view or PlotJuggler's sender has missed because it was slow.",
     ),
-    total(
-        Count::Commands,
-        "commands_total",
-        "Commands handed to the engine.",
-    ),
+    total(Count::Commands, "commands_total", "Commands handed to the engine."),
     total(
         Count::ClientsDropped,
         "clients_dropped_total",
@@ -116,23 +94,13 @@ pub(crate) struct Row {
 }
 
 const fn total(count: Count, name: &'static str, help: &'static str) -> Row {
-    Row {
-        count,
-        name,
-        kind: "counter",
-        help,
-        reason: None,
-    }
+    Row { count, name, kind: "counter", help, reason: None }
 }
 
 const fn refusal(count: Count, reason: &'static str) -> Row {
     Row {
         reason: Some(reason),
-        ..total(
-            count,
-            "refused_total",
-            "Connections, requests and commands that were refused.",
-        )
+        ..total(count, "refused_total", "Connections, requests and commands that were refused.")
     }
 }
 

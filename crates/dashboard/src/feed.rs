@@ -90,15 +90,8 @@ impl Feed {
     pub(crate) fn pair(counts: Arc<Counts>) -> (Self, Batches) {
         let (sender, receiver) = mpsc::channel(WAITING);
         let crowd = Arc::new(Notify::new());
-        let batches = Batches {
-            receiver,
-            crowd: Arc::clone(&crowd),
-        };
-        let feed = Self {
-            sender,
-            counts,
-            crowd,
-        };
+        let batches = Batches { receiver, crowd: Arc::clone(&crowd) };
+        let feed = Self { sender, counts, crowd };
         (feed, batches)
     }
 
@@ -128,17 +121,8 @@ mod tests {
     use posebridge_telemetry::Address;
 
     fn batch_of_two() -> Batch {
-        let event = Event::Text {
-            source: Address::new(1, 1),
-            severity: 6,
-            text: String::new(),
-        };
-        Batch {
-            now: Stamp::ZERO,
-            took: Span::ZERO,
-            events: Arc::from([event.clone(), event]),
-            standing: None,
-        }
+        let event = Event::Text { source: Address::new(1, 1), severity: 6, text: String::new() };
+        Batch { now: Stamp::ZERO, took: Span::ZERO, events: Arc::from([event.clone(), event]), standing: None }
     }
 
     #[test]

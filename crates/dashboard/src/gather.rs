@@ -18,16 +18,8 @@ impl Gatherer {
     /// For a session with these links, by their URLs.
     #[must_use]
     pub fn new(links: Vec<String>) -> Self {
-        let setting = Setting {
-            links,
-            keep: Keep::Whole {
-                most: REPLAY_POINTS,
-            },
-        };
-        Self {
-            views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(),
-            last: Stamp::ZERO,
-        }
+        let setting = Setting { links, keep: Keep::Whole { most: REPLAY_POINTS } };
+        Self { views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(), last: Stamp::ZERO }
     }
 
     /// Takes what happened.
@@ -49,10 +41,7 @@ impl Gatherer {
     /// Everything that was gathered.
     #[must_use]
     pub fn history(&self) -> Frame {
-        let mut history = Frame {
-            now_s: seconds_of(self.last),
-            ..Frame::default()
-        };
+        let mut history = Frame { now_s: seconds_of(self.last), ..Frame::default() };
         for view in &self.views {
             view.add_history(&mut history);
         }

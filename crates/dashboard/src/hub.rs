@@ -10,9 +10,7 @@ use crate::counts::Counts;
 use crate::feed::{Batch, TruthSample};
 use crate::latency::Latency;
 use crate::limits::{HISTORY, HISTORY_POINTS, SECOND};
-use crate::model::{
-    Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State, seconds_of,
-};
+use crate::model::{Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State, seconds_of};
 use crate::state::Latest;
 use crate::thread::Facts;
 use crate::token::Token;
@@ -42,13 +40,8 @@ pub(crate) struct Hub {
 impl Hub {
     /// With a token, readers need it.
     pub(crate) fn new(facts: Facts, token: Option<&Token>) -> Self {
-        let setting = Setting {
-            links: facts.links.clone(),
-            keep: Keep::Latest {
-                span: HISTORY,
-                most: HISTORY_POINTS,
-            },
-        };
+        let setting =
+            Setting { links: facts.links.clone(), keep: Keep::Latest { span: HISTORY, most: HISTORY_POINTS } };
         Self {
             views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(),
             facts,
@@ -90,15 +83,8 @@ impl Hub {
         now: Stamp<HostClock>,
         recording: impl FnOnce(&str) -> RecordingNow,
     ) -> Option<Frame> {
-        let pace = if now >= self.next_second {
-            Pace::Second
-        } else {
-            Pace::News
-        };
-        let mut frame = Frame {
-            now_s: seconds_of(now),
-            ..Frame::default()
-        };
+        let pace = if now >= self.next_second { Pace::Second } else { Pace::News };
+        let mut frame = Frame { now_s: seconds_of(now), ..Frame::default() };
         for view in &mut self.views {
             view.add_news(&mut frame, pace);
         }
@@ -112,10 +98,7 @@ impl Hub {
 
     /// The first message for a new reader.
     pub(crate) fn hello(&self, recordings: Vec<RecordingRow>) -> Hello {
-        let mut history = Frame {
-            now_s: self.latest.now_s(),
-            ..Frame::default()
-        };
+        let mut history = Frame { now_s: self.latest.now_s(), ..Frame::default() };
         for view in &self.views {
             view.add_history(&mut history);
         }
@@ -134,17 +117,13 @@ impl Hub {
 
     /// The latest of everything.
     pub(crate) fn state(&self, counts: &Counts) -> State {
-        self.latest
-            .state(self.latency.row(), counts, self.latency.count)
+        self.latest.state(self.latency.row(), counts, self.latency.count)
     }
 
     /// Sensors that were heard.
     pub(crate) fn sources(&self) -> Vec<SourceRow> {
         let off = self.latest.switched_off();
-        let rows = self.sources.iter().map(|row| SourceRow {
-            is_used: !off.contains(&row.id),
-            ..row.clone()
-        });
+        let rows = self.sources.iter().map(|row| SourceRow { is_used: !off.contains(&row.id), ..row.clone() });
         rows.collect()
     }
 
@@ -158,10 +137,7 @@ impl Hub {
         let standing = self.latest.parameters();
         let rows = self.facts.parameters.iter().map(|row| {
             let now = standing.iter().find(|value| value.name == row.name);
-            ParameterRow {
-                value: now.map_or(row.value, |now| now.value),
-                ..row.clone()
-            }
+            ParameterRow { value: now.map_or(row.value, |now| now.value), ..row.clone() }
         });
         rows.collect()
     }

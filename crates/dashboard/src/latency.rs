@@ -9,9 +9,8 @@ use crate::model::LatencyRow;
 /// Percentiles are over so many estimates: twenty seconds of a usual brick.
 const KEPT: usize = 2_048;
 /// Upper ends of the buckets in `/metrics`, in microseconds, in steps of about three; a quiet station needs some ten.
-pub(crate) const BUCKETS_MICROS: [i64; 11] = [
-    10, 30, 100, 300, 1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000,
-];
+pub(crate) const BUCKETS_MICROS: [i64; 11] =
+    [10, 30, 100, 300, 1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000];
 
 /// Latencies.
 #[derive(Clone, Debug, Default)]
@@ -47,15 +46,9 @@ impl Latency {
         sorted.sort_unstable();
         let at = |percent: usize| {
             let rank = sorted.len().saturating_sub(1) * percent / 100;
-            sorted
-                .get(rank)
-                .map_or(f64::NAN, |span| span.as_millis_f64())
+            sorted.get(rank).map_or(f64::NAN, |span| span.as_millis_f64())
         };
-        LatencyRow {
-            estimates: sorted.len() as u64,
-            p50_ms: at(50).into(),
-            p99_ms: at(99).into(),
-        }
+        LatencyRow { estimates: sorted.len() as u64, p50_ms: at(50).into(), p99_ms: at(99).into() }
     }
 }
 

@@ -27,88 +27,30 @@ const fn link_metric(
     help: &'static str,
     read: fn(&LinkHealth) -> Option<f64>,
 ) -> LinkMetric {
-    LinkMetric {
-        name,
-        kind,
-        help,
-        read,
-    }
+    LinkMetric { name, kind, help, read }
 }
 
 const LINK_METRICS: &[LinkMetric] = &[
-    link_metric("received_bytes_total", "counter", "Bytes received.", |of| {
-        Some(of.bytes_in as f64)
-    }),
-    link_metric(
-        "sent_bytes_total",
-        "counter",
-        "Bytes handed over for sending.",
-        |of| Some(of.bytes_out as f64),
-    ),
-    link_metric(
-        "received_frames_total",
-        "counter",
-        "Frames received whole.",
-        |of| Some(of.frames_in as f64),
-    ),
-    link_metric("sent_frames_total", "counter", "Frames sent.", |of| {
-        Some(of.frames_out as f64)
-    }),
+    link_metric("received_bytes_total", "counter", "Bytes received.", |of| Some(of.bytes_in as f64)),
+    link_metric("sent_bytes_total", "counter", "Bytes handed over for sending.", |of| Some(of.bytes_out as f64)),
+    link_metric("received_frames_total", "counter", "Frames received whole.", |of| Some(of.frames_in as f64)),
+    link_metric("sent_frames_total", "counter", "Frames sent.", |of| Some(of.frames_out as f64)),
     // A frame that comes late is taken off again, so this is no counter.
-    link_metric(
-        "lost_frames",
-        "gauge",
-        "Frames missing in the sequence numbers.",
-        |of| Some(of.frames_lost as f64),
-    ),
-    link_metric(
-        "checksum_errors_total",
-        "counter",
-        "Frames whose checksum was wrong.",
-        |of| Some(of.checksum_errors as f64),
-    ),
-    link_metric(
-        "garbage_bytes_total",
-        "counter",
-        "Bytes outside every frame.",
-        |of| Some(of.garbage_bytes as f64),
-    ),
-    link_metric(
-        "stalls_total",
-        "counter",
-        "Frames whose bytes stopped coming.",
-        |of| Some(of.stalls as f64),
-    ),
-    link_metric(
-        "dropped_frames_total",
-        "counter",
-        "Outgoing frames dropped.",
-        |of| Some(of.drops_out as f64),
-    ),
-    link_metric(
-        "reconnects_total",
-        "counter",
-        "Times the link came up again.",
-        |of| Some(of.reconnects as f64),
-    ),
-    link_metric(
-        "queued_frames",
-        "gauge",
-        "Frames that wait to be sent.",
-        |of| Some(f64::from(of.port.queued_frames)),
-    ),
-    link_metric(
-        "round_trip_seconds",
-        "gauge",
-        "Round-trip time of the last answered time request.",
-        |of| of.round_trip.map(Span::as_secs_f64),
-    ),
-    link_metric(
-        "clock_uncertainty_seconds",
-        "gauge",
-        "How far a converted stamp may be off.",
-        |of| of.clock_uncertainty.map(Span::as_secs_f64),
-    ),
+    link_metric("lost_frames", "gauge", "Frames missing in the sequence numbers.", |of| Some(of.frames_lost as f64)),
+    link_metric("checksum_errors_total", "counter", "Frames whose checksum was wrong.", |of| {
+        Some(of.checksum_errors as f64)
+    }),
+    link_metric("garbage_bytes_total", "counter", "Bytes outside every frame.", |of| Some(of.garbage_bytes as f64)),
+    link_metric("stalls_total", "counter", "Frames whose bytes stopped coming.", |of| Some(of.stalls as f64)),
+    link_metric("dropped_frames_total", "counter", "Outgoing frames dropped.", |of| Some(of.drops_out as f64)),
+    link_metric("reconnects_total", "counter", "Times the link came up again.", |of| Some(of.reconnects as f64)),
+    link_metric("queued_frames", "gauge", "Frames that wait to be sent.", |of| Some(f64::from(of.port.queued_frames))),
+    link_metric("round_trip_seconds", "gauge", "Round-trip time of the last answered time request.", |of| {
+        of.round_trip.map(Span::as_secs_f64)
+    }),
+    link_metric("clock_uncertainty_seconds", "gauge", "How far a converted stamp may be off.", |of| {
+        of.clock_uncertainty.map(Span::as_secs_f64)
+    }),
 ];
 
 /// The whole page.
@@ -123,29 +65,14 @@ pub(crate) fn page(hub: &Hub, counts: &Counts) -> String {
 
 fn robots(page: &mut String, hub: &Hub, counts: &Counts) {
     let name = "posebridge_observations_total";
-    head(
-        page,
-        name,
-        "counter",
-        "Observations by what became of them.",
-    );
+    head(page, name, "counter", "Observations by what became of them.");
     for ((sensor, kind, verdict), count) in &hub.tallies {
         let sensor = sensor.name();
-        line(
-            page,
-            format_args!(
-                "{name}{{sensor=\"{sensor}\",kind=\"{kind}\",verdict=\"{verdict}\"}} {count}"
-            ),
-        );
+        line(page, format_args!("{name}{{sensor=\"{sensor}\",kind=\"{kind}\",verdict=\"{verdict}\"}} {count}"));
     }
     let state = hub.state(counts);
     let name = "posebridge_reset_counter";
-    head(
-        page,
-        name,
-        "gauge",
-        "Jumps of the estimate that were no motion, modulo 256.",
-    );
+    head(page, name, "gauge", "Jumps of the estimate that were no motion, modulo 256.");
     for robot in &state.robots {
         if let Some(estimate) = &robot.estimate {
             let (id, value) = (&robot.id, estimate.reset_counter);
@@ -153,12 +80,7 @@ fn robots(page: &mut String, hub: &Hub, counts: &Counts) {
         }
     }
     let name = "posebridge_position_ellipse_metres";
-    head(
-        page,
-        name,
-        "gauge",
-        "Half the longer axis of the 95 % ellipse.",
-    );
+    head(page, name, "gauge", "Half the longer axis of the 95 % ellipse.");
     for robot in &state.robots {
         let major_m = robot.estimate.as_ref().and_then(|one| one.major_m.get());
         if let Some(major_m) = major_m {
@@ -170,18 +92,10 @@ fn robots(page: &mut String, hub: &Hub, counts: &Counts) {
 
 fn latency(page: &mut String, hub: &Hub) {
     let name = "posebridge_estimate_latency_seconds";
-    head(
-        page,
-        name,
-        "histogram",
-        "From an observation's arrival to its estimate's departure.",
-    );
+    head(page, name, "histogram", "From an observation's arrival to its estimate's departure.");
     for (end, count) in hub.latency.buckets() {
         let end_s = end as f64 / 1e6;
-        line(
-            page,
-            format_args!("{name}_bucket{{le=\"{end_s}\"}} {count}"),
-        );
+        line(page, format_args!("{name}_bucket{{le=\"{end_s}\"}} {count}"));
     }
     let (sum_s, count) = (hub.latency.sum.as_secs_f64(), hub.latency.count);
     line(page, format_args!("{name}_bucket{{le=\"+Inf\"}} {count}"));

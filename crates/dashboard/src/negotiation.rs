@@ -54,24 +54,12 @@ mod tests {
     #[test]
     fn gzip_is_taken_by_whoever_says_so_in_any_spelling() {
         let takes = |lines: &[&'static str]| takes_gzip(&asked(&ACCEPT_ENCODING, lines));
-        for lines in [
-            &["gzip"][..],
-            &["br, GZIP;q=0.8"],
-            &["identity", "gzip ; Q=0.001"],
-            &["*"],
-            &["x-gzip, *;q=0"],
-        ] {
+        for lines in [&["gzip"][..], &["br, GZIP;q=0.8"], &["identity", "gzip ; Q=0.001"], &["*"], &["x-gzip, *;q=0"]] {
             assert!(takes(lines), "{lines:?}");
         }
-        for lines in [
-            &["gzip;q=0"][..],
-            &[],
-            &[""],
-            &["gzip;q=0.000, *"],
-            &["br, *;q=0"],
-            &["gzipped"],
-            &["gzip;q=much"],
-        ] {
+        for lines in
+            [&["gzip;q=0"][..], &[], &[""], &["gzip;q=0.000, *"], &["br, *;q=0"], &["gzipped"], &["gzip;q=much"]]
+        {
             assert!(!takes(lines), "{lines:?}");
         }
     }

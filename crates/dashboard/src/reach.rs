@@ -33,9 +33,7 @@ fn chosen(found: impl Iterator<Item = IpAddr>, families: Families) -> Vec<IpAddr
         // A browser takes no address with a zone, and one of a link makes no sense without.
         IpAddr::V6(v6) => families != Families::V4 && !v6.is_unicast_link_local(),
     };
-    let mut chosen: Vec<IpAddr> = found
-        .filter(|address| is_wanted(address) && !address.is_loopback())
-        .collect();
+    let mut chosen: Vec<IpAddr> = found.filter(|address| is_wanted(address) && !address.is_loopback()).collect();
     chosen.sort_unstable();
     chosen.dedup();
     chosen.push(match families {
@@ -51,16 +49,7 @@ mod tests {
 
     #[test]
     fn addresses_are_those_that_others_can_open_and_then_that_of_this_computer() {
-        let found = [
-            "fe80::1",
-            "2001:db8::7",
-            "::1",
-            "127.0.0.1",
-            "192.0.2.7",
-            "169.254.3.4",
-            "10.0.0.3",
-            "192.0.2.7",
-        ];
+        let found = ["fe80::1", "2001:db8::7", "::1", "127.0.0.1", "192.0.2.7", "169.254.3.4", "10.0.0.3", "192.0.2.7"];
         let chosen = |families| {
             let found = found.iter().map(|text| text.parse().unwrap());
             let chosen = chosen(found, families).into_iter();
@@ -68,10 +57,7 @@ mod tests {
         };
         assert_eq!(chosen(Families::V4), ["10.0.0.3", "192.0.2.7", "127.0.0.1"]);
         assert_eq!(chosen(Families::V6), ["2001:db8::7", "::1"]);
-        assert_eq!(
-            chosen(Families::Both),
-            ["10.0.0.3", "192.0.2.7", "2001:db8::7", "127.0.0.1"]
-        );
+        assert_eq!(chosen(Families::Both), ["10.0.0.3", "192.0.2.7", "2001:db8::7", "127.0.0.1"]);
     }
 
     #[test]

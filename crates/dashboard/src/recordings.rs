@@ -48,10 +48,7 @@ impl Recordings {
     /// How large the file is that is being written.
     pub(crate) fn now(&self, name: &str) -> RecordingNow {
         let bytes = std::fs::metadata(self.folder.join(name)).map_or(0, |found| found.len());
-        RecordingNow {
-            name: name.to_owned(),
-            bytes,
-        }
+        RecordingNow { name: name.to_owned(), bytes }
     }
 }
 
@@ -121,10 +118,7 @@ mod tests {
         }
         let recordings = Recordings::new(folder.path().to_owned());
         let rows = recordings.list(None);
-        assert_eq!(
-            (rows.len(), rows[0].name.as_str()),
-            (MOST_LISTED, "recording.4.mcap")
-        );
+        assert_eq!((rows.len(), rows[0].name.as_str()), (MOST_LISTED, "recording.4.mcap"));
         assert!(recordings.path("recording.1.mcap").is_some());
     }
 
@@ -143,18 +137,8 @@ mod tests {
         assert_eq!(rows.len(), 1);
         assert_eq!((rows[0].bytes, rows[0].is_current), (5, true));
         assert!(rows[0].begun.is_some_and(|begun| begun > 1_600_000_000));
-        assert_eq!(
-            recordings.path("recording.mcap"),
-            Some(inner.join("recording.mcap"))
-        );
-        for name in [
-            "../outside.mcap",
-            "link.mcap",
-            "/etc/passwd",
-            "..",
-            "",
-            "parameters.toml",
-        ] {
+        assert_eq!(recordings.path("recording.mcap"), Some(inner.join("recording.mcap")));
+        for name in ["../outside.mcap", "link.mcap", "/etc/passwd", "..", "", "parameters.toml"] {
             assert_eq!(recordings.path(name), None, "{name}");
         }
     }

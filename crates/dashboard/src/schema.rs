@@ -5,9 +5,7 @@ use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
 use crate::command::{COMMANDS, CommandRow, Kind};
-use crate::model::{
-    Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, SourceRow, State,
-};
+use crate::model::{Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, SourceRow, State};
 
 /// The schema; the file `schema/v1.json` holds it, and a test compares the two.
 #[must_use]

@@ -21,10 +21,7 @@ impl Latest {
             let estimate = robot.estimates.last().cloned();
             match known {
                 Some(known) => known.estimate = estimate.or(known.estimate.take()),
-                None => state.robots.push(RobotState {
-                    id: robot.id.clone(),
-                    estimate,
-                }),
+                None => state.robots.push(RobotState { id: robot.id.clone(), estimate }),
             }
         }
         if let Some(truth) = frame.truth.last() {

@@ -44,14 +44,8 @@ impl Taps {
     pub fn add(&mut self, waiting: usize) -> FrameTap {
         let (sender, receiver) = sync_channel(waiting);
         let missed = Arc::new(AtomicU64::new(0));
-        self.senders.push(Sender {
-            frames: sender,
-            missed: Arc::clone(&missed),
-        });
-        FrameTap {
-            frames: receiver,
-            missed,
-        }
+        self.senders.push(Sender { frames: sender, missed: Arc::clone(&missed) });
+        FrameTap { frames: receiver, missed }
     }
 
     /// Whether nobody reads.
@@ -63,16 +57,15 @@ impl Taps {
     /// Hands a message to everybody who has room for it; gives how many had none.
     pub(crate) fn tell(&mut self, frame: &Arc<Frame>) -> u64 {
         let mut missed = 0;
-        self.senders
-            .retain(|sender| match sender.frames.try_send(Arc::clone(frame)) {
-                Ok(()) => true,
-                Err(TrySendError::Full(_)) => {
-                    sender.missed.fetch_add(1, Ordering::Relaxed);
-                    missed += 1;
-                    true
-                }
-                Err(TrySendError::Disconnected(_)) => false,
-            });
+        self.senders.retain(|sender| match sender.frames.try_send(Arc::clone(frame)) {
+            Ok(()) => true,
+            Err(TrySendError::Full(_)) => {
+                sender.missed.fetch_add(1, Ordering::Relaxed);
+                missed += 1;
+                true
+            }
+            Err(TrySendError::Disconnected(_)) => false,
+        });
         missed
     }
 }
@@ -106,10 +99,7 @@ mod tests {
     use super::*;
 
     fn frame(now_s: f64) -> Arc<Frame> {
-        Arc::new(Frame {
-            now_s,
-            ..Frame::default()
-        })
+        Arc::new(Frame { now_s, ..Frame::default() })
     }
 
     #[test]

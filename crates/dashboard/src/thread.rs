@@ -17,9 +17,7 @@ use crate::commander::Commander;
 use crate::counts::Counts;
 use crate::feed::{Feed, TruthSample};
 use crate::hub::Hub;
-use crate::limits::{
-    COMMANDS_AT_ONCE, COMMANDS_PER_S, MOST_CLIENTS, WAITING_COMMANDS, WAITING_QUESTIONS,
-};
+use crate::limits::{COMMANDS_AT_ONCE, COMMANDS_PER_S, MOST_CLIENTS, WAITING_COMMANDS, WAITING_QUESTIONS};
 use crate::model::{ParameterRow, SimulatorFacts};
 use crate::recordings::Recordings;
 use crate::room::Room;
@@ -87,9 +85,7 @@ pub enum StartError {
         address: SocketAddr,
     },
     /// Somebody listens at all ports that were tried.
-    #[error(
-        "{address} and the {PORTS_TRIED} ports behind it are in use; choose one with `--dashboard IP:PORT`"
-    )]
+    #[error("{address} and the {PORTS_TRIED} ports behind it are in use; choose one with `--dashboard IP:PORT`")]
     AllTaken {
         /// The first.
         address: SocketAddr,
@@ -178,12 +174,7 @@ impl Dashboard {
             counts: Arc::clone(&counts),
             taps: sources.taps,
         };
-        let work = Work {
-            served,
-            hub,
-            inlets,
-            stop: stop.clone(),
-        };
+        let work = Work { served, hub, inlets, stop: stop.clone() };
         let dashboard = Self {
             address,
             reachable,
@@ -217,9 +208,7 @@ impl Dashboard {
         let token = self.token.as_ref();
         let query = token.map_or_else(String::new, |token| format!("?token={}", token.expose()));
         let found = self.reachable.iter();
-        found
-            .map(|ip| format!("http://{}/{query}", SocketAddr::new(*ip, address.port())))
-            .collect()
+        found.map(|ip| format!("http://{}/{query}", SocketAddr::new(*ip, address.port()))).collect()
     }
 
     /// Gives commands for somebody in this process.
@@ -248,12 +237,8 @@ impl Drop for Dashboard {
 }
 
 /// The token that is needed there, if one is.
-fn token_for(
-    address: Option<SocketAddr>,
-    policy: TokenPolicy,
-) -> Result<Option<Token>, StartError> {
-    let is_open =
-        |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::Elsewhere;
+fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<Token>, StartError> {
+    let is_open = |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::Elsewhere;
     if address.is_none_or(is_open) {
         return Ok(None);
     }

@@ -36,10 +36,7 @@ impl Token {
     /// by digit.
     pub(crate) fn is(&self, said: &str) -> bool {
         let (own, said) = (self.0.as_bytes(), said.as_bytes());
-        let differing = own
-            .iter()
-            .zip(said)
-            .fold(0, |all, (a, b)| black_box(all | (a ^ b)));
+        let differing = own.iter().zip(said).fold(0, |all, (a, b)| black_box(all | (a ^ b)));
         own.len() == said.len() && differing == 0
     }
 }
@@ -59,9 +56,7 @@ mod tests {
         let (one, other) = (Token::random().unwrap(), Token::random().unwrap());
         assert_eq!(one.expose().len(), 2 * BYTES);
         assert!(one.is(one.expose()) && !one.is(other.expose()));
-        assert!(
-            !one.is("") && !one.is(&one.expose()[1..]) && !one.is(&format!("{}0", one.expose()))
-        );
+        assert!(!one.is("") && !one.is(&one.expose()[1..]) && !one.is(&format!("{}0", one.expose())));
         assert_eq!(format!("{one:?}"), "Token(..)");
     }
 }

@@ -1,9 +1,6 @@
 //! What the server lets nobody have, over real sockets on loopback: each refusal is JSON, says what to do, and is counted.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside the test functions may fail loudly as well"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
 #[path = "support/http.rs"]
 mod http;
@@ -52,10 +49,7 @@ fn commands_that_come_too_fast_are_refused_and_counted() {
             status
         });
         let statuses: Vec<u16> = given.collect();
-        assert!(
-            statuses.iter().all(|status| [202, 503].contains(status)),
-            "{statuses:?}"
-        );
+        assert!(statuses.iter().all(|status| [202, 503].contains(status)), "{statuses:?}");
         statuses.iter().filter(|status| **status == 202).count()
     };
     assert_eq!(accepted(70), 50, "a second's worth at once");
@@ -66,10 +60,7 @@ fn commands_that_come_too_fast_are_refused_and_counted() {
     let mut reader = Reader::open(address);
     reader.send(RESET);
     let error = reader.until(|message| message["type"] == "error");
-    assert_eq!(
-        error["error"],
-        "more than 50 commands a second come to this station; try again"
-    );
+    assert_eq!(error["error"], "more than 50 commands a second come to this station; try again");
     assert_eq!(refused(address, "command_rate"), 26.0);
 }
 
@@ -86,10 +77,7 @@ fn equal_lines_that_come_quickly_are_joined() {
         let log = message["log"].as_array().into_iter().flatten();
         lines.extend(log.filter_map(|line| Some(line["text"].as_str()?.to_owned())));
     }
-    assert_eq!(
-        lines,
-        ["1/1: same", "1/1: same (99 times more)", "1/1: other"]
-    );
+    assert_eq!(lines, ["1/1: same", "1/1: same (99 times more)", "1/1: other"]);
 }
 
 #[test]
@@ -139,10 +127,7 @@ fn a_station_without_a_simulated_brick_refuses_what_is_for_one() {
     let played = Played::start(TokenPolicy::Elsewhere);
     let answer = post(played.address(), r#"{"command":"camera","on":false}"#);
     assert_eq!(answer.status, 400);
-    assert_eq!(
-        answer.error(),
-        "`camera` is for a simulated brick, and this station has none of its own"
-    );
+    assert_eq!(answer.error(), "`camera` is for a simulated brick, and this station has none of its own");
     let mut commands = played.commands;
     assert!(commands.try_recv().is_err(), "nothing reached the shard");
 }
@@ -211,18 +196,13 @@ fn every_refusal_is_json_and_counted() {
         assert!(answer.error().contains("UTF-8"), "{}", answer.error());
     }
     assert_eq!(refused(address, "request"), 2.0);
-    for (request_line, status) in [
-        ("POST /", 405),
-        ("DELETE /app.js", 405),
-        ("DELETE /v1/state", 405),
-        ("POST /nothing", 404),
-    ] {
+    for (request_line, status) in
+        [("POST /", 405), ("DELETE /app.js", 405), ("DELETE /v1/state", 405), ("POST /nothing", 404)]
+    {
         let answer = request(address, request_line, ("", b""));
         assert_eq!(answer.status, status, "{request_line}");
         assert!(!answer.error().is_empty());
-        let is_told = answer
-            .header("allow")
-            .is_some_and(|allow| allow.contains("get"));
+        let is_told = answer.header("allow").is_some_and(|allow| allow.contains("get"));
         assert_eq!(is_told, status == 405, "{}", answer.head);
     }
     assert_eq!(refused(address, "request"), 5.0);
@@ -235,9 +215,7 @@ fn the_words_of_http_are_compared_without_case() {
     let address = played.address();
     let url = played.dashboard.url().unwrap();
     let (_, token) = url.split_once("?token=").unwrap();
-    let headers = format!(
-        "authorization: bearer {token}\r\ncontent-type: Application/JSON; Charset=UTF-8\r\n"
-    );
+    let headers = format!("authorization: bearer {token}\r\ncontent-type: Application/JSON; Charset=UTF-8\r\n");
     let answer = request(address, "POST /v1/commands", (&headers, RESET.as_bytes()));
     assert_eq!(answer.status, 202, "{}", answer.text());
     assert_eq!(played.commands.try_recv(), Ok(Command::ResetPose));

@@ -8,19 +8,13 @@ mod played;
 use http::{Reader, exchange, get, post, refused, request};
 use played::{Clock, Played, says, sources};
 use posebridge_dashboard::model::{Message, State};
-use posebridge_dashboard::{
-    Batch, Bound, Dashboard, Facts, Found, Listen, Sources, StartError, Taps, TokenPolicy,
-};
+use posebridge_dashboard::{Batch, Bound, Dashboard, Facts, Found, Listen, Sources, StartError, Taps, TokenPolicy};
 use posebridge_telemetry::{Command, Span, Stamp};
 
 /// Whether a line of a message's log ends so.
 fn is_said(log: &serde_json::Value, text: &str) -> bool {
     let mut lines = log.as_array().into_iter().flatten();
-    lines.any(|line| {
-        line["text"]
-            .as_str()
-            .is_some_and(|line| line.ends_with(text))
-    })
+    lines.any(|line| line["text"].as_str().is_some_and(|line| line.ends_with(text)))
 }
 
 #[test]
@@ -47,29 +41,18 @@ fn commands_come_back_in_their_order_and_wrong_ones_are_refused() {
     let mut played = Played::start(TokenPolicy::Elsewhere);
     let address = played.address();
     let accepted = post(address, r#"{"command":"reset-pose"}"#);
-    assert_eq!(
-        (accepted.status, accepted.json()["accepted"].as_str()),
-        (202, Some("reset-pose"))
-    );
+    assert_eq!((accepted.status, accepted.json()["accepted"].as_str()), (202, Some("reset-pose")));
     let mut reader = Reader::open(address);
     reader.send(r#"{"command":"stop-recording"}"#);
     reader.send(r#"{"command":"stop"}"#);
     let error = reader.until(|message| message["type"] == "error");
     let error: Message = serde_json::from_value(error).unwrap();
-    assert!(
-        matches!(error, Message::Error(why) if why.error.starts_with("`command` is `stop`; there are: "))
-    );
+    assert!(matches!(error, Message::Error(why) if why.error.starts_with("`command` is `stop`; there are: ")));
     assert_eq!(played.commands.blocking_recv(), Some(Command::ResetPose));
-    assert_eq!(
-        played.commands.blocking_recv(),
-        Some(Command::StopRecording)
-    );
+    assert_eq!(played.commands.blocking_recv(), Some(Command::StopRecording));
     let wrong = post(address, r#"{"command":"reset-pose","now":true}"#);
     assert_eq!(wrong.status, 400);
-    assert_eq!(
-        wrong.error(),
-        "`reset-pose` has no field `now`; it has: none"
-    );
+    assert_eq!(wrong.error(), "`reset-pose` has no field `now`; it has: none");
     assert_eq!(refused(address, "command"), 2.0);
 }
 
@@ -77,9 +60,7 @@ fn commands_come_back_in_their_order_and_wrong_ones_are_refused() {
 fn commands_that_nobody_takes_are_refused_when_there_are_too_many() {
     let played = Played::start(TokenPolicy::Elsewhere);
     let address = played.address();
-    let statuses: Vec<u16> = (0..70)
-        .map(|_| post(address, r#"{"command":"reset-pose"}"#).status)
-        .collect();
+    let statuses: Vec<u16> = (0..70).map(|_| post(address, r#"{"command":"reset-pose"}"#).status).collect();
     assert!(statuses[..64].iter().all(|status| *status == 202));
     assert!(statuses[64..].iter().all(|status| *status == 503));
     assert_eq!(refused(address, "commands_full"), 6.0);
@@ -91,10 +72,7 @@ fn every_answer_keeps_browsers_careful_and_allows_no_other_origin() {
     for path in ["/", "/v1/state", "/nothing"] {
         let answer = get(played.address(), path);
         let policy = answer.header("content-security-policy").unwrap();
-        assert!(
-            policy.starts_with("default-src 'self';"),
-            "{path}: {policy}"
-        );
+        assert!(policy.starts_with("default-src 'self';"), "{path}: {policy}");
         assert_eq!(answer.header("x-content-type-options"), Some("nosniff"));
         assert_eq!(answer.header("access-control-allow-origin"), None);
     }
@@ -107,11 +85,7 @@ fn foreign_hosts_and_origins_are_refused_and_counted() {
     let rebound = b"GET /v1/state HTTP/1.1\r\nhost: evil.example\r\nconnection: close\r\n\r\n";
     let answer = exchange(address, rebound).unwrap();
     assert_eq!(answer.status, 421);
-    assert!(
-        answer
-            .error()
-            .contains("`evil.example` is not this station")
-    );
+    assert!(answer.error().contains("`evil.example` is not this station"));
     let foreign = "origin: http://evil.example\r\ncontent-type: application/json\r\n";
     let command = br#"{"command":"reset-pose"}"#;
     let answer = request(address, "POST /v1/commands", (foreign, command));
@@ -119,19 +93,10 @@ fn foreign_hosts_and_origins_are_refused_and_counted() {
     let upgrade = format!(
         "upgrade: websocket\r\nsec-websocket-version: 13\r\nsec-websocket-key: AAAAAAAAAAAAAAAAAAAAAA==\r\n{foreign}"
     );
-    assert_eq!(
-        request(address, "GET /v1/stream", (&upgrade, b"")).status,
-        403
-    );
+    assert_eq!(request(address, "GET /v1/stream", (&upgrade, b"")).status, 403);
     let form = "content-type: text/plain\r\n";
-    assert_eq!(
-        request(address, "POST /v1/commands", (form, command)).status,
-        415
-    );
-    assert_eq!(
-        (refused(address, "host"), refused(address, "origin")),
-        (1.0, 2.0)
-    );
+    assert_eq!(request(address, "POST /v1/commands", (form, command)).status, 415);
+    assert_eq!((refused(address, "host"), refused(address, "origin")), (1.0, 2.0));
     assert_eq!(refused(address, "request"), 1.0);
     let mut commands = played.commands;
     assert!(commands.try_recv().is_err(), "nothing reached the shard");
@@ -147,26 +112,14 @@ fn a_token_opens_the_station_and_a_wrong_one_does_not() {
     assert_eq!(get(address, "/?token=0123").status, 401);
     let page = get(address, &format!("/?token={token}"));
     let cookie = page.header("set-cookie").unwrap();
-    assert!(
-        cookie.ends_with("; path=/; httponly; samesite=strict"),
-        "{cookie}"
-    );
+    assert!(cookie.ends_with("; path=/; httponly; samesite=strict"), "{cookie}");
     let cookie = format!("cookie: {}\r\n", cookie.split(';').next().unwrap());
-    assert_eq!(
-        request(address, "GET /v1/state", (&cookie, b"")).status,
-        200
-    );
+    assert_eq!(request(address, "GET /v1/state", (&cookie, b"")).status, 200);
     let bearer = format!("authorization: Bearer {token}\r\n");
     let metrics = request(address, "GET /metrics", (&bearer, b"")).text();
-    assert!(
-        metrics.contains("refused_total{reason=\"token\"} 2\n"),
-        "{metrics}"
-    );
+    assert!(metrics.contains("refused_total{reason=\"token\"} 2\n"), "{metrics}");
     let hello_needs = request(address, "GET /v1/stream", (&bearer, b""));
-    assert_eq!(
-        hello_needs.status, 400,
-        "it is no upgrade, but it was let in"
-    );
+    assert_eq!(hello_needs.status, 400, "it is no upgrade, but it was let in");
 }
 
 #[test]
@@ -175,10 +128,7 @@ fn a_browser_without_the_token_is_told_what_to_do() {
     let address = played.address();
     let accept = "accept: text/html,application/xhtml+xml\r\n";
     let page = request(address, "GET /", (accept, b""));
-    assert_eq!(
-        (page.status, page.header("content-type")),
-        (401, Some("text/html; charset=utf-8"))
-    );
+    assert_eq!((page.status, page.header("content-type")), (401, Some("text/html; charset=utf-8")));
     assert!(page.header("content-security-policy").is_some());
     assert!(page.text().contains("Open that address"), "{}", page.text());
     let program = request(address, "GET /v1/robots", ("accept: */*\r\n", b""));
@@ -194,23 +144,14 @@ fn recordings_are_listed_sent_and_replayed_and_nothing_else_is() {
     played.record("broken.mcap", b"bad");
     let rows = get(address, "/v1/recordings").json();
     assert_eq!(rows.as_array().unwrap().len(), 2);
-    assert_eq!(
-        (&rows[1]["name"], &rows[1]["bytes"]),
-        (&"recording.mcap".into(), &300_000.into())
-    );
+    assert_eq!((&rows[1]["name"], &rows[1]["bytes"]), (&"recording.mcap".into(), &300_000.into()));
     let sent = get(address, "/v1/recordings/recording.mcap");
     assert_eq!(sent.body, bytes);
-    assert_eq!(
-        sent.header("content-disposition"),
-        Some("attachment; filename=\"recording.mcap\"")
-    );
+    assert_eq!(sent.header("content-disposition"), Some("attachment; filename=\"recording.mcap\""));
     let replayed = get(address, "/v1/recordings/recording.mcap/replay");
     assert_eq!(replayed.json()["robots"][0]["id"], "300000 bytes");
     let broken = get(address, "/v1/recordings/broken.mcap/replay");
-    assert_eq!(
-        (broken.status, broken.error()),
-        (422, "it is no recording".to_owned())
-    );
+    assert_eq!((broken.status, broken.error()), (422, "it is no recording".to_owned()));
     for name in [
         "missing.mcap",
         "..%2fsecret.mcap",
@@ -250,13 +191,7 @@ fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
     assert_eq!(late["type"], "frame");
     let missed = http::metric(played.address(), "posebridge_dashboard_frames_missed_total");
     assert!(missed > 0.0);
-    assert_eq!(
-        http::metric(
-            played.address(),
-            "posebridge_dashboard_events_dropped_total"
-        ),
-        0.0
-    );
+    assert_eq!(http::metric(played.address(), "posebridge_dashboard_events_dropped_total"), 0.0);
 }
 
 #[test]
@@ -265,16 +200,11 @@ fn a_default_port_that_is_taken_moves_on_and_a_chosen_one_does_not() {
     let taken = played.address();
     let error = Bound::new(Listen::Exactly(taken)).unwrap_err();
     assert!(matches!(error, StartError::Taken { address } if address == taken));
-    assert!(
-        error
-            .to_string()
-            .contains("is in use, perhaps by another station")
-    );
+    assert!(error.to_string().contains("is in use, perhaps by another station"));
     let folder = tempfile::tempdir().unwrap();
     let sources = sources(folder.path(), &played.clock);
     let bound = Bound::new(Listen::OrNext(taken)).unwrap();
-    let (next, _feed, _commands) =
-        Dashboard::start(Some(bound), Facts::default(), sources).unwrap();
+    let (next, _feed, _commands) = Dashboard::start(Some(bound), Facts::default(), sources).unwrap();
     let steps = next.address().unwrap().port() - taken.port();
     assert!((1..=20).contains(&steps), "{steps}");
 }
@@ -294,19 +224,11 @@ fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
     let folder = tempfile::tempdir().unwrap();
     let mut taps = Taps::default();
     let tap = taps.add(64);
-    let sources = Sources {
-        taps,
-        ..sources(folder.path(), &Clock::going())
-    };
+    let sources = Sources { taps, ..sources(folder.path(), &Clock::going()) };
     let started = Dashboard::start(None, Facts::default(), sources);
     let (dashboard, feed, mut commands) = started.unwrap();
     assert_eq!((dashboard.address(), dashboard.url()), (None, None));
-    feed.tell(Batch {
-        now: Stamp::from_millis(5),
-        took: Span::ZERO,
-        events: [says("hello")].into(),
-        standing: None,
-    });
+    feed.tell(Batch { now: Stamp::from_millis(5), took: Span::ZERO, events: [says("hello")].into(), standing: None });
     let heard = std::iter::from_fn(|| tap.wait()).find(|frame| !frame.log.is_empty());
     assert_eq!(heard.unwrap().log[0].text, "1/1: hello");
     assert!(dashboard.commander().give(Command::ResetPose));

@@ -103,9 +103,7 @@ fn compare(inputs: &[Input], rounds: usize) {
         at_5_hz.time_fixes(&mut fix_at_5_hz_us);
         at_20_hz.time_fixes(&mut fix_at_20_hz_us);
     }
-    println!(
-        "\nmedians of {rounds} rounds of {STEPS} steps, all rows in turn; ratios within a round"
-    );
+    println!("\nmedians of {rounds} rounds of {STEPS} steps, all rows in turn; ratios within a round");
     let floor = &ways[0];
     for (way, samples) in WAYS.iter().zip(&ways) {
         print_row(way.name, samples, floor);
@@ -119,10 +117,7 @@ fn compare(inputs: &[Input], rounds: usize) {
         println!("{name:42} {:8.2} us/fix", median(samples));
     }
     println!();
-    println!(
-        "library / floor: {:.2} (bar {LIBRARY_BAR:.1})",
-        ratio(&ways[1], floor)
-    );
+    println!("library / floor: {:.2} (bar {LIBRARY_BAR:.1})", ratio(&ways[1], floor));
     println!(
         "pose state / floor: {:.1} (bar {STATE_BAR:.1}); with history and records: {:.1}",
         ratio(&state_ns, floor),
@@ -134,10 +129,7 @@ fn compare(inputs: &[Input], rounds: usize) {
 
 fn print_row(name: &str, samples: &[f64], floor: &[f64]) {
     let ns = median(samples);
-    println!(
-        "{name:42} {ns:8.1} ns/step {:6.2} x floor",
-        ratio(samples, floor)
-    );
+    println!("{name:42} {ns:8.1} ns/step {:6.2} x floor", ratio(samples, floor));
 }
 
 /// The median of the ratios of two rows, round by round.
@@ -179,14 +171,8 @@ struct Flagship {
 
 impl Flagship {
     fn new(camera: Camera) -> Self {
-        let Some(entry) = filter_named("pose") else {
-            unreachable!("the flagship stands in the table")
-        };
-        let mut flagship = Self {
-            filter: (entry.build)(&learning()),
-            camera,
-            step: 0,
-        };
+        let Some(entry) = filter_named("pose") else { unreachable!("the flagship stands in the table") };
+        let mut flagship = Self { filter: (entry.build)(&learning()), camera, step: 0 };
         for _ in 0..WARM_UP {
             flagship.drive_on();
             if flagship.is_fix_due() {

@@ -32,11 +32,7 @@ fn chi_square_cdf_density(degrees_of_freedom: u8, q: f64) -> (f64, f64) {
     let (mut n, mut cdf, mut density) = if degrees_of_freedom.is_multiple_of(2) {
         (2, -(-half).exp_m1(), 0.5 * (-half).exp())
     } else {
-        (
-            1,
-            erf(half.sqrt()),
-            (-half).exp() / (std::f64::consts::TAU * q).sqrt(),
-        )
+        (1, erf(half.sqrt()), (-half).exp() / (std::f64::consts::TAU * q).sqrt())
     };
     while n < degrees_of_freedom {
         density *= q / f64::from(n);
@@ -71,9 +67,8 @@ fn erf(x: f64) -> f64 {
 fn normal_quantile(probability: f64) -> f64 {
     let tail = probability.min(1.0 - probability).max(1e-300);
     let t = (-2.0 * tail.ln()).sqrt();
-    let z = t
-        - (2.515_517 + t * (0.802_853 + t * 0.010_328))
-            / (1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308)));
+    let z =
+        t - (2.515_517 + t * (0.802_853 + t * 0.010_328)) / (1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308)));
     if probability >= 0.5 { z } else { -z }
 }
 

@@ -25,7 +25,6 @@ pub mod params;
 pub mod update;
 
 pub use filters::{
-    Adjustment, Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, Placing, StartPose,
-    filter_named,
+    Adjustment, Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, Placing, StartPose, filter_named,
 };
 pub use params::{PARAMS, Param, Params};

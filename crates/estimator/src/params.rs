@@ -159,14 +159,7 @@ pub const PARAMS: &[Param] = &[
         reset_after_s,
         "fixes that agree with each other but not with the estimate for this long move the estimate"
     ),
-    param!(
-        "reset_after_n",
-        "",
-        5.0,
-        2.0..=1_000.0,
-        reset_after_fixes,
-        "and at least this many of them"
-    ),
+    param!("reset_after_n", "", 5.0, 2.0..=1_000.0, reset_after_fixes, "and at least this many of them"),
     // 3 %: about fifty observations are remembered, so that the scale follows a camera that is moved within seconds.
     param!(
         "adapt_gain",
@@ -285,12 +278,8 @@ impl Params {
     /// # Errors
     /// The key is unknown, or the value is outside the row's range.
     pub fn set(&mut self, key: &str, value: f64) -> Result<(), ParamError> {
-        let row = PARAMS
-            .iter()
-            .find(|row| row.key == key)
-            .ok_or_else(|| ParamError::Unknown {
-                key: key.to_owned(),
-            })?;
+        let row =
+            PARAMS.iter().find(|row| row.key == key).ok_or_else(|| ParamError::Unknown { key: key.to_owned() })?;
         if !row.range.contains(&value) {
             return Err(ParamError::OutOfRange {
                 key: row.key,
@@ -336,31 +325,13 @@ mod tests {
     fn every_row_reaches_a_field_of_its_own_and_its_default_is_in_range() {
         for (index, row) in PARAMS.iter().enumerate() {
             assert!(row.range.contains(&row.default), "{}", row.key);
-            assert!(
-                row.key.len() <= 16,
-                "{} does not fit a PARAM message",
-                row.key
-            );
+            assert!(row.key.len() <= 16, "{} does not fit a PARAM message", row.key);
             let mut params = Params::default();
-            assert_eq!(
-                row.key,
-                row.key.to_ascii_lowercase(),
-                "a PARAM message tells it in capitals"
-            );
+            assert_eq!(row.key, row.key.to_ascii_lowercase(), "a PARAM message tells it in capitals");
             (row.write)(&mut params, -1.0);
             for (other_index, other) in PARAMS.iter().enumerate() {
-                let expected = if index == other_index {
-                    -1.0
-                } else {
-                    other.default
-                };
-                assert_eq!(
-                    (other.read)(&params),
-                    expected,
-                    "{} against {}",
-                    row.key,
-                    other.key
-                );
+                let expected = if index == other_index { -1.0 } else { other.default };
+                assert_eq!((other.read)(&params), expected, "{} against {}", row.key, other.key);
             }
         }
     }
@@ -368,9 +339,6 @@ mod tests {
     #[test]
     fn a_value_out_of_range_is_refused_with_its_range() {
         let error = Params::default().set("slip_nis", 1.0).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "filter parameter `slip_nis` is 1, must lie in 4 to 100"
-        );
+        assert_eq!(error.to_string(), "filter parameter `slip_nis` is 1, must lie in 4 to 100");
     }
 }

@@ -176,11 +176,7 @@ pub fn use_scalar<const N: usize, const K: usize>(
         subtract_outer_square(covariance, &cross, inverse);
         Usage::Used
     };
-    ScalarOutcome {
-        innovation_variance: s,
-        nis,
-        usage,
-    }
+    ScalarOutcome { innovation_variance: s, nis, usage }
 }
 
 /// What [`use_scalar`] without a gate would make of some rows, which must rise: their mean and their covariance; `None` if it would change
@@ -220,11 +216,7 @@ pub fn foretell_scalar<const N: usize, const K: usize, const R: usize>(
 
 /// P <- P - c c' / s: one triangle computed, the other copied, so that the result is symmetric.
 #[inline]
-fn subtract_outer_square<const N: usize>(
-    p: &mut SMatrix<f64, N, N>,
-    c: &SVector<f64, N>,
-    inverse_s: f64,
-) {
+fn subtract_outer_square<const N: usize>(p: &mut SMatrix<f64, N, N>, c: &SVector<f64, N>, inverse_s: f64) {
     let scaled = c * inverse_s;
     for column in 0..N {
         for row in column..N {
@@ -286,10 +278,7 @@ pub fn factorise<const M: usize, E>(
     Ok(lower)
 }
 
-fn solve_lower<const M: usize>(
-    lower: &SMatrix<f64, M, M>,
-    right: &SVector<f64, M>,
-) -> SVector<f64, M> {
+fn solve_lower<const M: usize>(lower: &SMatrix<f64, M, M>, right: &SVector<f64, M>) -> SVector<f64, M> {
     let mut solved = *right;
     for i in 0..M {
         for k in 0..i {
@@ -333,12 +322,9 @@ mod tests {
         let (_, covariance, measurement) = correlated();
         let s = measurement.innovation_covariance(&covariance);
         let (nis, log_likelihood) = consistency(&measurement.innovation, &s).unwrap();
-        let expected = (measurement.innovation.transpose()
-            * s.try_inverse().unwrap()
-            * measurement.innovation)[0];
+        let expected = (measurement.innovation.transpose() * s.try_inverse().unwrap() * measurement.innovation)[0];
         assert!((nis - expected).abs() < 1e-12);
-        let by_formula =
-            -0.5 * (expected + ((std::f64::consts::TAU).powi(2) * s.determinant()).ln());
+        let by_formula = -0.5 * (expected + ((std::f64::consts::TAU).powi(2) * s.determinant()).ln());
         assert!((log_likelihood - by_formula).abs() < 1e-12);
     }
 

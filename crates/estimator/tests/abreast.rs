@@ -1,9 +1,6 @@
 //! Wheels and gyro of one instant leave the same belief whichever comes first, bit for bit and after every pair, also where a gyro that
 //! comes second cannot be put beside the wheels: when a window closes, when it was silent, when the tunables changed in between.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when the filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when the filter gives no estimate")]
 
 #[path = "support/drive.rs"]
 mod drive;
@@ -20,15 +17,7 @@ use robot::config;
 
 /// Forty seconds of wheels, gyro and camera at the same instants; a list for each instant, in the order in which they are applied.
 fn instants() -> Vec<Vec<Observation>> {
-    let scenario = Scenario {
-        laps: 1,
-        camera: Some(Camera {
-            every: 3,
-            delay: 0,
-            spread: 0,
-            outliers: 0.1,
-        }),
-    };
+    let scenario = Scenario { laps: 1, camera: Some(Camera { every: 3, delay: 0, spread: 0, outliers: 0.1 }) };
     let drive = drive(&scenario, 5);
     let mut observations: Vec<Observation> = drive
         .arrivals
@@ -84,11 +73,7 @@ fn a_gyro_behind_the_wheels_of_its_instant_is_as_one_before_them() {
 
 #[test]
 fn what_is_told_behind_a_change_of_tunables_is_applied_by_the_new_ones() {
-    let changed = Params {
-        turn_acceleration_rad_per_s2: 9.0,
-        acceleration_m_per_s2: 0.1,
-        ..Params::default()
-    };
+    let changed = Params { turn_acceleration_rad_per_s2: 9.0, acceleration_m_per_s2: 0.1, ..Params::default() };
     let changed = Adjustment::Params(changed);
     let mut between = PoseFilter::<CORE>::new(&config());
     let mut before = PoseFilter::<CORE>::new(&config());

@@ -1,8 +1,5 @@
 //! What a person changes about a filter that runs: tunables, the pose, what is learned.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when a filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when a filter gives no estimate")]
 
 #[path = "support/conformance.rs"]
 mod conformance;
@@ -66,11 +63,7 @@ fn every_filter_says_whether_it_takes_tunables_and_is_unchanged_where_it_does_no
         drive_straight(filter.as_mut(), 1_000);
         let before = belief(filter.as_ref());
         let verdict = filter.adjust(&Adjustment::Params(tuned("gate_prob", 0.6)));
-        let expected = if TAKES_PARAMS.contains(&entry.name) {
-            Verdict::Accepted
-        } else {
-            Verdict::Unused
-        };
+        let expected = if TAKES_PARAMS.contains(&entry.name) { Verdict::Accepted } else { Verdict::Unused };
         assert_eq!(verdict, expected, "{}", entry.name);
         // Neither loses what it knows.
         assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
@@ -83,10 +76,7 @@ fn tunables_that_are_set_first_are_those_that_a_filter_is_built_with() {
         let other = 0.25 * row.range.start() + 0.75 * row.range.end();
         let params = tuned(row.key, other);
         let built = FilterConfig { params, ..config() };
-        for entry in FILTERS
-            .iter()
-            .filter(|entry| TAKES_PARAMS.contains(&entry.name))
-        {
+        for entry in FILTERS.iter().filter(|entry| TAKES_PARAMS.contains(&entry.name)) {
             let mut built = (entry.build)(&built);
             let mut set = (entry.build)(&config());
             let _ = set.adjust(&Adjustment::Params(params));
@@ -97,13 +87,7 @@ fn tunables_that_are_set_first_are_those_that_a_filter_is_built_with() {
                 filter.observe(&fix(2_000, fix_of(0.43, 0.02, 0.1)));
                 filter.observe(&wheels(2_050, 40.0, 40.0));
             }
-            assert_eq!(
-                belief(set.as_ref()),
-                belief(built.as_ref()),
-                "{} {}",
-                entry.name,
-                row.key
-            );
+            assert_eq!(belief(set.as_ref()), belief(built.as_ref()), "{} {}", entry.name, row.key);
         }
     }
 }
@@ -114,17 +98,11 @@ fn a_gate_that_is_narrowed_refuses_the_next_fix_and_keeps_the_state() {
     let verdict_after = |probability: f64| {
         // With the noise as configured, so that 12 mm are a little more than two sigma.
         let unlearned = tuned("adapt_gain", 0.0);
-        let mut filter = PoseFilter::<CORE>::new(&FilterConfig {
-            params: unlearned,
-            ..config()
-        });
+        let mut filter = PoseFilter::<CORE>::new(&FilterConfig { params: unlearned, ..config() });
         drive_straight(&mut filter, 2_000);
         filter.observe(&fix(2_000, fix_of(0.4, 0.0, 0.0)));
         let before = latest(&filter);
-        let narrowed = Params {
-            gate_probability: probability,
-            ..unlearned
-        };
+        let narrowed = Params { gate_probability: probability, ..unlearned };
         let _ = filter.adjust(&Adjustment::Params(narrowed));
         assert_eq!(latest(&filter), before);
         filter.observe(&offset).verdict
@@ -153,10 +131,7 @@ fn a_pose_that_is_forgotten_comes_back_with_the_next_fix_and_both_are_told() {
     let _ = filter.adjust(&Adjustment::ForgetPose);
     filter.observe(&fix(1_980, fix_of(3.0, 2.0, 1.0)));
     assert!(!latest(&filter).validity.position, "it was seen before");
-    assert_eq!(
-        filter.observe(&fix(2_050, fix_of(3.0, 2.0, 1.0))).verdict,
-        Verdict::Accepted
-    );
+    assert_eq!(filter.observe(&fix(2_050, fix_of(3.0, 2.0, 1.0))).verdict, Verdict::Accepted);
     let found = latest(&filter);
     assert!(found.validity.position && found.validity.heading);
     assert!((found.pose.x.0 - 3.0).abs() < 1e-9 && (found.pose.heading.rad() - 1.0).abs() < 1e-9);
@@ -189,10 +164,7 @@ fn frozen_constants_stay_what_they_are_and_are_learned_on_when_they_thaw() {
     assert_eq!(radius_scale(&filter), learned, "with the doubt that it had");
     drive_on(&mut filter, (8_000, 16_000));
     let on = radius_scale(&filter);
-    assert!(
-        (on.value - 0.03).abs() < (learned.value - 0.03).abs(),
-        "{on:?}"
-    );
+    assert!((on.value - 0.03).abs() < (learned.value - 0.03).abs(), "{on:?}");
     assert!(on.sigma < learned.sigma);
 }
 

@@ -1,8 +1,5 @@
 //! The smoothed path against truth, and against the filter that had to answer at once.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when there is no smoothed path"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when there is no smoothed path")]
 
 #[path = "support/drive.rs"]
 mod drive;
@@ -19,18 +16,11 @@ use nalgebra::{Matrix3, Vector3};
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::offline::{FixArrival, Sees, Smoothed, TrueRun, batch, bound};
-use posebridge_telemetry::{
-    Arena, Heading, Meters, Observation, Observed, Pose, SensorId, quantities::wrap_rad,
-};
+use posebridge_telemetry::{Arena, Heading, Meters, Observation, Observed, Pose, SensorId, quantities::wrap_rad};
 use robot::{RADIUS_M, config};
 
 /// 10 Hz, 150 ± 50 ms late.
-const CAMERA: Camera = Camera {
-    every: 2,
-    delay: 3,
-    spread: 1,
-    outliers: 0.0,
-};
+const CAMERA: Camera = Camera { every: 2, delay: 3, spread: 1, outliers: 0.0 };
 
 fn observations(drive: &Drive) -> Vec<Observation> {
     let arrivals = drive.arrivals.iter();
@@ -105,20 +95,14 @@ fn four_laps_with_unknown_geometry_stay_within_eight_tenths_of_a_millimetre() {
         let error = found.value - (mean_radius_m / RADIUS_M - 1.0);
         assert!(error.abs() < 4.0 * found.sigma && found.sigma < 0.000_5);
     }
-    println!(
-        "{}",
-        scores.summary("camera 10 Hz, unknown geometry, 4 laps")
-    );
+    println!("{}", scores.summary("camera 10 Hz, unknown geometry, 4 laps"));
     assert!(scores.position_rms_m() <= 0.8e-3);
     assert!((0.8..1.25).contains(&scores.anees()));
 }
 
 #[test]
 fn hindsight_is_clearly_better_than_the_filter_and_honest() {
-    let scenario = Scenario {
-        laps: 1,
-        camera: Some(CAMERA),
-    };
+    let scenario = Scenario { laps: 1, camera: Some(CAMERA) };
     let mut scores = Scores::default();
     let mut filtered = vec![];
     for seed in 0..20 {
@@ -136,13 +120,7 @@ fn hindsight_is_clearly_better_than_the_filter_and_honest() {
 
 #[test]
 fn half_metre_outliers_do_no_harm() {
-    let scenario = Scenario {
-        laps: 1,
-        camera: Some(Camera {
-            outliers: 0.1,
-            ..CAMERA
-        }),
-    };
+    let scenario = Scenario { laps: 1, camera: Some(Camera { outliers: 0.1, ..CAMERA }) };
     let mut scores = Scores::default();
     for seed in 0..10 {
         let drive = drive(&scenario, seed);
@@ -159,10 +137,7 @@ fn half_metre_outliers_do_no_harm() {
 
 #[test]
 fn without_a_camera_a_lap_has_the_covariance_that_it_claims() {
-    let scenario = Scenario {
-        laps: 1,
-        camera: None,
-    };
+    let scenario = Scenario { laps: 1, camera: None };
     let mut scores = Scores::default();
     for seed in 0..60 {
         let drive = drive(&scenario, seed);
@@ -174,10 +149,7 @@ fn without_a_camera_a_lap_has_the_covariance_that_it_claims() {
 
 #[test]
 fn the_filter_does_not_beat_the_bound_and_comes_near_it() {
-    let scenario = Scenario {
-        laps: 1,
-        camera: Some(CAMERA),
-    };
+    let scenario = Scenario { laps: 1, camera: Some(CAMERA) };
     let (mut squares_m2, mut bounds_m2) = (0.0, 0.0);
     for seed in 0..20 {
         let drive = drive(&scenario, seed);
@@ -187,49 +159,27 @@ fn the_filter_does_not_beat_the_bound_and_comes_near_it() {
         bounds_m2 += bounds.iter().sum::<f64>() / bounds.len() as f64;
     }
     let ratio = f64::sqrt(squares_m2 / bounds_m2);
-    println!(
-        "bound {:.3} mm, error over bound {ratio:.3}",
-        1e3 * f64::sqrt(bounds_m2 / 20.0)
-    );
+    println!("bound {:.3} mm, error over bound {ratio:.3}", 1e3 * f64::sqrt(bounds_m2 / 20.0));
     assert!((0.95..1.15).contains(&ratio), "{ratio}");
 }
 
 /// The bound of a drive, with its own fixes and their delays.
 fn bound_of(drive: &Drive, config: &FilterConfig) -> Vec<f64> {
     let mut poses = vec![Pose::<Arena>::default()];
-    poses.extend(
-        drive
-            .poses
-            .iter()
-            .map(|&(x, y, heading)| Pose::new(Meters(x), Meters(y), Heading::from_rad(heading))),
-    );
+    poses
+        .extend(drive.poses.iter().map(|&(x, y, heading)| Pose::new(Meters(x), Meters(y), Heading::from_rad(heading))));
     let mut travel = vec![];
     let mut last = (0.0, 0.0);
     let mut fixes = vec![];
     for arrival in &drive.arrivals {
         let observation = &arrival.observation;
         if let Observed::WheelAngles { left, right } = observation.observed {
-            travel.push(WheelTravel {
-                left_m: RADIUS_M * (left.0 - last.0),
-                right_m: RADIUS_M * (right.0 - last.1),
-            });
+            travel.push(WheelTravel { left_m: RADIUS_M * (left.0 - last.0), right_m: RADIUS_M * (right.0 - last.1) });
             last = (left.0, right.0);
         } else if observation.sensor == SensorId::CAMERA {
             let taken = (observation.stamp.as_secs_f64() / drive::STEP_S).round();
-            fixes.push(FixArrival {
-                taken: taken as usize,
-                arrives: arrival.step,
-                sees: Sees::Pose,
-            });
+            fixes.push(FixArrival { taken: taken as usize, arrives: arrival.step, sees: Sees::Pose });
         }
     }
-    bound(
-        config,
-        &TrueRun {
-            poses: &poses,
-            travel: &travel,
-            step_s: drive::STEP_S,
-            fixes: &fixes,
-        },
-    )
+    bound(config, &TrueRun { poses: &poses, travel: &travel, step_s: drive::STEP_S, fixes: &fixes })
 }

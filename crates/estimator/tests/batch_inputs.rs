@@ -9,19 +9,14 @@ use drive::{Camera, Drive, Scenario, drive, stamp};
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::offline::{OfflineError, Smoothed, batch};
 use posebridge_telemetry::{
-    Heading, Meters, MetersPerSecond, Observation, Observed, Odom, Point2, Pose, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, quantities::wrap_rad,
+    Heading, Meters, MetersPerSecond, Observation, Observed, Odom, Point2, Pose, Radians, RadiansPerSecond, SensorId,
+    Span, Stamp, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use robot::{DEGREE, RADIUS_M, TRACK_M, config};
 
-const CAMERA: Camera = Camera {
-    every: 2,
-    delay: 0,
-    spread: 0,
-    outliers: 0.05,
-};
+const CAMERA: Camera = Camera { every: 2, delay: 0, spread: 0, outliers: 0.05 };
 
 /// The first 30 s of a lap, a turn included.
 const STEPS: usize = 600;
@@ -29,9 +24,7 @@ const STEPS: usize = 600;
 fn lap(camera: Option<Camera>) -> Drive {
     let mut drive = drive(&Scenario { laps: 1, camera }, 3);
     drive.poses.truncate(STEPS);
-    drive
-        .arrivals
-        .retain(|arrival| arrival.observation.stamp <= stamp(STEPS));
+    drive.arrivals.retain(|arrival| arrival.observation.stamp <= stamp(STEPS));
     drive
 }
 
@@ -42,9 +35,8 @@ fn observations(drive: &Drive) -> Vec<Observation> {
 
 fn position_rms_m(drive: &Drive, smoothed: &Smoothed) -> f64 {
     let pairs = smoothed.poses.iter().zip(&drive.poses);
-    let squares: f64 = pairs
-        .map(|(own, truth)| (own.pose.x.0 - truth.0).powi(2) + (own.pose.y.0 - truth.1).powi(2))
-        .sum();
+    let squares: f64 =
+        pairs.map(|(own, truth)| (own.pose.x.0 - truth.0).powi(2) + (own.pose.y.0 - truth.1).powi(2)).sum();
     (squares / drive.poses.len() as f64).sqrt()
 }
 
@@ -55,9 +47,7 @@ fn position_sigma_m(smoothed: &Smoothed, reading: usize) -> f64 {
 
 /// Changes every fix of a run.
 fn each_fix(all: &mut [Observation], mut change: impl FnMut(&mut Observation)) {
-    let fixes = all
-        .iter_mut()
-        .filter(|observation| matches!(observation.observed, Observed::Fix(_)));
+    let fixes = all.iter_mut().filter(|observation| matches!(observation.observed, Observed::Fix(_)));
     fixes.for_each(&mut change);
 }
 
@@ -67,8 +57,7 @@ fn the_order_of_the_observations_does_not_matter_bit_for_bit() {
     let in_order = batch(&config(), &all).unwrap();
     let mut rng = Pcg64::seed_from_u64(1);
     for _ in 0..3 {
-        let mut keyed: Vec<(u64, Observation)> =
-            all.iter().map(|one| (rng.random(), *one)).collect();
+        let mut keyed: Vec<(u64, Observation)> = all.iter().map(|one| (rng.random(), *one)).collect();
         keyed.sort_by_key(|one| one.0);
         let shuffled: Vec<Observation> = keyed.into_iter().map(|one| one.1).collect();
         assert_eq!(batch(&config(), &shuffled).unwrap(), in_order);
@@ -85,10 +74,7 @@ fn what_is_damaged_repeated_or_of_no_use_changes_nothing() {
         let mut damaged = *observation;
         damaged.observed = Observed::TurnRate(RadiansPerSecond(f64::NAN));
         dirty.push(damaged);
-        damaged.observed = Observed::WheelAngles {
-            left: Radians(f64::INFINITY),
-            right: Radians(1e300),
-        };
+        damaged.observed = Observed::WheelAngles { left: Radians(f64::INFINITY), right: Radians(1e300) };
         dirty.push(damaged);
         damaged.observed = Observed::WallRange(Meters(1.0));
         dirty.push(damaged);
@@ -104,24 +90,14 @@ fn what_is_damaged_repeated_or_of_no_use_changes_nothing() {
 #[test]
 fn without_motion_or_without_any_place_there_is_nothing_to_smooth() {
     let all = observations(&lap(Some(CAMERA)));
-    let unplaced = FilterConfig {
-        start: None,
-        ..config()
-    };
-    let (fixes, others): (Vec<Observation>, Vec<Observation>) = all
-        .iter()
-        .partition(|one| matches!(one.observed, Observed::Fix(_)));
+    let unplaced = FilterConfig { start: None, ..config() };
+    let (fixes, others): (Vec<Observation>, Vec<Observation>) =
+        all.iter().partition(|one| matches!(one.observed, Observed::Fix(_)));
     let mut fixed_later = others.clone();
-    fixed_later.extend(fixes.iter().map(|fix| Observation {
-        stamp: fix.stamp + Span::from_millis(1_000_000),
-        ..*fix
-    }));
-    for (config, observations) in [
-        (config(), vec![]),
-        (config(), fixes),
-        (unplaced.clone(), others),
-        (unplaced, fixed_later),
-    ] {
+    fixed_later.extend(fixes.iter().map(|fix| Observation { stamp: fix.stamp + Span::from_millis(1_000_000), ..*fix }));
+    for (config, observations) in
+        [(config(), vec![]), (config(), fixes), (unplaced.clone(), others), (unplaced, fixed_later)]
+    {
         let error = batch(&config, &observations).unwrap_err();
         assert!(matches!(error, OfflineError::NothingObserved { .. }));
     }
@@ -176,10 +152,7 @@ fn a_delay_of_the_fixes_and_a_shifted_tag_are_found() {
         ("forward", found.tag_forward_m, tag.0),
         ("left", found.tag_left_m, tag.1),
     ] {
-        assert!(
-            (known.value - truth).abs() < 4.0 * known.sigma,
-            "{what} {known:?}"
-        );
+        assert!((known.value - truth).abs() < 4.0 * known.sigma, "{what} {known:?}");
         assert!(known.sigma < 0.005, "{what} {known:?}");
     }
     assert!(position_rms_m(&drive, &smoothed) < 2e-3);
@@ -188,10 +161,7 @@ fn a_delay_of_the_fixes_and_a_shifted_tag_are_found() {
 #[test]
 fn an_unknown_start_is_found_from_positions_alone() {
     let drive = lap(Some(CAMERA));
-    let unplaced = FilterConfig {
-        start: None,
-        ..config()
-    };
+    let unplaced = FilterConfig { start: None, ..config() };
     for turned_deg in [0.0, 75.0, 180.0, -100.0] {
         let mut all = observations(&drive);
         let (sin, cos) = f64::to_radians(turned_deg).sin_cos();
@@ -199,25 +169,16 @@ fn an_unknown_start_is_found_from_positions_alone() {
             if let Observed::Fix(fix) = &mut observation.observed {
                 fix.heading = None;
                 let (x, y) = (fix.position.x.0, fix.position.y.0);
-                fix.position = Point2::new(
-                    Meters(cos * x - sin * y + 5.0),
-                    Meters(sin * x + cos * y - 2.0),
-                );
+                fix.position = Point2::new(Meters(cos * x - sin * y + 5.0), Meters(sin * x + cos * y - 2.0));
             }
         });
         let smoothed = batch(&unplaced, &all).unwrap();
         let (last, truth) = (smoothed.poses[STEPS - 1], drive.poses[STEPS - 1]);
-        let expected = (
-            cos * truth.0 - sin * truth.1 + 5.0,
-            sin * truth.0 + cos * truth.1 - 2.0,
-        );
+        let expected = (cos * truth.0 - sin * truth.1 + 5.0, sin * truth.0 + cos * truth.1 - 2.0);
         let error_m = (last.pose.x.0 - expected.0).hypot(last.pose.y.0 - expected.1);
         let heading_rad = wrap_rad(last.pose.heading.rad() - truth.2 - f64::to_radians(turned_deg));
         assert!(error_m < 0.01, "{turned_deg} degrees: {error_m} m");
-        assert!(
-            heading_rad.abs() < 2.0 * DEGREE,
-            "{turned_deg}: {heading_rad} rad"
-        );
+        assert!(heading_rad.abs() < 2.0 * DEGREE, "{turned_deg}: {heading_rad} rad");
     }
 }
 
@@ -240,9 +201,7 @@ fn counters_that_restart_leave_a_gap_that_fixes_close() {
     let drive = lap(Some(CAMERA));
     let mut all = observations(&drive);
     // The brick counts on from zero and is silent for a second before.
-    all.retain(|one| {
-        matches!(one.observed, Observed::Fix(_)) || !(stamp(300)..stamp(320)).contains(&one.stamp)
-    });
+    all.retain(|one| matches!(one.observed, Observed::Fix(_)) || !(stamp(300)..stamp(320)).contains(&one.stamp));
     for observation in &mut all {
         if let Observed::WheelAngles { left, right } = &mut observation.observed
             && observation.stamp >= stamp(320)
@@ -251,21 +210,13 @@ fn counters_that_restart_leave_a_gap_that_fixes_close() {
         }
     }
     let smoothed = batch(&config(), &all).unwrap();
-    let after = smoothed
-        .poses
-        .iter()
-        .position(|pose| pose.stamp == stamp(320))
-        .unwrap();
+    let after = smoothed.poses.iter().position(|pose| pose.stamp == stamp(320)).unwrap();
     let truth = drive.poses[319];
-    let error_m =
-        (smoothed.poses[after].pose.x.0 - truth.0).hypot(smoothed.poses[after].pose.y.0 - truth.1);
+    let error_m = (smoothed.poses[after].pose.x.0 - truth.0).hypot(smoothed.poses[after].pose.y.0 - truth.1);
     assert!(error_m < 0.02, "{error_m}");
     all.retain(|one| !matches!(one.observed, Observed::Fix(_)));
     let unseen = batch(&config(), &all).unwrap();
-    let (before, after) = (
-        position_sigma_m(&unseen, after - 1),
-        position_sigma_m(&unseen, after),
-    );
+    let (before, after) = (position_sigma_m(&unseen, after - 1), position_sigma_m(&unseen, after));
     assert!(before < 0.05 && after > 0.3, "{before} {after}");
 }
 
@@ -275,17 +226,9 @@ fn a_robot_that_stands_is_one_pose_and_its_gyro_tells_the_bias() {
     all.retain(|one| one.stamp <= stamp(40));
     let smoothed = batch(&config(), &all).unwrap();
     let first = smoothed.poses[0];
-    assert!(
-        smoothed
-            .poses
-            .iter()
-            .all(|own| own.pose == first.pose && own.covariance == first.covariance)
-    );
+    assert!(smoothed.poses.iter().all(|own| own.pose == first.pose && own.covariance == first.covariance));
     let bias = smoothed.calibration.gyro_bias_rad_per_s;
-    assert!(
-        bias.sigma < 0.2 * config().noise.gyro_bias_rad_per_s,
-        "{bias:?}"
-    );
+    assert!(bias.sigma < 0.2 * config().noise.gyro_bias_rad_per_s, "{bias:?}");
 }
 
 #[test]
@@ -296,18 +239,9 @@ fn a_foreign_odometer_and_held_speeds_move_the_robot_as_wheels_do() {
     let mut kinds = [vec![], vec![], vec![]];
     for k in 0..=100 {
         let (left, right) = wheels(k);
-        let speeds = Observed::BodyVelocity {
-            forward: MetersPerSecond(d / 0.05),
-            turn: RadiansPerSecond(turn / 0.05),
-        };
-        let wheels = Observed::WheelAngles {
-            left: Radians(left),
-            right: Radians(right),
-        };
-        for (kind, observed) in [wheels, Observed::OdometerPose(pose), speeds]
-            .into_iter()
-            .enumerate()
-        {
+        let speeds = Observed::BodyVelocity { forward: MetersPerSecond(d / 0.05), turn: RadiansPerSecond(turn / 0.05) };
+        let wheels = Observed::WheelAngles { left: Radians(left), right: Radians(right) };
+        for (kind, observed) in [wheels, Observed::OdometerPose(pose), speeds].into_iter().enumerate() {
             kinds[kind].push(Observation {
                 sensor: SensorId::ODOMETER,
                 stamp: Stamp::from_millis(50 * k),

@@ -3,10 +3,7 @@
 //! The first is dense: its unknowns are the start, the errors of each step and the constants, the path is what they lead to, and
 //! all derivatives are differences. It shares no formula with the code under test but the model. The second is a Kalman
 //! filter on a case that is linear.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when there is no smoothed path"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when there is no smoothed path")]
 
 #[path = "support/robot.rs"]
 mod robot;
@@ -15,8 +12,8 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::offline::{Smoothed, batch};
 use posebridge_telemetry::{
-    Fix, Heading, Known, Meters, Observation, Observed, Point2, Radians, RadiansPerSecond,
-    SensorId, Span, Stamp, quantities::wrap_rad,
+    Fix, Heading, Known, Meters, Observation, Observed, Point2, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -48,11 +45,7 @@ fn winding(seed: u64) -> Data {
     let mut rng = Pcg64::seed_from_u64(seed);
     let (mut x, mut y, mut th) = (0.0_f64, 0.0_f64, 0.0_f64);
     let (mut left, mut right) = (0.0, 0.0);
-    let mut data = Data {
-        wheels: vec![(0.0, 0.0)],
-        gyro: vec![0.0],
-        fixes: vec![],
-    };
+    let mut data = Data { wheels: vec![(0.0, 0.0)], gyro: vec![0.0], fixes: vec![] };
     for k in 1..READINGS {
         let t = 0.05 * k as f64;
         let (d, turn) = (0.012 + 0.004 * t.sin(), 0.06 * (1.3 * t).cos());
@@ -67,12 +60,8 @@ fn winding(seed: u64) -> Data {
             data.fixes.push((
                 STEP_MS * (k as i64 - 1) + FIX_OFFSET_MS,
                 [
-                    x + at * d * angle.cos() + cos * LEVER_M.0 - sin * LEVER_M.1
-                        + 0.005 * normal(&mut rng),
-                    y + at * d * angle.sin()
-                        + sin * LEVER_M.0
-                        + cos * LEVER_M.1
-                        + 0.005 * normal(&mut rng),
+                    x + at * d * angle.cos() + cos * LEVER_M.0 - sin * LEVER_M.1 + 0.005 * normal(&mut rng),
+                    y + at * d * angle.sin() + sin * LEVER_M.0 + cos * LEVER_M.1 + 0.005 * normal(&mut rng),
                     seen_th + 0.017 * normal(&mut rng),
                 ],
             ));
@@ -81,29 +70,20 @@ fn winding(seed: u64) -> Data {
         y += d * (th + 0.5 * true_turn).sin();
         th += true_turn;
         data.wheels.push((left, right));
-        data.gyro
-            .push(true_turn / 0.05 + 0.02 + 0.01 * normal(&mut rng));
+        data.gyro.push(true_turn / 0.05 + 0.02 + 0.01 * normal(&mut rng));
     }
     data
 }
 
 fn observation(at_ms: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: Stamp::from_millis(at_ms),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
+    Observation { sensor, stamp: Stamp::from_millis(at_ms), stamp_sigma: Span::ZERO, observed }
 }
 
 fn observations(data: &Data) -> Vec<Observation> {
     let mut all = vec![];
     for (k, (&(left, right), &rate)) in data.wheels.iter().zip(&data.gyro).enumerate() {
         let at_ms = STEP_MS * k as i64;
-        let wheels = Observed::WheelAngles {
-            left: Radians(left),
-            right: Radians(right),
-        };
+        let wheels = Observed::WheelAngles { left: Radians(left), right: Radians(right) };
         all.push(observation(at_ms, SensorId::WHEELS, wheels));
         let rate = Observed::TurnRate(RadiansPerSecond(rate));
         all.push(observation(at_ms, SensorId::GYRO, rate));
@@ -156,11 +136,7 @@ impl<'a> Dense<'a> {
         let mut stops: Vec<i64> = (0..READINGS as i64).map(|k| k * STEP_MS).collect();
         stops.extend(data.fixes.iter().map(|fix| fix.0));
         stops.sort_unstable();
-        Self {
-            data,
-            frozen,
-            stops,
-        }
+        Self { data, frozen, stops }
     }
 
     fn unknowns(&self) -> usize {
@@ -187,8 +163,7 @@ impl<'a> Dense<'a> {
         let (left, right) = (var(left), var(right));
         let distance = (0.25 * (left + right)).sqrt();
         let cross = (right - left) / (2.0 * track) / distance;
-        let turn_var =
-            (left + right) / (track * track) + NOISE.turn_rad_per_sqrt_rad.powi(2) * turn.abs();
+        let turn_var = (left + right) / (track * track) + NOISE.turn_rad_per_sqrt_rad.powi(2) * turn.abs();
         let rest = (turn_var - cross * cross).sqrt();
         [distance * white[0], cross * white[0] + rest * white[1]]
     }
@@ -219,10 +194,7 @@ impl<'a> Dense<'a> {
     }
 
     fn at(&self, stop_ms: i64) -> usize {
-        self.stops
-            .iter()
-            .position(|stop| *stop == stop_ms)
-            .expect("a stop")
+        self.stops.iter().position(|stop| *stop == stop_ms).expect("a stop")
     }
 
     fn residuals(&self, unknowns: &DVector<f64>) -> DVector<f64> {
@@ -246,8 +218,7 @@ impl<'a> Dense<'a> {
     }
 
     fn push_windows(&self, path: &[[f64; 3]], unknowns: &DVector<f64>, all: &mut Vec<f64>) {
-        let rate_var =
-            NOISE.gyro_rad_per_s.powi(2) + NOISE.gyro_resolution_rad_per_s.powi(2) / 12.0;
+        let rate_var = NOISE.gyro_rad_per_s.powi(2) + NOISE.gyro_resolution_rad_per_s.powi(2) / 12.0;
         let count = STEPS_PER_WINDOW as f64;
         let rounding = (RADIUS_M * robot::DEGREE / TRACK_M).powi(2) / 3.0;
         let sigma = (count * 0.05_f64.powi(2) * rate_var + rounding).sqrt();
@@ -270,11 +241,7 @@ impl<'a> Dense<'a> {
     }
 
     /// Central differences of any function of the unknowns.
-    fn differences(
-        &self,
-        unknowns: &DVector<f64>,
-        of: impl Fn(&DVector<f64>) -> DVector<f64>,
-    ) -> DMatrix<f64> {
+    fn differences(&self, unknowns: &DVector<f64>, of: impl Fn(&DVector<f64>) -> DVector<f64>) -> DMatrix<f64> {
         let rows = of(unknowns).len();
         let mut jacobian = DMatrix::zeros(rows, self.unknowns());
         for column in 0..self.unknowns() {
@@ -311,12 +278,8 @@ impl<'a> Dense<'a> {
     /// Covariance of the pose at a stop.
     fn covariance(&self, unknowns: &DVector<f64>, stop: usize) -> Matrix3<f64> {
         let jacobian = self.jacobian(unknowns);
-        let normal = (jacobian.transpose() * &jacobian)
-            .cholesky()
-            .expect("regular");
-        let by = self.differences(unknowns, |moved| {
-            DVector::from_row_slice(&self.path(moved)[stop])
-        });
+        let normal = (jacobian.transpose() * &jacobian).cholesky().expect("regular");
+        let by = self.differences(unknowns, |moved| DVector::from_row_slice(&self.path(moved)[stop]));
         let product = &by * normal.solve(&by.transpose());
         Matrix3::from_fn(|row, column| product[(row, column)])
     }
@@ -326,10 +289,7 @@ impl<'a> Dense<'a> {
 fn a_dense_solution_with_numerical_derivatives_agrees() {
     let data = winding(11);
     let smoothed = batch(&winding_config(), &observations(&data)).unwrap();
-    assert_eq!(
-        (smoothed.fixes_left_out, smoothed.gyro_windows),
-        (0, WINDOWS)
-    );
+    assert_eq!((smoothed.fixes_left_out, smoothed.gyro_windows), (0, WINDOWS));
     let own = &smoothed.calibration;
     let frozen = [own.radius_scale, own.radius_difference, own.track_scale];
     let dense = Dense::new(&data, frozen.map(|known| known.value));
@@ -341,10 +301,7 @@ fn a_dense_solution_with_numerical_derivatives_agrees() {
         let expected = path[dense.at(k as i64 * STEP_MS)];
         let found = [pose.pose.x.0, pose.pose.y.0, pose.pose.heading.rad()];
         for (found, expected) in found.into_iter().zip(expected) {
-            assert!(
-                (found - expected).abs() < 1e-6,
-                "reading {k}: {found} against {expected}"
-            );
+            assert!((found - expected).abs() < 1e-6, "reading {k}: {found} against {expected}");
         }
     }
     check_constants(&smoothed, &unknowns);
@@ -363,20 +320,10 @@ fn a_dense_solution_with_numerical_derivatives_agrees() {
 
 fn check_constants(smoothed: &Smoothed, unknowns: &DVector<f64>) {
     let own = &smoothed.calibration;
-    let found = [
-        own.radius_scale,
-        own.radius_difference,
-        own.track_scale,
-        own.tag_forward_m,
-        own.tag_left_m,
-    ];
+    let found = [own.radius_scale, own.radius_difference, own.track_scale, own.tag_forward_m, own.tag_left_m];
     for (i, found) in found.into_iter().enumerate() {
         let expected = unknowns[CONSTANT + i];
-        assert!(
-            (found.value - expected).abs() < 1e-6,
-            "constant {i}: {} against {expected}",
-            found.value
-        );
+        assert!((found.value - expected).abs() < 1e-6, "constant {i}: {} against {expected}", found.value);
     }
     let bias = unknowns[BIAS + WINDOWS - 1];
     assert!((own.gyro_bias_rad_per_s.value - bias).abs() < 1e-6);
@@ -389,11 +336,7 @@ const TRAVEL: f64 = 0.002;
 /// A robot that goes straight ahead; every third reading has a fix.
 fn straight(seed: u64) -> Data {
     let mut rng = Pcg64::seed_from_u64(seed);
-    let mut data = Data {
-        wheels: vec![],
-        gyro: vec![],
-        fixes: vec![],
-    };
+    let mut data = Data { wheels: vec![], gyro: vec![], fixes: vec![] };
     for k in 0..=160 {
         let angle = STRIDE_M / RADIUS_M * f64::from(k);
         data.wheels.push((angle, angle));
@@ -415,10 +358,7 @@ fn straight_config() -> FilterConfig {
     config.noise.travel_m_per_sqrt_m = TRAVEL;
     let start = config.start.as_mut().expect("it has a start");
     (start.position_sigma_m, start.heading_sigma_rad) = (0.01, 0.0);
-    config.calibration.radius_scale = Known {
-        value: 0.01,
-        sigma: 0.02,
-    };
+    config.calibration.radius_scale = Known { value: 0.01, sigma: 0.02 };
     config
 }
 
@@ -463,8 +403,7 @@ impl Kalman {
     }
 
     fn window(&mut self, samples: &[f64], walked_s: f64) {
-        let rate_var =
-            NOISE.gyro_rad_per_s.powi(2) + NOISE.gyro_resolution_rad_per_s.powi(2) / 12.0;
+        let rate_var = NOISE.gyro_rad_per_s.powi(2) + NOISE.gyro_resolution_rad_per_s.powi(2) / 12.0;
         let rounding = (RADIUS_M * robot::DEGREE / TRACK_M).powi(2) / 3.0;
         let count = samples.len() as f64;
         let length_s = 0.05 * count;
@@ -518,9 +457,6 @@ fn on_a_straight_the_last_pose_is_that_of_a_kalman_filter() {
         (scale.sigma.powi(2), kalman.x.1[(1, 1)]),
         (bias.sigma.powi(2), kalman.bias.1),
     ] {
-        assert!(
-            (found / expected - 1.0).abs() < 1e-3,
-            "{found} not {expected}"
-        );
+        assert!((found / expected - 1.0).abs() < 1e-3, "{found} not {expected}");
     }
 }

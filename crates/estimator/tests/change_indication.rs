@@ -39,12 +39,7 @@ const ALLOWED: f64 = 1e-6;
 /// Twenty steps are a second.
 const EVERY: usize = 20;
 
-const CAMERA: Camera = Camera {
-    every: 2,
-    delay: 3,
-    spread: 1,
-    outliers: 0.03,
-};
+const CAMERA: Camera = Camera { every: 2, delay: 3, spread: 1, outliers: 0.03 };
 
 fn row_of(estimate: &Estimate, learned: [Known; 3]) -> Vec<f64> {
     vec![
@@ -75,11 +70,7 @@ fn rows_of(drive: &Drive, config: &FilterConfig) -> Vec<Vec<f64>> {
         if step.is_multiple_of(EVERY) {
             let estimate = filter.estimate_at(stamp(step)).expect("it was observed");
             let learned = filter.calibration().expect("it learns");
-            let of_robot = [
-                learned.radius_scale,
-                learned.track_scale,
-                learned.gyro_bias_rad_per_s,
-            ];
+            let of_robot = [learned.radius_scale, learned.track_scale, learned.gyro_bias_rad_per_s];
             rows.push(row_of(&estimate, of_robot));
         }
     }
@@ -112,9 +103,7 @@ fn read(text: &str) -> Vec<Vec<f64>> {
 
 /// Holds rows against those of a file, or writes them there when asked to.
 fn hold_against(name: &str, rows: &[Vec<f64>]) {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/data/change_indication")
-        .join(name);
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/change_indication").join(name);
     if std::env::var_os("POSEBRIDGE_WRITE_CHANGE_INDICATION").is_some() {
         std::fs::write(&path, written(rows)).expect("the file can be written");
         return;
@@ -139,10 +128,7 @@ fn hold_against(name: &str, rows: &[Vec<f64>]) {
 
 #[test]
 fn a_known_geometry_without_a_camera_is_followed_as_before() {
-    let blind = Scenario {
-        laps: 1,
-        camera: None,
-    };
+    let blind = Scenario { laps: 1, camera: None };
     let drive = drive(&blind, 20_260_106);
     hold_against("no_camera.csv", &rows_of(&drive, &config()));
 }
@@ -163,21 +149,12 @@ fn every_sensor_and_every_state_are_followed_as_before() {
     let (mut drive, _) = drive_on_grid(1, KIT, Some(CAMERA), 20_260_105);
     let mut senses = Senses::new(&config, 20_260_105);
     let poses = drive.poses.clone();
-    add(&mut drive, SensorId::LANDMARKS, 5, |_, truth| {
-        senses.landmarks(truth)
-    });
+    add(&mut drive, SensorId::LANDMARKS, 5, |_, truth| senses.landmarks(truth));
     add(&mut drive, SensorId::BEACONS, 7, |_, truth| {
-        senses.beacons(
-            truth,
-            &[(0.2, 0.01), (0.0, 0.0), (-0.1, 0.02), (0.3, -0.01)],
-        )
+        senses.beacons(truth, &[(0.2, 0.01), (0.0, 0.0), (-0.1, 0.02), (0.3, -0.01)])
     });
-    add(&mut drive, SensorId::RANGE, 3, |_, truth| {
-        senses.wall(truth)
-    });
-    add(&mut drive, SensorId::COMPASS, 4, |_, truth| {
-        senses.compass(truth)
-    });
+    add(&mut drive, SensorId::RANGE, 3, |_, truth| senses.wall(truth));
+    add(&mut drive, SensorId::COMPASS, 4, |_, truth| senses.compass(truth));
     add(&mut drive, SensorId::ACCELEROMETER, 1, |step, _| {
         let Some(first) = step.checked_sub(3) else {
             return vec![];

@@ -1,8 +1,5 @@
 //! What every filter of the table must do, whatever it makes of its observations. What it must refuse: `conformance_refusals.rs`.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when a filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when a filter gives no estimate")]
 
 #[path = "support/conformance.rs"]
 mod conformance;
@@ -17,8 +14,8 @@ use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
 use nalgebra::Matrix5;
 use posebridge_estimator::{Filter, FilterConfig, Late, Placing, StartPose};
 use posebridge_telemetry::{
-    Estimate, Fix, Heading, Meters, MetersPerSecond, Observed, Point2, PositionCovariance, Radians,
-    RadiansPerSecond, SensorId, Span, Verdict,
+    Estimate, Fix, Heading, Meters, MetersPerSecond, Observed, Point2, PositionCovariance, Radians, RadiansPerSecond,
+    SensorId, Span, Verdict,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -26,10 +23,7 @@ use robot::{DEGREE, RADIUS_M, TRACK_M, config};
 use stamped::{at, gyro, ms, wheels};
 
 fn without_start() -> FilterConfig {
-    FilterConfig {
-        start: None,
-        ..config()
-    }
+    FilterConfig { start: None, ..config() }
 }
 
 #[test]
@@ -53,11 +47,7 @@ fn nothing_is_valid_before_a_fix_or_a_start_and_a_pose_that_is_set_is_a_start() 
         let placed = latest(filter.as_ref());
         assert!(placed.validity.position, "{}", entry.name);
         assert!(placed.validity.heading, "{}", entry.name);
-        assert!(
-            placed.is_dead_reckoning,
-            "{}: a start is no fix",
-            entry.name
-        );
+        assert!(placed.is_dead_reckoning, "{}: a start is no fix", entry.name);
     });
 }
 
@@ -84,20 +74,11 @@ fn a_pose_that_is_set_is_believed_and_counted_with_its_jump() {
         filter.observe(&fix(2_000, fix_of(0.4, 0.0, 0.0)));
         let before = latest(filter.as_ref());
         // Set with so much doubt that the fix would pass the gate, were it to have the last word.
-        let vague = StartPose {
-            position_sigma_m: 3.0,
-            heading_sigma_rad: 3.0,
-            ..start(-1.0, 2.0, -3.0)
-        };
+        let vague = StartPose { position_sigma_m: 3.0, heading_sigma_rad: 3.0, ..start(-1.0, 2.0, -3.0) };
         let verdict = filter.set_pose(&vague);
         assert_eq!(verdict, Verdict::ResetTo, "{}", entry.name);
         let after = latest(filter.as_ref());
-        assert_eq!(
-            (after.pose.x.0, after.pose.y.0),
-            (-1.0, 2.0),
-            "{}",
-            entry.name
-        );
+        assert_eq!((after.pose.x.0, after.pose.y.0), (-1.0, 2.0), "{}", entry.name);
         assert_eq!(after.pose.heading.rad(), -3.0, "{}", entry.name);
         assert!((after.x_sigma_m() - 3.0).abs() < 1e-12, "{}", entry.name);
         assert_eq!(after.reset_counter, before.reset_counter.wrapping_add(1));
@@ -108,11 +89,7 @@ fn a_pose_that_is_set_is_believed_and_counted_with_its_jump() {
 
         filter.observe(&wheels(2_050, 0.4 / RADIUS_M, 0.4 / RADIUS_M));
         let later = latest(filter.as_ref());
-        assert!(
-            (later.pose.x.0 + 1.0).abs() < 0.02,
-            "{}: it lasts",
-            entry.name
-        );
+        assert!((later.pose.x.0 + 1.0).abs() < 0.02, "{}: it lasts", entry.name);
         assert_eq!(later.reset_counter, after.reset_counter, "{}", entry.name);
     });
 }
@@ -185,11 +162,7 @@ fn counters_that_jump_to_zero_are_a_new_base_and_not_motion() {
         filter.observe(&wheels(10_100, rad, rad));
         // 1 cm after the jump, and at most another one that the filter makes up for the interval of the jump.
         let moved_m = latest(filter.as_ref()).pose.x.0 - before.pose.x.0;
-        assert!(
-            (0.0099..0.0201).contains(&moved_m),
-            "{}: {moved_m}",
-            entry.name
-        );
+        assert!((0.0099..0.0201).contains(&moved_m), "{}: {moved_m}", entry.name);
     });
 }
 
@@ -231,12 +204,7 @@ fn an_estimate_of_the_future_is_no_surer_than_one_of_the_present() {
                 "{} at {millis} ms",
                 entry.name
             );
-            assert_eq!(
-                ahead.validity.speeds,
-                millis <= 2_500,
-                "{}: speeds grow stale",
-                entry.name
-            );
+            assert_eq!(ahead.validity.speeds, millis <= 2_500, "{}: speeds grow stale", entry.name);
         }
     });
 }
@@ -244,28 +212,17 @@ fn an_estimate_of_the_future_is_no_surer_than_one_of_the_present() {
 /// An observation of any kind that a robot with a camera sends, with a stamp that may be early, late or doubled.
 fn any_observation() -> impl Strategy<Value = (i64, Observed)> {
     let wheel = -400.0..400.0;
-    let wheels = (wheel.clone(), wheel).prop_map(|(left, right)| Observed::WheelAngles {
-        left: Radians(left * 0.1),
-        right: Radians(right * 0.1),
-    });
+    let wheels = (wheel.clone(), wheel)
+        .prop_map(|(left, right)| Observed::WheelAngles { left: Radians(left * 0.1), right: Radians(right * 0.1) });
     let gyro = (-9.0..9.0).prop_map(|rate| Observed::TurnRate(RadiansPerSecond(rate)));
     let place = (-5.0..5.0, -5.0..5.0, -PI..PI);
-    let shape = (
-        prop::option::of((1e-8..4.0, -0.99..0.99, 1e-8..4.0, 1e-8..4.0)),
-        any::<bool>(),
-        -0.5..0.5,
-    );
+    let shape = (prop::option::of((1e-8..4.0, -0.99..0.99, 1e-8..4.0, 1e-8..4.0)), any::<bool>(), -0.5..0.5);
     let fix = (place, shape).prop_map(|((x, y, heading), (covariance, has_heading, lever))| {
         Observed::Fix(Fix {
             heading: has_heading.then(|| Heading::from_rad(heading)),
-            covariance: covariance.map(
-                |(xx_m2, share, yy_m2, heading_rad2): (f64, f64, f64, f64)| PositionCovariance {
-                    xx_m2,
-                    xy_m2: share * (xx_m2 * yy_m2).sqrt(),
-                    yy_m2,
-                    heading_rad2,
-                },
-            ),
+            covariance: covariance.map(|(xx_m2, share, yy_m2, heading_rad2): (f64, f64, f64, f64)| {
+                PositionCovariance { xx_m2, xy_m2: share * (xx_m2 * yy_m2).sqrt(), yy_m2, heading_rad2 }
+            }),
             tag_in_body: Point2::new(Meters(lever), Meters(0.1)),
             ..fix_of(x, y, 0.0)
         })
@@ -282,24 +239,14 @@ fn any_observation() -> impl Strategy<Value = (i64, Observed)> {
 /// Finite, wrapped, symmetric and positive semi-definite.
 fn assert_sound(name: &str, estimate: &Estimate) {
     let heading_rad = estimate.pose.heading.rad();
-    assert!(
-        heading_rad > -PI && heading_rad <= PI,
-        "{name}: {heading_rad}"
-    );
-    let numbers = [
-        estimate.pose.x.0,
-        estimate.pose.y.0,
-        estimate.forward_speed.0,
-        estimate.turn_rate.0,
-    ];
+    assert!(heading_rad > -PI && heading_rad <= PI, "{name}: {heading_rad}");
+    let numbers = [estimate.pose.x.0, estimate.pose.y.0, estimate.forward_speed.0, estimate.turn_rate.0];
     assert!(numbers.iter().all(|value| value.is_finite()), "{name}");
     let p = Matrix5::from_fn(|row, column| estimate.covariance[row][column]);
     assert!(p.iter().all(|value| value.is_finite()), "{name}: {p}");
     assert_eq!(p, p.transpose(), "{name}");
     // Scaled to correlations, so that the units of the rows do not decide what counts as zero.
-    let scale = p
-        .diagonal()
-        .map(|variance| 1.0 / variance.max(1e-12).sqrt());
+    let scale = p.diagonal().map(|variance| 1.0 / variance.max(1e-12).sqrt());
     let correlations = Matrix5::from_diagonal(&scale) * p * Matrix5::from_diagonal(&scale);
     let lowest = correlations.symmetric_eigenvalues().min();
     assert!(lowest > -1e-7, "{name}: eigenvalue {lowest:e} of {p}");

@@ -1,8 +1,5 @@
 //! What every filter of the table must refuse, and that what was refused leaves no trace.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when a filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when a filter gives no estimate")]
 
 #[path = "support/conformance.rs"]
 mod conformance;
@@ -14,8 +11,8 @@ mod stamped;
 use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
 use posebridge_estimator::{Late, StartPose};
 use posebridge_telemetry::{
-    Fix, Heading, Meters, MetersPerSecond, Observation, Observed, Point2, Pose, PositionCovariance,
-    RadiansPerSecond, SensorId, Span, Verdict,
+    Fix, Heading, Meters, MetersPerSecond, Observation, Observed, Point2, Pose, PositionCovariance, RadiansPerSecond,
+    SensorId, Span, Verdict,
 };
 use robot::{RADIUS_M, config};
 use stamped::{at, gyro, wheels};
@@ -23,18 +20,10 @@ use stamped::{at, gyro, wheels};
 fn malformed_fixes() -> Vec<Fix> {
     let good = fix_of(0.2, 0.1, 0.0);
     let with = |xx_m2, xy_m2, yy_m2, heading_rad2| Fix {
-        covariance: Some(PositionCovariance {
-            xx_m2,
-            xy_m2,
-            yy_m2,
-            heading_rad2,
-        }),
+        covariance: Some(PositionCovariance { xx_m2, xy_m2, yy_m2, heading_rad2 }),
         ..good
     };
-    let tag = |x_m, y_m| Fix {
-        tag_in_body: Point2::new(Meters(x_m), Meters(y_m)),
-        ..good
-    };
+    let tag = |x_m, y_m| Fix { tag_in_body: Point2::new(Meters(x_m), Meters(y_m)), ..good };
     let mut fixes = vec![
         with(0.0, 0.0, 1e-4, 1e-4),
         with(1e-4, 0.0, -1e-4, 1e-4),
@@ -47,11 +36,7 @@ fn malformed_fixes() -> Vec<Fix> {
     for bad in BAD {
         fixes.extend([fix_of(bad, 0.0, 0.0), fix_of(0.0, bad, 0.0)]);
         fixes.extend([tag(bad, 0.0), tag(0.0, bad)]);
-        fixes.extend([
-            with(bad, 0.0, 1e-4, 1e-4),
-            with(1e-4, bad, 1e-4, 1e-4),
-            with(1e-4, 0.0, bad, 1e-4),
-        ]);
+        fixes.extend([with(bad, 0.0, 1e-4, 1e-4), with(1e-4, bad, 1e-4, 1e-4), with(1e-4, 0.0, bad, 1e-4)]);
     }
     fixes.extend([f64::NAN, f64::INFINITY].map(|bad| fix_of(0.0, 0.0, bad)));
     fixes
@@ -61,40 +46,26 @@ const BAD: [f64; 5] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e12]
 
 #[test]
 fn numbers_that_cannot_be_are_refused_and_change_nothing() {
-    let mut observations: Vec<_> = malformed_fixes()
-        .into_iter()
-        .map(|bad| fix(1_000, bad))
-        .collect();
+    let mut observations: Vec<_> = malformed_fixes().into_iter().map(|bad| fix(1_000, bad)).collect();
     for bad in BAD {
         observations.extend([wheels(1_010, bad, 0.0), wheels(1_010, 0.0, bad)]);
         observations.push(gyro(1_010, bad));
         let forward = MetersPerSecond(bad);
         let turn = RadiansPerSecond(bad);
-        for (forward, turn) in [
-            (forward, RadiansPerSecond(0.0)),
-            (MetersPerSecond(0.0), turn),
-        ] {
+        for (forward, turn) in [(forward, RadiansPerSecond(0.0)), (MetersPerSecond(0.0), turn)] {
             let velocity = Observed::BodyVelocity { forward, turn };
             observations.push(at(1_010, SensorId::ODOMETER, velocity));
         }
         let pose = Pose::new(Meters(bad), Meters(0.0), Heading::default());
         observations.push(at(1_010, SensorId::ODOMETER, Observed::OdometerPose(pose)));
     }
-    observations.push(Observation {
-        stamp_sigma: Span::from_millis(-1),
-        ..fix(1_000, fix_of(0.2, 0.0, 0.0))
-    });
+    observations.push(Observation { stamp_sigma: Span::from_millis(-1), ..fix(1_000, fix_of(0.2, 0.0, 0.0)) });
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
         let before = belief(filter.as_ref());
         for observation in &observations {
             let verdict = filter.observe(observation).verdict;
-            assert_eq!(
-                verdict,
-                Verdict::Malformed,
-                "{}: {observation:?}",
-                entry.name
-            );
+            assert_eq!(verdict, Verdict::Malformed, "{}: {observation:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
     });
@@ -110,10 +81,9 @@ fn a_reading_that_comes_twice_counts_once() {
             Late::Replayed => &[Verdict::Malformed],
             Late::OnArrival => &[Verdict::Malformed, Verdict::TooOld],
         };
-        for (again, expected) in [
-            (wheels(1_000, 99.0, 99.0), &[Verdict::Malformed][..]),
-            (wheels(950, 0.0, 0.0), of_older),
-        ] {
+        for (again, expected) in
+            [(wheels(1_000, 99.0, 99.0), &[Verdict::Malformed][..]), (wheels(950, 0.0, 0.0), of_older)]
+        {
             let verdict = filter.observe(&again).verdict;
             assert!(expected.contains(&verdict), "{}: {verdict:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
@@ -127,18 +97,10 @@ fn a_fix_that_comes_twice_counts_once() {
         drive_straight(filter.as_mut(), 1_000);
         let seen = fix(990, fix_of(0.199, 0.001, 0.002));
         let first = filter.observe(&seen).verdict;
-        assert!(
-            matches!(first, Verdict::Accepted | Verdict::Unused),
-            "{}: {first:?}",
-            entry.name
-        );
+        assert!(matches!(first, Verdict::Accepted | Verdict::Unused), "{}: {first:?}", entry.name);
         let before = belief(filter.as_ref());
         let again = filter.observe(&seen).verdict;
-        let expected = if first == Verdict::Unused {
-            Verdict::Unused
-        } else {
-            Verdict::Malformed
-        };
+        let expected = if first == Verdict::Unused { Verdict::Unused } else { Verdict::Malformed };
         assert_eq!(again, expected, "{}", entry.name);
         assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
     });
@@ -173,11 +135,9 @@ fn a_stamp_of_long_ago_or_of_next_year_is_refused_and_changes_nothing() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 10_000);
         let before = belief(filter.as_ref());
-        for (millis, expected) in [
-            (6_999, Verdict::TooOld),
-            (-5_000_000, Verdict::TooOld),
-            (31_536_000_000, Verdict::Malformed),
-        ] {
+        for (millis, expected) in
+            [(6_999, Verdict::TooOld), (-5_000_000, Verdict::TooOld), (31_536_000_000, Verdict::Malformed)]
+        {
             let verdict = filter.observe(&wheels(millis, 50.0, 50.0)).verdict;
             assert_eq!(verdict, expected, "{} at {millis} ms", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
@@ -192,14 +152,8 @@ fn a_pose_that_cannot_be_is_not_set() {
         start(f64::NAN, 0.0, 0.0),
         start(0.0, f64::INFINITY, 0.0),
         start(0.0, 0.0, f64::NAN),
-        StartPose {
-            position_sigma_m: -0.1,
-            ..good
-        },
-        StartPose {
-            heading_sigma_rad: f64::NAN,
-            ..good
-        },
+        StartPose { position_sigma_m: -0.1, ..good },
+        StartPose { heading_sigma_rad: f64::NAN, ..good },
     ];
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
@@ -217,17 +171,10 @@ fn a_fix_that_does_not_fit_leaves_the_estimate_untouched() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 2_000);
         let before = belief(filter.as_ref());
-        let position_only = Fix {
-            heading: None,
-            ..fix_of(0.9, 0.2, 0.0)
-        };
+        let position_only = Fix { heading: None, ..fix_of(0.9, 0.2, 0.0) };
         for seen in [fix_of(0.4, 0.5, 0.0), fix_of(0.4, 0.0, 1.0), position_only] {
             let verdict = filter.observe(&fix(1_990, seen)).verdict;
-            assert!(
-                matches!(verdict, Verdict::Gated | Verdict::Unused),
-                "{}: {verdict:?}",
-                entry.name
-            );
+            assert!(matches!(verdict, Verdict::Gated | Verdict::Unused), "{}: {verdict:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
     });

@@ -7,8 +7,7 @@ mod stamped;
 
 use posebridge_estimator::{Estimates, FILTERS, Filter, FilterEntry, StartPose};
 use posebridge_telemetry::{
-    Celsius, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, RadiansPerSecond,
-    SensorId, Span, Verdict,
+    Celsius, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, RadiansPerSecond, SensorId, Span, Verdict,
 };
 use robot::config;
 use stamped::{at, gyro, ms, wheels};
@@ -34,9 +33,7 @@ fn start(x_m: f64) -> StartPose {
 /// What a filter believes of the last seconds and of the next, in digits that tell any two numbers apart.
 fn belief(filter: &dyn Filter) -> String {
     let latest = filter.latest();
-    let believed: Vec<_> = (-20..=20)
-        .filter_map(|k| filter.scalar_at(latest? + Span::from_millis(k * 100)))
-        .collect();
+    let believed: Vec<_> = (-20..=20).filter_map(|k| filter.scalar_at(latest? + Span::from_millis(k * 100))).collect();
     format!("{latest:?} {believed:?}")
 }
 
@@ -50,19 +47,12 @@ fn measure_scalars(filter: &mut dyn Filter, until_ms: i64) {
 }
 
 fn approach(millis: i64, forward_m_per_s: f64) -> Observation {
-    let observed = Observed::BodyVelocity {
-        forward: MetersPerSecond(forward_m_per_s),
-        turn: RadiansPerSecond(0.0),
-    };
+    let observed = Observed::BodyVelocity { forward: MetersPerSecond(forward_m_per_s), turn: RadiansPerSecond(0.0) };
     at(millis, SensorId::ODOMETER, observed)
 }
 
 fn range(millis: i64, range_m: f64) -> Observation {
-    at(
-        millis,
-        SensorId::RANGE,
-        Observed::WallRange(Meters(range_m)),
-    )
+    at(millis, SensorId::RANGE, Observed::WallRange(Meters(range_m)))
 }
 
 fn temperature(millis: i64, celsius: f64) -> Observation {
@@ -91,19 +81,9 @@ fn a_filter_of_one_quantity_gives_it_and_no_pose() {
 
 #[test]
 fn what_a_filter_of_one_quantity_refuses_changes_nothing() {
-    let bad = BAD.into_iter().flat_map(|bad| {
-        [
-            range(5_010, bad),
-            temperature(5_010, bad),
-            approach(5_010, bad),
-        ]
-    });
+    let bad = BAD.into_iter().flat_map(|bad| [range(5_010, bad), temperature(5_010, bad), approach(5_010, bad)]);
     let refused: Vec<_> = bad
-        .chain([
-            range(5_000, 2.0),
-            temperature(5_000, 20.0),
-            approach(5_000, 0.2),
-        ])
+        .chain([range(5_000, 2.0), temperature(5_000, 20.0), approach(5_000, 0.2)])
         .map(|observation| (observation, Verdict::Malformed))
         .chain([
             (range(1_500, 2.7), Verdict::TooOld),

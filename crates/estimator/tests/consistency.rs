@@ -47,11 +47,7 @@ fn report(case: &str, result: &Score) {
         result.fix_nis_per_dof,
         verdict_on(result.anees)
     );
-    assert!(
-        BAND.contains(&result.anees),
-        "{case}: {}",
-        verdict_on(result.anees)
-    );
+    assert!(BAND.contains(&result.anees), "{case}: {}", verdict_on(result.anees));
 }
 
 fn mean_over(scenario: &Scenario, runs: u64) -> Score {
@@ -66,10 +62,7 @@ fn mean_over(scenario: &Scenario, runs: u64) -> Score {
 
 #[test]
 fn with_late_fixes_at_10_hz_the_errors_fit_their_covariance() {
-    let scenario = Scenario {
-        laps: 1,
-        camera: Some(LATE_10_HZ),
-    };
+    let scenario = Scenario { laps: 1, camera: Some(LATE_10_HZ) };
     let result = mean_over(&scenario, 20);
     report("camera 10 Hz, 150 ± 50 ms late", &result);
     assert!((0.9..1.1).contains(&result.fix_nis_per_dof), "{result:?}");
@@ -78,13 +71,7 @@ fn with_late_fixes_at_10_hz_the_errors_fit_their_covariance() {
 
 #[test]
 fn half_metre_outliers_are_kept_out() {
-    let scenario = Scenario {
-        laps: 1,
-        camera: Some(Camera {
-            outliers: 0.03,
-            ..LATE_10_HZ
-        }),
-    };
+    let scenario = Scenario { laps: 1, camera: Some(Camera { outliers: 0.03, ..LATE_10_HZ }) };
     let result = mean_over(&scenario, 20);
     report("3 % outliers of 0.5 m", &result);
     assert!(result.position_rms_m < 0.0016, "{result:?}");
@@ -92,10 +79,7 @@ fn half_metre_outliers_are_kept_out() {
 
 #[test]
 fn without_fixes_gyro_windows_keep_the_heading_honest() {
-    let scenario = Scenario {
-        laps: 1,
-        camera: None,
-    };
+    let scenario = Scenario { laps: 1, camera: None };
     let result = mean_over(&scenario, 200);
     report("no camera", &result);
 }
@@ -111,12 +95,7 @@ fn mean_over_kits(laps: usize, camera: Option<Camera>, runs: u64) -> Score {
     mean(&scores)
 }
 
-const LATE_10_HZ: Camera = Camera {
-    every: 2,
-    delay: 3,
-    spread: 1,
-    outliers: 0.0,
-};
+const LATE_10_HZ: Camera = Camera { every: 2, delay: 3, spread: 1, outliers: 0.0 };
 
 #[test]
 fn with_unknown_geometry_and_late_fixes_the_errors_fit_their_covariance() {
@@ -128,12 +107,7 @@ fn with_unknown_geometry_and_late_fixes_the_errors_fit_their_covariance() {
 
 #[test]
 fn with_unknown_geometry_and_a_fix_per_second_the_errors_fit_their_covariance() {
-    let camera = Camera {
-        every: 20,
-        delay: 6,
-        spread: 2,
-        outliers: 0.0,
-    };
+    let camera = Camera { every: 20, delay: 6, spread: 2, outliers: 0.0 };
     let result = mean_over_kits(1, Some(camera), 40);
     report("unknown geometry, camera 1 Hz", &result);
     assert!((0.9..1.1).contains(&result.fix_nis_per_dof), "{result:?}");
@@ -152,9 +126,7 @@ fn the_gyros_windows_have_the_innovations_that_they_should() {
     for seed in 0..20 {
         let (mut drive, _) = drive_on_grid(1, KIT, None, seed);
         // The gyro first: a window that closes before its last sample has come is judged by one that was held.
-        drive
-            .arrivals
-            .sort_by_key(|arrival| (arrival.step, arrival.observation.sensor != SensorId::GYRO));
+        drive.arrivals.sort_by_key(|arrival| (arrival.step, arrival.observation.sensor != SensorId::GYRO));
         let played = play(&drive, &config_with(KIT));
         for record in &played.records {
             if record.degrees_of_freedom == 1 && record.verdict == Verdict::Accepted {
@@ -164,9 +136,6 @@ fn the_gyros_windows_have_the_innovations_that_they_should() {
         }
     }
     let average = nis / count;
-    println!(
-        "gyro windows: NIS {average:.3} over {count} windows: {}",
-        verdict_on(average)
-    );
+    println!("gyro windows: NIS {average:.3} over {count} windows: {}", verdict_on(average));
     assert!(BAND.contains(&average), "{average}");
 }

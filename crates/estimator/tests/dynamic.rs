@@ -13,8 +13,7 @@ use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::{DynamicModel, ROWS};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Celsius, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Span,
-    Stamp, Verdict,
+    BrickClock, Celsius, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Span, Stamp, Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -61,10 +60,7 @@ type Sample = (SensorId, f64, f64);
 fn play(sigma_k: f64, model: &DynamicModel, samples: &[Sample]) -> ScalarEstimate {
     let mut filter = filter(sigma_k, model.clone());
     for &(sensor, at_s, value) in samples {
-        assert_eq!(
-            give(&mut filter, sensor, at_s, value).verdict,
-            Verdict::Accepted
-        );
+        assert_eq!(give(&mut filter, sensor, at_s, value).verdict, Verdict::Accepted);
     }
     now(&filter)
 }
@@ -106,9 +102,7 @@ fn by_svd((matrix, values): (DMatrix<f64>, DVector<f64>)) -> (f64, f64) {
     let svd = matrix.svd(true, true);
     let solution = svd.solve(&values, 0.0).unwrap();
     let v_t = svd.v_t.as_ref().unwrap();
-    let variance: f64 = (0..svd.singular_values.len())
-        .map(|k| (v_t[(k, 0)] / svd.singular_values[k]).powi(2))
-        .sum();
+    let variance: f64 = (0..svd.singular_values.len()).map(|k| (v_t[(k, 0)] / svd.singular_values[k]).powi(2)).sum();
     (solution[0], variance.sqrt())
 }
 
@@ -169,10 +163,7 @@ fn noise_is_amplified_as_the_table_says() {
     for (count, gain) in [(2, 3.61), (3, 1.87), (5, 0.927), (10, 0.440), (20, 0.258)] {
         let found = play(SIGMA_K, &first_order(), &example_samples(count, || 0.0));
         let found_gain = found.sigma / SIGMA_K;
-        assert!(
-            (found_gain - gain).abs() < 0.006,
-            "{count} samples: {found_gain}"
-        );
+        assert!((found_gain - gain).abs() < 0.006, "{count} samples: {found_gain}");
     }
 }
 
@@ -193,17 +184,11 @@ fn the_noise_of_many_runs_is_what_sigma_says() {
 
 /// Models of several orders and sensors, with samples at irregular times that are full of noise.
 fn hard_cases() -> Vec<(&'static str, DynamicModel, Vec<Sample>)> {
-    let two_lags = DynamicModel::empty()
-        .with_lags(ONE, 1.0, &[5.3, 22.0])
-        .unwrap();
+    let two_lags = DynamicModel::empty().with_lags(ONE, 1.0, &[5.3, 22.0]).unwrap();
     // (s + 1/4)(s + 1/15)
-    let second_order = DynamicModel::empty()
-        .with_coefficients(ONE, 1.0, &[1.0 / 60.0, 19.0 / 60.0])
-        .unwrap();
-    let two_sensors = DynamicModel::first_order(ONE, 40.0)
-        .unwrap()
-        .with_coefficients(OTHER, 0.5, &[0.02, 0.2])
-        .unwrap();
+    let second_order = DynamicModel::empty().with_coefficients(ONE, 1.0, &[1.0 / 60.0, 19.0 / 60.0]).unwrap();
+    let two_sensors =
+        DynamicModel::first_order(ONE, 40.0).unwrap().with_coefficients(OTHER, 0.5, &[0.02, 0.2]).unwrap();
     [
         ("first order", first_order()),
         ("two lags", two_lags),
@@ -239,23 +224,17 @@ fn three_ways(model: &DynamicModel, samples: &[Sample], prior_sigmas: f64) -> ([
     let system = stacked(model, samples);
     let recursive = by_rls(&system, start, prior_sigmas);
     let (block, gain) = by_svd(with_prior(system, start, prior_sigmas));
-    (
-        [found.value, recursive, block],
-        [found.sigma, gain * SIGMA_K],
-    )
+    ([found.value, recursive, block], [found.sigma, gain * SIGMA_K])
 }
 
 #[test]
 fn filter_recursive_and_block_least_squares_are_one() {
     for (name, model, samples) in hard_cases() {
         for count in [1, 2, 8, 40] {
-            let ([filtered, recursive, block], [sigma, block_sigma]) =
-                three_ways(&model, &samples[..count], 100.0);
-            for (what, error) in [
-                ("filter", filtered - block),
-                ("recursion", recursive - block),
-                ("sigma", sigma - block_sigma),
-            ] {
+            let ([filtered, recursive, block], [sigma, block_sigma]) = three_ways(&model, &samples[..count], 100.0);
+            for (what, error) in
+                [("filter", filtered - block), ("recursion", recursive - block), ("sigma", sigma - block_sigma)]
+            {
                 assert!(error.abs() < 1e-9, "{name}, {count}: {what} {error:e}");
             }
         }
@@ -282,18 +261,10 @@ fn next_to_no_prior_leaves_plain_least_squares() {
 fn a_sample_that_comes_late_from_another_sensor_counts_at_its_own_time() {
     let (_, model, samples) = hard_cases().pop().unwrap();
     let mut swapped = samples.clone();
-    let k = (1..swapped.len())
-        .find(|&k| swapped[k].0 == OTHER && swapped[k + 1].1 - swapped[k].1 < 2.0)
-        .unwrap();
+    let k = (1..swapped.len()).find(|&k| swapped[k].0 == OTHER && swapped[k + 1].1 - swapped[k].1 < 2.0).unwrap();
     swapped.swap(k, k + 1);
-    let (in_order, late) = (
-        play(SIGMA_K, &model, &samples),
-        play(SIGMA_K, &model, &swapped),
-    );
-    assert!(
-        (in_order.value - late.value).abs() < 1e-6,
-        "{in_order:?} {late:?}"
-    );
+    let (in_order, late) = (play(SIGMA_K, &model, &samples), play(SIGMA_K, &model, &swapped));
+    assert!((in_order.value - late.value).abs() < 1e-6, "{in_order:?} {late:?}");
 }
 
 #[test]
@@ -310,9 +281,7 @@ fn two_sensors_know_it_better_than_either_alone() {
 
 /// Instants from which on a series stays within 2 % of a step of 18 K down to 3.
 fn settled(series: &[(f64, f64)]) -> f64 {
-    let last_outside = series
-        .iter()
-        .rposition(|(_, value)| (value - 3.0).abs() > 0.02 * 18.0);
+    let last_outside = series.iter().rposition(|(_, value)| (value - 3.0).abs() > 0.02 * 18.0);
     series[last_outside.map_or(0, |k| k + 1)].0
 }
 
@@ -337,10 +306,7 @@ fn it_is_within_two_percent_of_the_step_long_before_the_sensor() {
         shares.push(settled(&predicted) / raw_s);
     }
     shares.sort_by(f64::total_cmp);
-    println!(
-        "share of the sensor's own time: median {:.3}, worst {:.3}",
-        shares[10], shares[19]
-    );
+    println!("share of the sensor's own time: median {:.3}, worst {:.3}", shares[10], shares[19]);
     assert!(shares[19] < 0.25, "{shares:?}");
 }
 
@@ -349,8 +315,7 @@ fn a_walking_quantity_is_followed_only_if_it_is_said_to_walk() {
     let trend = |walk| {
         let mut configured = configured(0.1);
         configured.params.dynamic_walk_k_per_sqrt_s = walk;
-        let mut filter =
-            DynamicFilter::with_model(&configured, DynamicModel::first_order(ONE, 20.0).unwrap());
+        let mut filter = DynamicFilter::with_model(&configured, DynamicModel::first_order(ONE, 20.0).unwrap());
         // A ramp of 0.01 K/s through the same sensor: it lags by its time constant.
         for k in 0..2_000 {
             let at_s = f64::from(k);
@@ -362,17 +327,9 @@ fn a_walking_quantity_is_followed_only_if_it_is_said_to_walk() {
     };
     let (constant_error, constant_sigma) = trend(0.0);
     let (walking_error, walking_sigma) = trend(0.05);
-    assert!(
-        constant_error > 5.0 && constant_sigma < 0.01,
-        "confident and wrong"
-    );
-    println!(
-        "a ramp is missed by {constant_error:.2} K, and by {walking_error:.2} K if it is said to walk"
-    );
-    assert!(
-        walking_error < 0.2 && walking_sigma > 0.05,
-        "{walking_error} {walking_sigma}"
-    );
+    assert!(constant_error > 5.0 && constant_sigma < 0.01, "confident and wrong");
+    println!("a ramp is missed by {constant_error:.2} K, and by {walking_error:.2} K if it is said to walk");
+    assert!(walking_error < 0.2 && walking_sigma > 0.05, "{walking_error} {walking_sigma}");
 }
 
 /// A quantity that walks as the filter is told, seen through sensors of first and of second order.
@@ -381,9 +338,7 @@ fn a_quantity_that_walks_as_told_is_known_as_well_as_sigma_says() {
     let first = DynamicModel::first_order(ONE, 20.0).unwrap();
     // (s + 1/4)(s + 1/15)
     let coefficients = [1.0 / 60.0, 19.0 / 60.0];
-    let second = DynamicModel::empty()
-        .with_coefficients(ONE, 1.0, &coefficients)
-        .unwrap();
+    let second = DynamicModel::empty().with_coefficients(ONE, 1.0, &coefficients).unwrap();
     for (name, model) in [("first", first), ("second", second)] {
         let (mut squares, mut count) = (0.0, 0.0);
         for seed in 0..10 {
@@ -457,12 +412,8 @@ fn real_thermometers_are_predicted_by_two_lags_and_not_by_one() {
         let end = samples[last..].iter().map(|sample| sample.1).sum::<f64>() / 15.0;
         let within = |series: &[(f64, f64)], share: f64| {
             let limit = share * (samples[0].1 - end);
-            let outside = series
-                .iter()
-                .rposition(|(_, value)| (value - end).abs() > limit);
-            series
-                .get(outside.map_or(0, |k| k + 1))
-                .map(|entry| entry.0)
+            let outside = series.iter().rposition(|(_, value)| (value - end).abs() > limit);
+            series.get(outside.map_or(0, |k| k + 1)).map(|entry| entry.0)
         };
         for lags in [vec![12.0], vec![5.3, 22.0]] {
             let model = DynamicModel::empty().with_lags(ONE, 1.0, &lags).unwrap();
@@ -480,10 +431,7 @@ fn real_thermometers_are_predicted_by_two_lags_and_not_by_one() {
                 [0.1, 0.05, 0.02].map(|share| within(&samples, share)),
             );
             if lags.len() == 2 {
-                let (filtered_s, sensor_s) = (
-                    within(&predicted, 0.1).unwrap(),
-                    within(&samples, 0.1).unwrap(),
-                );
+                let (filtered_s, sensor_s) = (within(&predicted, 0.1).unwrap(), within(&samples, 0.1).unwrap());
                 assert!(filtered_s < sensor_s, "{name}: {filtered_s} {sensor_s}");
             }
         }

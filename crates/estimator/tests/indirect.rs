@@ -14,14 +14,11 @@ mod robot;
 use indirect::{ACCELEROMETER_M_PER_S2, STEP_S, built, latest};
 use nalgebra::{SMatrix, SVector};
 use posebridge_estimator::filters::indirect::error_state::{
-    ACCELERATED_ANGLE, ACCELERATED_DISTANCE, Covariance, DISTANCE, Elapsed, Errors, GYRO_ANGLE,
-    HEADING, N, RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE, X, Y, nominal_step, process_noise,
-    start_row, transition,
+    ACCELERATED_ANGLE, ACCELERATED_DISTANCE, Covariance, DISTANCE, Elapsed, Errors, GYRO_ANGLE, HEADING, N,
+    RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE, X, Y, nominal_step, process_noise, start_row, transition,
 };
 use posebridge_estimator::models::differential_drive::WheelTravel;
-use posebridge_telemetry::{
-    Fix, Meters, Observation, Observed, Point2, Radians, SensorId, Span, Stamp, Verdict,
-};
+use posebridge_telemetry::{Fix, Meters, Observation, Observed, Point2, Radians, SensorId, Span, Stamp, Verdict};
 use robot::{RADIUS_M, TRACK_M, config};
 
 /// Where a step leads from a path's state: x, y, heading, distance and the three scales.
@@ -39,15 +36,7 @@ fn stepped(state: &SVector<f64, 7>, travel: WheelTravel) -> SVector<f64, 7> {
 
 #[test]
 fn the_transition_of_the_errors_is_the_derivative_of_the_path() {
-    let rows = [
-        X,
-        Y,
-        HEADING,
-        DISTANCE,
-        RADIUS_SCALE,
-        RADIUS_DIFFERENCE,
-        TRACK_SCALE,
-    ];
+    let rows = [X, Y, HEADING, DISTANCE, RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE];
     let h = 1e-6;
     for (heading, left_m, right_m, scales) in [
         (0.3, 0.01, 0.012, [0.0, 0.0, 0.0]),
@@ -59,8 +48,7 @@ fn the_transition_of_the_errors_is_the_derivative_of_the_path() {
         let config = config();
         let robot = (&config.geometry, &config.noise);
         let f = transition(&nominal_step(heading, travel, &scales, robot), STEP_S);
-        let state =
-            SVector::<f64, 7>::from([0.4, -1.0, heading, 2.0, scales[0], scales[1], scales[2]]);
+        let state = SVector::<f64, 7>::from([0.4, -1.0, heading, 2.0, scales[0], scales[1], scales[2]]);
         for column in 0..7 {
             let mut ahead = state;
             let mut behind = state;
@@ -108,18 +96,10 @@ fn process_noise_is_a_covariance_and_the_paths_part_is_none_at_rest() {
     let mut config = config();
     config.noise.accelerometer_m_per_s2 = ACCELEROMETER_M_PER_S2;
     let robot = (&config.geometry, &config.noise);
-    let elapsed = Elapsed {
-        dt_s: STEP_S,
-        gyro_s2: STEP_S * STEP_S,
-        accelerometer_s2: STEP_S * STEP_S,
-    };
+    let elapsed = Elapsed { dt_s: STEP_S, gyro_s2: STEP_S * STEP_S, accelerometer_s2: STEP_S * STEP_S };
     for (left_m, right_m) in [(0.01, 0.03), (-0.02, 0.02), (0.0, 0.0)] {
         let travel = WheelTravel { left_m, right_m };
-        let q = process_noise(
-            &nominal_step(0.7, travel, &[0.0; 3], robot),
-            &elapsed,
-            robot,
-        );
+        let q = process_noise(&nominal_step(0.7, travel, &[0.0; 3], robot), &elapsed, robot);
         assert_eq!(q, q.transpose());
         let lowest = q.symmetric_eigenvalues().min();
         assert!(lowest > -1e-15, "{lowest:e}");
@@ -159,10 +139,7 @@ fn a_fix_of_a_tag_with_a_lever_turns_the_robot_the_right_way() {
         config.noise.fix_position_m = 1e-3;
         let mut filter = built(name, &config);
         let (x, y, heading) = (0.3_f64, 0.2_f64, 0.02_f64);
-        let seen = (
-            x * heading.cos() - y * heading.sin(),
-            x * heading.sin() + y * heading.cos(),
-        );
+        let seen = (x * heading.cos() - y * heading.sin(), x * heading.sin() + y * heading.cos());
         let record = filter.observe(&Observation {
             sensor: SensorId::CAMERA,
             stamp: Stamp::from_millis(50),
@@ -195,13 +172,7 @@ fn a_fix_that_could_not_be_weighed_is_not_one_that_was_used() {
         config.noise.fix_position_m = 0.0;
         let mut filter = built(name, &config);
         for (at, observed) in [
-            (
-                0,
-                Observed::WheelAngles {
-                    left: Radians(0.0),
-                    right: Radians(0.0),
-                },
-            ),
+            (0, Observed::WheelAngles { left: Radians(0.0), right: Radians(0.0) }),
             (
                 20,
                 Observed::Fix(Fix {
@@ -221,11 +192,7 @@ fn a_fix_that_could_not_be_weighed_is_not_one_that_was_used() {
                     observed,
                 })
                 .verdict;
-            let expected = if at == 0 {
-                Verdict::Accepted
-            } else {
-                Verdict::Malformed
-            };
+            let expected = if at == 0 { Verdict::Accepted } else { Verdict::Malformed };
             assert_eq!(verdict, expected, "{name}");
         }
         let now = latest(filter.as_ref());
@@ -244,10 +211,7 @@ fn an_estimate_of_the_future_turns_on_and_grows_doubtful_as_the_turn_rate_may_ch
             sensor: SensorId::WHEELS,
             stamp: Stamp::from_millis(50 * i64::from(step)),
             stamp_sigma: Span::ZERO,
-            observed: Observed::WheelAngles {
-                left: Radians(-turned_rad),
-                right: Radians(turned_rad),
-            },
+            observed: Observed::WheelAngles { left: Radians(-turned_rad), right: Radians(turned_rad) },
         });
     }
     let now = latest(filter.as_ref());

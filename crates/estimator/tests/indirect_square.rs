@@ -14,8 +14,8 @@ mod robot;
 use indirect::{ACCELEROMETER_M_PER_S2, STEP_S, built, latest};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    Arena, Fix, Heading, Known, Meters, MetersPerSecondSquared, Observation, Observed, Point2,
-    Radians, RadiansPerSecond, SensorId, Span, Stamp, Verdict, quantities::wrap_rad,
+    Arena, Fix, Heading, Known, Meters, MetersPerSecondSquared, Observation, Observed, Point2, Radians,
+    RadiansPerSecond, SensorId, Span, Stamp, Verdict, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -33,19 +33,9 @@ struct Sensors {
     fixes_every: Option<usize>,
 }
 
-const WHEELS_ONLY: Sensors = Sensors {
-    has_accelerometers: false,
-    has_gyro: false,
-    fixes_every: None,
-};
-const ACCELEROMETERS: Sensors = Sensors {
-    has_accelerometers: true,
-    ..WHEELS_ONLY
-};
-const ACCELEROMETERS_AND_GYRO: Sensors = Sensors {
-    has_gyro: true,
-    ..ACCELEROMETERS
-};
+const WHEELS_ONLY: Sensors = Sensors { has_accelerometers: false, has_gyro: false, fixes_every: None };
+const ACCELEROMETERS: Sensors = Sensors { has_accelerometers: true, ..WHEELS_ONLY };
+const ACCELEROMETERS_AND_GYRO: Sensors = Sensors { has_gyro: true, ..ACCELEROMETERS };
 
 /// What happened on a drive: truth at its end and all observations.
 struct Drive {
@@ -64,11 +54,7 @@ fn commands() -> Vec<(f64, f64)> {
             for k in 0..total {
                 let edge = (k + 1).min(total - k).min(7) as f64 / 7.0;
                 let now = edge * speed;
-                steps.push(if sign == 0.0 {
-                    (now, 0.0)
-                } else {
-                    (0.0, sign * now)
-                });
+                steps.push(if sign == 0.0 { (now, 0.0) } else { (0.0, sign * now) });
             }
             steps.extend([(0.0, 0.0); 15]);
         }
@@ -99,11 +85,7 @@ impl World {
             speeds: (0.0, 0.0),
         };
         world.scales = SCALE_SIGMAS.map(|sigma| sigma * world.normal());
-        world.biases = [
-            0.05 * world.normal(),
-            0.05 * world.normal(),
-            DEGREE * world.normal(),
-        ];
+        world.biases = [0.05 * world.normal(), 0.05 * world.normal(), DEGREE * world.normal()];
         world
     }
 
@@ -125,16 +107,9 @@ impl World {
             slips_m[i] = 0.0008 * travel_m.abs().sqrt() * self.normal();
             self.wheels_rad[i] += travel_m / (RADIUS_M * (1.0 + m + side * 0.5 * dr));
         }
-        let slipped_rad =
-            (slips_m[1] - slips_m[0]) / TRACK_M + 0.004 * dth.abs().sqrt() * self.normal();
-        let ends = (
-            speed + 0.5 * (slips_m[0] + slips_m[1]) / STEP_S,
-            turn + slipped_rad / STEP_S,
-        );
-        let accelerations = (
-            (ends.0 - self.speeds.0) / STEP_S,
-            (ends.1 - self.speeds.1) / STEP_S,
-        );
+        let slipped_rad = (slips_m[1] - slips_m[0]) / TRACK_M + 0.004 * dth.abs().sqrt() * self.normal();
+        let ends = (speed + 0.5 * (slips_m[0] + slips_m[1]) / STEP_S, turn + slipped_rad / STEP_S);
+        let accelerations = ((ends.0 - self.speeds.0) / STEP_S, (ends.1 - self.speeds.1) / STEP_S);
         let true_m = 0.5 * (self.speeds.0 + ends.0) * STEP_S;
         let true_rad = 0.5 * (self.speeds.1 + ends.1) * STEP_S;
         self.speeds = ends;
@@ -147,10 +122,7 @@ impl World {
 
     fn wheels(&self) -> Observed {
         let floored = |rad: f64| Radians((rad / DEGREE).floor() * DEGREE);
-        Observed::WheelAngles {
-            left: floored(self.wheels_rad[0]),
-            right: floored(self.wheels_rad[1]),
-        }
+        Observed::WheelAngles { left: floored(self.wheels_rad[0]), right: floored(self.wheels_rad[1]) }
     }
 
     /// The accelerometers sit on the frame at the nominal track, which a ruler tells; the tyres' effective track is another.
@@ -158,10 +130,7 @@ impl World {
         let half = 0.5 * TRACK_M * turn;
         let left = forward - half + self.biases[0] + ACCELEROMETER_M_PER_S2 * self.normal();
         let right = forward + half + self.biases[1] + ACCELEROMETER_M_PER_S2 * self.normal();
-        Observed::WheelAccelerations {
-            left: MetersPerSecondSquared(left),
-            right: MetersPerSecondSquared(right),
-        }
+        Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) }
     }
 
     fn gyro(&mut self, turned_rad: f64) -> Observed {
@@ -193,34 +162,20 @@ fn drive(sensors: Sensors, seed: u64) -> Drive {
         let of_accelerometers = world.accelerations(accelerations);
         let of_gyro = world.gyro(turned_rad);
         let of_camera = world.fix();
-        let is_fixed = sensors
-            .fixes_every
-            .is_some_and(|every| index.is_multiple_of(every));
+        let is_fixed = sensors.fixes_every.is_some_and(|every| index.is_multiple_of(every));
         let stamp = Stamp::from_millis(50 * (index as i64 + 1));
         for (sensor, observed, is_used) in [
-            (
-                SensorId::ACCELEROMETER,
-                of_accelerometers,
-                sensors.has_accelerometers,
-            ),
+            (SensorId::ACCELEROMETER, of_accelerometers, sensors.has_accelerometers),
             (SensorId::GYRO, of_gyro, sensors.has_gyro),
             (SensorId::WHEELS, world.wheels(), true),
             (SensorId::CAMERA, of_camera, is_fixed),
         ] {
             if is_used {
-                observations.push(Observation {
-                    sensor,
-                    stamp,
-                    stamp_sigma: Span::ZERO,
-                    observed,
-                });
+                observations.push(Observation { sensor, stamp, stamp_sigma: Span::ZERO, observed });
             }
         }
     }
-    Drive {
-        end: world.truth,
-        observations,
-    }
+    Drive { end: world.truth, observations }
 }
 
 /// The robot of the square: its scales as doubtful as they are.
@@ -238,10 +193,7 @@ fn played(name: &str, config: &FilterConfig, drive: &Drive) -> Box<dyn Filter> {
     let mut filter = built(name, config);
     for observation in &drive.observations {
         let verdict = filter.observe(observation).verdict;
-        let is_fine = matches!(
-            verdict,
-            Verdict::Accepted | Verdict::Gated | Verdict::Unused | Verdict::ResetTo
-        );
+        let is_fine = matches!(verdict, Verdict::Accepted | Verdict::Gated | Verdict::Unused | Verdict::ResetTo);
         assert!(is_fine, "{name}: {observation:?} {verdict:?}");
     }
     filter
@@ -250,11 +202,7 @@ fn played(name: &str, config: &FilterConfig, drive: &Drive) -> Box<dyn Filter> {
 /// Error at the end in x and y, m, and the heading's, rad.
 fn end_error(filter: &dyn Filter, drive: &Drive) -> [f64; 3] {
     let end = latest(filter);
-    [
-        end.pose.x.0 - drive.end.0,
-        end.pose.y.0 - drive.end.1,
-        wrap_rad(end.pose.heading.rad() - drive.end.2),
-    ]
+    [end.pose.x.0 - drive.end.0, end.pose.y.0 - drive.end.1, wrap_rad(end.pose.heading.rad() - drive.end.2)]
 }
 
 const SEEDS: u64 = 100;
@@ -289,11 +237,7 @@ fn ends(name: &str, sensors: Sensors, seeds: u64) -> Ends {
         let error = nalgebra::Vector3::from(error);
         nees += (error.transpose() * p.try_inverse().unwrap() * error)[0] / 3.0;
     }
-    let ends = Ends {
-        rms_m: squares.map(|sum| f64::sqrt(sum / seeds as f64)),
-        lengths_m,
-        anees: nees / seeds as f64,
-    };
+    let ends = Ends { rms_m: squares.map(|sum| f64::sqrt(sum / seeds as f64)), lengths_m, anees: nees / seeds as f64 };
     println!(
         "{name}: x {:.3} m, y {:.3} m rms, median {:.3} m, NEES/3 {:.2}",
         ends.rms_m[0],
@@ -312,12 +256,7 @@ fn on_the_square_accelerometers_bring_the_end_closer_than_the_wheels_alone() {
         // The paper's own end errors.
         assert!(fused.rms_m[0] <= 0.235, "{name}");
         assert!(fused.rms_m[1] <= 0.32, "{name}");
-        let better = fused
-            .lengths_m
-            .iter()
-            .zip(&wheels.lengths_m)
-            .filter(|(fused, wheels)| fused < wheels)
-            .count();
+        let better = fused.lengths_m.iter().zip(&wheels.lengths_m).filter(|(fused, wheels)| fused < wheels).count();
         println!("{name}: better than the wheels in {better} of {SEEDS}");
         assert!(2 * better as u64 > SEEDS, "{name}");
         assert!(fused.median_m() < wheels.median_m(), "{name}");
@@ -332,10 +271,7 @@ fn a_gyro_brings_it_closer_still_fixes_closest_and_feedback_knows_how_close() {
     for (name, anees) in [("indirect", 1.3..10.0), ("indirect-feedback", 0.5..1.4)] {
         let accelerometers = ends(name, ACCELEROMETERS, seeds);
         let gyro = ends(name, ACCELEROMETERS_AND_GYRO, seeds);
-        let with_fixes = Sensors {
-            fixes_every: Some(20),
-            ..ACCELEROMETERS_AND_GYRO
-        };
+        let with_fixes = Sensors { fixes_every: Some(20), ..ACCELEROMETERS_AND_GYRO };
         let fixed = ends(name, with_fixes, seeds);
         assert!(gyro.median_m() < accelerometers.median_m(), "{name}");
         assert!(fixed.median_m() < 0.02, "{name}");
@@ -364,8 +300,7 @@ fn feed_forward_and_feedback_agree_while_errors_are_small() {
     let mut grown_m: f64 = 0.0;
     for seed in 0..10 {
         let drive = drive(ACCELEROMETERS_AND_GYRO, seed);
-        let [mut forward, mut back] =
-            ["indirect", "indirect-feedback"].map(|name| built(name, &config));
+        let [mut forward, mut back] = ["indirect", "indirect-feedback"].map(|name| built(name, &config));
         let mut small_m: f64 = 0.0;
         for observation in &drive.observations {
             forward.observe(observation);
@@ -418,10 +353,7 @@ fn the_track_width_is_learned_from_the_accelerometers_and_the_gyro_bias_at_rest(
         let learned = filter.calibration().unwrap();
         let track = learned.track_scale;
         let bias = learned.gyro_bias_rad_per_s;
-        println!(
-            "{name}: track {track:?} of {}, bias {bias:?} of {}",
-            truth.scales[2], truth.biases[2]
-        );
+        println!("{name}: track {track:?} of {}, bias {bias:?} of {}", truth.scales[2], truth.biases[2]);
         assert!(track.sigma < 0.01);
         assert!((track.value - truth.scales[2]).abs() < 4.0 * track.sigma);
         assert!(bias.sigma < 0.1 * DEGREE);

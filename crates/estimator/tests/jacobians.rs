@@ -57,11 +57,7 @@ fn check<const M: usize>(what: &str, state: &State, measure: impl Fn(&State) -> 
 }
 
 fn arena_from_body(pose: Se2) -> Pose<Arena> {
-    Pose::new(
-        Meters(pose.x_m),
-        Meters(pose.y_m),
-        Heading::from_rad(pose.heading_rad),
-    )
+    Pose::new(Meters(pose.x_m), Meters(pose.y_m), Heading::from_rad(pose.heading_rad))
 }
 
 fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
@@ -70,10 +66,7 @@ fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
 
 /// What a camera sees without noise that looks at a robot here.
 fn seen_from(state: &State, told: Point2<Body>, shown: Se2) -> Fix {
-    let tag = point::<Body>(
-        told.x.0 + state.mean[TAG_FORWARD],
-        told.y.0 + state.mean[TAG_LEFT],
-    );
+    let tag = point::<Body>(told.x.0 + state.mean[TAG_FORWARD], told.y.0 + state.mean[TAG_LEFT]);
     Fix {
         position: arena_from_body(shown) * tag,
         heading: Some(Heading::from_rad(shown.heading_rad)),
@@ -84,12 +77,7 @@ fn seen_from(state: &State, told: Point2<Body>, shown: Se2) -> Fix {
 }
 
 fn circumstances(moved_since: Se2) -> fix::Circumstances {
-    fix::Circumstances {
-        moved_since,
-        stamp_sigma_s: 0.0,
-        forward_m_per_s: 0.0,
-        turn_rad_per_s: 0.0,
-    }
+    fix::Circumstances { moved_since, stamp_sigma_s: 0.0, forward_m_per_s: 0.0, turn_rad_per_s: 0.0 }
 }
 
 /// Told places of the tag: mid-axle, ahead, behind to the left, far off to the right.
@@ -100,20 +88,13 @@ const MOVED: [[f64; 3]; 3] = [[0.0; 3], [0.06, 0.0, 0.4], [-0.2, 0.0, 2.9]];
 #[test]
 fn a_fix_of_a_tag_off_the_axle_at_an_earlier_instant_has_the_derivatives_of_its_prediction() {
     for state in odd_states::<WITH_RANGES>() {
-        for (tag, moved) in TAGS
-            .into_iter()
-            .flat_map(|tag| MOVED.map(|moved| (tag, moved)))
-        {
+        for (tag, moved) in TAGS.into_iter().flat_map(|tag| MOVED.map(|moved| (tag, moved))) {
             let at = circumstances(Se2::exp(moved));
             let shown = state.pose.then(at.moved_since.inverse());
             let seen = seen_from(&state, point(tag.0, tag.1), shown);
             let noise = fix::noise_of(&seen, &QUIET, [1.0, 1.0], &at);
-            check("position", &state, |state| {
-                fix::position(state, &seen, &noise, &at)
-            });
-            check("pose", &state, |state| {
-                fix::pose(state, &seen, shown.heading_rad, &noise, &at)
-            });
+            check("position", &state, |state| fix::position(state, &seen, &noise, &at));
+            check("pose", &state, |state| fix::pose(state, &seen, shown.heading_rad, &noise, &at));
         }
     }
 }
@@ -123,10 +104,7 @@ fn curved_track() -> MotionTrack {
     let mut track = MotionTrack::new(GEOMETRY, 1e6);
     let (mut left_rad, mut right_rad) = (0.0, 0.0);
     for k in -8..=0_i64 {
-        let reading = MotionReading::Wheels {
-            left_rad,
-            right_rad,
-        };
+        let reading = MotionReading::Wheels { left_rad, right_rad };
         track.add(ms(50 * k), &reading);
         left_rad += 0.3 + 0.05 * k as f64;
         right_rad += 0.7 - 0.04 * k as f64;
@@ -144,11 +122,7 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
             let moved = |delay: Span| state.moved_since(ms(0) - delay, &track, &config);
             let [forward_m, _, turn_rad] = moved(delay + h).then(moved(delay - h).inverse()).log();
             let twice_h_s = 2.0 * h.as_secs_f64();
-            let seen = seen_from(
-                &state,
-                point(0.3, -0.2),
-                state.pose.then(moved(delay).inverse()),
-            );
+            let seen = seen_from(&state, point(0.3, -0.2), state.pose.then(moved(delay).inverse()));
             let measured = |delay: Span| {
                 let at = fix::Circumstances {
                     forward_m_per_s: forward_m / twice_h_s,
@@ -162,17 +136,11 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
             let middle = measured(delay);
             assert!(middle.innovation.amax() < 1e-12);
             assert!(middle.jacobian[(0, DELAY)].abs() > 0.2, "it does move");
-            let (longer, shorter) = (
-                measured(delay + h).innovation,
-                measured(delay - h).innovation,
-            );
+            let (longer, shorter) = (measured(delay + h).innovation, measured(delay - h).innovation);
             for component in 0..3 {
                 let numeric = wrap_rad(shorter[component] - longer[component]) / twice_h_s;
                 let analytic = middle.jacobian[(component, DELAY)];
-                assert!(
-                    (numeric - analytic).abs() < 1e-6,
-                    "{component}: {analytic} but {numeric}"
-                );
+                assert!((numeric - analytic).abs() < 1e-6, "{component}: {analytic} but {numeric}");
             }
         }
     }
@@ -182,39 +150,25 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
 fn a_compass_has_the_derivative_of_its_prediction() {
     for state in odd_states::<WITH_RANGES>() {
         let heading_rad = state.pose.heading_rad;
-        check("compass", &state, |state| {
-            compass::measurement(state, heading_rad, 0.1)
-        });
+        check("compass", &state, |state| compass::measurement(state, heading_rad, 0.1));
     }
 }
 
 /// Places of landmarks and beacons about a body: near, far, behind, and on the seam of the bearing.
-const ABOUT: [(f64, f64); 5] = [
-    (0.3, 0.0),
-    (2.0, -1.5),
-    (-0.4, 3.0),
-    (-1.0, 1e-9),
-    (0.0, -0.7),
-];
+const ABOUT: [(f64, f64); 5] = [(0.3, 0.0), (2.0, -1.5), (-0.4, 3.0), (-1.0, 1e-9), (0.0, -0.7)];
 
 #[test]
 fn a_landmark_has_the_derivatives_of_its_prediction() {
     for state in odd_states::<WITH_RANGES>() {
         for (forward_m, left_m) in ABOUT {
             let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
-            let seen = Sighting {
-                range_m: forward_m.hypot(left_m),
-                bearing_rad: left_m.atan2(forward_m),
-            };
+            let seen = Sighting { range_m: forward_m.hypot(left_m), bearing_rad: left_m.atan2(forward_m) };
             check("landmark", &state, |state| {
                 landmark::measurement(state, place, seen, (0.01, 0.02)).expect("it is away")
             });
         }
         let here = arena_from_body(state.pose).origin();
-        let seen = Sighting {
-            range_m: 0.0,
-            bearing_rad: 0.0,
-        };
+        let seen = Sighting { range_m: 0.0, bearing_rad: 0.0 };
         assert!(landmark::measurement(&state, here, seen, (0.01, 0.02)).is_none());
     }
 }
@@ -222,10 +176,7 @@ fn a_landmark_has_the_derivatives_of_its_prediction() {
 #[test]
 fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
     for state in odd_states::<WITH_RANGES>() {
-        for (slot, (forward_m, left_m)) in [0, 3, MOST_BEACONS - 1, MOST_BEACONS, 700]
-            .into_iter()
-            .zip(ABOUT)
-        {
+        for (slot, (forward_m, left_m)) in [0, 3, MOST_BEACONS - 1, MOST_BEACONS, 700].into_iter().zip(ABOUT) {
             let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
             let (offset_m, scale) = if slot < MOST_BEACONS {
                 let row = BEACONS + 2 * slot;
@@ -235,27 +186,19 @@ fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
             };
             let range_m = forward_m.hypot(left_m) * (1.0 + scale) + offset_m;
             check("beacon", &state, |state| {
-                beacon::measurement(state, Beacon { place, slot }, range_m, 0.01)
-                    .expect("it is away")
+                beacon::measurement(state, Beacon { place, slot }, range_m, 0.01).expect("it is away")
             });
         }
     }
 }
 
 /// Walls about a body, in its own space: right ahead, oblique both ways, and one behind the others.
-const WALLS: [[(f64, f64); 2]; 4] = [
-    [(1.2, -0.5), (1.2, 0.6)],
-    [(0.5, -1.0), (1.4, 1.1)],
-    [(2.9, -2.0), (0.9, 1.0)],
-    [(1.0, 0.1), (1.9, -1.0)],
-];
+const WALLS: [[(f64, f64); 2]; 4] =
+    [[(1.2, -0.5), (1.2, 0.6)], [(0.5, -1.0), (1.4, 1.1)], [(2.9, -2.0), (0.9, 1.0)], [(1.0, 0.1), (1.9, -1.0)]];
 
 fn wall_about(pose: Se2, [from, to]: [(f64, f64); 2]) -> Wall {
     let in_arena = |(x_m, y_m)| arena_from_body(pose) * point::<Body>(x_m, y_m);
-    Wall {
-        from: in_arena(from),
-        to: in_arena(to),
-    }
+    Wall { from: in_arena(from), to: in_arena(to) }
 }
 
 /// The way ahead to a wall by a search: the body's own axis is walked until the wall is on the other side.
@@ -283,17 +226,12 @@ fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
         for ends in WALLS {
             let walls = [wall_about(state.pose, ends)];
             let range_m = way_to(state.pose, &walls[0]);
-            check("wall", &state, |state| {
-                wall::measurement(state, &walls, range_m, 0.01).expect("it is ahead")
-            });
+            check("wall", &state, |state| wall::measurement(state, &walls, range_m, 0.01).expect("it is ahead"));
         }
         // Of all of them, and one behind the robot, the nearest ahead.
         let mut walls = WALLS.map(|ends| wall_about(state.pose, ends)).to_vec();
         walls.push(wall_about(state.pose, [(-0.1, -1.0), (-0.1, 1.0)]));
-        let nearest_m = walls[..WALLS.len()]
-            .iter()
-            .map(|wall| way_to(state.pose, wall))
-            .fold(f64::INFINITY, f64::min);
+        let nearest_m = walls[..WALLS.len()].iter().map(|wall| way_to(state.pose, wall)).fold(f64::INFINITY, f64::min);
         check("nearest wall", &state, |state| {
             wall::measurement(state, &walls, nearest_m, 0.01).expect("they are ahead")
         });
@@ -319,35 +257,19 @@ fn a_wall_that_is_not_met_is_not_expected() {
 #[test]
 fn a_gyro_window_has_the_derivatives_of_its_prediction() {
     for state in odd_states::<WITH_RANGES>() {
-        let moved = Rounded::Anew {
-            variance_rad2: 1e-6,
-        };
+        let moved = Rounded::Anew { variance_rad2: 1e-6 };
         for rounded in [moved, Rounded::AsBefore] {
-            let window = gyro_window::GyroWindow {
-                start: ms(1_000),
-                until: ms(1_450),
-                forward_m: 0.08,
-            };
-            let turn = GyroTurn {
-                turn_rad: 0.31,
-                squared_secs: 0.02,
-            };
-            let measure =
-                |state: &State| gyro_window::measurement(state, &window, &turn, &QUIET, rounded);
+            let window = gyro_window::GyroWindow { start: ms(1_000), until: ms(1_450), forward_m: 0.08 };
+            let turn = GyroTurn { turn_rad: 0.31, squared_secs: 0.02 };
+            let measure = |state: &State| gyro_window::measurement(state, &window, &turn, &QUIET, rounded);
             let scalar = measure(&state);
             for row in 0..WITH_RANGES {
                 let ahead = measure(&with_error(&state, row, H)).innovation;
                 let behind = measure(&with_error(&state, row, -H)).innovation;
                 let numeric = (behind - ahead) / (2.0 * H);
                 let named = scalar.rows.iter().zip(scalar.by_row);
-                let analytic: f64 = named
-                    .filter(|(named, _)| **named == row)
-                    .map(|(_, by)| by)
-                    .sum();
-                assert!(
-                    (numeric - analytic).abs() < NEAR,
-                    "row {row}: {analytic} but {numeric}"
-                );
+                let analytic: f64 = named.filter(|(named, _)| **named == row).map(|(_, by)| by).sum();
+                assert!((numeric - analytic).abs() < NEAR, "row {row}: {analytic} but {numeric}");
             }
         }
     }
@@ -358,10 +280,7 @@ fn accelerations_change_the_speeds_as_their_noise_does() {
     let dt_s = 0.05;
     let driven = |left_m_per_s2: f64, right_m_per_s2: f64| {
         let (mut forward, mut turn) = (Speed::default(), Speed::default());
-        let felt = Accelerations {
-            left_m_per_s2,
-            right_m_per_s2,
-        };
+        let felt = Accelerations { left_m_per_s2, right_m_per_s2 };
         drive_speeds(&mut forward, &mut turn, felt, dt_s, (&GEOMETRY, &QUIET));
         (forward, turn)
     };

@@ -10,8 +10,7 @@ use odd::{GEOMETRY, H, config, ms, odd_states, with_error};
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::pose::motion::{Transition, Window};
 use posebridge_estimator::filters::pose::state::{
-    CORE, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, ROUNDING, TRACK,
-    WINDOW_TURN, WITH_RANGES,
+    CORE, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, ROUNDING, TRACK, WINDOW_TURN, WITH_RANGES,
 };
 use posebridge_estimator::models::differential_drive::{StepNoise, WheelTravel};
 use posebridge_estimator::models::lie::Se2;
@@ -19,22 +18,10 @@ use posebridge_estimator::motion::{MotionReading, MotionTrack};
 use posebridge_telemetry::SensorNoise;
 
 const TRAVELS: [WheelTravel; 4] = [
-    WheelTravel {
-        left_m: 0.02,
-        right_m: 0.02,
-    },
-    WheelTravel {
-        left_m: 0.02,
-        right_m: 0.021,
-    },
-    WheelTravel {
-        left_m: -0.05,
-        right_m: 0.06,
-    },
-    WheelTravel {
-        left_m: -0.2,
-        right_m: -0.03,
-    },
+    WheelTravel { left_m: 0.02, right_m: 0.02 },
+    WheelTravel { left_m: 0.02, right_m: 0.021 },
+    WheelTravel { left_m: -0.05, right_m: 0.06 },
+    WheelTravel { left_m: -0.2, right_m: -0.03 },
 ];
 
 /// What leads from one state to another, row by row.
@@ -54,9 +41,7 @@ fn composed<const N: usize>(state: &PoseState<N>, travel: WheelTravel) -> PoseSt
     let right_m = travel.right_m * (1.0 + of(RADIUS) + of(DIFFERENCE) / 2.0);
     let turn_rad = (right_m - left_m) / (GEOMETRY.track_width.0 * (1.0 + of(TRACK)));
     let mut moved = *state;
-    moved.pose = state
-        .pose
-        .then(Se2::exp([f64::midpoint(left_m, right_m), 0.0, turn_rad]));
+    moved.pose = state.pose.then(Se2::exp([f64::midpoint(left_m, right_m), 0.0, turn_rad]));
     if state.window.is_some() {
         moved.mean[WINDOW_TURN] += turn_rad;
     }
@@ -64,10 +49,7 @@ fn composed<const N: usize>(state: &PoseState<N>, travel: WheelTravel) -> PoseSt
 }
 
 /// F by central differences of a motion.
-fn numeric<const N: usize>(
-    state: &PoseState<N>,
-    motion: impl Fn(&PoseState<N>) -> PoseState<N>,
-) -> SMatrix<f64, N, N> {
+fn numeric<const N: usize>(state: &PoseState<N>, motion: impl Fn(&PoseState<N>) -> PoseState<N>) -> SMatrix<f64, N, N> {
     let end = motion(state);
     let mut f = SMatrix::<f64, N, N>::zeros();
     for row in 0..N {
@@ -78,16 +60,9 @@ fn numeric<const N: usize>(
     f
 }
 
-fn assert_near<const N: usize>(
-    found: &SMatrix<f64, N, N>,
-    expected: &SMatrix<f64, N, N>,
-    what: &str,
-) {
+fn assert_near<const N: usize>(found: &SMatrix<f64, N, N>, expected: &SMatrix<f64, N, N>, what: &str) {
     let worst = (found - expected).amax();
-    assert!(
-        worst < 2e-8,
-        "{what}: off by {worst:e}\n{found}\n{expected}"
-    );
+    assert!(worst < 2e-8, "{what}: off by {worst:e}\n{found}\n{expected}");
 }
 
 /// A covariance in which every pair of rows is correlated.
@@ -106,8 +81,7 @@ fn check_transition<const N: usize>() {
                 if !is_open {
                     state.close_window();
                 }
-                let (transition, forward_m, turn_rad) =
-                    Transition::over_travel(travel, &state, &GEOMETRY);
+                let (transition, forward_m, turn_rad) = Transition::over_travel(travel, &state, &GEOMETRY);
                 let what = format!("{travel:?} from {:?}", state.pose);
                 let by_differences = numeric(&state, |state| composed(state, travel));
                 assert_near(&transition.matrix(), &by_differences, &what);
@@ -142,10 +116,7 @@ fn at_held_speeds_errors_move_as_the_composed_motion_says() {
 }
 
 /// The derivatives of the end's error by distance and turn.
-fn numeric_g<const N: usize>(
-    state: &PoseState<N>,
-    (forward_m, turn_rad): (f64, f64),
-) -> SMatrix<f64, N, 2> {
+fn numeric_g<const N: usize>(state: &PoseState<N>, (forward_m, turn_rad): (f64, f64)) -> SMatrix<f64, N, 2> {
     let moved = |forward_m: f64, turn_rad: f64| {
         let mut moved = *state;
         moved.pose = state.pose.then(Se2::exp([forward_m, 0.0, turn_rad]));
@@ -165,16 +136,11 @@ fn numeric_g<const N: usize>(
 
 #[test]
 fn a_step_carries_the_covariance_by_f_and_adds_the_noise_by_g() {
-    let noise = StepNoise {
-        forward_var_m2: 0.3,
-        turn_var_rad2: 0.7,
-        forward_turn_m_rad: -0.2,
-    };
+    let noise = StepNoise { forward_var_m2: 0.3, turn_var_rad2: 0.7, forward_turn_m_rad: -0.2 };
     let q = Matrix2::new(0.3, -0.2, -0.2, 0.7);
     for state in odd_states::<WITH_RANGES>() {
         for travel in TRAVELS {
-            let (transition, forward_m, turn_rad) =
-                Transition::over_travel(travel, &state, &GEOMETRY);
+            let (transition, forward_m, turn_rad) = Transition::over_travel(travel, &state, &GEOMETRY);
             let g = numeric_g(&state, (forward_m, turn_rad));
             let mut alone = SMatrix::<f64, WITH_RANGES, WITH_RANGES>::zeros();
             transition.carry(&mut alone, &noise);
@@ -193,10 +159,7 @@ fn a_step_carries_the_covariance_by_f_and_adds_the_noise_by_g() {
 
 fn track_of(travel: WheelTravel) -> MotionTrack {
     let mut track = MotionTrack::new(GEOMETRY, 1e6);
-    let reading = |left_rad, right_rad| MotionReading::Wheels {
-        left_rad,
-        right_rad,
-    };
+    let reading = |left_rad, right_rad| MotionReading::Wheels { left_rad, right_rad };
     track.add(ms(0), &reading(0.0, 0.0));
     let left_rad = travel.left_m / GEOMETRY.left_wheel_radius.0;
     let right_rad = travel.right_m / GEOMETRY.right_wheel_radius.0;
@@ -204,21 +167,14 @@ fn track_of(travel: WheelTravel) -> MotionTrack {
     track
 }
 
-fn advanced<const N: usize>(
-    mut state: PoseState<N>,
-    track: &MotionTrack,
-    config: &FilterConfig,
-) -> PoseState<N> {
+fn advanced<const N: usize>(mut state: PoseState<N>, track: &MotionTrack, config: &FilterConfig) -> PoseState<N> {
     state.advance(ms(100), track, config);
     state
 }
 
 #[test]
 fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
-    let config = config(SensorNoise {
-        wheel_travel_m_per_sqrt_m: 0.01,
-        ..SensorNoise::EXACT
-    });
+    let config = config(SensorNoise { wheel_travel_m_per_sqrt_m: 0.01, ..SensorNoise::EXACT });
     for travel in TRAVELS {
         for mut state in odd_states::<CORE>() {
             // How noisy a step is follows from the nominal geometry.
@@ -228,10 +184,7 @@ fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
             state.covariance = SMatrix::zeros();
             let end = advanced(state, &track_of(travel), &config);
             let by_wheel = |left_m: f64, right_m: f64| {
-                let other = WheelTravel {
-                    left_m: travel.left_m + left_m,
-                    right_m: travel.right_m + right_m,
-                };
+                let other = WheelTravel { left_m: travel.left_m + left_m, right_m: travel.right_m + right_m };
                 error_between(&end, &advanced(state, &track_of(other), &config))
             };
             let by_left = (by_wheel(H, 0.0) - by_wheel(-H, 0.0)) / (2.0 * H);

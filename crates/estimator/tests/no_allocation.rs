@@ -60,14 +60,8 @@ fn a_step_of_any_filter_allocates_nothing_once_its_history_is_full() {
 #[test]
 fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_heading() {
     let pose = filter_named("pose").unwrap();
-    let mut config = FilterConfig {
-        calibration: all_unknown(),
-        ..furnished()
-    };
-    config.calibration.fix_delay_s = Known {
-        value: 0.12,
-        sigma: 0.1,
-    };
+    let mut config = FilterConfig { calibration: all_unknown(), ..furnished() };
+    config.calibration.fix_delay_s = Known { value: 0.12, sigma: 0.1 };
     let mut filter = (pose.build)(&config);
     (0..WARM_UP).for_each(|k| step(filter.as_mut(), k));
     let counted = measure(|| {

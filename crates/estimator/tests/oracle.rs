@@ -1,8 +1,6 @@
 //! The update against a filter that somebody else wrote: `adskalman`, by Cholesky and in Joseph's form.
 
-use adskalman::{
-    CovarianceUpdateMethod, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl,
-};
+use adskalman::{CovarianceUpdateMethod, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, Matrix4x2, U2, U4, Vector2, Vector4};
 use posebridge_estimator::update::{Measurement, Scalar, Usage, apply, use_scalar};
 use rand::{RngExt, SeedableRng};
@@ -95,10 +93,7 @@ impl Own {
 #[test]
 fn scalar_updates_agree_with_a_foreign_filter_over_hundreds_of_random_steps() {
     let mut draw = Draw(Pcg64::seed_from_u64(0x0a_c1e5));
-    let start = Own {
-        mean: Vector4::new(1.0, -0.5, 0.2, 2.0),
-        covariance: Matrix4::identity() * 0.7,
-    };
+    let start = Own { mean: Vector4::new(1.0, -0.5, 0.2, 2.0), covariance: Matrix4::identity() * 0.7 };
     let (mut scalar, mut whitened) = (start, start);
     let mut foreign = StateAndCovariance::new(start.mean, start.covariance);
     for step in 0..STEPS {
@@ -122,27 +117,14 @@ fn scalar_updates_agree_with_a_foreign_filter_over_hundreds_of_random_steps() {
                 by_row: std::array::from_fn(|j| row[j]),
                 variance: 1.0,
             };
-            let outcome = use_scalar(
-                &mut scalar.mean,
-                &mut scalar.covariance,
-                &one,
-                f64::INFINITY,
-            );
+            let outcome = use_scalar(&mut scalar.mean, &mut scalar.covariance, &one, f64::INFINITY);
             assert_eq!(outcome.usage, Usage::Used, "step {step}");
         }
 
         // By the library's own whitening.
         whitened.predict(&system);
-        let measurement = Measurement {
-            innovation: z - system.h * whitened.mean,
-            jacobian: system.h,
-            noise: system.r,
-        };
-        assert!(apply(
-            &mut whitened.mean,
-            &mut whitened.covariance,
-            &measurement
-        ));
+        let measurement = Measurement { innovation: z - system.h * whitened.mean, jacobian: system.h, noise: system.r };
+        assert!(apply(&mut whitened.mean, &mut whitened.covariance, &measurement));
 
         for (name, own) in [("use_scalar", &scalar), ("apply", &whitened)] {
             let distance = own.distance(&foreign);

@@ -1,8 +1,5 @@
 //! What the flagship believes does not depend on the order in which observations arrive, bit for bit.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when the filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when the filter gives no estimate")]
 
 #[path = "support/drive.rs"]
 mod drive;
@@ -18,8 +15,7 @@ use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::{CORE, WITH_CAMERA, WITH_RANGES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Fix, Meters, Observation, Observed, PositionCovariance, Radians, SensorId, Span,
-    Stamp, Verdict,
+    BrickClock, Fix, Meters, Observation, Observed, PositionCovariance, Radians, SensorId, Span, Stamp, Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -31,26 +27,15 @@ use unknown::all_unknown;
 const LATEST_BY_MS: i64 = 3_000;
 
 fn scenario() -> Scenario {
-    Scenario {
-        laps: 1,
-        camera: Some(Camera {
-            every: 2,
-            delay: 0,
-            spread: 0,
-            outliers: 0.1,
-        }),
-    }
+    Scenario { laps: 1, camera: Some(Camera { every: 2, delay: 0, spread: 0, outliers: 0.1 }) }
 }
 
 /// Forty seconds of driving with a turn, in the order of time: fixes of which some are outliers, wheels and gyro at the same
 /// instants as the fixes.
 fn observations(seed: u64) -> Vec<Observation> {
     let drive = drive(&scenario(), seed);
-    let observations = drive
-        .arrivals
-        .iter()
-        .map(|arrival| arrival.observation)
-        .filter(|observation| observation.stamp < stamp(800));
+    let observations =
+        drive.arrivals.iter().map(|arrival| arrival.observation).filter(|observation| observation.stamp < stamp(800));
     observations.collect()
 }
 
@@ -65,10 +50,7 @@ fn shuffled(observations: &[Observation], seed: u64) -> Vec<Observation> {
         })
         .collect();
     arrivals.sort_by_key(|arrival| arrival.0);
-    arrivals
-        .into_iter()
-        .map(|(_, observation)| observation)
-        .collect()
+    arrivals.into_iter().map(|(_, observation)| observation).collect()
 }
 
 /// Everything that a filter believes at the end, in digits that tell any two numbers apart.
@@ -83,9 +65,7 @@ fn belief_with<const N: usize>(config: &FilterConfig, observations: &[Observatio
         assert_ne!(record.verdict, Verdict::TooOld, "{observation:?}");
     }
     let latest = filter.latest().expect("something was observed");
-    let lately: Vec<_> = (-58..=10)
-        .map(|k| filter.estimate_at(latest + Span::from_millis(k * 50)))
-        .collect();
+    let lately: Vec<_> = (-58..=10).map(|k| filter.estimate_at(latest + Span::from_millis(k * 50))).collect();
     assert!(lately.iter().all(Option::is_some));
     format!("{:?} {lately:?} {:?}", filter.state(), filter.calibration())
 }
@@ -94,10 +74,7 @@ fn assert_order_does_not_matter(config: &FilterConfig, observations: &[Observati
     assert_order_does_not_matter_with::<CORE>(config, observations);
 }
 
-fn assert_order_does_not_matter_with<const N: usize>(
-    config: &FilterConfig,
-    observations: &[Observation],
-) {
+fn assert_order_does_not_matter_with<const N: usize>(config: &FilterConfig, observations: &[Observation]) {
     let expected = belief_with::<N>(config, observations);
     for seed in 0..6 {
         assert!(
@@ -123,9 +100,7 @@ fn in_order_the_robot_ends_where_the_truth_is() {
         filter.observe(observation);
     }
     let (x_m, y_m, _) = drive(&scenario(), 1).poses[798];
-    let found = filter
-        .estimate_at(stamp(799))
-        .expect("something was observed");
+    let found = filter.estimate_at(stamp(799)).expect("something was observed");
     let error_m = (found.pose.x.0 - x_m).hypot(found.pose.y.0 - y_m);
     assert!(error_m < 0.01, "{error_m}");
 }
@@ -141,11 +116,7 @@ fn the_order_of_arrival_does_not_matter_when_all_sensors_share_their_instants() 
 fn the_order_of_arrival_does_not_matter_when_every_sensor_has_instants_of_its_own() {
     let mut observations = observations(3);
     shift(&mut observations, SensorId::GYRO, Span::from_micros(13_337));
-    shift(
-        &mut observations,
-        SensorId::CAMERA,
-        Span::from_micros(-21_123),
-    );
+    shift(&mut observations, SensorId::CAMERA, Span::from_micros(-21_123));
     observations.sort_by_key(|observation| observation.stamp);
     assert_order_does_not_matter(&config(), &observations);
 }
@@ -155,10 +126,7 @@ fn the_order_of_arrival_does_not_matter_while_the_heading_is_still_to_be_found()
     let mut observations = observations(4);
     for observation in &mut observations {
         if let Observed::Fix(fix) = observation.observed {
-            observation.observed = Observed::Fix(Fix {
-                heading: None,
-                ..fix
-            });
+            observation.observed = Observed::Fix(Fix { heading: None, ..fix });
         }
     }
     let mut config = config();
@@ -183,10 +151,7 @@ fn the_order_of_arrival_does_not_matter_across_holes_and_jumps_of_the_counters()
         if let Observed::WheelAngles { left, right } = observation.observed
             && is_after_the_jump
         {
-            observation.observed = Observed::WheelAngles {
-                left: left - Radians(400.0),
-                right: right + Radians(300.0),
-            };
+            observation.observed = Observed::WheelAngles { left: left - Radians(400.0), right: right + Radians(300.0) };
         }
     }
     assert_order_does_not_matter(&config(), &observations);
@@ -206,8 +171,7 @@ fn until_a_fix(mut observations: Vec<Observation>) -> (Vec<Observation>, Observa
 fn two_fixes_of_one_instant_count_in_either_order_and_one_that_comes_twice_counts_once() {
     let (before, one) = until_a_fix(observations(6));
     let two = moved_by(&one, 0.001);
-    let together =
-        |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
+    let together = |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
     assert!(together([one, two]) == together([two, one]));
     assert!(together([one, two]) != belief(&config(), &[before.clone(), vec![one]].concat()));
 
@@ -226,10 +190,7 @@ fn moved_by(seen: &Observation, east_m: f64) -> Observation {
         return *seen;
     };
     fix.position.x += Meters(east_m);
-    Observation {
-        observed: Observed::Fix(fix),
-        ..*seen
-    }
+    Observation { observed: Observed::Fix(fix), ..*seen }
 }
 
 #[test]
@@ -238,16 +199,11 @@ fn a_late_fix_does_what_the_same_fix_does_in_time() {
     let mut late = in_time.clone();
     let index = late
         .iter()
-        .position(|observation| {
-            observation.sensor == SensorId::CAMERA && observation.stamp == stamp(750)
-        })
+        .position(|observation| observation.sensor == SensorId::CAMERA && observation.stamp == stamp(750))
         .expect("the camera looks at every second step");
     let fix = late.remove(index);
     late.push(fix);
-    assert!(
-        stamp(799) - fix.stamp > Span::from_millis(2_000),
-        "it is late"
-    );
+    assert!(stamp(799) - fix.stamp > Span::from_millis(2_000), "it is late");
     assert!(belief(&config(), &in_time) == belief(&config(), &late));
     late.pop();
     assert!(belief(&config(), &in_time) != belief(&config(), &late));
@@ -263,20 +219,14 @@ fn an_observation_older_than_the_history_is_refused_and_changes_nothing() {
     let latest = filter.latest().expect("something was observed");
     let before = format!("{:?} {:?}", filter.state(), filter.estimate_at(latest));
     for kind in [SensorId::CAMERA, SensorId::WHEELS, SensorId::GYRO] {
-        let mut old = *observations
-            .iter()
-            .find(|observation| observation.sensor == kind)
-            .expect("every sensor spoke");
+        let mut old = *observations.iter().find(|observation| observation.sensor == kind).expect("every sensor spoke");
         old.stamp = latest - Span::from_millis(3_001);
         let record = filter.observe(&old);
         assert_eq!(record.verdict, Verdict::TooOld);
         assert_eq!(record.verdict.reason(), "too old");
         assert_eq!(record.lag, Span::from_millis(3_001));
     }
-    assert_eq!(
-        format!("{:?} {:?}", filter.state(), filter.estimate_at(latest)),
-        before
-    );
+    assert_eq!(format!("{:?} {:?}", filter.state(), filter.estimate_at(latest)), before);
 }
 
 /// Twenty seconds with every sensor there is, round a corner, some of them at the same instants.
@@ -285,15 +235,9 @@ fn with_everything(config: &FilterConfig, seed: u64) -> Vec<Observation> {
     let mut senses = Senses::new(config, seed);
     let poses = drive.poses.clone();
     let errors = [(0.2, 0.01), (0.0, 0.0), (-0.1, 0.02), (0.3, -0.01)];
-    add(&mut drive, SensorId::LANDMARKS, 5, |_, truth| {
-        senses.landmarks(truth)
-    });
-    add(&mut drive, SensorId::BEACONS, 4, |_, truth| {
-        senses.beacons(truth, &errors)
-    });
-    add(&mut drive, SensorId::RANGE, 3, |_, truth| {
-        senses.wall(truth)
-    });
+    add(&mut drive, SensorId::LANDMARKS, 5, |_, truth| senses.landmarks(truth));
+    add(&mut drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &errors));
+    add(&mut drive, SensorId::RANGE, 3, |_, truth| senses.wall(truth));
     // Iron near the compass, now and then.
     add(&mut drive, SensorId::COMPASS, 2, |step, (x, y, heading)| {
         let off_rad = if step % 200 < 30 { 1.2 } else { 0.0 };
@@ -307,17 +251,12 @@ fn with_everything(config: &FilterConfig, seed: u64) -> Vec<Observation> {
         senses.accelerations(steps)
     });
     let observations = drive.arrivals.iter().map(|arrival| arrival.observation);
-    observations
-        .filter(|observation| observation.stamp < stamp(420))
-        .collect()
+    observations.filter(|observation| observation.stamp < stamp(420)).collect()
 }
 
 /// A configuration that asks for every state there is.
 fn learning_everything() -> FilterConfig {
-    FilterConfig {
-        calibration: all_unknown(),
-        ..furnished(&config())
-    }
+    FilterConfig { calibration: all_unknown(), ..furnished(&config()) }
 }
 
 #[test]
@@ -366,19 +305,11 @@ fn two_fixes_of_one_instant_and_place_that_claim_other_noise_count_in_either_ord
         let Observed::Fix(mut fix) = one.observed else {
             return one;
         };
-        fix.covariance = Some(PositionCovariance {
-            xx_m2: variance,
-            xy_m2: 0.0,
-            yy_m2: variance,
-            heading_rad2: variance,
-        });
-        Observation {
-            observed: Observed::Fix(fix),
-            ..one
-        }
+        fix.covariance =
+            Some(PositionCovariance { xx_m2: variance, xy_m2: 0.0, yy_m2: variance, heading_rad2: variance });
+        Observation { observed: Observed::Fix(fix), ..one }
     };
-    let together =
-        |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
+    let together = |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
     let pair = [claims(1e-4), claims(4e-6)];
     assert!(together(pair) == together([pair[1], pair[0]]));
 }

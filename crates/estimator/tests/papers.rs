@@ -1,8 +1,5 @@
 //! The filters of paper 1 against the paper: gains in the steady state, derivatives, sigma points, records.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when a filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when a filter gives no estimate")]
 
 #[path = "support/readings.rs"]
 mod readings;
@@ -32,10 +29,9 @@ fn at_rest(mut filter: Box<dyn Filter>) -> Box<dyn Filter> {
 
 #[test]
 fn the_wheel_filters_have_the_papers_steady_gains_and_poles() {
-    for (variance, gain, real, imaginary) in [
-        (RIGHT_VARIANCE, [0.3880, 1.5646], 0.767, 0.155),
-        (LEFT_VARIANCE, [0.4353, 1.9403], 0.734, 0.162),
-    ] {
+    for (variance, gain, real, imaginary) in
+        [(RIGHT_VARIANCE, [0.3880, 1.5646], 0.767, 0.155), (LEFT_VARIANCE, [0.4353, 1.9403], 0.734, 0.162)]
+    {
         let mut wheel = Wheel::at_rest(variance);
         for _ in 0..500 {
             wheel.predict(INTERVAL_S);
@@ -44,8 +40,7 @@ fn the_wheel_filters_have_the_papers_steady_gains_and_poles() {
         let k = wheel.covariance.column(0) / variance;
         assert_near("K of phi", k[0], gain[0], 5e-5);
         assert_near("K of phidot", k[1], gain[1], 5e-5);
-        let closed = (Matrix2::identity()
-            - Matrix2::from_columns(&[k.into_owned(), Vector2::zeros()]))
+        let closed = (Matrix2::identity() - Matrix2::from_columns(&[k.into_owned(), Vector2::zeros()]))
             * Matrix2::new(1.0, INTERVAL_S, 0.0, 1.0);
         let pole = closed.complex_eigenvalues()[0];
         assert_near("pole", pole.re, real, 5e-4);
@@ -64,17 +59,8 @@ fn the_speeds_of_the_wheel_filter_are_as_doubtful_as_its_wheels() {
         wheel.covariance[(1, 1)] * (RADIUS_M * DEGREE).powi(2)
     });
     let p = latest(at_rest(named("wheel-kf", &config())).as_ref()).covariance;
-    let found = [
-        (row::FORWARD, row::FORWARD),
-        (row::TURN, row::TURN),
-        (row::FORWARD, row::TURN),
-    ]
-    .map(|(i, j)| p[i][j]);
-    let expected = [
-        0.25 * (left + right),
-        (left + right) / TRACK_M.powi(2),
-        (right - left) / (2.0 * TRACK_M),
-    ];
+    let found = [(row::FORWARD, row::FORWARD), (row::TURN, row::TURN), (row::FORWARD, row::TURN)].map(|(i, j)| p[i][j]);
+    let expected = [0.25 * (left + right), (left + right) / TRACK_M.powi(2), (right - left) / (2.0 * TRACK_M)];
     for (found, expected) in found.into_iter().zip(expected) {
         assert_near("variance", found / expected, 1.0, 1e-6);
     }
@@ -90,9 +76,8 @@ fn the_corrected_filter_expects_of_its_first_step_what_rounding_and_speeds_leave
     // the heading itself is known does not matter: the integral began there.
     let dt_s: f64 = 0.05;
     let tick_m = RADIUS_M * DEGREE;
-    let path = 2.0 * tick_m.powi(2) / 24.0
-        + (0.1 * dt_s).powi(2)
-        + params.acceleration_m_per_s2.powi(2) * dt_s.powi(3) / 3.0;
+    let path =
+        2.0 * tick_m.powi(2) / 24.0 + (0.1 * dt_s).powi(2) + params.acceleration_m_per_s2.powi(2) * dt_s.powi(3) / 3.0;
     let heading = 2.0 * (tick_m / TRACK_M).powi(2) / 6.0
         + dt_s.powi(2)
         + params.turn_acceleration_rad_per_s2.powi(2) * dt_s.powi(3) / 3.0;
@@ -116,9 +101,7 @@ fn the_corrected_filter_expects_of_its_first_step_what_rounding_and_speeds_leave
 fn a_change_of_speed_moves_the_corrected_filters_robot_within_the_interval() {
     let mut filter = named("ekf5-corrected", &config());
     filter.observe(&wheels(0.0, 0.0, 0.0));
-    let ahead = filter
-        .estimate_at(Stamp::from_millis(50))
-        .expect("a prediction");
+    let ahead = filter.estimate_at(Stamp::from_millis(50)).expect("a prediction");
     let q = config().params.acceleration_m_per_s2.powi(2);
     // Heading zero: x is the way. 0.1 m/s is the speed's sigma at the start.
     let expected = 0.01 * 0.05 + q * 0.05_f64.powi(2) / 2.0;
@@ -157,18 +140,8 @@ fn the_velocity_filter_has_the_papers_steady_gains() {
 #[test]
 fn the_five_state_filter_has_the_papers_steady_gains_in_both_readings_of_the_order() {
     for (order, v, th, w) in [
-        (
-            SpeedOrder::Printed,
-            0.527_31,
-            [0.140_53, 0.397_05],
-            [0.358_99, 1.014_26],
-        ),
-        (
-            SpeedOrder::Swapped,
-            0.355_49,
-            [0.151_04, 0.426_73],
-            [0.594_16, 1.678_67],
-        ),
+        (SpeedOrder::Printed, 0.527_31, [0.140_53, 0.397_05], [0.358_99, 1.014_26]),
+        (SpeedOrder::Swapped, 0.355_49, [0.151_04, 0.426_73], [0.594_16, 1.678_67]),
     ] {
         let filter = at_rest(ekf5::build(&config(), order, Fixes::Unused));
         let p = covariance_in_paper_units(filter.as_ref());
@@ -176,12 +149,7 @@ fn the_five_state_filter_has_the_papers_steady_gains_in_both_readings_of_the_ord
         for (i, variance) in [0.938, 0.332].into_iter().enumerate() {
             let heading = p[(row::HEADING, row::HEADING)] / variance;
             assert_near("K of th", heading, th[i], 5e-6);
-            assert_near(
-                "K of w",
-                p[(row::TURN, row::HEADING)] / variance,
-                w[i],
-                5e-6,
-            );
+            assert_near("K of w", p[(row::TURN, row::HEADING)] / variance, w[i], 5e-6);
         }
     }
 }
@@ -205,10 +173,7 @@ const STATES: [[f64; 5]; 5] = [
     [-7.0, 0.2, 14.2, 0.4, -1.2],
 ];
 
-const FELT: Acceleration = Acceleration {
-    forward_m_per_s2: 0.7,
-    turn_rad_per_s2: -1.9,
-};
+const FELT: Acceleration = Acceleration { forward_m_per_s2: 0.7, turn_rad_per_s2: -1.9 };
 
 /// Holds a Jacobian against central differences of the motion.
 fn check_jacobian<const N: usize>(
@@ -274,12 +239,7 @@ fn sigma_points_see_that_a_doubtful_heading_shortens_the_way() {
     let (next, spread) = ukf5::predict(&mean, &p, Acceleration::default(), 1.0).expect("fine");
     // E cos th = exp(-var / 2), E sin^2 th = (1 - exp(-2 var)) / 2; a Jacobian gives 1 and 0.09.
     assert_near("x", next[0], (-0.045_f64).exp(), 1e-3);
-    assert_near(
-        "var y",
-        spread[(1, 1)],
-        0.5 * (1.0 - (-0.18_f64).exp()),
-        6e-3,
-    );
+    assert_near("var y", spread[(1, 1)], 0.5 * (1.0 - (-0.18_f64).exp()), 6e-3);
     assert!((spread[(1, 1)] - 0.09).abs() > 0.01, "{spread}");
 }
 
@@ -323,13 +283,9 @@ fn a_matrix_that_is_no_covariance_has_no_square_root_and_says_where() {
 
 #[test]
 fn every_update_leaves_a_full_record() {
-    for (name, wheels_used, gyro_used) in [
-        ("wheel-kf", 2, 0),
-        ("velocity-kf", 2, 0),
-        ("ekf5", 2, 1),
-        ("ekf5-corrected", 2, 1),
-        ("ukf5", 2, 1),
-    ] {
+    for (name, wheels_used, gyro_used) in
+        [("wheel-kf", 2, 0), ("velocity-kf", 2, 0), ("ekf5", 2, 1), ("ekf5-corrected", 2, 1), ("ukf5", 2, 1)]
+    {
         let mut filter = named(name, &config());
         filter.observe(&wheels(0.0, 0.0, 0.0));
         filter.observe(&gyro(0.0, 0.0));
@@ -345,8 +301,7 @@ fn every_update_leaves_a_full_record() {
             let inverse = s.clone().try_inverse().expect("positive definite");
             let nis = (nu.transpose() * inverse * &nu)[0];
             assert_near(name, record.nis, nis, 1e-9 * nis.max(1.0));
-            let log_likelihood =
-                -0.5 * (nis + s.determinant().ln() + count as f64 * std::f64::consts::TAU.ln());
+            let log_likelihood = -0.5 * (nis + s.determinant().ln() + count as f64 * std::f64::consts::TAU.ln());
             assert_near(name, record.log_likelihood, log_likelihood, 1e-6);
         };
         used(2, &record);

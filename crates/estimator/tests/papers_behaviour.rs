@@ -1,8 +1,5 @@
 //! The filters of paper 1 when sensors come in any order, fall silent, jump, or speak of the past.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when a filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when a filter gives no estimate")]
 
 #[path = "support/robot.rs"]
 mod robot;
@@ -14,28 +11,19 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::Matrix5;
 use posebridge_estimator::{Filter, FilterConfig, StartPose, filter_named};
 use posebridge_telemetry::{
-    Estimate, Fix, Heading, Meters, MetersPerSecondSquared, Observation, Observed, Point2, Pose,
-    SensorId, Span, Verdict,
+    Estimate, Fix, Heading, Meters, MetersPerSecondSquared, Observation, Observed, Point2, Pose, SensorId, Span,
+    Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use robot::{DEGREE, RADIUS_M, TRACK_M, config};
 use stamped::{at, gyro, ms, wheels};
 
-const ALL: [&str; 6] = [
-    "wheel-kf",
-    "velocity-kf",
-    "ekf5",
-    "ekf5-camera",
-    "ekf5-corrected",
-    "ukf5",
-];
+const ALL: [&str; 6] = ["wheel-kf", "velocity-kf", "ekf5", "ekf5-camera", "ekf5-corrected", "ukf5"];
 
 fn accelerations(millis: i64, left: f64, right: f64) -> Observation {
-    let observed = Observed::WheelAccelerations {
-        left: MetersPerSecondSquared(left),
-        right: MetersPerSecondSquared(right),
-    };
+    let observed =
+        Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) };
     at(millis, SensorId::ACCELEROMETER, observed)
 }
 
@@ -54,14 +42,8 @@ fn with_tag(observation: Observation, forward_m: f64, left_m: f64) -> Observatio
     let Observed::Fix(fix) = observation.observed else {
         return observation;
     };
-    let observed = Observed::Fix(Fix {
-        tag_in_body: Point2::new(Meters(forward_m), Meters(left_m)),
-        ..fix
-    });
-    Observation {
-        observed,
-        ..observation
-    }
+    let observed = Observed::Fix(Fix { tag_in_body: Point2::new(Meters(forward_m), Meters(left_m)), ..fix });
+    Observation { observed, ..observation }
 }
 
 fn named(name: &str, config: &FilterConfig) -> Box<dyn Filter> {
@@ -80,10 +62,7 @@ fn started_at(x_m: f64, y_m: f64, heading_rad: f64) -> FilterConfig {
 }
 
 fn latest(filter: &dyn Filter) -> Estimate {
-    filter
-        .latest()
-        .and_then(|latest| filter.estimate_at(latest))
-        .expect("something was observed")
+    filter.latest().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
 }
 
 /// Drives straight on at 0.2 m/s, wheels and gyro every 50 ms.
@@ -152,10 +131,7 @@ fn a_turn_within_a_gap_makes_the_position_doubtful() {
             let (far, more) = (1.2 / RADIUS_M, 0.5 * turn_rad * TRACK_M / RADIUS_M);
             filter.observe(&wheels(5_000, far - more, far + more));
             let end = latest(filter.as_ref());
-            (
-                end.x_sigma_m().hypot(end.y_sigma_m()),
-                end.pose.heading.rad(),
-            )
+            (end.x_sigma_m().hypot(end.y_sigma_m()), end.pose.heading.rad())
         };
         let (straight_m, _) = driven(0.0);
         let (turned_m, heading_rad) = driven(1.0);
@@ -163,10 +139,7 @@ fn a_turn_within_a_gap_makes_the_position_doubtful() {
         // Distance times turn over the root of 12, on either axis.
         let added_m2 = turned_m.powi(2) - straight_m.powi(2);
         let expected_m2 = 2.0 / 12.0;
-        assert!(
-            (0.9 * expected_m2..1.3 * expected_m2).contains(&added_m2),
-            "{name}: {added_m2}"
-        );
+        assert!((0.9 * expected_m2..1.3 * expected_m2).contains(&added_m2), "{name}: {added_m2}");
     }
 }
 
@@ -176,15 +149,8 @@ fn speeds_are_held_for_half_a_second_and_then_the_pose_stays_in_growing_doubt() 
         let mut filter = named(name, &config());
         drive_straight(filter.as_mut(), 0..=5_000);
         let now = latest(filter.as_ref());
-        let ahead = |millis: i64| {
-            filter
-                .estimate_at(ms(5_000 + millis))
-                .expect("a prediction")
-        };
-        assert!(
-            (ahead(300).pose.x.0 - now.pose.x.0 - 0.06).abs() < 1e-3,
-            "{name}"
-        );
+        let ahead = |millis: i64| filter.estimate_at(ms(5_000 + millis)).expect("a prediction");
+        assert!((ahead(300).pose.x.0 - now.pose.x.0 - 0.06).abs() < 1e-3, "{name}");
         assert_eq!(ahead(500).pose, ahead(4_000).pose, "{name}");
         let sigmas = [0, 200, 500, 700, 4_000].map(|millis| ahead(millis).x_sigma_m());
         assert!(sigmas.is_sorted_by(|a, b| a < b), "{name}: {sigmas:?}");
@@ -239,19 +205,12 @@ fn counters_that_are_zeroed_after_a_turn_do_not_turn_the_robot_back() {
         for k in 0..=40_i64 {
             let turned = FRAC_PI_2 * (k as f64 / 20.0).min(1.0);
             let rad = 0.5 * turned * TRACK_M / RADIUS_M + 500.0;
-            let rate = if (1..=20).contains(&k) {
-                FRAC_PI_2
-            } else {
-                0.0
-            };
+            let rate = if (1..=20).contains(&k) { FRAC_PI_2 } else { 0.0 };
             filter.observe(&wheels(50 * k, 1_000.0 - rad, rad));
             filter.observe(&gyro(50 * k, rate));
         }
         let before = latest(filter.as_ref());
-        assert!(
-            (before.pose.heading.rad() - FRAC_PI_2).abs() < 0.15,
-            "{name}"
-        );
+        assert!((before.pose.heading.rad() - FRAC_PI_2).abs() < 0.15, "{name}");
         let verdict = filter.observe(&wheels(2_050, 0.0, 0.0)).verdict;
         assert_eq!(verdict, Verdict::Rebased, "{name}");
         for k in 42..80_i64 {
@@ -317,10 +276,7 @@ fn a_fix_that_came_before_or_is_older_than_one_that_was_used_is_refused() {
 
 #[test]
 fn without_a_start_a_fix_with_a_heading_places_the_robot_and_one_without_does_not() {
-    let nowhere = FilterConfig {
-        start: None,
-        ..config()
-    };
+    let nowhere = FilterConfig { start: None, ..config() };
     let mut filter = named("ekf5-camera", &nowhere);
     drive_straight(filter.as_mut(), 0..=1_000);
     let verdict = filter.observe(&fix(1_000, 3.0, 4.0, None)).verdict;
@@ -338,11 +294,7 @@ fn without_a_start_a_fix_with_a_heading_places_the_robot_and_one_without_does_no
         filter.observe(&wheels(millis, rad, rad));
     }
     let moved = latest(filter.as_ref());
-    assert!(
-        (moved.pose.y.0 - 4.0).abs() < 0.01,
-        "north: {:?}",
-        moved.pose
-    );
+    assert!((moved.pose.y.0 - 4.0).abs() < 0.01, "north: {:?}", moved.pose);
 }
 
 #[test]
@@ -368,10 +320,7 @@ fn the_corrected_filter_learns_the_gyros_bias_at_rest_and_says_so() {
         filter.observe(&gyro(50 * k, 1.5 * DEGREE));
     }
     let learned = filter.calibration().expect("it learns").gyro_bias_rad_per_s;
-    assert!(
-        (learned.value - 1.5 * DEGREE).abs() < 0.1 * DEGREE,
-        "{learned:?}"
-    );
+    assert!((learned.value - 1.5 * DEGREE).abs() < 0.1 * DEGREE, "{learned:?}");
     assert!(learned.sigma < 0.1 * DEGREE, "{learned:?}");
     let heading_rad = latest(filter.as_ref()).pose.heading.rad();
     assert!(heading_rad.abs() < 0.3 * DEGREE, "{heading_rad}");
@@ -401,10 +350,7 @@ fn a_stamp_that_may_be_off_makes_a_fix_of_a_moving_robot_weaker() {
     let innovation_var_m2 = |stamp_sigma| {
         let mut filter = named("ekf5-camera", &config());
         drive_straight(filter.as_mut(), 0..=2_000);
-        let seen = Observation {
-            stamp_sigma,
-            ..fix(2_000, 0.39, 0.0, None)
-        };
+        let seen = Observation { stamp_sigma, ..fix(2_000, 0.39, 0.0, None) };
         filter.observe(&seen).innovation_covariance[0][0]
     };
     let added_m2 = innovation_var_m2(Span::from_millis(100)) - innovation_var_m2(Span::ZERO);
@@ -466,10 +412,7 @@ fn accelerations_are_held_for_three_tenths_of_a_second_however_far_ahead_is_aske
         for (millis, gained_m_per_s) in [(2_200, 0.2), (2_300, 0.3), (2_450, 0.3), (9_000, 0.3)] {
             let ahead = filter.estimate_at(ms(millis)).expect("a prediction");
             let gained = ahead.forward_speed.0 - before;
-            assert!(
-                (gained - gained_m_per_s).abs() < 1e-9,
-                "{name} at {millis}: {gained}"
-            );
+            assert!((gained - gained_m_per_s).abs() < 1e-9, "{name} at {millis}: {gained}");
         }
     }
 }
@@ -486,11 +429,7 @@ fn a_new_base_of_the_counters_makes_no_filter_surer_of_its_pose() {
         for (what, found, least) in [
             ("x", after.x_sigma_m(), before.x_sigma_m()),
             ("y", after.y_sigma_m(), before.y_sigma_m()),
-            (
-                "heading",
-                after.heading_sigma_rad(),
-                before.heading_sigma_rad(),
-            ),
+            ("heading", after.heading_sigma_rad(), before.heading_sigma_rad()),
         ] {
             assert!(found > 0.999 * least, "{name}: {what} {found} {least}");
         }

@@ -1,8 +1,5 @@
 //! The filters of paper 1 against independent implementations: a foreign Kalman filter, and the paper's EKF written out.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when a filter gives no estimate"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when a filter gives no estimate")]
 
 #[path = "support/readings.rs"]
 mod readings;
@@ -15,27 +12,20 @@ use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::paper1::{CENTIMETRE, DEGREE};
 use posebridge_estimator::filters::wheel_kf::{RIGHT_VARIANCE, Wheel};
 use posebridge_estimator::models::planar_speeds::{Acceleration, Covariance, Mean};
-use posebridge_telemetry::{
-    MetersPerSecondSquared, Observation, Observed, SensorId, estimate::row,
-};
+use posebridge_telemetry::{MetersPerSecondSquared, Observation, Observed, SensorId, estimate::row};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use readings::{assert_near, at, covariance_in_paper_units, gyro, latest, named, wheels};
 use robot::{RADIUS_M, TRACK_M, config};
 
 fn accelerations(secs: f64, left: f64, right: f64) -> Observation {
-    let observed = Observed::WheelAccelerations {
-        left: MetersPerSecondSquared(left),
-        right: MetersPerSecondSquared(right),
-    };
+    let observed =
+        Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) };
     at(secs, SensorId::ACCELEROMETER, observed)
 }
 
 fn without_start() -> FilterConfig {
-    FilterConfig {
-        start: None,
-        ..config()
-    }
+    FilterConfig { start: None, ..config() }
 }
 
 /// A linear model for the foreign crate: F, Q, input, H and R of one step.
@@ -91,10 +81,7 @@ fn uneven_drive(seed: u64) -> Vec<(f64, f64, f64)> {
     (0..400)
         .map(|k| {
             let here = (secs, left, right);
-            let dt_s = (0.03 + 0.04 * random.random::<f64>())
-                .mul_add(1e3, 0.5)
-                .floor()
-                * 1e-3;
+            let dt_s = (0.03 + 0.04 * random.random::<f64>()).mul_add(1e3, 0.5).floor() * 1e-3;
             let phase = f64::from(k) * 0.05;
             left += (6.0 * phase.sin() + random.random::<f64>()) * dt_s;
             right += (6.0 * (0.7 * phase).cos() + random.random::<f64>()) * dt_s;
@@ -153,16 +140,13 @@ fn the_velocity_filter_equals_an_independent_kalman_filter() {
         filter.observe(&wheels(pair[1].0, pair[1].1, pair[1].2));
 
         let dt_s = pair[1].0 - pair[0].0;
-        let [left_m, right_m] =
-            [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
+        let [left_m, right_m] = [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
         let felt = Acceleration::of_wheels(left, right, &robot::GEOMETRY);
         let per_unit = Vector2::new(1.0 / CENTIMETRE, 1.0 / DEGREE);
         let model = Foreign::<2> {
             f: [Matrix2::identity(); 2],
             q: Matrix2::identity() * (2.2 * dt_s / 0.05),
-            input: Vector2::new(felt.forward_m_per_s2, felt.turn_rad_per_s2)
-                .component_mul(&per_unit)
-                * dt_s,
+            input: Vector2::new(felt.forward_m_per_s2, felt.turn_rad_per_s2).component_mul(&per_unit) * dt_s,
             h: Matrix2::identity(),
             h_transposed: Matrix2::identity(),
             r: Matrix2::new(5.1, 0.0, 0.0, 1.938),
@@ -173,10 +157,7 @@ fn the_velocity_filter_equals_an_independent_kalman_filter() {
         let ours = latest(filter.as_ref());
         let v = ours.forward_speed.0 / CENTIMETRE;
         let w = ours.turn_rate.0 / DEGREE;
-        assert!(
-            (Vector2::new(v, w) - foreign.state()).amax() < 1e-9,
-            "step {k}"
-        );
+        assert!((Vector2::new(v, w) - foreign.state()).amax() < 1e-9, "step {k}");
         let p = covariance_in_paper_units(filter.as_ref());
         let block = p.fixed_view::<2, 2>(row::FORWARD, row::FORWARD);
         assert!((block - foreign.covariance()).amax() < 1e-9, "step {k}");
@@ -203,13 +184,7 @@ impl Literal {
         f[(2, 4)] = ts;
         let a = felt.forward_m_per_s2 / CENTIMETRE;
         let alpha = felt.turn_rad_per_s2 / DEGREE;
-        self.x = Mean::from([
-            x + v * ts * phi.cos(),
-            y + v * ts * phi.sin(),
-            th + ts * w,
-            v + ts * a,
-            w + ts * alpha,
-        ]);
+        self.x = Mean::from([x + v * ts * phi.cos(), y + v * ts * phi.sin(), th + ts * w, v + ts * a, w + ts * alpha]);
         let q = Covariance::from_diagonal(&Mean::from([2.0, 2.0, 0.1, 3.0, 1.0]));
         self.p = f * self.p * f.transpose() + q * (ts / 0.05);
         let mut h = SMatrix::<f64, 3, 5>::zeros();
@@ -227,10 +202,7 @@ impl Literal {
 #[test]
 fn ekf5_equals_the_paper_written_out_in_centimetres_and_degrees() {
     let mut filter = named("ekf5", &without_start());
-    let mut literal = Literal {
-        x: Mean::zeros(),
-        p: Covariance::identity() * 0.05,
-    };
+    let mut literal = Literal { x: Mean::zeros(), p: Covariance::identity() * 0.05 };
     let (mut wheel_heading, mut gyro_heading) = (0.0, 0.0);
     let drive = uneven_drive(3);
     filter.observe(&wheels(0.0, 0.0, 0.0));
@@ -238,8 +210,7 @@ fn ekf5_equals_the_paper_written_out_in_centimetres_and_degrees() {
     for (k, pair) in drive.windows(2).enumerate() {
         let felt = (0.2 * (k as f64 * 0.1).sin(), 0.1);
         let ts = pair[1].0 - pair[0].0;
-        let [left_m, right_m] =
-            [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
+        let [left_m, right_m] = [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
         let turn_rad = (right_m - left_m) / TRACK_M;
         let rate = turn_rad / ts + 0.02 * (k as f64 * 0.3).sin();
         filter.observe(&accelerations(pair[0].0, felt.0, felt.1));

@@ -26,14 +26,7 @@ use rand_pcg::Pcg64;
 use robot::{NOISE, RADIUS_M, TRACK_M, config};
 
 const SEEDS: u64 = 200;
-const FILTERS: [&str; 6] = [
-    "odometry",
-    "wheel-kf",
-    "velocity-kf",
-    "ekf5",
-    "ukf5",
-    "ekf5-corrected",
-];
+const FILTERS: [&str; 6] = ["odometry", "wheel-kf", "velocity-kf", "ekf5", "ukf5", "ekf5-corrected"];
 /// At rest before the square begins.
 const REST_STEPS: usize = 40;
 
@@ -46,13 +39,7 @@ struct Score {
 }
 
 fn square(seed: u64) -> Drive {
-    let mut driven = drive(
-        &Scenario {
-            laps: 1,
-            camera: None,
-        },
-        seed,
-    );
+    let mut driven = drive(&Scenario { laps: 1, camera: None }, seed);
     add_accelerations(&mut driven, 1, 0.05, seed);
     driven
 }
@@ -68,17 +55,12 @@ fn score(name: &str, driven: &Drive, config: &FilterConfig) -> Score {
         }
         let estimate = filter.estimate_at(stamp(step)).expect("it was observed");
         let heading_rad = wrap_rad(estimate.pose.heading.rad() - truth.2);
-        let error = Vector3::new(
-            estimate.pose.x.0 - truth.0,
-            estimate.pose.y.0 - truth.1,
-            heading_rad,
-        );
+        let error = Vector3::new(estimate.pose.x.0 - truth.0, estimate.pose.y.0 - truth.1, heading_rad);
         let p = Matrix3::from_fn(|i, j| estimate.covariance[i][j]);
         squares += error[0].powi(2) + error[1].powi(2);
         heading_squares += heading_rad.powi(2);
         if step > REST_STEPS {
-            nees +=
-                (error.transpose() * p.try_inverse().expect("positive definite") * error)[0] / 3.0;
+            nees += (error.transpose() * p.try_inverse().expect("positive definite") * error)[0] / 3.0;
         }
         count += 1.0;
     }
@@ -137,9 +119,7 @@ fn scores(case: &str, configured: impl Fn(u64, &Drive) -> FilterConfig) -> Vec<[
         .collect();
     println!("{case}, {SEEDS} seeds");
     for (index, name) in FILTERS.into_iter().enumerate() {
-        let mean = |pick: fn(&Score) -> f64| {
-            all.iter().map(|scores| pick(&scores[index])).sum::<f64>() / SEEDS as f64
-        };
+        let mean = |pick: fn(&Score) -> f64| all.iter().map(|scores| pick(&scores[index])).sum::<f64>() / SEEDS as f64;
         println!(
             "  {name:15} position rms {:6.1} mm, heading rms {:5.2} degrees, ANEES {:.2}",
             1e3 * mean(|score| score.position_m.powi(2)).sqrt(),
@@ -160,20 +140,14 @@ fn scores(case: &str, configured: impl Fn(u64, &Drive) -> FilterConfig) -> Vec<[
 
 /// How often one filter's position is worse than another's.
 fn share(all: &[[Score; 6]], worse: usize, better: usize) -> f64 {
-    let count = all
-        .iter()
-        .filter(|scores| scores[worse].position_m > scores[better].position_m)
-        .count();
+    let count = all.iter().filter(|scores| scores[worse].position_m > scores[better].position_m).count();
     count as f64 / all.len() as f64
 }
 
 /// What a long record at rest would tell: the bias at the start of the drive itself, which the drive draws first.
 fn with_exact_bias(mut config: FilterConfig, seed: u64) -> FilterConfig {
     let normal: f64 = Pcg64::seed_from_u64(seed).sample(StandardNormal);
-    config.calibration.gyro_bias_rad_per_s = Known {
-        value: NOISE.gyro_bias_rad_per_s * normal,
-        sigma: 1e-4,
-    };
+    config.calibration.gyro_bias_rad_per_s = Known { value: NOISE.gyro_bias_rad_per_s * normal, sigma: 1e-4 };
     config
 }
 
@@ -183,11 +157,7 @@ const HONEST: std::ops::RangeInclusive<f64> = 0.89..=1.12;
 
 fn rms(all: &[[Score; 6]], name: &str) -> f64 {
     let index = index_of(name);
-    let mean = all
-        .iter()
-        .map(|scores| scores[index].position_m.powi(2))
-        .sum::<f64>()
-        / all.len() as f64;
+    let mean = all.iter().map(|scores| scores[index].position_m.powi(2)).sum::<f64>() / all.len() as f64;
     mean.sqrt()
 }
 
@@ -197,10 +167,7 @@ fn anees(all: &[[Score; 6]], name: &str) -> f64 {
 }
 
 fn index_of(name: &str) -> usize {
-    FILTERS
-        .iter()
-        .position(|other| *other == name)
-        .expect("it is compared")
+    FILTERS.iter().position(|other| *other == name).expect("it is compared")
 }
 
 #[test]
@@ -219,8 +186,7 @@ fn with_wheels_that_were_measured_and_a_good_bias_ekf5_beats_the_encoders_and_no
 }
 
 #[test]
-fn with_wheels_that_were_measured_and_a_bias_of_two_seconds_the_order_is_below_the_papers_95_per_cent()
- {
+fn with_wheels_that_were_measured_and_a_bias_of_two_seconds_the_order_is_below_the_papers_95_per_cent() {
     let all = scores("geometry measured, bias of 2 s at rest", |seed, driven| {
         with_measured_geometry(with_known_bias(config(), driven), seed)
     });
@@ -230,9 +196,7 @@ fn with_wheels_that_were_measured_and_a_bias_of_two_seconds_the_order_is_below_t
 
 #[test]
 fn with_known_wheels_the_corrected_filter_is_honest_and_the_faithful_one_is_not() {
-    let all = scores("geometry known, bias of 2 s at rest", |_, driven| {
-        with_known_bias(config(), driven)
-    });
+    let all = scores("geometry known, bias of 2 s at rest", |_, driven| with_known_bias(config(), driven));
     let corrected = anees(&all, "ekf5-corrected");
     assert!(HONEST.contains(&corrected), "{corrected}");
     assert!(anees(&all, "ekf5") > 10.0, "over-confident by design");

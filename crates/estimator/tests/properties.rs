@@ -28,9 +28,7 @@ struct Belief {
 fn belief<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> Belief {
     let instants = (-10..=10).map(|k| about.stamp + Span::from_millis(k * 100));
     Belief {
-        estimates: instants
-            .map(|stamp| filter.estimate_at(stamp).map(|found| format!("{found:?}")))
-            .collect(),
+        estimates: instants.map(|stamp| filter.estimate_at(stamp).map(|found| format!("{found:?}"))).collect(),
         learned: format!("{:?}", filter.calibration()),
     }
 }
@@ -45,17 +43,11 @@ fn assert_unchanged(before: &Belief, after: &Belief, what: &str) {
         }
     }
     let newest = before.estimates.last().and_then(Option::as_ref);
-    assert!(
-        newest.is_none() || after.estimates.last() == Some(&newest.cloned()),
-        "{what}"
-    );
+    assert!(newest.is_none() || after.estimates.last() == Some(&newest.cloned()), "{what}");
 }
 
 const fn leaves_all_as_it_was(verdict: Verdict) -> bool {
-    matches!(
-        verdict,
-        Verdict::Malformed | Verdict::TooOld | Verdict::Gated | Verdict::Unused
-    )
+    matches!(verdict, Verdict::Malformed | Verdict::TooOld | Verdict::Gated | Verdict::Unused)
 }
 
 /// Every eigenvalue of the correlations is positive, but for rounding; rows that are certain are left out.
@@ -77,12 +69,7 @@ fn assert_positive(what: &str, p: &DMatrix<f64>) {
 fn assert_sound(estimate: &Estimate) {
     let heading_rad = estimate.pose.heading.rad();
     assert!(heading_rad > -PI && heading_rad <= PI, "{heading_rad}");
-    let numbers = [
-        estimate.pose.x.0,
-        estimate.pose.y.0,
-        estimate.forward_speed.0,
-        estimate.turn_rate.0,
-    ];
+    let numbers = [estimate.pose.x.0, estimate.pose.y.0, estimate.forward_speed.0, estimate.turn_rate.0];
     assert!(numbers.iter().all(|value| value.is_finite()), "{numbers:?}");
     let published = Matrix5::from_fn(|row, column| estimate.covariance[row][column]);
     let published = DMatrix::from_iterator(5, 5, published.iter().copied());
@@ -117,25 +104,17 @@ fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId,
             assert_unchanged(&before, &after, &what);
         }
         let again = filter.observe(&observation).verdict;
-        assert!(
-            leaves_all_as_it_was(again),
-            "{again:?} twice: {observation:?}"
-        );
+        assert!(leaves_all_as_it_was(again), "{again:?} twice: {observation:?}");
         let twice = belief(&filter, &observation);
         assert_unchanged(&after, &twice, &format!("twice: {observation:?}"));
         for damaged in damages(&observation) {
             let verdict = filter.observe(&damaged).verdict;
-            assert!(
-                matches!(verdict, Verdict::Malformed | Verdict::TooOld),
-                "{verdict:?}: {damaged:?}"
-            );
+            assert!(matches!(verdict, Verdict::Malformed | Verdict::TooOld), "{verdict:?}: {damaged:?}");
             let still = belief(&filter, &observation);
             assert_unchanged(&after, &still, &format!("{damaged:?}"));
         }
         assert_state_sound(&filter);
-        let latest = filter
-            .latest()
-            .map(|latest| latest + Span::from_millis(300));
+        let latest = filter.latest().map(|latest| latest + Span::from_millis(300));
         if let Some(estimate) = latest.and_then(|latest| filter.estimate_at(latest)) {
             assert_sound(&estimate);
         }
@@ -198,9 +177,5 @@ fn damage_is_found_in_every_kind() {
     kinds.dedup();
     assert_eq!(kinds.len(), 11, "{kinds:?}");
     let estimate = PoseFilter::<CORE>::new(&without_learning());
-    assert!(
-        estimate
-            .estimate_at(of(0, SensorId(7), any::one_of_each()[0]).stamp)
-            .is_none()
-    );
+    assert!(estimate.estimate_at(of(0, SensorId(7), any::one_of_each()[0]).stamp).is_none());
 }

@@ -1,8 +1,5 @@
 //! The wall filter of paper 3: its model's numbers, its gains and gates, and what the corrected row does otherwise.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where a filter gives nothing"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where a filter gives nothing")]
 
 #[path = "support/robot.rs"]
 mod robot;
@@ -12,8 +9,8 @@ use posebridge_estimator::filters::range_kf::{RangeFilter, Variant};
 use posebridge_estimator::models::wall_approach::WallApproach;
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    FusionRecord, Meters, MetersPerSecond, Observation, Observed, RadiansPerSecond, ScalarEstimate,
-    SensorId, Span, Stamp, Verdict,
+    FusionRecord, Meters, MetersPerSecond, Observation, Observed, RadiansPerSecond, ScalarEstimate, SensorId, Span,
+    Stamp, Verdict,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -42,10 +39,7 @@ fn give(filter: &mut RangeFilter, at_s: f64, observed: Observed) -> FusionRecord
 }
 
 fn command(filter: &mut RangeFilter, at_s: f64, forward_m_per_s: f64) -> FusionRecord {
-    let observed = Observed::BodyVelocity {
-        forward: MetersPerSecond(forward_m_per_s),
-        turn: RadiansPerSecond(0.0),
-    };
+    let observed = Observed::BodyVelocity { forward: MetersPerSecond(forward_m_per_s), turn: RadiansPerSecond(0.0) };
     give(filter, at_s, observed)
 }
 
@@ -126,27 +120,16 @@ fn settled_gain_and_gate(process_sigma: f64, is_reading: fn(usize) -> bool) -> (
 
 #[test]
 fn gains_and_gates_are_those_of_the_papers_three_sigmas() {
-    for (process_sigma, gain, gate_m) in [
-        (0.05, 0.963, 0.312),
-        (0.01, 0.620, 0.097),
-        (0.5, 0.999_6, 3.011),
-    ] {
-        let (found_gain, found_gate_m) =
-            settled_gain_and_gate(process_sigma, |step| step.is_multiple_of(4));
+    for (process_sigma, gain, gate_m) in [(0.05, 0.963, 0.312), (0.01, 0.620, 0.097), (0.5, 0.999_6, 3.011)] {
+        let (found_gain, found_gate_m) = settled_gain_and_gate(process_sigma, |step| step.is_multiple_of(4));
         let (_, mean_gate_m) = settled_gain_and_gate(process_sigma, is_reading);
         println!(
             "sigma {process_sigma}: K {found_gain:.4}, gate {found_gate_m:.3} m with a reading in four steps, \
              {mean_gate_m:.3} m with 19 in 84"
         );
         assert!((found_gain - gain).abs() < 6e-4, "{found_gain}");
-        assert!(
-            (found_gate_m / gate_m - 1.0).abs() < 0.005,
-            "{found_gate_m}"
-        );
-        assert!(
-            (1.0..1.1).contains(&(mean_gate_m / gate_m)),
-            "{mean_gate_m}"
-        );
+        assert!((found_gate_m / gate_m - 1.0).abs() < 0.005, "{found_gate_m}");
+        assert!((1.0..1.1).contains(&(mean_gate_m / gate_m)), "{mean_gate_m}");
     }
 }
 
@@ -183,11 +166,7 @@ fn a_reading_beyond_the_gate_is_refused_and_one_within_the_least_gate_never() {
         assert!(refused.nis > 9.0 && refused.degrees_of_freedom == 1);
         assert_eq!(at(&filter, 1.2), before);
         let used = range(&mut filter, 1.2, 2.19);
-        assert!(
-            used.nis > 9.0,
-            "three sigmas alone would refuse it: {}",
-            used.nis
-        );
+        assert!(used.nis > 9.0, "three sigmas alone would refuse it: {}", used.nis);
         assert_eq!(used.verdict, Verdict::Accepted, "{variant:?}");
     }
 }
@@ -270,11 +249,7 @@ fn a_late_reading_is_used_at_its_own_time_by_the_corrected_row() {
     let error_m = at(&filter, 1.99).value - truth_m(1.99);
     assert!(error_m.abs() < 0.005, "{error_m}");
     let late = range(&mut filter, 1.93, truth_m(1.93));
-    assert_eq!(
-        late.verdict,
-        Verdict::TooOld,
-        "60 ms is beyond the matching"
-    );
+    assert_eq!(late.verdict, Verdict::TooOld, "60 ms is beyond the matching");
     let again = range(&mut filter, 1.90, truth_m(1.90));
     assert_eq!(again.verdict, Verdict::Malformed, "it was used before");
 }
@@ -304,16 +279,11 @@ fn drive(seed: u64) -> Drive {
     let model = WallApproach::from_step_test(1.225, 0.997);
     let step = model.exact(0.01);
     let mut x = Vector2::new(3.0, 0.0);
-    let mut drive = Drive {
-        truth_m: vec![],
-        readings_m: vec![],
-    };
+    let mut drive = Drive { truth_m: vec![], readings_m: vec![] };
     for k in 0..200 {
         drive.truth_m.push(x[0]);
         let noise_m = 0.02 * normals.sample::<f64, _>(StandardNormal);
-        drive
-            .readings_m
-            .push((k % 10 == 0).then_some(x[0] + noise_m));
+        drive.readings_m.push((k % 10 == 0).then_some(x[0] + noise_m));
         x = step.a * x + step.b;
     }
     drive

@@ -31,16 +31,14 @@ mod slowly;
 use std::ops::Range;
 
 use alter::{
-    CORNER, STRAIGHT, altered, altered_fixes, at, camera_10_hz, error_at, fixes, share_accepted,
-    share_done, started_at, step_of, with_slip, without_headings, without_start,
+    CORNER, STRAIGHT, altered, altered_fixes, at, camera_10_hz, error_at, fixes, share_accepted, share_done,
+    started_at, step_of, with_slip, without_headings, without_start,
 };
 use drive::{Camera, Drive, STEP_S, Scenario, drive, stamp};
 use posebridge_estimator::Filter;
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::{CORE, GYRO_BIAS};
-use posebridge_telemetry::{
-    Meters, Observation, Observed, Radians, RadiansPerSecond, SensorId, Span, Verdict,
-};
+use posebridge_telemetry::{Meters, Observation, Observed, Radians, RadiansPerSecond, SensorId, Span, Verdict};
 use robot::{DEGREE, RADIUS_M, TRACK_M, config};
 use score::{mean, play, score};
 
@@ -49,20 +47,10 @@ fn a_wrong_start_is_left_after_the_fixes_have_agreed_for_long_enough() {
     for seed in 0..10 {
         let drive = drive(&camera_10_hz(), seed);
         let played = play(&drive, &started_at(1.0, -0.5, 0.1));
-        let reset = played
-            .records
-            .iter()
-            .find(|record| record.verdict == Verdict::ResetTo)
-            .expect("the fixes agree");
+        let reset = played.records.iter().find(|record| record.verdict == Verdict::ResetTo).expect("the fixes agree");
         let waited = reset.stamp - stamp(2);
-        assert!(
-            waited >= Span::from_millis(1_500),
-            "seed {seed}: {waited:?}"
-        );
-        assert!(
-            waited <= Span::from_millis(1_700),
-            "seed {seed}: {waited:?}"
-        );
+        assert!(waited >= Span::from_millis(1_500), "seed {seed}: {waited:?}");
+        assert!(waited <= Span::from_millis(1_700), "seed {seed}: {waited:?}");
         let after = at(&played, 60);
         assert_eq!(after.reset_counter, 1, "seed {seed}");
         let jump = after.last_jump.expect("it is told");
@@ -82,10 +70,7 @@ fn a_wrong_heading_is_found_out_by_positions_alone() {
         let end = drive.poses.len();
         let (position_m, heading_rad) = error_at(&drive, &played, end);
         assert!(at(&played, end).reset_counter >= 1, "seed {seed}");
-        assert!(
-            position_m < 0.01 && heading_rad < 2.0 * DEGREE,
-            "seed {seed}"
-        );
+        assert!(position_m < 0.01 && heading_rad < 2.0 * DEGREE, "seed {seed}");
     }
 }
 
@@ -118,10 +103,7 @@ fn from_an_unknown_start_the_first_fix_with_a_heading_is_enough() {
         let played = play(&drive, &without_start());
         assert!(!at(&played, 1).validity.position, "seed {seed}");
         let soon = at(&played, 6);
-        assert!(
-            soon.validity.position && soon.validity.heading,
-            "seed {seed}"
-        );
+        assert!(soon.validity.position && soon.validity.heading, "seed {seed}");
         assert_eq!(soon.reset_counter, 0, "a first fix is no jump");
         scores.push(score(&drive, &played, 6));
     }
@@ -144,10 +126,7 @@ fn from_an_unknown_start_positions_alone_tell_the_heading_once_the_robot_has_mov
         let driven = at(&played, 85);
         assert!(driven.validity.heading, "seed {seed}");
         assert_eq!(driven.reset_counter, 0, "seed {seed}");
-        assert!(
-            error_at(&drive, &played, 85).1 < 5.0 * DEGREE,
-            "seed {seed}"
-        );
+        assert!(error_at(&drive, &played, 85).1 < 5.0 * DEGREE, "seed {seed}");
         scores.push(score(&drive, &played, 85));
     }
     let mean = mean(&scores);
@@ -161,10 +140,7 @@ fn from_an_unknown_start_positions_alone_tell_the_heading_once_the_robot_has_mov
 fn through_slip(drive: &Drive, steps: &Range<usize>) -> (f64, f64) {
     let played = play(drive, &config());
     assert_eq!(at(&played, steps.end + 100).reset_counter, 0);
-    let worst_rad = steps
-        .clone()
-        .map(|step| error_at(drive, &played, step).1)
-        .fold(0.0, f64::max);
+    let worst_rad = steps.clone().map(|step| error_at(drive, &played, step).1).fold(0.0, f64::max);
     (worst_rad, share_accepted(&fixes(&played, steps)))
 }
 
@@ -178,10 +154,7 @@ fn a_turn_that_the_gyro_denies_is_slip() {
             (0.0, turn_rad * TRACK_M / RADIUS_M)
         });
         let (worst_rad, accepted) = through_slip(&drive, &(205..260));
-        println!(
-            "spin, seed {seed}: {:.1} degrees, {accepted}",
-            worst_rad / DEGREE
-        );
+        println!("spin, seed {seed}: {:.1} degrees, {accepted}", worst_rad / DEGREE);
         assert!(worst_rad < 5.0 * DEGREE, "seed {seed}: {worst_rad}");
         assert!(accepted > 0.85, "seed {seed}: {accepted}");
     }
@@ -198,10 +171,7 @@ fn a_turn_that_only_the_gyro_feels_is_slip() {
             (half_rad * done, -half_rad * done)
         });
         let (worst_rad, accepted) = through_slip(&drive, &(corner.start..corner.end + 20));
-        println!(
-            "push, seed {seed}: {:.1} degrees, {accepted}",
-            worst_rad / DEGREE
-        );
+        println!("push, seed {seed}: {:.1} degrees, {accepted}", worst_rad / DEGREE);
         assert!(worst_rad < 5.0 * DEGREE, "seed {seed}: {worst_rad}");
         assert!(accepted > 0.85, "seed {seed}: {accepted}");
     }
@@ -210,17 +180,10 @@ fn a_turn_that_only_the_gyro_feels_is_slip() {
 #[test]
 fn without_a_camera_the_heading_follows_the_gyro_through_slip() {
     let spun = 200..210;
-    let blind = Scenario {
-        laps: 1,
-        camera: None,
-    };
+    let blind = Scenario { laps: 1, camera: None };
     for seed in 0..10 {
-        let drive = with_slip(drive(&blind, seed), |step| {
-            (
-                0.0,
-                60.0 * DEGREE * share_done(&spun, step) * TRACK_M / RADIUS_M,
-            )
-        });
+        let drive =
+            with_slip(drive(&blind, seed), |step| (0.0, 60.0 * DEGREE * share_done(&spun, step) * TRACK_M / RADIUS_M));
         let played = play(&drive, &config());
         let (_, heading_rad) = error_at(&drive, &played, 230);
         assert!(heading_rad < 5.0 * DEGREE, "seed {seed}: {heading_rad}");
@@ -231,24 +194,12 @@ fn without_a_camera_the_heading_follows_the_gyro_through_slip() {
 
 #[test]
 fn counters_that_begin_again_in_a_turn_cost_no_heading() {
-    let blind = Scenario {
-        laps: 1,
-        camera: None,
-    };
+    let blind = Scenario { laps: 1, camera: None };
     let middle = usize::midpoint(CORNER.start, CORNER.end);
     for seed in 0..10 {
-        let jumped = with_slip(drive(&blind, seed), |step| {
-            if step < middle {
-                (0.0, 0.0)
-            } else {
-                (-90.0, -70.0)
-            }
-        });
+        let jumped = with_slip(drive(&blind, seed), |step| if step < middle { (0.0, 0.0) } else { (-90.0, -70.0) });
         let played = play(&jumped, &config());
-        let rebased = played
-            .records
-            .iter()
-            .filter(|record| record.verdict == Verdict::Rebased);
+        let rebased = played.records.iter().filter(|record| record.verdict == Verdict::Rebased);
         assert_eq!(rebased.count(), 1, "seed {seed}");
         let (_, heading_rad) = error_at(&jumped, &played, CORNER.end);
         println!("jump, seed {seed}: {:.2} degrees", heading_rad / DEGREE);
@@ -272,10 +223,7 @@ fn after_a_silence_of_four_seconds_round_a_corner_the_first_fixes_are_believed()
         assert!(share_accepted(&fixes(&played, &(silent.end..back + 50))) > 0.9);
         // In the silence the estimate says that it does not know.
         let lost = at(&played, silent.end - 1);
-        assert!(
-            lost.is_dead_reckoning && !lost.validity.speeds,
-            "seed {seed}"
-        );
+        assert!(lost.is_dead_reckoning && !lost.validity.speeds, "seed {seed}");
         let (error_m, _) = error_at(&drive, &played, silent.end - 1);
         let sigma_m = lost.x_sigma_m().hypot(lost.y_sigma_m());
         assert!(error_m < 3.0 * sigma_m, "seed {seed}: {error_m} {sigma_m}");
@@ -286,23 +234,14 @@ fn after_a_silence_of_four_seconds_round_a_corner_the_first_fixes_are_believed()
 fn after_half_a_minute_without_fixes_the_first_one_is_believed() {
     let blind = 100..700;
     for seed in 0..10 {
-        let drive = altered_fixes(drive(&camera_10_hz(), seed), |step, fix| {
-            (!blind.contains(&step)).then_some(fix)
-        });
+        let drive = altered_fixes(drive(&camera_10_hz(), seed), |step, fix| (!blind.contains(&step)).then_some(fix));
         let played = play(&drive, &config());
         let before = at(&played, 700);
         assert!(before.is_dead_reckoning, "seed {seed}");
-        assert!(
-            before
-                .fix_age
-                .is_some_and(|age| age > Span::from_millis(29_000))
-        );
+        assert!(before.fix_age.is_some_and(|age| age > Span::from_millis(29_000)));
         let after = at(&played, 710);
         assert!(!after.is_dead_reckoning && after.reset_counter == 0);
-        assert!(
-            share_accepted(&fixes(&played, &(700..760))) > 0.9,
-            "seed {seed}"
-        );
+        assert!(share_accepted(&fixes(&played, &(700..760))) > 0.9, "seed {seed}");
         assert!(error_at(&drive, &played, 710).0 < 0.015, "seed {seed}");
     }
 }
@@ -314,11 +253,7 @@ fn a_fix_whose_stamp_is_uncertain_weighs_less_while_the_robot_moves() {
         let doubtful = altered(
             Drive {
                 poses: drive.poses.clone(),
-                arrivals: drive
-                    .arrivals
-                    .iter()
-                    .map(|arrival| drive::Arrival { ..*arrival })
-                    .collect(),
+                arrivals: drive.arrivals.iter().map(|arrival| drive::Arrival { ..*arrival }).collect(),
             },
             |mut observation| {
                 if observation.sensor == SensorId::CAMERA {
@@ -345,18 +280,10 @@ fn turning(rate_rad_per_s: f64, bias_rad_per_s: f64, steps: usize) -> PoseFilter
     for step in 0..steps {
         let turned_rad = rate_rad_per_s * step as f64 * STEP_S;
         let half_rad = 0.5 * turned_rad * TRACK_M / RADIUS_M;
-        let of = |sensor, observed| Observation {
-            sensor,
-            stamp: stamp(step),
-            stamp_sigma: Span::ZERO,
-            observed,
-        };
+        let of = |sensor, observed| Observation { sensor, stamp: stamp(step), stamp_sigma: Span::ZERO, observed };
         let rate = RadiansPerSecond(rate_rad_per_s + bias_rad_per_s);
         filter.observe(&of(SensorId::GYRO, Observed::TurnRate(rate)));
-        let wheels = Observed::WheelAngles {
-            left: Radians(-half_rad),
-            right: Radians(half_rad),
-        };
+        let wheels = Observed::WheelAngles { left: Radians(-half_rad), right: Radians(half_rad) };
         filter.observe(&of(SensorId::WHEELS, wheels));
     }
     filter
@@ -380,9 +307,7 @@ fn the_gyros_bias_is_learned_at_rest_and_in_motion() {
 
 #[test]
 fn at_rest_the_heading_stays_although_the_gyro_is_biased() {
-    let estimate = turning(0.0, 1.7 * DEGREE, 1_200)
-        .estimate_at(stamp(1_199))
-        .expect("observed");
+    let estimate = turning(0.0, 1.7 * DEGREE, 1_200).estimate_at(stamp(1_199)).expect("observed");
     assert!(estimate.pose.heading.rad().abs() < 0.01 * DEGREE);
     assert!(estimate.heading_sigma_rad() < 0.01 * DEGREE);
 }
@@ -390,11 +315,7 @@ fn at_rest_the_heading_stays_although_the_gyro_is_biased() {
 #[test]
 fn fixes_that_all_come_two_seconds_late_are_worth_almost_as_much() {
     let mut late = camera_10_hz();
-    late.camera = late.camera.map(|camera| Camera {
-        delay: 40,
-        spread: 0,
-        ..camera
-    });
+    late.camera = late.camera.map(|camera| Camera { delay: 40, spread: 0, ..camera });
     let scores: Vec<_> = (0..20)
         .map(|seed| {
             let drive = drive(&late, seed);

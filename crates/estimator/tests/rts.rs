@@ -1,8 +1,5 @@
 //! The flagship run forwards and back: against truth, against the filter, and against the batch, which shares none of its code.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when there is no smoothed path"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when there is no smoothed path")]
 
 #[path = "support/drive.rs"]
 mod drive;
@@ -18,19 +15,13 @@ use posebridge_estimator::filters::pose::state::CORE;
 use posebridge_estimator::offline::{OfflineError, Smoothed, batch, rts};
 use posebridge_estimator::{Filter, FilterConfig, Params};
 use posebridge_telemetry::{
-    Meters, MetersPerSecond, Observation, Observed, RadiansPerSecond, SensorId, Stamp,
-    quantities::wrap_rad,
+    Meters, MetersPerSecond, Observation, Observed, RadiansPerSecond, SensorId, Stamp, quantities::wrap_rad,
 };
 use robot::config;
 use score::{mean, play, score};
 
 /// 10 Hz, 150 ± 50 ms late.
-const CAMERA: Camera = Camera {
-    every: 2,
-    delay: 3,
-    spread: 1,
-    outliers: 0.0,
-};
+const CAMERA: Camera = Camera { every: 2, delay: 3, spread: 1, outliers: 0.0 };
 
 fn lap(camera: Option<Camera>, seed: u64) -> Drive {
     drive(&Scenario { laps: 1, camera }, seed)
@@ -60,17 +51,11 @@ fn squares(smoothed: &Smoothed, drive: &Drive) -> [f64; 3] {
     let mut sums = [0.0; 3];
     for at in &smoothed.poses {
         let step = at.stamp.as_nanos() / 50_000_000;
-        let Some(truth) = usize::try_from(step - 1)
-            .ok()
-            .and_then(|i| drive.poses.get(i))
-        else {
+        let Some(truth) = usize::try_from(step - 1).ok().and_then(|i| drive.poses.get(i)) else {
             continue;
         };
-        let error = Vector3::new(
-            at.pose.x.0 - truth.0,
-            at.pose.y.0 - truth.1,
-            wrap_rad(at.pose.heading.rad() - truth.2),
-        );
+        let error =
+            Vector3::new(at.pose.x.0 - truth.0, at.pose.y.0 - truth.1, wrap_rad(at.pose.heading.rad() - truth.2));
         let p = Matrix3::from_fn(|row, column| at.covariance[row][column]);
         let weighted = p.try_inverse().expect("positive definite") * error;
         sums[0] += error[0] * error[0] + error[1] * error[1];
@@ -90,11 +75,7 @@ fn compare(make: impl Fn(u64) -> Drive) -> (f64, f64, f64) {
         let of_back = squares(&smoothed(&drive, &config()), &drive);
         back = std::array::from_fn(|i| back[i] + of_back[i]);
     }
-    (
-        mean(&filter).position_rms_m,
-        f64::sqrt(back[0] / back[2]),
-        back[1] / back[2],
-    )
+    (mean(&filter).position_rms_m, f64::sqrt(back[0] / back[2]), back[1] / back[2])
 }
 
 #[test]
@@ -146,11 +127,7 @@ fn the_last_pose_is_the_filters() {
 #[test]
 fn the_batch_agrees_where_theory_says_so() {
     let mut plain = config();
-    plain.params = Params {
-        adapt_gain: 0.0,
-        gyro_window_s: 0.4,
-        ..Params::default()
-    };
+    plain.params = Params { adapt_gain: 0.0, gyro_window_s: 0.4, ..Params::default() };
     let (mut squares_in_sigmas, mut compared) = (0.0, 0.0);
     for seed in 0..3 {
         let drive = lap(Some(CAMERA), seed);
@@ -174,19 +151,10 @@ fn the_batch_agrees_where_theory_says_so() {
 
 #[test]
 fn what_says_nothing_is_refused() {
-    let nowhere = FilterConfig {
-        start: None,
-        ..config()
-    };
+    let nowhere = FilterConfig { start: None, ..config() };
     let drive = lap(None, 1);
-    assert!(matches!(
-        rts(&nowhere, &observations(&drive)),
-        Err(OfflineError::NothingObserved { .. })
-    ));
-    assert!(matches!(
-        rts(&config(), &[]),
-        Err(OfflineError::NothingObserved { .. })
-    ));
+    assert!(matches!(rts(&nowhere, &observations(&drive)), Err(OfflineError::NothingObserved { .. })));
+    assert!(matches!(rts(&config(), &[]), Err(OfflineError::NothingObserved { .. })));
 }
 
 /// With what a second tag and a foreign odometer say at the same instants.
@@ -196,10 +164,7 @@ fn crowded() -> Vec<Observation> {
     for one in &all {
         if let Observed::Fix(mut fix) = one.observed {
             fix.position.x.0 += 0.004;
-            crowded.push(Observation {
-                observed: Observed::Fix(fix),
-                ..*one
-            });
+            crowded.push(Observation { observed: Observed::Fix(fix), ..*one });
         } else if let Observed::WheelAngles { left, .. } = one.observed {
             crowded.push(Observation {
                 sensor: SensorId::ODOMETER,
@@ -229,14 +194,8 @@ fn what_is_damaged_or_comes_twice_changes_nothing() {
     let mut dirty = all.clone();
     for one in all.iter().step_by(5) {
         dirty.push(*one);
-        dirty.push(Observation {
-            observed: Observed::TurnRate(RadiansPerSecond(f64::NAN)),
-            ..*one
-        });
-        dirty.push(Observation {
-            stamp: Stamp::from_nanos(i64::MAX),
-            ..*one
-        });
+        dirty.push(Observation { observed: Observed::TurnRate(RadiansPerSecond(f64::NAN)), ..*one });
+        dirty.push(Observation { stamp: Stamp::from_nanos(i64::MAX), ..*one });
     }
     assert!(rts(&config(), &dirty).expect("it has a start") == clean);
 }
@@ -266,19 +225,11 @@ fn fixes_that_come_twice_count_once_and_those_of_one_instant_in_either_order() {
                 return None;
             };
             fix.position.x.0 += 0.004;
-            Some(Observation {
-                observed: Observed::Fix(fix),
-                ..*seen
-            })
+            Some(Observation { observed: Observed::Fix(fix), ..*seen })
         })
         .collect();
     observations.extend(second_views);
     let once = rts(&config(), &observations).expect("it has a start");
-    let twice: Vec<Observation> = observations
-        .iter()
-        .rev()
-        .chain(&observations)
-        .copied()
-        .collect();
+    let twice: Vec<Observation> = observations.iter().rev().chain(&observations).copied().collect();
     assert_eq!(rts(&config(), &twice).expect("it has a start"), once);
 }

@@ -12,9 +12,7 @@ use posebridge_estimator::Filter;
 use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
-use posebridge_telemetry::{
-    Celsius, Observation, Observed, ScalarEstimate, SensorId, Span, Stamp, Verdict,
-};
+use posebridge_telemetry::{Celsius, Observation, Observed, ScalarEstimate, SensorId, Span, Stamp, Verdict};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
@@ -52,9 +50,7 @@ impl Dip {
             let at_s = PERIOD_S * f64::from(k);
             let since_s = (at_s - REST_S).max(0.0);
             let parts = self.lags_s.iter().zip(&self.shares);
-            let left: f64 = parts
-                .map(|(tau_s, share)| share * (-since_s / tau_s).exp())
-                .sum();
+            let left: f64 = parts.map(|(tau_s, share)| share * (-since_s / tau_s).exp()).sum();
             let noise_k = self.sigma_k * random.sample::<f64, _>(StandardNormal);
             (at_s, self.end_c() - self.step_k * left + noise_k)
         };
@@ -67,10 +63,7 @@ fn thermometer(settings: &ThermometerSettings) -> Thermometer {
 }
 
 fn with_noise(sigma_k: f64) -> Thermometer {
-    thermometer(&ThermometerSettings {
-        sigma_k,
-        ..ThermometerSettings::default()
-    })
+    thermometer(&ThermometerSettings { sigma_k, ..ThermometerSettings::default() })
 }
 
 fn observation(at_s: f64, shown_c: f64) -> Observation {
@@ -95,18 +88,9 @@ fn dips(count: u64) -> impl Iterator<Item = Dip> {
         let slow_s = 4.0 * 15.0_f64.powf(random.random::<f64>());
         let step_k = 10.0 + 40.0 * random.random::<f64>();
         let sign = if seed % 4 < 2 { 1.0 } else { -1.0 };
-        let (lags_s, shares) = if seed % 2 == 0 {
-            (vec![slow_s], vec![1.0])
-        } else {
-            (vec![slow_s, slow_s / 4.0], vec![0.7, 0.3])
-        };
-        Dip {
-            lags_s,
-            shares,
-            step_k: sign * step_k,
-            sigma_k: 0.05,
-            seed,
-        }
+        let (lags_s, shares) =
+            if seed % 2 == 0 { (vec![slow_s], vec![1.0]) } else { (vec![slow_s, slow_s / 4.0], vec![0.7, 0.3]) };
+        Dip { lags_s, shares, step_k: sign * step_k, sigma_k: 0.05, seed }
     })
 }
 
@@ -133,10 +117,7 @@ fn held_and_median(dips: impl Iterator<Item = Dip>) -> [(f64, f64); 3] {
         runs.sort_by(|a, b| a.1.total_cmp(&b.1));
         let held = runs.iter().filter(|(is_held, _)| *is_held).count();
         let (share, median) = (held as f64 / runs.len() as f64, runs[runs.len() / 2].1);
-        println!(
-            "{} time constants: {share:.3} within the bound, median error {median:.4} of the step",
-            after[index]
-        );
+        println!("{} time constants: {share:.3} within the bound, median error {median:.4} of the step", after[index]);
         index += 1;
         (share, median)
     })
@@ -156,11 +137,7 @@ fn the_bound_of_a_sensor_with_quite_other_lags_holds_in_most_cases_and_not_in_95
     let others = dips(120).map(|dip| {
         let slow_s = dip.slowest_s();
         let ratio = [3.0, 6.0, 10.0][dip.seed as usize % 3];
-        Dip {
-            lags_s: vec![slow_s, slow_s / ratio],
-            shares: vec![0.65, 0.35],
-            ..dip
-        }
+        Dip { lags_s: vec![slow_s, slow_s / ratio], shares: vec![0.65, 0.35], ..dip }
     });
     let found = held_and_median(others);
     assert!(found.iter().all(|(share, _)| *share >= 0.5), "{found:?}");
@@ -213,29 +190,18 @@ fn at_rest_it_predicts_what_it_shows() {
 
 #[test]
 fn every_new_bath_is_found_and_a_damaged_reading_is_not_one() {
-    let dip = Dip {
-        lags_s: vec![8.0],
-        shares: vec![1.0],
-        step_k: 30.0,
-        sigma_k: 0.05,
-        seed: 3,
-    };
+    let dip = Dip { lags_s: vec![8.0], shares: vec![1.0], step_k: 30.0, sigma_k: 0.05, seed: 3 };
     let mut thermometer = with_noise(0.05);
     let mut breaks = Vec::new();
     let first = dip.readings(100.0);
     let offset_s = first.len() as f64 * PERIOD_S;
     // Back into the first bath: the same curve, upside down.
-    let back = first
-        .iter()
-        .map(|(at_s, shown_c)| (at_s + offset_s, 70.0 - shown_c));
+    let back = first.iter().map(|(at_s, shown_c)| (at_s + offset_s, 70.0 - shown_c));
     for (index, (at_s, shown_c)) in first.iter().copied().chain(back).enumerate() {
         let is_damaged = index % 97 == 50;
         let shown_c = if is_damaged { shown_c - 25.0 } else { shown_c };
         let (verdict, _) = give(&mut thermometer, at_s, shown_c);
-        assert!(
-            !is_damaged || verdict == Verdict::Gated,
-            "{at_s}: {verdict:?}"
-        );
+        assert!(!is_damaged || verdict == Verdict::Gated, "{at_s}: {verdict:?}");
         if verdict == Verdict::ResetTo {
             breaks.push(at_s);
         }
@@ -268,26 +234,13 @@ fn more_noise_than_was_told_widens_the_bound() {
 
 #[test]
 fn with_known_dynamics_it_is_the_filter_of_the_paper_between_two_breaks() {
-    let model = DynamicModel::empty()
-        .with_lags(SensorId::THERMOMETER, 1.0, &[22.0, 5.3])
-        .unwrap();
+    let model = DynamicModel::empty().with_lags(SensorId::THERMOMETER, 1.0, &[22.0, 5.3]).unwrap();
     let mut config = config();
     config.noise.temperature_k = 0.05;
     let mut paper = DynamicFilter::with_model(&config, model.clone());
-    let mut live = Thermometer::new(
-        &config,
-        &ThermometerSettings {
-            model: Some(model),
-            ..ThermometerSettings::default()
-        },
-    );
-    let dip = Dip {
-        lags_s: vec![22.0, 5.3],
-        shares: vec![0.7, 0.3],
-        step_k: 28.7,
-        sigma_k: 0.05,
-        seed: 9,
-    };
+    let mut live =
+        Thermometer::new(&config, &ThermometerSettings { model: Some(model), ..ThermometerSettings::default() });
+    let dip = Dip { lags_s: vec![22.0, 5.3], shares: vec![0.7, 0.3], step_k: 28.7, sigma_k: 0.05, seed: 9 };
     let readings = dip.readings(60.0);
     let mut has_begun = false;
     for &(at_s, shown_c) in &readings {
@@ -305,10 +258,7 @@ fn with_known_dynamics_it_is_the_filter_of_the_paper_between_two_breaks() {
     }
     assert!(has_begun);
     let settled = live.settled().unwrap();
-    assert!(
-        (settled.value - dip.end_c()).abs() <= settled.bound_95(),
-        "{settled:?}"
-    );
+    assert!((settled.value - dip.end_c()).abs() <= settled.bound_95(), "{settled:?}");
     assert!(settled.bound_95() < 0.5, "{settled:?}");
 }
 

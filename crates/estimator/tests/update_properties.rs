@@ -2,9 +2,7 @@
 
 use nalgebra::{Matrix3, Matrix5, SMatrix, Vector3, Vector5};
 use posebridge_estimator::models::planar_speeds::{self, Acceleration};
-use posebridge_estimator::update::{
-    Measurement, Scalar, Usage, apply, foretell_scalar, use_scalar,
-};
+use posebridge_estimator::update::{Measurement, Scalar, Usage, apply, foretell_scalar, use_scalar};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -37,14 +35,12 @@ fn vectors<const N: usize>() -> impl Strategy<Value = [f64; N]> {
 fn scalars() -> impl Strategy<Value = Scalar<2>> {
     let rows = (0..5_usize, 1..5_usize).prop_map(|(first, offset)| [first, (first + offset) % 5]);
     let variance = (-5.0..1.0_f64).prop_map(|exponent| 10.0_f64.powf(exponent));
-    (-2.0..2.0_f64, rows, vectors::<2>(), variance).prop_map(
-        |(innovation, rows, by_row, variance)| Scalar {
-            innovation,
-            rows,
-            by_row,
-            variance,
-        },
-    )
+    (-2.0..2.0_f64, rows, vectors::<2>(), variance).prop_map(|(innovation, rows, by_row, variance)| Scalar {
+        innovation,
+        rows,
+        by_row,
+        variance,
+    })
 }
 
 /// One step of a filter's life.
@@ -69,23 +65,19 @@ fn batch(
     measurement: &Measurement<5, 3>,
 ) -> Option<(Vector5<f64>, Matrix5<f64>)> {
     let h = measurement.jacobian;
-    let inverse = measurement
-        .innovation_covariance(covariance)
-        .try_inverse()?;
+    let inverse = measurement.innovation_covariance(covariance).try_inverse()?;
     let gain = covariance * h.transpose() * inverse;
     let keep = Matrix5::identity() - gain * h;
     Some((mean + gain * measurement.innovation, keep * covariance))
 }
 
 fn measurements() -> impl Strategy<Value = Measurement<5, 3>> {
-    (vectors::<3>(), vectors::<15>(), covariances::<3>()).prop_map(
-        |(innovation, jacobian, noise)| Measurement {
-            innovation: Vector3::from(innovation),
-            jacobian: SMatrix::<f64, 3, 5>::from_row_slice(&jacobian),
-            // Away from zero, so that the textbook's inverse keeps enough digits to be compared with.
-            noise: noise + Matrix3::identity() * 0.05,
-        },
-    )
+    (vectors::<3>(), vectors::<15>(), covariances::<3>()).prop_map(|(innovation, jacobian, noise)| Measurement {
+        innovation: Vector3::from(innovation),
+        jacobian: SMatrix::<f64, 3, 5>::from_row_slice(&jacobian),
+        // Away from zero, so that the textbook's inverse keeps enough digits to be compared with.
+        noise: noise + Matrix3::identity() * 0.05,
+    })
 }
 
 proptest! {
@@ -249,12 +241,7 @@ fn a_covariance_that_is_none_changes_nothing() {
         covariance[(2, 2)] = bad;
         let before = covariance.map(f64::to_bits);
         let mut mean = Vector5::repeat(0.5);
-        let scalar = Scalar {
-            innovation: 0.1,
-            rows: [2],
-            by_row: [1.0],
-            variance: 0.01,
-        };
+        let scalar = Scalar { innovation: 0.1, rows: [2], by_row: [1.0], variance: 0.01 };
         let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
         assert_eq!(outcome.usage, Usage::Indefinite, "{bad}");
         assert_eq!(covariance.map(f64::to_bits), before, "{bad}");

@@ -44,10 +44,7 @@ impl Default for Waits {
     /// A quarter of a second is short enough to hide a cable that was bumped, five seconds are what a person who
     /// re-plugs a brick is ready to look at.
     fn default() -> Self {
-        Self {
-            first: Span::from_millis(250),
-            longest: Span::from_millis(5_000),
-        }
+        Self { first: Span::from_millis(250), longest: Span::from_millis(5_000) }
     }
 }
 
@@ -64,11 +61,7 @@ impl Backoff {
     pub(crate) fn new(id: LinkId, session: SessionSeed, waits: Waits) -> Self {
         // Every number selects a sequence of its own.
         let seed = Pcg32::seed_from_u64(session.0).random::<u64>() ^ u64::from(id.0);
-        Self {
-            waits,
-            nominal: waits.first,
-            jitter: Pcg32::seed_from_u64(seed),
-        }
+        Self { waits, nominal: waits.first, jitter: Pcg32::seed_from_u64(seed) }
     }
 
     /// The next wait; each is nominally twice as long as the one before, up to the longest.
@@ -103,10 +96,7 @@ mod tests {
         let nominal = [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0, 5.0];
         for id in 0..50 {
             for (wait, nominal) in waits(id, 1, START).into_iter().zip(nominal) {
-                assert!(
-                    (wait / nominal - 1.0).abs() <= JITTER + 1e-9,
-                    "{wait} for {nominal}"
-                );
+                assert!((wait / nominal - 1.0).abs() <= JITTER + 1e-9, "{wait} for {nominal}");
             }
         }
     }

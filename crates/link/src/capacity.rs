@@ -53,10 +53,7 @@ impl CapacityMeter {
     /// A meter that counts gaps of up to `longest_gap` as busy.
     #[must_use]
     pub fn joining(longest_gap: Span) -> Self {
-        Self {
-            longest_gap,
-            ..Self::default()
-        }
+        Self { longest_gap, ..Self::default() }
     }
 
     /// Notes that the link has taken `taken_bytes` since the last note, and whether frames wait after that. A stamp
@@ -112,11 +109,7 @@ impl CapacityMeter {
     }
 
     fn sample(&mut self) {
-        let window = if self.bytes_per_s.is_some() {
-            WINDOW
-        } else {
-            FIRST_WINDOW
-        };
+        let window = if self.bytes_per_s.is_some() { WINDOW } else { FIRST_WINDOW };
         if self.waited < window {
             return;
         }
@@ -190,10 +183,7 @@ mod tests {
 
     #[test]
     fn a_link_that_takes_lumps_is_measured_from_lump_to_lump() {
-        let (mut joining, mut strict) = (
-            CapacityMeter::joining(LUMPY_GAP),
-            CapacityMeter::joining(Span::ZERO),
-        );
+        let (mut joining, mut strict) = (CapacityMeter::joining(LUMPY_GAP), CapacityMeter::joining(Span::ZERO));
         // Every 100 ms there is room for 1000 bytes: 40 of them were waiting, the rest is given 20 ms later.
         for lump in 0..20 {
             for (ms, bytes, backlog) in [

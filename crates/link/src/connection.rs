@@ -103,11 +103,7 @@ pub trait Connection: Send {
     ///
     /// # Errors
     /// [`LinkLoss`] when the link is gone; the connection is of no use afterwards.
-    fn poll(
-        &mut self,
-        cx: &mut Context<'_>,
-        counters: &mut PortCounters,
-    ) -> Poll<Result<Incoming, LinkLoss>>;
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>>;
 
     /// What waits to be written, and how fast the link takes it.
     fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding;

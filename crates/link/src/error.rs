@@ -28,17 +28,13 @@ pub enum OpenError {
         path: PathBuf,
     },
     /// Another program listens on the address.
-    #[error(
-        "address {address} is already in use: stop the program that listens there or choose another port"
-    )]
+    #[error("address {address} is already in use: stop the program that listens there or choose another port")]
     AddressInUse {
         /// The address.
         address: SocketAddr,
     },
     /// The address to listen on belongs to no interface of this computer.
-    #[error(
-        "address {address} belongs to no interface of this computer: 0.0.0.0 (or [::]) listens on all of them"
-    )]
+    #[error("address {address} belongs to no interface of this computer: 0.0.0.0 (or [::]) listens on all of them")]
     AddressNotAvailable {
         /// The address.
         address: SocketAddr,

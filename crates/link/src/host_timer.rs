@@ -20,10 +20,7 @@ impl HostTimer {
     /// Starts the session: `now()` counts from here.
     #[must_use]
     pub fn start() -> Self {
-        Self {
-            start: read_clock(),
-            utc_start_micros: read_utc_micros(),
-        }
+        Self { start: read_clock(), utc_start_micros: read_utc_micros() }
     }
 
     /// The time since the start of the session; never falls.
@@ -83,11 +80,7 @@ impl Alarm {
     #[must_use]
     pub fn new(timer: HostTimer) -> Self {
         let sleep = Box::pin(tokio::time::sleep_until(timer.instant(Stamp::ZERO)));
-        Self {
-            timer,
-            sleep,
-            set_for: None,
-        }
+        Self { timer, sleep, set_for: None }
     }
 
     /// Returns once the deadline is reached, never without one. Cancel safe.
@@ -106,22 +99,14 @@ impl Alarm {
     }
 }
 
-#[expect(
-    clippy::disallowed_methods,
-    reason = "this module is the session clock that everybody else is handed"
-)]
+#[expect(clippy::disallowed_methods, reason = "this module is the session clock that everybody else is handed")]
 fn read_clock() -> Instant {
     Instant::now()
 }
 
-#[expect(
-    clippy::disallowed_methods,
-    reason = "this module is the session clock that everybody else is handed"
-)]
+#[expect(clippy::disallowed_methods, reason = "this module is the session clock that everybody else is handed")]
 fn read_utc_micros() -> u64 {
-    let since_1970 = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since_1970.as_micros()).unwrap_or(u64::MAX)
 }
 
@@ -165,10 +150,7 @@ mod tests {
             }
             alarm.reached(Some(Stamp::from_millis(wanted_ms))).await;
             let late = timer.now() - Stamp::from_millis(wanted_ms);
-            assert!(
-                late >= Span::ZERO && late <= Span::from_millis(2),
-                "{late:?}"
-            );
+            assert!(late >= Span::ZERO && late <= Span::from_millis(2), "{late:?}");
         }
     }
 

@@ -46,7 +46,6 @@ pub use host_timer::{Alarm, HostTimer};
 pub use port::{Port, PortConfig, PortEvent, PortTuning};
 pub use port_set::PortSet;
 pub use transports::{
-    DeviceDirectories, LineSettings, OpenRequest, Role, TRANSPORTS, Transport,
-    UDP_RECEIVE_BUFFER_BYTES,
+    DeviceDirectories, LineSettings, OpenRequest, Role, TRANSPORTS, Transport, UDP_RECEIVE_BUFFER_BYTES,
 };
 pub use url::{BluetoothAddress, LinkUrl, OptionHelp, OptionKind, Target, UrlError};

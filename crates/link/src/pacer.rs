@@ -40,12 +40,7 @@ impl Pacer {
     }
 
     /// Passes a frame on, or keeps it until its turn.
-    pub(crate) fn give(
-        &mut self,
-        out: &Outgoing<'_>,
-        connection: &mut dyn Connection,
-        counters: &mut PortCounters,
-    ) {
+    pub(crate) fn give(&mut self, out: &Outgoing<'_>, connection: &mut dyn Connection, counters: &mut PortCounters) {
         let now = self.timer.now();
         if self.queue.is_empty() && self.bucket.wait(now) == Span::ZERO {
             self.bucket.take(cost(out, connection));
@@ -59,12 +54,7 @@ impl Pacer {
     }
 
     /// Passes on what may pass; leaves the waker for the rest.
-    pub(crate) fn poll(
-        &mut self,
-        cx: &mut Context<'_>,
-        connection: &mut dyn Connection,
-        counters: &mut PortCounters,
-    ) {
+    pub(crate) fn poll(&mut self, cx: &mut Context<'_>, connection: &mut dyn Connection, counters: &mut PortCounters) {
         while let Some((to, priority, frame)) = self.queue.first() {
             if let Some(wake) = &mut self.wake {
                 if wake.as_mut().poll(cx).is_pending() {
@@ -79,11 +69,7 @@ impl Pacer {
                 self.wake = Some(Box::pin(tokio::time::sleep_until(at)));
                 continue;
             }
-            let out = Outgoing {
-                to: *to,
-                priority,
-                frame,
-            };
+            let out = Outgoing { to: *to, priority, frame };
             let bytes = cost(&out, connection);
             connection.send(&out, counters);
             self.bucket.take(bytes);

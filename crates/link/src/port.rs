@@ -11,9 +11,7 @@ use std::path::PathBuf;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 
-use posebridge_telemetry::{
-    Audience, HostClock, LinkId, PeerId, PortCounts, Priority, Span, Stamp,
-};
+use posebridge_telemetry::{Audience, HostClock, LinkId, PeerId, PortCounts, Priority, Span, Stamp};
 use tokio::time::Sleep;
 
 use crate::backoff::{Backoff, SessionSeed, Waits};
@@ -22,8 +20,7 @@ use crate::error::OpenError;
 use crate::host_timer::HostTimer;
 use crate::pacer::Pacer;
 use crate::transports::{
-    DeviceDirectories, LineSettings, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, RATE, Role,
-    timed_out,
+    DeviceDirectories, LineSettings, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, RATE, Role, timed_out,
 };
 use crate::url::LinkUrl;
 
@@ -110,10 +107,7 @@ enum State {
     Closed,
     /// An attempt is running. One that is overdue is left running: a second open of a device whose first one hangs
     /// would hang as well.
-    Opening {
-        attempt: OpenFuture,
-        deadline: Option<Pin<Box<Sleep>>>,
-    },
+    Opening { attempt: OpenFuture, deadline: Option<Pin<Box<Sleep>>> },
     /// Between two attempts.
     Waiting { wake: Pin<Box<Sleep>> },
     /// Open.
@@ -203,9 +197,7 @@ impl Port {
     pub fn is_listening(&self) -> bool {
         match &self.state {
             State::Up { connection, .. } => connection.is_listening(),
-            State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => {
-                false
-            }
+            State::Closed | State::Opening { .. } | State::Waiting { .. } | State::Finished => false,
         }
     }
 
@@ -226,9 +218,7 @@ impl Port {
     /// An [`OpenError`] that [stops the start](OpenError::stops_start).
     pub async fn open_first(&mut self) -> Result<(), OpenError> {
         let first = poll_fn(|cx| {
-            if self.pending.is_some()
-                || matches!(self.state, State::Waiting { .. } | State::Up { .. })
-            {
+            if self.pending.is_some() || matches!(self.state, State::Waiting { .. } | State::Up { .. }) {
                 return Poll::Ready(Ok(()));
             }
             self.poll_opening(cx)
@@ -268,9 +258,7 @@ impl Port {
                     ready!(wake.as_mut().poll(cx));
                     self.state = State::Closed;
                 }
-                State::Up {
-                    connection, pacer, ..
-                } => {
+                State::Up { connection, pacer, .. } => {
                     if let Some(pacer) = pacer {
                         pacer.poll(cx, connection.as_mut(), &mut self.counters);
                     }
@@ -292,28 +280,18 @@ impl Port {
     /// While the link is down the frame is dropped and counted. Poll the port afterwards; that writes what waits and
     /// tells of failures.
     pub fn send(&mut self, frame: &[u8]) {
-        self.give(&Outgoing {
-            to: Audience::All,
-            priority: Priority::Forwarded,
-            frame,
-        });
+        self.give(&Outgoing { to: Audience::All, priority: Priority::Forwarded, frame });
     }
 
     /// Sends one whole frame to one peer, otherwise like [`Port::send`]. Nobody hears it if the peer has gone.
     pub fn send_to(&mut self, peer: PeerId, frame: &[u8]) {
-        self.give(&Outgoing {
-            to: Audience::Peer(peer),
-            priority: Priority::Forwarded,
-            frame,
-        });
+        self.give(&Outgoing { to: Audience::Peer(peer), priority: Priority::Forwarded, frame });
     }
 
     /// Sends one whole frame to whom it is for; what a slow link cannot take is dropped as its priority says.
     pub fn give(&mut self, out: &Outgoing<'_>) {
         match &mut self.state {
-            State::Up {
-                connection, pacer, ..
-            } => match pacer {
+            State::Up { connection, pacer, .. } => match pacer {
                 Some(pacer) => pacer.give(out, connection.as_mut(), &mut self.counters),
                 None => connection.send(out, &mut self.counters),
             },
@@ -338,10 +316,7 @@ impl Port {
     }
 
     fn outstanding(&self) -> Outstanding {
-        let State::Up {
-            connection, pacer, ..
-        } = &self.state
-        else {
+        let State::Up { connection, pacer, .. } = &self.state else {
             return Outstanding::default();
         };
         let now = self.timer.now();
@@ -375,11 +350,7 @@ impl Port {
                 let reason = timed_out(&self.config.url).to_string();
                 self.tell_down(reason, Span::ZERO);
                 // Nothing is told if the attempt before was overdue too; the attempt itself wakes us then.
-                if self.pending.is_some() {
-                    Poll::Ready(Ok(()))
-                } else {
-                    Poll::Pending
-                }
+                if self.pending.is_some() { Poll::Ready(Ok(())) } else { Poll::Pending }
             }
         }
     }
@@ -405,38 +376,22 @@ impl Port {
         self.counters.reconnects += u64::from(self.was_up);
         self.was_up = true;
         self.told_reason = None;
-        self.pending = Some(PortEvent::Up {
-            at,
-            detail: connection.detail(),
-        });
+        self.pending = Some(PortEvent::Up { at, detail: connection.detail() });
         self.stable_path = connection.stable_path().map(PathBuf::from);
         let rate = self.config.url.integer(&RATE);
-        self.state = State::Up {
-            connection,
-            pacer: (rate > 0).then(|| Box::new(Pacer::new(rate, self.timer))),
-            since: at,
-        };
+        self.state =
+            State::Up { connection, pacer: (rate > 0).then(|| Box::new(Pacer::new(rate, self.timer))), since: at };
     }
 
     fn receive(&mut self, incoming: Incoming) -> PortEvent {
         match incoming {
-            Incoming::Bytes {
-                peer,
-                arrival,
-                bytes,
-            } => {
+            Incoming::Bytes { peer, arrival, bytes } => {
                 self.counters.bytes_in += bytes.len() as u64;
-                PortEvent::Bytes {
-                    peer,
-                    arrival,
-                    bytes,
-                }
+                PortEvent::Bytes { peer, arrival, bytes }
             }
             Incoming::Finished => {
                 self.state = State::Finished;
-                PortEvent::Finished {
-                    at: self.timer.now(),
-                }
+                PortEvent::Finished { at: self.timer.now() }
             }
         }
     }
@@ -454,9 +409,7 @@ impl Port {
 
     fn wait_and_tell(&mut self, reason: String) {
         let wait = self.backoff.next_wait();
-        self.state = State::Waiting {
-            wake: self.sleep_until(self.timer.now() + wait),
-        };
+        self.state = State::Waiting { wake: self.sleep_until(self.timer.now() + wait) };
         self.tell_down(reason, wait);
     }
 
@@ -466,11 +419,7 @@ impl Port {
             return;
         }
         self.told_reason = Some(reason.clone());
-        self.pending = Some(PortEvent::Down {
-            at: self.timer.now(),
-            reason,
-            retry_in,
-        });
+        self.pending = Some(PortEvent::Down { at: self.timer.now(), reason, retry_in });
     }
 
     fn sleep_until(&self, stamp: Stamp<HostClock>) -> Pin<Box<Sleep>> {
@@ -495,11 +444,8 @@ mod tests {
 
     /// A port whose attempt to open lasts until the test lets it go.
     fn hanging_port() -> (Port, oneshot::Sender<OpenError>) {
-        let config = PortConfig {
-            id: LinkId(7),
-            url: LinkUrl::parse("serial:/dev/rfcomm0").expect("a link"),
-            role: Role::Dial,
-        };
+        let config =
+            PortConfig { id: LinkId(7), url: LinkUrl::parse("serial:/dev/rfcomm0").expect("a link"), role: Role::Dial };
         let mut port = Port::new(config, HostTimer::start());
         let (release, released) = oneshot::channel();
         port.state = State::Opening {
@@ -512,12 +458,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn an_open_that_hangs_is_told_and_not_started_twice() {
         let (mut port, release) = hanging_port();
-        let PortEvent::Down {
-            at,
-            reason,
-            retry_in,
-        } = port.next().await
-        else {
+        let PortEvent::Down { at, reason, retry_in } = port.next().await else {
             panic!("it cannot be open");
         };
         assert_eq!(reason, "serial:/dev/rfcomm0 did not open within 5 s");
@@ -526,8 +467,7 @@ mod tests {
         assert!(matches!(port.state, State::Opening { deadline: None, .. }));
 
         release.send(timed_out(&port.config.url)).expect("it waits");
-        let told_again =
-            tokio::time::timeout(std::time::Duration::from_millis(200), port.next()).await;
+        let told_again = tokio::time::timeout(std::time::Duration::from_millis(200), port.next()).await;
         assert!(told_again.is_err(), "the same reason twice: {told_again:?}");
         assert!(matches!(port.state, State::Waiting { .. }));
     }
@@ -542,11 +482,8 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn an_open_that_hangs_does_not_hang_the_other_links() {
         let (hanging, _release) = hanging_port();
-        let config = PortConfig {
-            id: LinkId(8),
-            url: LinkUrl::parse("udp://127.0.0.1:0").expect("a link"),
-            role: Role::Listen,
-        };
+        let config =
+            PortConfig { id: LinkId(8), url: LinkUrl::parse("udp://127.0.0.1:0").expect("a link"), role: Role::Listen };
         let mut set = crate::PortSet::new(vec![hanging, Port::new(config, HostTimer::start())]);
         set.open_first().await.expect("both may open later");
         let mut told = Vec::new();
@@ -556,10 +493,7 @@ mod tests {
         }
         told.sort_unstable();
         assert_eq!(told, [(7, false), (8, true)]);
-        let address = set
-            .get_mut(LinkId(8))
-            .and_then(|port| port.local_address())
-            .expect("it listens");
+        let address = set.get_mut(LinkId(8)).and_then(|port| port.local_address()).expect("it listens");
         let brick = std::net::UdpSocket::bind("127.0.0.1:0").expect("a free port");
         for number in 0..100 {
             brick.send_to(&[number], address).expect("loopback");

@@ -109,11 +109,7 @@ impl<D: PartialEq> SendQueue<D> {
 
     /// Whether anything waits, as the meter of a link's capacity wants to know it.
     pub(crate) fn backlog(&self) -> Backlog {
-        if self.is_empty() {
-            Backlog::Empty
-        } else {
-            Backlog::Waiting
-        }
+        if self.is_empty() { Backlog::Empty } else { Backlog::Waiting }
     }
 
     /// How many bytes wait.
@@ -164,12 +160,7 @@ impl<D: PartialEq> SendQueue<D> {
     }
 
     fn waiting(&self, to: D, priority: Priority, frame: &[u8]) -> Waiting<D> {
-        Waiting {
-            to,
-            priority,
-            frame: frame.to_vec(),
-            age_mark: self.offered,
-        }
+        Waiting { to, priority, frame: frame.to_vec(), age_mark: self.offered }
     }
 
     /// Where an estimate of the same stream for the same destination waits.
@@ -177,23 +168,13 @@ impl<D: PartialEq> SendQueue<D> {
         let Priority::Estimate { .. } = priority else {
             return None;
         };
-        self.ranks
-            .get(rank(priority))?
-            .iter()
-            .position(|waiting| waiting.priority == priority && waiting.to == *to)
+        self.ranks.get(rank(priority))?.iter().position(|waiting| waiting.priority == priority && waiting.to == *to)
     }
 
     /// Drops frames that are worth no more than `rank` until `bytes` fit, and returns how many; `None`, with nothing
     /// dropped, if they cannot fit.
     fn make_room(&mut self, bytes: usize, rank: usize) -> Option<u64> {
-        let spared: usize = self
-            .ranks
-            .iter()
-            .take(rank)
-            .skip(1)
-            .flatten()
-            .map(|waiting| waiting.frame.len())
-            .sum();
+        let spared: usize = self.ranks.iter().take(rank).skip(1).flatten().map(|waiting| waiting.frame.len()).sum();
         if self.begun_bytes() + spared + bytes > self.limit_bytes {
             return None;
         }
@@ -208,27 +189,15 @@ impl<D: PartialEq> SendQueue<D> {
 
     /// The frame that goes first when room is needed.
     fn least_worthy(&self) -> Option<(usize, usize)> {
-        let (rank, queue) = self
-            .ranks
-            .iter()
-            .enumerate()
-            .skip(1)
-            .rfind(|(_, queue)| !queue.is_empty())?;
+        let (rank, queue) = self.ranks.iter().enumerate().skip(1).rfind(|(_, queue)| !queue.is_empty())?;
         // Only estimates are out of order: each holds the place of the one that it replaced.
-        let (place, _) = queue
-            .iter()
-            .enumerate()
-            .min_by_key(|(_, waiting)| waiting.age_mark)?;
+        let (place, _) = queue.iter().enumerate().min_by_key(|(_, waiting)| waiting.age_mark)?;
         Some((rank, place))
     }
 
     /// Takes one frame other than a command out of the queue.
     fn remove(&mut self, rank: usize, place: usize) {
-        if let Some(old) = self
-            .ranks
-            .get_mut(rank)
-            .and_then(|queue| queue.remove(place))
-        {
+        if let Some(old) = self.ranks.get_mut(rank).and_then(|queue| queue.remove(place)) {
             self.shared_bytes -= old.frame.len();
         }
     }
@@ -236,11 +205,7 @@ impl<D: PartialEq> SendQueue<D> {
     /// Adds the unwritten end of a frame, to an empty queue. It is never dropped.
     pub(crate) fn push_rest(&mut self, to: D, rest: &[u8]) {
         debug_assert!(self.is_empty(), "a frame is begun only when none waits");
-        self.begun = Some(Begun {
-            to,
-            frame: rest.to_vec(),
-            sent: 0,
-        });
+        self.begun = Some(Begun { to, frame: rest.to_vec(), sent: 0 });
     }
 
     /// The frame to write next: its destination and its unwritten bytes.
@@ -285,11 +250,7 @@ impl<D: PartialEq> SendQueue<D> {
         } else {
             self.shared_bytes -= first.frame.len();
         }
-        Some(Begun {
-            to: first.to,
-            frame: first.frame,
-            sent: 0,
-        })
+        Some(Begun { to: first.to, frame: first.frame, sent: 0 })
     }
 
     /// Drops the head frame, begun or not.

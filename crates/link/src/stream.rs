@@ -65,12 +65,7 @@ pub(crate) struct StreamLabel {
 impl StreamLabel {
     /// A stream with one peer and no socket address.
     pub(crate) const fn new(detail: String) -> Self {
-        Self {
-            detail,
-            local_address: None,
-            stable_path: None,
-            peer: PeerId(0),
-        }
+        Self { detail, local_address: None, stable_path: None, peer: PeerId(0) }
     }
 }
 
@@ -84,11 +79,7 @@ struct SystemBound {
 impl SystemBound {
     fn new(bytes_per_s: f64) -> Self {
         let limit_bytes = (bytes_per_s * SYSTEM_TIME.as_secs_f64()) as usize;
-        Self {
-            limit_bytes: limit_bytes.max(LEAST_SYSTEM_BYTES),
-            bytes_per_s,
-            recheck: None,
-        }
+        Self { limit_bytes: limit_bytes.max(LEAST_SYSTEM_BYTES), bytes_per_s, recheck: None }
     }
 
     /// How long it takes until the system holds no more than it may; `None` if that is so.
@@ -193,8 +184,7 @@ impl<S: ByteStream> StreamConnection<S> {
 
     /// Notes what the system took while frames waited.
     fn measure(&mut self, taken: usize) {
-        self.meter
-            .note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
+        self.meter.note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
     }
 
     fn fail(&mut self, error: std::io::Error, counters: &mut PortCounters) {
@@ -254,11 +244,7 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
         self.measure(taken);
     }
 
-    fn poll(
-        &mut self,
-        cx: &mut Context<'_>,
-        counters: &mut PortCounters,
-    ) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
         self.flush(cx, counters);
         let mut buffer = ReadBuf::new(&mut self.buffer);
         match Pin::new(&mut self.stream).poll_read(cx, &mut buffer) {

@@ -28,12 +28,7 @@ impl TokenBucket {
     pub(crate) fn new(bytes_per_s: u32, now: Stamp<HostClock>) -> Self {
         let bytes_per_s = f64::from(bytes_per_s.max(1));
         let burst_bytes = bytes_per_s * BURST.as_secs_f64();
-        Self {
-            bytes_per_s,
-            burst_bytes,
-            level_bytes: burst_bytes,
-            filled_at: now,
-        }
+        Self { bytes_per_s, burst_bytes, level_bytes: burst_bytes, filled_at: now }
     }
 
     /// How long to wait before the next frame may pass; zero if it may at once. A stamp before the last one fills
@@ -107,10 +102,7 @@ mod tests {
             bucket.take(10);
             passed += 10;
         }
-        assert_eq!(
-            passed, 60,
-            "50 ms at 1000 bytes/s, and the frame that makes the debt"
-        );
+        assert_eq!(passed, 60, "50 ms at 1000 bytes/s, and the frame that makes the debt");
     }
 
     #[test]

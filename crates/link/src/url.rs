@@ -101,13 +101,10 @@ pub enum OptionKind {
 impl OptionKind {
     fn accepts(self, value: &str) -> bool {
         match self {
-            Self::Integer { min, max, .. } => value
-                .parse::<u32>()
-                .is_ok_and(|number| (min..=max).contains(&number)),
+            Self::Integer { min, max, .. } => value.parse::<u32>().is_ok_and(|number| (min..=max).contains(&number)),
             Self::Choice { words } => words.contains(&value),
             Self::HexDigits { count } => {
-                value.is_empty()
-                    || value.len() == count && value.bytes().all(|byte| byte.is_ascii_hexdigit())
+                value.is_empty() || value.len() == count && value.bytes().all(|byte| byte.is_ascii_hexdigit())
             }
         }
     }
@@ -248,10 +245,7 @@ impl LinkUrl {
             .iter()
             .copied()
             .find(|transport| transport.scheme() == scheme)
-            .ok_or_else(|| UrlError::UnknownScheme {
-                scheme: scheme.to_owned(),
-                known: known_schemes(),
-            })?;
+            .ok_or_else(|| UrlError::UnknownScheme { scheme: scheme.to_owned(), known: known_schemes() })?;
         let (target, query) = rest.rsplit_once('?').unwrap_or((rest, ""));
         let target = target.strip_prefix("//").unwrap_or(target);
         let target = match transport.target_kind() {
@@ -259,12 +253,7 @@ impl LinkUrl {
             TargetKind::Host => parse_host(text, target, transport)?,
             TargetKind::Bluetooth => parse_bluetooth(text, target, transport)?,
         };
-        Ok(Self {
-            text: text.to_owned(),
-            transport,
-            target,
-            options: parse_options(text, query, transport)?,
-        })
+        Ok(Self { text: text.to_owned(), transport, target, options: parse_options(text, query, transport)? })
     }
 
     /// A pseudo-terminal of our own at `path`, which is taken as it is: a question mark begins no options.
@@ -285,12 +274,7 @@ impl LinkUrl {
 
     fn from_path(transport: &'static dyn Transport, path: &Path) -> Result<Self, UrlError> {
         let text = format!("{}:{}", transport.scheme(), path.display());
-        Ok(Self {
-            target: check_path(&text, path, transport)?,
-            text,
-            transport,
-            options: Vec::new(),
-        })
+        Ok(Self { target: check_path(&text, path, transport)?, text, transport, options: Vec::new() })
     }
 
     /// The transport that the scheme selects.
@@ -370,20 +354,14 @@ impl FromStr for LinkUrl {
 }
 
 fn known_schemes() -> String {
-    let schemes: Vec<_> = TRANSPORTS
-        .iter()
-        .map(|transport| transport.scheme())
-        .collect();
+    let schemes: Vec<_> = TRANSPORTS.iter().map(|transport| transport.scheme()).collect();
     schemes.join(", ")
 }
 
 fn check_path(text: &str, path: &Path, transport: &dyn Transport) -> Result<Target, UrlError> {
     let bytes = path.as_os_str().as_encoded_bytes();
     if bytes.is_empty() || bytes.contains(&0) {
-        return Err(UrlError::NoPath {
-            text: text.to_owned(),
-            example: transport.example(),
-        });
+        return Err(UrlError::NoPath { text: text.to_owned(), example: transport.example() });
     }
     Ok(Target::Path(path.to_owned()))
 }
@@ -391,32 +369,20 @@ fn check_path(text: &str, path: &Path, transport: &dyn Transport) -> Result<Targ
 fn parse_host(text: &str, authority: &str, transport: &dyn Transport) -> Result<Target, UrlError> {
     let authority = authority.strip_suffix('/').unwrap_or(authority);
     let Some((host, port)) = authority.rsplit_once(':') else {
-        return Err(UrlError::NoPort {
-            text: text.to_owned(),
-            example: transport.example(),
-        });
+        return Err(UrlError::NoPort { text: text.to_owned(), example: transport.example() });
     };
-    let bad_port = || UrlError::BadPort {
-        text: text.to_owned(),
-        port: port.to_owned(),
-    };
+    let bad_port = || UrlError::BadPort { text: text.to_owned(), port: port.to_owned() };
     // `u16::from_str` also takes a plus sign, which nobody means in an address.
     if !port.bytes().all(|byte| byte.is_ascii_digit()) {
         return Err(bad_port());
     }
     let port = port.parse().map_err(|_not_16_bits| bad_port())?;
-    let host = parse_host_name(host).ok_or_else(|| UrlError::BadHost {
-        text: text.to_owned(),
-        host: host.to_owned(),
-    })?;
+    let host =
+        parse_host_name(host).ok_or_else(|| UrlError::BadHost { text: text.to_owned(), host: host.to_owned() })?;
     Ok(Target::Host { host, port })
 }
 
-fn parse_bluetooth(
-    text: &str,
-    address: &str,
-    transport: &dyn Transport,
-) -> Result<Target, UrlError> {
+fn parse_bluetooth(text: &str, address: &str, transport: &dyn Transport) -> Result<Target, UrlError> {
     let address = address.strip_suffix('/').unwrap_or(address);
     match bluetooth_address(address) {
         Some(address) => Ok(Target::Bluetooth(address)),
@@ -452,19 +418,12 @@ fn parse_host_name(host: &str) -> Option<String> {
     host.bytes().all(is_name).then(|| host.to_owned())
 }
 
-fn parse_options(
-    text: &str,
-    query: &str,
-    transport: &dyn Transport,
-) -> Result<Vec<(&'static str, String)>, UrlError> {
+fn parse_options(text: &str, query: &str, transport: &dyn Transport) -> Result<Vec<(&'static str, String)>, UrlError> {
     let mut options: Vec<(&'static str, String)> = Vec::new();
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
         let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
-        let option = transport
-            .options()
-            .iter()
-            .find(|option| option.name == name)
-            .ok_or_else(|| UrlError::UnknownOption {
+        let option =
+            transport.options().iter().find(|option| option.name == name).ok_or_else(|| UrlError::UnknownOption {
                 scheme: transport.scheme(),
                 name: name.to_owned(),
                 valid: valid_options(transport),
@@ -478,10 +437,7 @@ fn parse_options(
             });
         }
         if options.iter().any(|(known, _)| *known == option.name) {
-            return Err(UrlError::RepeatedOption {
-                text: text.to_owned(),
-                name: option.name,
-            });
+            return Err(UrlError::RepeatedOption { text: text.to_owned(), name: option.name });
         }
         options.push((option.name, value.to_owned()));
     }
@@ -490,14 +446,6 @@ fn parse_options(
 }
 
 fn valid_options(transport: &dyn Transport) -> String {
-    let names: Vec<_> = transport
-        .options()
-        .iter()
-        .map(|option| option.name)
-        .collect();
-    if names.is_empty() {
-        "they take none".to_owned()
-    } else {
-        format!("use {}", names.join(", "))
-    }
+    let names: Vec<_> = transport.options().iter().map(|option| option.name).collect();
+    if names.is_empty() { "they take none".to_owned() } else { format!("use {}", names.join(", ")) }
 }

@@ -3,10 +3,7 @@
 //! In one test alone in its process, because the limit belongs to the process.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
-#![expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "a test that sees any other event fails and prints it"
-)]
+#![expect(clippy::wildcard_enum_match_arm, reason = "a test that sees any other event fails and prints it")]
 
 use std::future::poll_fn;
 use std::io::{Read, Write};
@@ -22,11 +19,7 @@ use posebridge_telemetry::LinkId;
 const LOUD: u32 = 600;
 
 async fn listening(url: &str, timer: HostTimer) -> (Port, SocketAddr) {
-    let config = PortConfig {
-        id: LinkId(1),
-        url: url.parse().expect("a link"),
-        role: Role::Listen,
-    };
+    let config = PortConfig { id: LinkId(1), url: url.parse().expect("a link"), role: Role::Listen };
     let mut port = Port::new(config, timer);
     port.open_first().await.expect("a free port");
     assert!(matches!(port.next().await, PortEvent::Up { .. }));
@@ -36,9 +29,7 @@ async fn listening(url: &str, timer: HostTimer) -> (Port, SocketAddr) {
 
 fn client(address: SocketAddr) -> TcpStream {
     let client = TcpStream::connect(address).expect("loopback");
-    client
-        .set_read_timeout(Some(Duration::from_secs(5)))
-        .expect("a finite wait");
+    client.set_read_timeout(Some(Duration::from_secs(5))).expect("a finite wait");
     client
 }
 
@@ -108,8 +99,7 @@ async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_ev
 /// Sends what makes a peer loud, and hears it.
 async fn flood(loud: &UdpSocket, address: SocketAddr, station: &mut Port) {
     for number in 0..LOUD {
-        loud.send_to(&number.to_be_bytes(), address)
-            .expect("loopback");
+        loud.send_to(&number.to_be_bytes(), address).expect("loopback");
         if number % 100 == 99 {
             for _ in 0..100 {
                 heard(station).await;

@@ -34,9 +34,7 @@ fn datagram(robot: u32, round: u32) -> [u8; 24] {
 
 /// About as much work as a pipeline has with a message: some ten microseconds.
 fn work(bytes: &[u8]) -> u32 {
-    (0..5_000_u32).fold(u32::from(bytes[0]), |sum, step| {
-        std::hint::black_box(sum.rotate_left(5) ^ step)
-    })
+    (0..5_000_u32).fold(u32::from(bytes[0]), |sum, step| std::hint::black_box(sum.rotate_left(5) ^ step))
 }
 
 fn number(bytes: &[u8], at: usize) -> u32 {
@@ -110,11 +108,7 @@ impl Heard {
 #[tokio::test(flavor = "current_thread")]
 async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
     let timer = HostTimer::start();
-    let config = PortConfig {
-        id: LinkId(1),
-        url: "udp://127.0.0.1:0".parse().expect("a link"),
-        role: Role::Listen,
-    };
+    let config = PortConfig { id: LinkId(1), url: "udp://127.0.0.1:0".parse().expect("a link"), role: Role::Listen };
     let mut station = Port::new(config, timer);
     station.open_first().await.expect("a free port");
     let address = station.local_address().expect("it listens");
@@ -129,9 +123,7 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
         move || rave(address, &stop, &raved)
     });
     let mut heard = Heard::default();
-    heard
-        .listen(&mut station, |heard| heard.garbage >= HEAD_START)
-        .await;
+    heard.listen(&mut station, |heard| heard.garbage >= HEAD_START).await;
     let begun = timer.now();
     let raved_before = raved.load(Ordering::Relaxed);
     let good = Arc::clone(&heard.good);
@@ -140,9 +132,7 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
         move || speak(&robots, address, &stop, &good)
     });
     let all = u64::from(ROBOTS * ROUNDS);
-    heard
-        .listen(&mut station, |_| good.load(Ordering::Relaxed) >= all)
-        .await;
+    heard.listen(&mut station, |_| good.load(Ordering::Relaxed) >= all).await;
     let secs = (timer.now() - begun).as_secs_f64();
     let raved = raved.load(Ordering::Relaxed) - raved_before;
     stop.store(true, Ordering::Relaxed);
@@ -165,9 +155,5 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
     peers.sort_unstable();
     peers.dedup();
     assert_eq!(peers.len(), ROBOTS as usize, "each is a peer of its own");
-    assert_eq!(
-        station.counts().peers,
-        ROBOTS + 1,
-        "the silent one is not known"
-    );
+    assert_eq!(station.counts().peers, ROBOTS + 1, "the silent one is not known");
 }

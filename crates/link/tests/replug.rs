@@ -4,10 +4,7 @@
 //! scaled down so that it takes seconds.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
-#![expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "a test that sees any other event fails and prints it"
-)]
+#![expect(clippy::wildcard_enum_match_arm, reason = "a test that sees any other event fails and prints it")]
 
 use std::path::Path;
 
@@ -19,21 +16,11 @@ const REPLUGS: u32 = 100;
 const FRAME_BYTES: usize = 64;
 /// How late a wait may end on a computer that has other things to do; the timers themselves are good to 2 ms.
 const LATE: Span = Span::from_millis(250);
-const WAITS: Waits = Waits {
-    first: Span::from_millis(20),
-    longest: Span::from_millis(80),
-};
+const WAITS: Waits = Waits { first: Span::from_millis(20), longest: Span::from_millis(80) };
 
 fn port(url: LinkUrl, role: Role, timer: HostTimer) -> Port {
-    let config = PortConfig {
-        id: LinkId(1),
-        url,
-        role,
-    };
-    let tuning = PortTuning {
-        waits: WAITS,
-        ..PortTuning::default()
-    };
+    let config = PortConfig { id: LinkId(1), url, role };
+    let tuning = PortTuning { waits: WAITS, ..PortTuning::default() };
     Port::tuned(config, tuning, timer)
 }
 
@@ -58,12 +45,10 @@ fn frame(number: u32) -> [u8; FRAME_BYTES] {
 
 /// Adler-32's second half, over everything but the sum itself.
 fn sum(frame: &[u8]) -> u32 {
-    let (_, sum) = frame[..FRAME_BYTES - 4]
-        .iter()
-        .fold((1_u32, 0_u32), |(a, b), byte| {
-            let a = (a + u32::from(*byte)) % 65_521;
-            (a, (b + a) % 65_521)
-        });
+    let (_, sum) = frame[..FRAME_BYTES - 4].iter().fold((1_u32, 0_u32), |(a, b), byte| {
+        let a = (a + u32::from(*byte)) % 65_521;
+        (a, (b + a) % 65_521)
+    });
     sum
 }
 
@@ -164,12 +149,7 @@ async fn a_hundred_replugs_leave_no_busy_loop_and_no_torn_frame() {
     let timer = HostTimer::start();
     let mut brick = plugged(&path, timer).await;
     let station = port(LinkUrl::serial(&path).expect("a path"), Role::Dial, timer);
-    let mut bench = Bench {
-        station,
-        timer,
-        sent: 0,
-        heard: Vec::new(),
-    };
+    let mut bench = Bench { station, timer, sent: 0, heard: Vec::new() };
     assert!(matches!(bench.station.next().await, PortEvent::Up { .. }));
     let mut away = Away::default();
     for replug in 1..=REPLUGS {
@@ -197,16 +177,8 @@ async fn a_hundred_replugs_leave_no_busy_loop_and_no_torn_frame() {
         assert_eq!(bench.station.counters().reconnects, u64::from(replug));
     }
     bench.talk(&mut brick).await;
-    assert!(
-        bench.heard.iter().copied().eq(0..bench.sent),
-        "a frame was made up"
-    );
+    assert!(bench.heard.iter().copied().eq(0..bench.sent), "a frame was made up");
     let share = away.processor.as_secs_f64() / away.wall.as_secs_f64();
-    println!(
-        "down for {:?} in all, {:.2} % of it busy, at most {:?} late",
-        away.wall,
-        100.0 * share,
-        away.latest
-    );
+    println!("down for {:?} in all, {:.2} % of it busy, at most {:?} late", away.wall, 100.0 * share, away.latest);
     assert!(share < 0.05, "{:.1} % busy while down", 100.0 * share);
 }

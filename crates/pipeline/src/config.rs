@@ -51,11 +51,7 @@ pub struct FixRequestConfig {
 impl Default for FixRequestConfig {
     /// Nobody is asked.
     fn default() -> Self {
-        Self {
-            above_m: None,
-            above_rad: None,
-            interval: Span::from_millis(250),
-        }
+        Self { above_m: None, above_rad: None, interval: Span::from_millis(250) }
     }
 }
 

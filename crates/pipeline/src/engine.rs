@@ -24,8 +24,8 @@ use posebridge_estimator::{Filter, Params, filter_named};
 use posebridge_protocol::routing::{Forward, Router, RouterConfig, Way};
 use posebridge_protocol::signing::{LinkSigning, Memory};
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, CameraClock, DriveGeometry, Estimate, Event, FusionRecord,
-    HostClock, Input, LinkId, LinkState, Output, PeerId, Radians, RobotId, SensorId, Span, Stamp,
+    Address, BrickClock, Calibration, CameraClock, DriveGeometry, Estimate, Event, FusionRecord, HostClock, Input,
+    LinkId, LinkState, Output, PeerId, Radians, RobotId, SensorId, Span, Stamp,
 };
 
 use self::announce::Announcer;
@@ -132,18 +132,11 @@ impl Pipeline {
     pub fn new(config: PipelineConfig, now: Stamp<HostClock>) -> Result<Self, BuildError> {
         let entry = filter_named(&config.filter).ok_or_else(|| BuildError::UnknownFilter {
             name: config.filter.clone(),
-            known: posebridge_estimator::FILTERS
-                .iter()
-                .map(|entry| entry.name)
-                .collect::<Vec<_>>()
-                .join(", "),
+            known: posebridge_estimator::FILTERS.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
         })?;
         let mut links = BTreeMap::new();
         for link in &config.links {
-            if links
-                .insert(link.id, Link::new(link, &config, now))
-                .is_some()
-            {
+            if links.insert(link.id, Link::new(link, &config, now)).is_some() {
                 return Err(BuildError::DuplicateLink { id: link.id });
             }
         }
@@ -154,10 +147,7 @@ impl Pipeline {
             robot: None,
             robot_heard: None,
             filter: (entry.build)(&config.filter_config),
-            interpreter: Interpreter {
-                geometry: config.filter_config.geometry,
-                tag_in_body: config.tag_in_body,
-            },
+            interpreter: Interpreter { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body },
             brick_clock: ClockAligner::default(),
             observers: BTreeMap::new(),
             cameras: Vec::new(),
@@ -327,10 +317,7 @@ impl Pipeline {
     /// written down at once; see [`LinkSigning::streams_met`](posebridge_protocol::signing::LinkSigning::streams_met).
     #[must_use]
     pub fn signing_streams_met(&self) -> u64 {
-        let signings = self
-            .links
-            .values()
-            .filter_map(|link| link.peers.signing.as_ref());
+        let signings = self.links.values().filter_map(|link| link.peers.signing.as_ref());
         signings.map(LinkSigning::streams_met).sum()
     }
 
@@ -373,10 +360,7 @@ impl Pipeline {
     fn wake(&mut self, now: Stamp<HostClock>) {
         let ids: Vec<LinkId> = self.links.keys().copied().collect();
         for id in &ids {
-            let stalled = self
-                .links
-                .get(id)
-                .map_or_else(Vec::new, |link| link.peers.stalled(now));
+            let stalled = self.links.get(id).map_or_else(Vec::new, |link| link.peers.stalled(now));
             for peer in stalled {
                 // Before the session's turn: what comes to light may give it something to do at once.
                 self.handle_bytes(now, (*id, peer), Came::Gap);
@@ -388,10 +372,7 @@ impl Pipeline {
                     session.tick(now);
                 }
             }
-            let way = Way {
-                link: *id,
-                peer: PeerId::default(),
-            };
+            let way = Way { link: *id, peer: PeerId::default() };
             self.drain_session(Arrival { way, at: now });
         }
         if let Some(due) = self.next_health.filter(|due| *due <= now) {
@@ -419,11 +400,7 @@ impl Pipeline {
             link.health.clock_uncertainty = self.brick_clock.uncertainty();
         }
         let health = link.health;
-        self.tell(Event::Health {
-            link: id,
-            health,
-            sources,
-        });
+        self.tell(Event::Health { link: id, health, sources });
     }
 
     fn tell(&mut self, event: Event) {
@@ -451,9 +428,5 @@ fn router_config(config: &PipelineConfig) -> RouterConfig {
         }
         (link.id, rules)
     });
-    RouterConfig {
-        own: config.own,
-        duplicate_window: config.duplicate_window,
-        links: rules.collect(),
-    }
+    RouterConfig { own: config.own, duplicate_window: config.duplicate_window, links: rules.collect() }
 }

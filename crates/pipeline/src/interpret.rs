@@ -3,9 +3,7 @@
 use posebridge_protocol::message::{
     Inertial, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks, WireStamp,
 };
-use posebridge_telemetry::{
-    Body, DriveGeometry, Fix, Observed, Point2, PositionCovariance, Radians, SensorId,
-};
+use posebridge_telemetry::{Body, DriveGeometry, Fix, Observed, Point2, PositionCovariance, Radians, SensorId};
 
 /// Whose clock stamped a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,14 +106,12 @@ impl Interpreter {
     }
 
     fn fix(&self, seen: &VisionFix) -> Reading {
-        let covariance =
-            seen.covariance
-                .map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| PositionCovariance {
-                    xx_m2,
-                    xy_m2,
-                    yy_m2,
-                    heading_rad2: known_or_infinite(heading_rad2),
-                });
+        let covariance = seen.covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| PositionCovariance {
+            xx_m2,
+            xy_m2,
+            yy_m2,
+            heading_rad2: known_or_infinite(heading_rad2),
+        });
         Reading {
             sensor: SensorId::CAMERA,
             stamp: seen.stamp,
@@ -134,21 +130,11 @@ impl Interpreter {
 
 /// A heading's variance of zero or NaN is what senders write who know that of the position alone.
 fn known_or_infinite(heading_rad2: f64) -> f64 {
-    if heading_rad2 > 0.0 {
-        heading_rad2
-    } else {
-        f64::INFINITY
-    }
+    if heading_rad2 > 0.0 { heading_rad2 } else { f64::INFINITY }
 }
 
 fn by_brick(sensor: SensorId, stamp: WireStamp, observed: Observed) -> Reading {
-    Reading {
-        sensor,
-        stamp,
-        stamped_by: StampedBy::Brick,
-        observed,
-        gyro_turn: None,
-    }
+    Reading { sensor, stamp, stamped_by: StampedBy::Brick, observed, gyro_turn: None }
 }
 
 fn inertial_readings(inertial: &Inertial) -> [Option<Reading>; 2] {
@@ -157,27 +143,18 @@ fn inertial_readings(inertial: &Inertial) -> [Option<Reading>; 2] {
         ..by_brick(SensorId::GYRO, inertial.stamp, Observed::TurnRate(rate))
     });
     let accelerations = inertial.wheel_accelerations.map(|(left, right)| {
-        by_brick(
-            SensorId::ACCELEROMETER,
-            inertial.stamp,
-            Observed::WheelAccelerations { left, right },
-        )
+        by_brick(SensorId::ACCELEROMETER, inertial.stamp, Observed::WheelAccelerations { left, right })
     });
     [rate, accelerations]
 }
 
 fn imu_reading(imu: &PlanarImu) -> Option<Reading> {
-    imu.turn_rate
-        .map(|rate| by_brick(SensorId::GYRO, imu.stamp, Observed::TurnRate(rate)))
+    imu.turn_rate.map(|rate| by_brick(SensorId::GYRO, imu.stamp, Observed::TurnRate(rate)))
 }
 
 fn odometry_reading(odometry: &Odometry) -> Reading {
     match odometry.pose {
-        OdometryPose::Odom(pose) => by_brick(
-            SensorId::ODOMETER,
-            odometry.stamp,
-            Observed::OdometerPose(pose),
-        ),
+        OdometryPose::Odom(pose) => by_brick(SensorId::ODOMETER, odometry.stamp, Observed::OdometerPose(pose)),
         OdometryPose::Arena(pose) => {
             Reading {
                 sensor: SensorId::CAMERA,
@@ -187,14 +164,9 @@ fn odometry_reading(odometry: &Odometry) -> Reading {
                 observed: Observed::Fix(Fix {
                     position: pose.origin(),
                     heading: Some(pose.heading),
-                    covariance: odometry.covariance.map(
-                        |[xx_m2, xy_m2, _, yy_m2, _, heading_rad2]| PositionCovariance {
-                            xx_m2,
-                            xy_m2,
-                            yy_m2,
-                            heading_rad2: known_or_infinite(heading_rad2),
-                        },
-                    ),
+                    covariance: odometry.covariance.map(|[xx_m2, xy_m2, _, yy_m2, _, heading_rad2]| {
+                        PositionCovariance { xx_m2, xy_m2, yy_m2, heading_rad2: known_or_infinite(heading_rad2) }
+                    }),
                     tag_in_body: Point2::ORIGIN,
                     reset_counter: odometry.reset_counter,
                 }),
@@ -239,11 +211,7 @@ mod tests {
 
     #[test]
     fn a_heading_variance_that_says_nothing_is_infinite() {
-        for (written, expected) in [
-            (0.01, 0.01),
-            (0.0, f64::INFINITY),
-            (f64::NAN, f64::INFINITY),
-        ] {
+        for (written, expected) in [(0.01, 0.01), (0.0, f64::INFINITY), (f64::NAN, f64::INFINITY)] {
             let fix = fix_with(Some([1e-4, 0.0, 1e-4, written]));
             let covariance = fix.covariance.unwrap();
             assert_eq!(covariance.heading_rad2, expected, "{written}");
@@ -256,8 +224,7 @@ mod tests {
     fn a_compass_of_the_brick_is_a_heading() {
         let heading = Heading::from_rad(0.5);
         let stamp = WireStamp::Millis32(9);
-        let [Some(reading), None] = INTERPRETER.readings(&Message::Compass { stamp, heading })
-        else {
+        let [Some(reading), None] = INTERPRETER.readings(&Message::Compass { stamp, heading }) else {
             panic!("a compass is one reading");
         };
         assert_eq!(reading.sensor, SensorId::COMPASS);
@@ -267,11 +234,7 @@ mod tests {
 
     #[test]
     fn distances_of_wheels_of_unequal_size_become_their_rotations() {
-        let message = Message::WheelDistance {
-            stamp: WireStamp::Micros64(7),
-            left: Meters(0.3),
-            right: Meters(-0.1),
-        };
+        let message = Message::WheelDistance { stamp: WireStamp::Micros64(7), left: Meters(0.3), right: Meters(-0.1) };
         let [Some(reading), None] = INTERPRETER.readings(&message) else {
             panic!("both wheels are one reading");
         };

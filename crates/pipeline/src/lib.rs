@@ -20,7 +20,7 @@ mod robot_voice;
 mod thermometers;
 
 pub use config::{
-    AcceptedVersions, BrickLink, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS,
-    OutputInstant, OutputKind, OutputStream, PipelineConfig, ThermometerConfig, Voices,
+    AcceptedVersions, BrickLink, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS, OutputInstant, OutputKind,
+    OutputStream, PipelineConfig, ThermometerConfig, Voices,
 };
 pub use engine::{BuildError, Pipeline};

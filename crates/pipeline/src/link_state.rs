@@ -75,26 +75,15 @@ pub(crate) struct Link {
 }
 
 impl Link {
-    pub(crate) fn new(
-        config: &LinkConfig,
-        pipeline: &PipelineConfig,
-        now: Stamp<HostClock>,
-    ) -> Self {
+    pub(crate) fn new(config: &LinkConfig, pipeline: &PipelineConfig, now: Stamp<HostClock>) -> Self {
         Self {
-            peers: Peers::new(
-                scanner_config(config),
-                config.signing.clone().map(LinkSigning::new),
-            ),
-            codec: config
-                .brick
-                .as_ref()
-                .map(|brick| (brick.protocol.open)(&brick.settings)),
+            peers: Peers::new(scanner_config(config), config.signing.clone().map(LinkSigning::new)),
+            codec: config.brick.as_ref().map(|brick| (brick.protocol.open)(&brick.settings)),
             encoder: Encoder::new(config.speaks),
             speaks: config.speaks,
             limiter: Limiter::new(config.rules.limits.clone(), now),
             session: session(config, pipeline, now),
-            voice: (config.voices == Voices::OwnAndRobot && config.brick.is_none())
-                .then(RobotVoice::default),
+            voice: (config.voices == Voices::OwnAndRobot && config.brick.is_none()).then(RobotVoice::default),
             publisher: Publisher::new(&config.outputs),
             state: LinkState::Down,
             was_up: false,
@@ -180,9 +169,7 @@ impl Link {
             return self.encoder.encode(own, message, out);
         };
         // Without a stamp nothing leaves: an unsigned frame would tell the peers that signatures do not matter.
-        signing.next_seal(now).map_or(0, |seal| {
-            self.encoder.encode_signed(own, message, &seal, out)
-        })
+        signing.next_seal(now).map_or(0, |seal| self.encoder.encode_signed(own, message, &seal, out))
     }
 
     /// Brings the scanners' and senders' counters into the health record and returns what each sender has sent.
@@ -209,11 +196,7 @@ fn scanner_config(config: &LinkConfig) -> ScannerConfig {
     }
 }
 
-fn session(
-    config: &LinkConfig,
-    pipeline: &PipelineConfig,
-    now: Stamp<HostClock>,
-) -> Session<HostClock> {
+fn session(config: &LinkConfig, pipeline: &PipelineConfig, now: Stamp<HostClock>) -> Session<HostClock> {
     let mut session = Session::new(session_config(config, pipeline), now);
     let params = &pipeline.filter_config.params;
     session.offer_parameters(
@@ -251,8 +234,5 @@ fn session_config(link: &LinkConfig, pipeline: &PipelineConfig) -> SessionConfig
         Some(_) => Vec::new(),
         None => conversation.wanted.clone(),
     };
-    SessionConfig {
-        wanted,
-        ..conversation
-    }
+    SessionConfig { wanted, ..conversation }
 }

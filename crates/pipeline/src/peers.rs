@@ -9,9 +9,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_protocol::framing::{
-    ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker,
-};
+use posebridge_protocol::framing::{ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker};
 use posebridge_protocol::routing::{Check, MOST_PEERS, ROUTE_LIFETIME};
 use posebridge_protocol::signing::LinkSigning;
 use posebridge_telemetry::{Address, HostClock, PeerId, Refusal, SourceHealth, Span, Stamp};
@@ -60,10 +58,7 @@ pub(crate) struct Believed {
 
 impl Believed {
     /// Of whom nothing is learnt, or nobody.
-    const UNKNOWN: Self = Self {
-        check: Check::Unverifiable,
-        missing: 0,
-    };
+    const UNKNOWN: Self = Self { check: Check::Unverifiable, missing: 0 };
 }
 
 impl Peers {
@@ -97,12 +92,7 @@ impl Peers {
             last_heard: now,
         });
         peer.last_heard = now;
-        self.feed(
-            now,
-            id,
-            |scanner, found| scanner.push(now, bytes, found),
-            sink,
-        );
+        self.feed(now, id, |scanner, found| scanner.push(now, bytes, found), sink);
     }
 
     /// Whether anybody but this peer is there, as far as was heard of late. `told` is how many peers the port has told of; zero if
@@ -216,12 +206,7 @@ impl Peers {
         sources.into_values().collect()
     }
 
-    fn wait(
-        &mut self,
-        id: PeerId,
-        waited: Option<Stamp<HostClock>>,
-        waits: Option<Stamp<HostClock>>,
-    ) {
+    fn wait(&mut self, id: PeerId, waited: Option<Stamp<HostClock>>, waits: Option<Stamp<HostClock>>) {
         if waited != waits {
             if let Some(due) = waited {
                 self.waiting.remove(&(due, id));
@@ -281,10 +266,7 @@ fn judge(
     if matches!(scanned, Scanned::Unknown(_)) || !is_vouched_for {
         return Ok(Believed::UNKNOWN);
     }
-    Ok(Believed {
-        check: Check::Verified,
-        missing: sequences.take(frame, now),
-    })
+    Ok(Believed { check: Check::Verified, missing: sequences.take(frame, now) })
 }
 
 /// Of more senders than anybody has, those with the most frames stay: the others were invented, or damage.
@@ -292,10 +274,7 @@ fn keep_most_heard(sources: &mut BTreeMap<Address, SourceHealth>) {
     if sources.len() <= MOST_SENDERS {
         return;
     }
-    let mut by_frames: Vec<_> = sources
-        .values()
-        .map(|said| (said.frames, said.source))
-        .collect();
+    let mut by_frames: Vec<_> = sources.values().map(|said| (said.frames, said.source)).collect();
     by_frames.sort_unstable();
     for (_, source) in &by_frames[..by_frames.len() - MOST_SENDERS] {
         sources.remove(source);
@@ -304,11 +283,7 @@ fn keep_most_heard(sources: &mut BTreeMap<Address, SourceHealth>) {
 
 fn add_sources(sums: &mut BTreeMap<Address, SourceHealth>, sequences: &SequenceTracker) {
     for said in sequences.sources() {
-        let sum = sums.entry(said.source).or_insert(SourceHealth {
-            source: said.source,
-            frames: 0,
-            lost: 0,
-        });
+        let sum = sums.entry(said.source).or_insert(SourceHealth { source: said.source, frames: 0, lost: 0 });
         sum.frames += said.frames;
         sum.lost += said.lost;
     }

@@ -30,17 +30,8 @@ pub(crate) struct Circumstances {
 }
 
 /// The message of an estimate.
-pub(crate) fn message(
-    kind: OutputKind,
-    estimate: &Estimate,
-    circumstances: &Circumstances,
-) -> Option<Message> {
-    let Circumstances {
-        prediction,
-        host,
-        fix_ratio,
-        voices,
-    } = *circumstances;
+pub(crate) fn message(kind: OutputKind, estimate: &Estimate, circumstances: &Circumstances) -> Option<Message> {
+    let Circumstances { prediction, host, fix_ratio, voices } = *circumstances;
     match kind {
         OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, prediction))),
         OutputKind::Odometry => Some(Message::Odometry(odometry(estimate, host, voices))),
@@ -65,10 +56,7 @@ pub(crate) fn message(
             position_ratio: fix_ratio,
             position_sigma: Meters(estimate.x_sigma_m().hypot(estimate.y_sigma_m())),
         })),
-        OutputKind::FusionHealth
-        | OutputKind::DistanceSensor
-        | OutputKind::NamedValue
-        | OutputKind::FloatArray => None,
+        OutputKind::FusionHealth | OutputKind::DistanceSensor | OutputKind::NamedValue | OutputKind::FloatArray => None,
     }
 }
 
@@ -100,11 +88,7 @@ fn odometry(estimate: &Estimate, host: Stamp<HostClock>, voices: Voices) -> Odom
         covariance: Some(upper_triangle(estimate)),
         reset_counter: estimate.reset_counter,
         // Only the standard's meaning: unset while all is well, failed when there is no pose.
-        quality: if estimate.validity.position && estimate.validity.heading {
-            0
-        } else {
-            -1
-        },
+        quality: if estimate.validity.position && estimate.validity.heading { 0 } else { -1 },
     }
 }
 

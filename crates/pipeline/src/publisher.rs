@@ -39,16 +39,12 @@ pub(crate) fn id_of(kind: OutputKind) -> u32 {
 
 /// What one of the outputs is worth on a slow link.
 pub(crate) fn priority(kind: OutputKind) -> Priority {
-    Priority::Estimate {
-        stream: id_of(kind),
-    }
+    Priority::Estimate { stream: id_of(kind) }
 }
 
 /// The same of a record's message: those of different sensors do not replace each other. Message ids have 24 bits.
 pub(crate) fn priority_of_record(kind: OutputKind, sensor: SensorId) -> Priority {
-    Priority::Estimate {
-        stream: id_of(kind) | u32::from(sensor.0) << 24,
-    }
+    Priority::Estimate { stream: id_of(kind) | u32::from(sensor.0) << 24 }
 }
 
 /// When a stream was sent last, and when it is due.
@@ -68,11 +64,7 @@ impl Sent {
     /// a longer silence the count begins anew, or a burst would follow it.
     fn due_after(due: Stamp<HostClock>, interval: Span, now: Stamp<HostClock>) -> Stamp<HostClock> {
         let next = due + interval;
-        if now - next < interval {
-            next
-        } else {
-            now + interval
-        }
+        if now - next < interval { next } else { now + interval }
     }
 }
 
@@ -90,12 +82,7 @@ pub(crate) struct Publisher {
 
 impl Publisher {
     pub(crate) fn new(streams: &[OutputStream]) -> Self {
-        Self {
-            configured: streams.to_vec(),
-            streams: streams.to_vec(),
-            sent: BTreeMap::new(),
-            counts: BTreeMap::new(),
-        }
+        Self { configured: streams.to_vec(), streams: streams.to_vec(), sent: BTreeMap::new(), counts: BTreeMap::new() }
     }
 
     /// Follows a peer's request: another interval, none at all, or (zero) what is configured.
@@ -131,9 +118,7 @@ impl Publisher {
             Span::ZERO => seen,
             interval => interval,
         };
-        i32::try_from(span.as_nanos() / 1_000)
-            .unwrap_or(i32::MAX)
-            .max(1)
+        i32::try_from(span.as_nanos() / 1_000).unwrap_or(i32::MAX).max(1)
     }
 
     /// Which messages of estimates are due; they count as sent.
@@ -186,19 +171,11 @@ impl Publisher {
         self.counts.get(&sensor).copied().unwrap_or_default()
     }
 
-    fn is_due(
-        &mut self,
-        stream: &OutputStream,
-        sensor: Option<SensorId>,
-        now: Stamp<HostClock>,
-    ) -> bool {
+    fn is_due(&mut self, stream: &OutputStream, sensor: Option<SensorId>, now: Stamp<HostClock>) -> bool {
         let key = (stream.kind, sensor);
         let (gap, due) = match self.sent.get(&key) {
             Some(sent) if now < sent.due => return false,
-            Some(sent) => (
-                Some(now - sent.last),
-                Sent::due_after(sent.due, stream.interval, now),
-            ),
+            Some(sent) => (Some(now - sent.last), Sent::due_after(sent.due, stream.interval, now)),
             None => (None, now + stream.interval),
         };
         let last = now;
@@ -211,14 +188,8 @@ impl OutputKind {
     /// Whether it tells of the estimate, and not of an observation.
     const fn is_of_estimates(self) -> bool {
         match self {
-            Self::PlanarPose
-            | Self::Odometry
-            | Self::LocalPosition
-            | Self::Attitude
-            | Self::EstimatorStatus => true,
-            Self::FusionHealth | Self::DistanceSensor | Self::NamedValue | Self::FloatArray => {
-                false
-            }
+            Self::PlanarPose | Self::Odometry | Self::LocalPosition | Self::Attitude | Self::EstimatorStatus => true,
+            Self::FusionHealth | Self::DistanceSensor | Self::NamedValue | Self::FloatArray => false,
         }
     }
 }
@@ -288,20 +259,15 @@ mod tests {
         };
         let mut publisher = Publisher::new(&[stream]);
         let silent_until = (0..500).step_by(50).chain((10_000..11_000).step_by(50));
-        let sent: Vec<i64> = silent_until
-            .filter(|now| publisher.due(at(*now)).len() == 1)
-            .collect();
+        let sent: Vec<i64> = silent_until.filter(|now| publisher.due(at(*now)).len() == 1).collect();
         let expected = (0..500).step_by(100).chain((10_000..11_000).step_by(100));
         assert_eq!(sent, expected.collect::<Vec<_>>());
     }
 
     #[test]
     fn an_interval_is_told_as_it_is_kept() {
-        let stream = OutputStream {
-            kind: OutputKind::Odometry,
-            interval: Span::ZERO,
-            instant: OutputInstant::Observed,
-        };
+        let stream =
+            OutputStream { kind: OutputKind::Odometry, interval: Span::ZERO, instant: OutputInstant::Observed };
         let mut publisher = Publisher::new(&[stream]);
         assert_eq!(publisher.interval_micros(OutputKind::Attitude), -1);
         assert_eq!(publisher.interval_micros(OutputKind::Odometry), 1);

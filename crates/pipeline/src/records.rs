@@ -120,19 +120,10 @@ mod tests {
             id: 3,
             values: vec![12.0, 3.0, 1.0, 0.25, 0.5, -0.25, 0.125, 2.0, 0.5, 0.25],
         };
-        assert_eq!(
-            said(OutputKind::FloatArray),
-            Some(Message::FloatArray(array))
-        );
-        let value = NamedValue {
-            stamp: WireStamp::Millis32(7_000),
-            name: ChannelName::from_bytes(b"nis_camera"),
-            value: 4.0,
-        };
-        assert_eq!(
-            said(OutputKind::NamedValue),
-            Some(Message::NamedValue(value))
-        );
+        assert_eq!(said(OutputKind::FloatArray), Some(Message::FloatArray(array)));
+        let value =
+            NamedValue { stamp: WireStamp::Millis32(7_000), name: ChannelName::from_bytes(b"nis_camera"), value: 4.0 };
+        assert_eq!(said(OutputKind::NamedValue), Some(Message::NamedValue(value)));
         assert_eq!(said(OutputKind::Odometry), None);
     }
 }

@@ -61,11 +61,7 @@ impl RobotVoice {
     /// The robot is known; `config` says under which address it appears.
     pub(crate) fn meet(&mut self, config: SessionConfig, vehicle: Vehicle, now: Stamp<HostClock>) {
         if self.known.is_none() {
-            self.known = Some(Known {
-                address: config.own,
-                vehicle,
-                session: Session::new(config, now),
-            });
+            self.known = Some(Known { address: config.own, vehicle, session: Session::new(config, now) });
         }
     }
 
@@ -88,9 +84,7 @@ impl RobotVoice {
 
     /// Whether the conversation wants nothing.
     pub(crate) fn is_silent(&self) -> bool {
-        self.known
-            .as_ref()
-            .is_none_or(|known| known.session.is_silent())
+        self.known.as_ref().is_none_or(|known| known.session.is_silent())
     }
 
     /// Whether the conversation waits for an instant that has come.
@@ -123,18 +117,14 @@ impl RobotVoice {
 
     /// Whether frames leave under the robot's address beside which ours must not stand: signed ones, or any where the link has a key.
     pub(crate) fn is_silenced(&self, now: Stamp<HostClock>) -> bool {
-        self.address().is_some_and(|own| {
-            self.is_untouched(now, own) || is_lately(now, self.beside_a_key.get(&own.system))
-        })
+        self.address()
+            .is_some_and(|own| self.is_untouched(now, own) || is_lately(now, self.beside_a_key.get(&own.system)))
     }
 
     /// Whether the robot says this message here itself.
     pub(crate) fn is_said_by_robot(&self, now: Stamp<HostClock>, message_id: u32) -> bool {
         let own = self.address();
-        is_lately(
-            now,
-            own.and_then(|own| self.said.get(&(own.system, message_id))),
-        )
+        is_lately(now, own.and_then(|own| self.said.get(&(own.system, message_id))))
     }
 
     /// Whether a message commands the vehicle something that is ours to answer: all of it where the robot cannot, else what concerns

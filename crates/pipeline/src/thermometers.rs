@@ -6,8 +6,7 @@
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Celsius, ChannelName, Event, HostClock, Observation, Observed, RobotId, SensorId,
-    Span, Stamp,
+    BrickClock, Celsius, ChannelName, Event, HostClock, Observation, Observed, RobotId, SensorId, Span, Stamp,
 };
 
 use crate::config::ThermometerConfig;
@@ -65,12 +64,7 @@ impl Thermometers {
     }
 
     /// Uses what waits, oldest first.
-    pub(crate) fn settle(
-        &mut self,
-        filter: &FilterConfig,
-        known: &[ThermometerConfig],
-        mut tell: impl FnMut(Event),
-    ) {
+    pub(crate) fn settle(&mut self, filter: &FilterConfig, known: &[ThermometerConfig], mut tell: impl FnMut(Event)) {
         let mut waiting = std::mem::take(&mut self.waiting);
         for reading in waiting.drain(..) {
             if let Some(channel) = self.channel_of(&reading, filter, known) {
@@ -96,14 +90,12 @@ impl Thermometers {
         filter: &FilterConfig,
         known: &[ThermometerConfig],
     ) -> Option<&mut Channel> {
-        let is_it =
-            |channel: &Channel| channel.brick == reading.brick && channel.name == reading.channel;
+        let is_it = |channel: &Channel| channel.brick == reading.brick && channel.name == reading.channel;
         let index = match self.channels.iter().position(is_it) {
             Some(index) => index,
             None if self.channels.len() < MOST_CHANNELS => {
                 let told = known.iter().find(|known| known.channel == reading.channel);
-                let settings =
-                    told.map_or_else(ThermometerSettings::default, |told| told.settings.clone());
+                let settings = told.map_or_else(ThermometerSettings::default, |told| told.settings.clone());
                 self.channels.push(Channel {
                     brick: reading.brick,
                     name: reading.channel,

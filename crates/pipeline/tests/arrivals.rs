@@ -4,10 +4,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the events that they are about"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/brick.rs"]
 mod brick;
@@ -45,8 +42,7 @@ fn told_of_a_clock_off_by(percent: i64) -> usize {
         }
     }
     let unaligned = Defect::Unaligned { source: BRICK };
-    let is_told =
-        |event: &&Event| matches!(event, Event::Defect { defect, .. } if *defect == unaligned);
+    let is_told = |event: &&Event| matches!(event, Event::Defect { defect, .. } if *defect == unaligned);
     station.events().filter(is_told).count()
 }
 
@@ -76,9 +72,8 @@ fn exchanges_beside_a_link_ahead(ahead_ms: i64) -> (usize, usize) {
         }
         asked.extend(time_requests(&station, seen));
         // Nothing is answered before it was asked, and each way takes a while.
-        let (due, later): (Vec<i64>, _) = asked
-            .into_iter()
-            .partition(|nanos| Stamp::from_nanos(nanos + 5_000_000) <= now);
+        let (due, later): (Vec<i64>, _) =
+            asked.into_iter().partition(|nanos| Stamp::from_nanos(nanos + 5_000_000) <= now);
         asked = later;
         for request_nanos in due {
             let answer = Message::TimeSync(TimeSync {
@@ -89,19 +84,13 @@ fn exchanges_beside_a_link_ahead(ahead_ms: i64) -> (usize, usize) {
             station.bytes(now, &frame(BRICK, &answer));
         }
         seen = station.outputs.len();
-        let beside = Input::Bytes {
-            link: BESIDE,
-            peer: PeerId::default(),
-            bytes: frame(Address::new(7, 7), &HEARTBEAT),
-        };
+        let beside =
+            Input::Bytes { link: BESIDE, peer: PeerId::default(), bytes: frame(Address::new(7, 7), &HEARTBEAT) };
         station.give(now + Span::from_millis(ahead_ms), beside);
     }
     let is_exchange = |event: &&Event| matches!(event, Event::BrickClockAligned { .. });
     let is_loss = |event: &&Event| matches!(event, Event::RobotLost { .. });
-    (
-        station.events().filter(is_exchange).count(),
-        station.events().filter(is_loss).count(),
-    )
+    (station.events().filter(is_exchange).count(), station.events().filter(is_loss).count())
 }
 
 /// The time requests that left on the first link after the first `seen` outputs.
@@ -125,10 +114,7 @@ fn arrivals_of_several_links_that_are_handled_out_of_order_lose_no_exchange_and_
     // Ten milliseconds from one input of the first link to the next: from 10 on its inputs are behind.
     for ahead_ms in [9, 12, 25, 80] {
         let (exchanges, lost) = exchanges_beside_a_link_ahead(ahead_ms);
-        assert!(
-            in_order.abs_diff(exchanges) <= 2,
-            "{ahead_ms} ms: {exchanges} of {in_order}"
-        );
+        assert!(in_order.abs_diff(exchanges) <= 2, "{ahead_ms} ms: {exchanges} of {in_order}");
         assert_eq!(lost, 0, "{ahead_ms} ms");
     }
 }
@@ -138,11 +124,7 @@ fn an_observation_keeps_the_instant_at_which_its_bytes_came() {
     let mut config = config();
     config.links.push(link(BESIDE, vec![]));
     let mut station = Station::new(&config);
-    let beside = Input::Bytes {
-        link: BESIDE,
-        peer: PeerId::default(),
-        bytes: frame(Address::new(7, 7), &HEARTBEAT),
-    };
+    let beside = Input::Bytes { link: BESIDE, peer: PeerId::default(), bytes: frame(Address::new(7, 7), &HEARTBEAT) };
     station.give(at(140), beside);
     station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
     let arrivals = station.events().filter_map(|event| match event {

@@ -5,10 +5,7 @@
     clippy::expect_used,
     reason = "tests pick the events that they are about, and stop at the first surprise"
 )]
-#![expect(
-    dead_code,
-    reason = "each test file uses its own part of the common station"
-)]
+#![expect(dead_code, reason = "each test file uses its own part of the common station")]
 
 #[path = "support/station.rs"]
 mod station;
@@ -19,8 +16,8 @@ use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{ScanCounters, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{
-    Address, BrickClock, Defect, EncoderTicks, Event, HostClock, Input, LinkId, LinkState,
-    Observed, Output, PeerId, Priority, SourceHealth, Span, Stamp,
+    Address, BrickClock, Defect, EncoderTicks, Event, HostClock, Input, LinkId, LinkState, Observed, Output, PeerId,
+    Priority, SourceHealth, Span, Stamp,
 };
 use station::{LINK, Station, at, config, link};
 
@@ -43,10 +40,7 @@ struct Asking {
 
 impl BrickCodec for Asking {
     fn begin(&mut self, now: Stamp<HostClock>) {
-        *self = Self {
-            due: Some(now),
-            ..Self::default()
-        };
+        *self = Self { due: Some(now), ..Self::default() };
         self.ask(now);
     }
 
@@ -55,11 +49,7 @@ impl BrickCodec for Asking {
         if self.heard.first() == Some(&REFUSAL) {
             self.heard.clear();
             sink(Heard::Defect(Defect::Garbage { bytes: 1 }));
-            sink(Heard::Note {
-                from: ONLY_BRICK,
-                severity: 4,
-                text: "the brick refuses".to_owned(),
-            });
+            sink(Heard::Note { from: ONLY_BRICK, severity: 4, text: "the brick refuses".to_owned() });
             return;
         }
         let (Some(sent), &[hundredths, left, right]) = (self.asked, self.heard.as_slice()) else {
@@ -71,25 +61,13 @@ impl BrickCodec for Asking {
         let from = ONLY_BRICK;
         sink(Heard::Message {
             from,
-            message: Message::Heartbeat(Heartbeat {
-                vehicle_type: 10,
-                autopilot: 0,
-                base_mode: 0,
-                system_status: 4,
-            }),
+            message: Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 }),
         });
-        sink(Heard::Time {
-            from,
-            sent,
-            peer_nanos: i64::from(hundredths) * 10_000_000,
-        });
+        sink(Heard::Time { from, sent, peer_nanos: i64::from(hundredths) * 10_000_000 });
         sink(Heard::Message {
             from,
             message: Message::WheelTicks(WheelTicks {
-                stamp: WireStamp::Asked {
-                    sent,
-                    answered: now,
-                },
+                stamp: WireStamp::Asked { sent, answered: now },
                 left: EncoderTicks(i64::from(left)),
                 right: EncoderTicks(i64::from(right)),
             }),
@@ -108,13 +86,7 @@ impl BrickCodec for Asking {
         self.wants.take()
     }
 
-    fn encode(
-        &mut self,
-        _now: Stamp<HostClock>,
-        _from: Address,
-        message: &Message,
-        out: &mut Vec<u8>,
-    ) -> usize {
+    fn encode(&mut self, _now: Stamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
         if !matches!(message, Message::PlanarPose(_)) {
             return 0;
         }
@@ -123,18 +95,11 @@ impl BrickCodec for Asking {
     }
 
     fn counters(&self) -> ScanCounters {
-        ScanCounters {
-            frames: self.answers,
-            ..ScanCounters::default()
-        }
+        ScanCounters { frames: self.answers, ..ScanCounters::default() }
     }
 
     fn sources(&self) -> Vec<SourceHealth> {
-        vec![SourceHealth {
-            source: ONLY_BRICK,
-            frames: self.answers,
-            lost: 2,
-        }]
+        vec![SourceHealth { source: ONLY_BRICK, frames: self.answers, lost: 2 }]
     }
 }
 
@@ -147,16 +112,10 @@ impl Asking {
 }
 
 fn asking() -> PipelineConfig {
-    static PROTOCOL: BrickProtocol = BrickProtocol {
-        name: "asking",
-        summary: "asks by one byte",
-        open: |_| Box::<Asking>::default(),
-    };
+    static PROTOCOL: BrickProtocol =
+        BrickProtocol { name: "asking", summary: "asks by one byte", open: |_| Box::<Asking>::default() };
     let mut config = config();
-    config.links[0].brick = Some(BrickLink {
-        protocol: &PROTOCOL,
-        settings: BrickSettings::default(),
-    });
+    config.links[0].brick = Some(BrickLink { protocol: &PROTOCOL, settings: BrickSettings::default() });
     config
 }
 
@@ -166,11 +125,7 @@ fn conversation(station: &mut Station, millis: i64) {
     let mut answers: Vec<(i64, [u8; 3])> = Vec::new();
     let mut seen = 0;
     for now_ms in 0..millis {
-        if station
-            .pipeline
-            .deadline()
-            .is_some_and(|due| due <= at(now_ms))
-        {
+        if station.pipeline.deadline().is_some_and(|due| due <= at(now_ms)) {
             station.give(at(now_ms), Input::Tick);
         }
         for (when, output) in &station.outputs[seen..] {
@@ -198,9 +153,7 @@ fn a_brick_that_is_asked_is_a_robot_whose_answers_lie_between_question_and_answe
     let observed: Vec<_> = station
         .events()
         .filter_map(|event| match event {
-            Event::Observed {
-                robot, observation, ..
-            } => Some((*robot, *observation)),
+            Event::Observed { robot, observation, .. } => Some((*robot, *observation)),
             _ => None,
         })
         .collect();
@@ -224,9 +177,7 @@ fn a_brick_that_is_asked_is_a_robot_whose_answers_lie_between_question_and_answe
         assert!((0.0057..0.02).contains(&sigma_s), "{sigma_s}");
         assert!(matches!(observation.observed, Observed::WheelAngles { .. }));
     }
-    let seen = station
-        .events()
-        .filter(|event| matches!(event, Event::RobotSeen { .. }));
+    let seen = station.events().filter(|event| matches!(event, Event::RobotSeen { .. }));
     assert_eq!(seen.count(), 1);
     let health = station.events().find_map(|event| match event {
         Event::Health { health, .. } => Some(*health),
@@ -242,15 +193,10 @@ fn a_brick_that_is_asked_is_a_robot_whose_answers_lie_between_question_and_answe
 fn questions_are_commands_estimates_leave_by_the_codec_and_nothing_else_does() {
     let mut station = Station::new(&asking());
     conversation(&mut station, 1_400);
-    let sent = station
-        .outputs
-        .iter()
-        .filter_map(|(_, output)| match output {
-            Output::Transmit {
-                priority, bytes, ..
-            } => Some((*priority, bytes.as_slice())),
-            Output::Event(_) | Output::Request(_) => None,
-        });
+    let sent = station.outputs.iter().filter_map(|(_, output)| match output {
+        Output::Transmit { priority, bytes, .. } => Some((*priority, bytes.as_slice())),
+        Output::Event(_) | Output::Request(_) => None,
+    });
     let sent: Vec<_> = sent.collect();
     let questions = sent.iter().filter(|(_, bytes)| *bytes == [ASK]).count();
     let estimates = sent.iter().filter(|(_, bytes)| *bytes == b"pose").count();
@@ -285,12 +231,7 @@ fn the_frames_of_others_are_not_passed_on_to_it() {
     config.links.push(link(other, vec![]));
     let mut station = Station::new(&config);
     let mut bytes = Vec::new();
-    let heartbeat = Message::Heartbeat(Heartbeat {
-        vehicle_type: 30,
-        autopilot: 8,
-        base_mode: 0,
-        system_status: 4,
-    });
+    let heartbeat = Message::Heartbeat(Heartbeat { vehicle_type: 30, autopilot: 8, base_mode: 0, system_status: 4 });
     Encoder::new(WireVersion::V2).encode(Address::new(1, 100), &heartbeat, &mut bytes);
     let peer = PeerId::default();
     let link = other;
@@ -312,9 +253,5 @@ fn a_refusal_is_told_to_people_and_counted() {
         event,
         Event::Text { severity: 4, text, .. } if text == "the brick refuses"
     )));
-    assert!(
-        station
-            .events()
-            .any(|event| matches!(event, Event::Defect { .. }))
-    );
+    assert!(station.events().any(|event| matches!(event, Event::Defect { .. })));
 }

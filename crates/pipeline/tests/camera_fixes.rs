@@ -18,9 +18,8 @@ use posebridge_protocol::message::{
     CommandAck, Heartbeat, Message, Odometry, OdometryPose, TimeSync, VisionFix, WireStamp,
 };
 use posebridge_telemetry::{
-    Address, Defect, Event, FusionRecord, Heading, HostClock, Input, LinkId, Meters,
-    MetersPerSecond, Observation, Observed, Output, PeerId, Pose, RadiansPerSecond, SensorId, Span,
-    Stamp, Verdict,
+    Address, Defect, Event, FusionRecord, Heading, HostClock, Input, LinkId, Meters, MetersPerSecond, Observation,
+    Observed, Output, PeerId, Pose, RadiansPerSecond, SensorId, Span, Stamp, Verdict,
 };
 use station::{LINK, Station, at, config, link};
 
@@ -77,12 +76,7 @@ fn tenth(station: &mut Station, k: i64) {
         give(station, answered + Span::from_millis(1), link, &bytes);
     }
     let wheels = ticks(shows(now, BRICK_AHEAD_MS) as u32, 0, 0);
-    give(
-        station,
-        now + Span::from_millis(3),
-        LINK,
-        &frame(BRICK, &wheels),
-    );
+    give(station, now + Span::from_millis(3), LINK, &frame(BRICK, &wheels));
 }
 
 /// The number of a time request.
@@ -108,11 +102,7 @@ fn answer(link: LinkId, request: i64, now: Stamp<HostClock>) -> Vec<u8> {
             return line.into_bytes();
         }
     };
-    let sync = TimeSync {
-        answer_nanos: now.as_nanos() + ahead_ms * 1_000_000,
-        request_nanos: request,
-        target: None,
-    };
+    let sync = TimeSync { answer_nanos: now.as_nanos() + ahead_ms * 1_000_000, request_nanos: request, target: None };
     frame(who, &Message::TimeSync(sync))
 }
 
@@ -132,15 +122,8 @@ fn fixes(station: &Station) -> Vec<(Observation, Verdict, Stamp<HostClock>)> {
     let mut found = vec![];
     for event in station.events() {
         match event {
-            Event::Observed {
-                observation,
-                arrival,
-                ..
-            } => observed = Some((*observation, *arrival)),
-            Event::Fused {
-                record: FusionRecord { verdict, .. },
-                ..
-            } => {
+            Event::Observed { observation, arrival, .. } => observed = Some((*observation, *arrival)),
+            Event::Fused { record: FusionRecord { verdict, .. }, .. } => {
                 if let Some((observation, arrival)) = observed.take()
                     && matches!(observation.observed, Observed::Fix(_))
                 {
@@ -190,35 +173,21 @@ fn json_fix(camera: &str, exposed: Stamp<HostClock>) -> Vec<u8> {
 #[test]
 fn every_message_that_carries_a_fix_moves_the_pose_at_its_own_time() {
     let exposed = at(1_150);
-    let without_sigma = VisionFix {
-        covariance: None,
-        ..seen(exposed, 0)
-    };
+    let without_sigma = VisionFix { covariance: None, ..seen(exposed, 0) };
     for (name, link, bytes) in [
-        (
-            "VISION_POSITION_ESTIMATE",
-            TRACKER_LINK,
-            frame(TRACKER, &Message::VisionPosition(seen(exposed, 0))),
-        ),
+        ("VISION_POSITION_ESTIMATE", TRACKER_LINK, frame(TRACKER, &Message::VisionPosition(seen(exposed, 0)))),
         (
             "VISION_POSITION_ESTIMATE without covariance",
             TRACKER_LINK,
             frame(TRACKER, &Message::VisionPosition(without_sigma)),
         ),
-        (
-            "ATT_POS_MOCAP",
-            TRACKER_LINK,
-            frame(TRACKER, &Message::MocapPosition(seen(exposed, 0))),
-        ),
+        ("ATT_POS_MOCAP", TRACKER_LINK, frame(TRACKER, &Message::MocapPosition(seen(exposed, 0)))),
         ("ODOMETRY", TRACKER_LINK, frame(TRACKER, &odometry(exposed))),
         (
             "another component on the robot's link",
             LINK,
             // Its clock was never heard there: it is aligned from scratch below.
-            frame(
-                Address::new(1, 191),
-                &Message::VisionPosition(seen(exposed, 0)),
-            ),
+            frame(Address::new(1, 191), &Message::VisionPosition(seen(exposed, 0))),
         ),
         ("JSON", JSON_LINK, json_fix("camera", exposed)),
     ] {
@@ -260,10 +229,7 @@ fn a_fix_without_a_time_counts_at_its_arrival_less_the_declared_delay() {
     let off_ms = (observation.stamp - expected).as_millis_f64();
     assert!(off_ms.abs() < 2.0, "{off_ms}");
     let sigma_ms = observation.stamp_sigma.as_millis_f64();
-    assert!(
-        (40.0 / 3.0_f64.sqrt()..26.0).contains(&sigma_ms),
-        "{sigma_ms}"
-    );
+    assert!((40.0 / 3.0_f64.sqrt()..26.0).contains(&sigma_ms), "{sigma_ms}");
 }
 
 #[test]
@@ -272,37 +238,17 @@ fn each_camera_is_a_sensor_of_its_own_with_a_clock_of_its_own() {
     let exposed = at(1_250);
     let tracked = frame(TRACKER, &Message::VisionPosition(seen(exposed, 0)));
     give(&mut station, at(1_300), TRACKER_LINK, &tracked);
-    give(
-        &mut station,
-        at(1_301),
-        JSON_LINK,
-        &json_fix("camera", exposed),
-    );
+    give(&mut station, at(1_301), JSON_LINK, &json_fix("camera", exposed));
     let line = b"{\"camera\": \"plain\", \"x_m\": 0.01, \"y_m\": 0}\n";
     give(&mut station, at(1_302), JSON_LINK, line);
     give(&mut station, at(1_303), TRACKER_LINK, &tracked);
-    let found: Vec<(SensorId, Verdict)> = fixes(&station)
-        .iter()
-        .map(|(observation, verdict, _)| (observation.sensor, *verdict))
-        .collect();
+    let found: Vec<(SensorId, Verdict)> =
+        fixes(&station).iter().map(|(observation, verdict, _)| (observation.sensor, *verdict)).collect();
     let names: Vec<&str> = found.iter().map(|(sensor, _)| sensor.name()).collect();
     assert_eq!(names, ["camera", "camera 2", "camera 3", "camera"]);
-    assert!(
-        found[..3]
-            .iter()
-            .all(|(_, verdict)| *verdict == Verdict::Accepted),
-        "{found:?}"
-    );
+    assert!(found[..3].iter().all(|(_, verdict)| *verdict == Verdict::Accepted), "{found:?}");
     // The clock of each is known: no stamp was refused.
-    let is_unaligned = |event: &Event| {
-        matches!(
-            event,
-            Event::Defect {
-                defect: Defect::Unaligned { .. },
-                ..
-            }
-        )
-    };
+    let is_unaligned = |event: &Event| matches!(event, Event::Defect { defect: Defect::Unaligned { .. }, .. });
     assert!(!station.events().any(is_unaligned));
 }
 
@@ -310,10 +256,7 @@ fn each_camera_is_a_sensor_of_its_own_with_a_clock_of_its_own() {
 fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset() {
     let mut station = station_of(&three_links());
     let mut told = |at_ms: i64, x_m: f64, reset_counter: u8| {
-        let fix = VisionFix {
-            x: Meters(x_m),
-            ..seen(at(at_ms - 50), reset_counter)
-        };
+        let fix = VisionFix { x: Meters(x_m), ..seen(at(at_ms - 50), reset_counter) };
         let bytes = frame(TRACKER, &Message::VisionPosition(fix));
         give(&mut station, at(at_ms), TRACKER_LINK, &bytes);
         let (_, verdict, _) = *fixes(&station).last().expect("it was observed");
@@ -334,12 +277,7 @@ fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset(
 #[test]
 fn a_camera_whose_time_falls_begins_anew_and_is_used_again_when_its_clock_is_known() {
     let mut station = station_of(&three_links());
-    give(
-        &mut station,
-        at(1_290),
-        JSON_LINK,
-        &json_fix("camera", at(1_250)),
-    );
+    give(&mut station, at(1_290), JSON_LINK, &json_fix("camera", at(1_250)));
     assert_eq!(fixes(&station).len(), 1);
     // Switched off and on: its clock began at zero 5 s later than before, so to speak.
     let line = b"{\"exposed_s\": 0.5, \"x_m\": 0.01, \"y_m\": 0}\n";
@@ -353,34 +291,16 @@ fn a_camera_whose_time_falls_begins_anew_and_is_used_again_when_its_clock_is_kno
 fn a_payload_that_is_refused_is_counted_each_time_and_explained_once() {
     let mut station = station_of(&three_links());
     let failed = Message::Odometry(match odometry(at(1_200)) {
-        Message::Odometry(odometry) => Odometry {
-            quality: -1,
-            ..odometry
-        },
+        Message::Odometry(odometry) => Odometry { quality: -1, ..odometry },
         other => panic!("{other:?}"),
     });
     for k in 0..3 {
-        give(
-            &mut station,
-            at(1_300 + k),
-            TRACKER_LINK,
-            &frame(TRACKER, &failed),
-        );
+        give(&mut station, at(1_300 + k), TRACKER_LINK, &frame(TRACKER, &failed));
     }
-    let count =
-        |wanted: &dyn Fn(&Event) -> bool| station.events().filter(|event| wanted(event)).count();
-    let is_refused = |event: &Event| {
-        matches!(
-            event,
-            Event::Defect {
-                defect: Defect::Payload { message_id: 331 },
-                ..
-            }
-        )
-    };
+    let count = |wanted: &dyn Fn(&Event) -> bool| station.events().filter(|event| wanted(event)).count();
+    let is_refused = |event: &Event| matches!(event, Event::Defect { defect: Defect::Payload { message_id: 331 }, .. });
     assert_eq!(count(&is_refused), 3);
-    let is_explained =
-        |event: &Event| matches!(event, Event::Text { text, .. } if text.contains("it has failed"));
+    let is_explained = |event: &Event| matches!(event, Event::Text { text, .. } if text.contains("it has failed"));
     assert_eq!(count(&is_explained), 1);
     assert_eq!(fixes(&station).len(), 0);
 }
@@ -407,22 +327,13 @@ fn asked(station: &Station) -> Vec<(LinkId, i64)> {
 
 /// A camera's sign of life.
 fn camera_heartbeat() -> Vec<u8> {
-    let heartbeat = Heartbeat {
-        vehicle_type: 30,
-        autopilot: 8,
-        base_mode: 0,
-        system_status: 4,
-    };
+    let heartbeat = Heartbeat { vehicle_type: 30, autopilot: 8, base_mode: 0, system_status: 4 };
     frame(TRACKER, &Message::Heartbeat(heartbeat))
 }
 
 fn asking(above_m: f64) -> PipelineConfig {
     PipelineConfig {
-        fix_requests: FixRequestConfig {
-            above_m: Some(above_m),
-            above_rad: None,
-            interval: Span::from_millis(250),
-        },
+        fix_requests: FixRequestConfig { above_m: Some(above_m), above_rad: None, interval: Span::from_millis(250) },
         ..three_links()
     }
 }
@@ -437,26 +348,14 @@ fn only_cameras_that_answer_are_asked_and_those_that_refuse_not_again() {
     give(&mut station, at(1_211), JSON_LINK, hello);
     tenth(&mut station, 13);
     assert_eq!(asked(&station), [(TRACKER_LINK, 1_303), (JSON_LINK, 1_303)]);
-    let refusal = CommandAck {
-        command: 512,
-        result: 3,
-        target: None,
-    };
-    give(
-        &mut station,
-        at(1_320),
-        TRACKER_LINK,
-        &frame(TRACKER, &Message::CommandAck(refusal)),
-    );
+    let refusal = CommandAck { command: 512, result: 3, target: None };
+    give(&mut station, at(1_320), TRACKER_LINK, &frame(TRACKER, &Message::CommandAck(refusal)));
     for k in 14..=30 {
         tenth(&mut station, k);
     }
     // Every 250 ms at the soonest, which with telemetry each 100 ms is each 300; it never reacts and rests after four.
     let later = asked(&station)[2..].to_vec();
-    assert_eq!(
-        later,
-        [(JSON_LINK, 1_603), (JSON_LINK, 1_903), (JSON_LINK, 2_203)]
-    );
+    assert_eq!(later, [(JSON_LINK, 1_603), (JSON_LINK, 1_903), (JSON_LINK, 2_203)]);
 }
 
 #[test]

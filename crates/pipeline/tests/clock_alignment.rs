@@ -27,10 +27,7 @@ fn host(seconds: f64) -> Stamp<HostClock> {
 
 /// What became of an alignment.
 #[derive(Clone, Copy, Debug, Default)]
-#[expect(
-    clippy::struct_field_names,
-    reason = "the unit is part of every name of a bare number"
-)]
+#[expect(clippy::struct_field_names, reason = "the unit is part of every name of a bare number")]
 struct Outcome {
     /// Worst error from the scored instant on, s.
     worst_s: f64,
@@ -62,21 +59,13 @@ impl<'a> Watched<'a> {
             scored_from_s,
             last_host: None,
             last_remote: None,
-            outcome: Outcome {
-                outside_s: f64::NEG_INFINITY,
-                ..Outcome::default()
-            },
+            outcome: Outcome { outside_s: f64::NEG_INFINITY, ..Outcome::default() },
         }
     }
 
     fn exchange(&mut self, trip: &RoundTrip) {
         let nanos = (self.truth.at(trip.answered_s) * 1e9) as i64;
-        self.aligner.exchanged(
-            Way::default(),
-            host(trip.sent_s),
-            host(trip.received_s),
-            nanos,
-        );
+        self.aligner.exchanged(Way::default(), host(trip.sent_s), host(trip.received_s), nanos);
         self.look(trip);
     }
 
@@ -87,10 +76,7 @@ impl<'a> Watched<'a> {
             self.check(at_s);
         }
         if self.outcome.first_s.is_none() {
-            self.outcome.first_s = self
-                .aligner
-                .host_at(self.brick(now_s))
-                .map(|_| trip.received_s);
+            self.outcome.first_s = self.aligner.host_at(self.brick(now_s)).map(|_| trip.received_s);
         }
         self.order(trip);
     }
@@ -142,32 +128,20 @@ fn followed(path: &Path, truth: &RemoteTime, (from_s, to_s): (f64, f64)) -> Outc
 
 /// The worst of all seeds.
 fn worst_of(outcomes: impl Iterator<Item = Outcome>) -> Outcome {
-    let mut all = Outcome {
-        outside_s: f64::NEG_INFINITY,
-        first_s: Some(0.0),
-        ..Outcome::default()
-    };
+    let mut all = Outcome { outside_s: f64::NEG_INFINITY, first_s: Some(0.0), ..Outcome::default() };
     for one in outcomes {
         all.worst_s = all.worst_s.max(one.worst_s);
         all.outside_s = all.outside_s.max(one.outside_s);
         all.backwards_s = all.backwards_s.max(one.backwards_s);
         all.uncertainty_s = all.uncertainty_s.max(one.uncertainty_s);
-        all.first_s = one
-            .first_s
-            .and_then(|one| all.first_s.map(|all| all.max(one)));
+        all.first_s = one.first_s.and_then(|one| all.first_s.map(|all| all.max(one)));
     }
     all
 }
 
 /// Prints the figures and holds what every case promises: bounds that hold, order, an early start.
 fn promised(name: &str, outcome: Outcome) {
-    let Outcome {
-        worst_s,
-        outside_s,
-        first_s,
-        backwards_s,
-        uncertainty_s,
-    } = outcome;
+    let Outcome { worst_s, outside_s, first_s, backwards_s, uncertainty_s } = outcome;
     println!(
         "{name}: worst {:.3} ms, bound at the end {:.3} ms, first after {:.2} s, outside its bounds by {:.3} ms",
         worst_s * 1e3,
@@ -176,10 +150,7 @@ fn promised(name: &str, outcome: Outcome) {
         outside_s * 1e3
     );
     assert!(outside_s <= 0.0, "{name}: left the bounds by {outside_s} s");
-    assert!(
-        backwards_s <= 0.0,
-        "{name}: ran backwards by {backwards_s} s"
-    );
+    assert!(backwards_s <= 0.0, "{name}: ran backwards by {backwards_s} s");
     assert!(first_s.is_some_and(|first_s| first_s <= 3.0), "{name}");
 }
 
@@ -214,11 +185,7 @@ fn half_of_an_asymmetry_is_the_error_and_the_bounds_know() {
     for (name, forth_s, back_s) in [("forth", 0.030, 0.015), ("back", 0.015, 0.030)] {
         let truth = RemoteTime::new(1_234.5, 180.0, |_| 50e-6);
         let outcome = worst_of(SEEDS.map(|seed| {
-            let path = Path {
-                forth_s,
-                back_s,
-                ..bluetooth(seed)
-            };
+            let path = Path { forth_s, back_s, ..bluetooth(seed) };
             followed(&path, &truth, (100.0, 180.0))
         }));
         promised(&format!("15 ms longer {name}"), outcome);
@@ -242,20 +209,12 @@ fn drifting(seed: u64) -> Vec<(&'static str, RemoteTime)> {
     let phase = seed as f64;
     let turn = std::f64::consts::TAU / 600.0;
     vec![
-        (
-            "ramp of 10 ppm in 10 minutes",
-            RemoteTime::new(5.0, 600.0, |t_s| 50e-6 + 10e-6 * t_s / 600.0),
-        ),
+        ("ramp of 10 ppm in 10 minutes", RemoteTime::new(5.0, 600.0, |t_s| 50e-6 + 10e-6 * t_s / 600.0)),
         (
             "sine of 10 ppm and 10 minutes",
-            RemoteTime::new(5.0, 600.0, move |t_s| {
-                50e-6 + 10e-6 * (turn * t_s + phase).sin()
-            }),
+            RemoteTime::new(5.0, 600.0, move |t_s| 50e-6 + 10e-6 * (turn * t_s + phase).sin()),
         ),
-        (
-            "walk of 0.1 ppm per root second",
-            RemoteTime::new(5.0, 600.0, walk(seed)),
-        ),
+        ("walk of 0.1 ppm per root second", RemoteTime::new(5.0, 600.0, walk(seed))),
     ]
 }
 
@@ -280,12 +239,7 @@ fn on_a_quick_link_the_bounds_are_narrow_and_hold_while_the_clock_drifts() {
         let outcome = worst_of(SEEDS.map(|seed| {
             let (kind_name, truth) = drifting(seed).swap_remove(kind);
             name = kind_name;
-            let path = Path {
-                forth_s: 10e-6,
-                back_s: 10e-6,
-                jitter_s: 100e-6,
-                ..bluetooth(seed)
-            };
+            let path = Path { forth_s: 10e-6, back_s: 10e-6, jitter_s: 100e-6, ..bluetooth(seed) };
             followed(&path, &truth, (100.0, 600.0))
         }));
         promised(&format!("cable, {name}"), outcome);
@@ -310,23 +264,13 @@ fn a_restarted_clock_is_known_again_within_three_seconds() {
         let late = bluetooth(seed + 100).round_trips(120.0);
         for trip in late.iter().filter(|trip| trip.sent_s >= 63.0) {
             let nanos = (after.at(trip.answered_s) * 1e9) as i64;
-            let (unwrapped, _) = anew.aligner.exchanged(
-                Way::default(),
-                host(trip.sent_s),
-                host(trip.received_s),
-                nanos,
-            );
+            let (unwrapped, _) =
+                anew.aligner.exchanged(Way::default(), host(trip.sent_s), host(trip.received_s), nanos);
             restarts += u32::from(matches!(unwrapped, Unwrapped::Restarted(_)));
             anew.look(trip);
         }
         let first_s = anew.outcome.first_s.map(|first_s| first_s - 63.0);
-        promised(
-            "restart",
-            Outcome {
-                first_s,
-                ..anew.outcome
-            },
-        );
+        promised("restart", Outcome { first_s, ..anew.outcome });
         assert_eq!(restarts, 1);
     }
 }
@@ -338,16 +282,9 @@ fn counters_of_32_bits_keep_the_alignment_when_they_wrap() {
     let mut watched = Watched::new(&truth, 100.0);
     for trip in bluetooth(3).round_trips(180.0) {
         let register = (truth.at(trip.answered_s) * 1e6) as u64 % (1 << 32);
-        watched.aligner.exchanged(
-            Way::default(),
-            host(trip.sent_s),
-            host(trip.received_s),
-            register as i64 * 1_000,
-        );
+        watched.aligner.exchanged(Way::default(), host(trip.sent_s), host(trip.received_s), register as i64 * 1_000);
         let shown = WireStamp::Millis32((truth.at(trip.answered_s) * 1e3) as u32);
-        let unwrapped = watched
-            .aligner
-            .arrived(Way::default(), shown, host(trip.received_s));
+        let unwrapped = watched.aligner.arrived(Way::default(), shown, host(trip.received_s));
         assert!(matches!(unwrapped, Unwrapped::Continued(_)));
         watched.look(&trip);
     }
@@ -364,9 +301,7 @@ fn the_bounds_hold_while_answers_stay_away_and_telemetry_goes_on() {
             watched.exchange(&trip);
         } else {
             let stamp = WireStamp::Micros64((truth.at(trip.answered_s) * 1e6) as u64);
-            watched
-                .aligner
-                .arrived(Way::default(), stamp, host(trip.received_s));
+            watched.aligner.arrived(Way::default(), stamp, host(trip.received_s));
             watched.look(&trip);
         }
     }
@@ -380,9 +315,7 @@ fn a_clock_that_never_answers_is_known_within_its_assumption() {
     let mut watched = Watched::new(&truth, 100.0);
     for trip in bluetooth(6).round_trips(180.0) {
         let stamp = WireStamp::Micros64((truth.at(trip.answered_s) * 1e6) as u64);
-        watched
-            .aligner
-            .arrived(Way::default(), stamp, host(trip.received_s));
+        watched.aligner.arrived(Way::default(), stamp, host(trip.received_s));
         watched.look(&trip);
     }
     promised("one way", watched.outcome);
@@ -395,12 +328,8 @@ fn an_answer_from_before_its_request_bounds_nothing() {
     let mut aligner = ClockAligner::<BrickClock>::default();
     for k in 0..10_i64 {
         let received = Stamp::from_millis(k * 100);
-        let (_, alignment) = aligner.exchanged(
-            Way::default(),
-            received + Span::from_millis(50),
-            received,
-            k * 100_000_000,
-        );
+        let (_, alignment) =
+            aligner.exchanged(Way::default(), received + Span::from_millis(50), received, k * 100_000_000);
         assert_eq!(alignment, None);
     }
     assert_eq!(aligner.round_trip(), None);
@@ -420,12 +349,7 @@ fn a_clock_that_steps_without_falling_is_known_again_after_three_answers() {
     anew.aligner = watched.aligner;
     for (k, trip) in after.iter().enumerate() {
         let nanos = (stepped.at(trip.answered_s) * 1e9) as i64;
-        let (_, alignment) = anew.aligner.exchanged(
-            Way::default(),
-            host(trip.sent_s),
-            host(trip.received_s),
-            nanos,
-        );
+        let (_, alignment) = anew.aligner.exchanged(Way::default(), host(trip.sent_s), host(trip.received_s), nanos);
         assert_eq!(alignment.is_some(), k >= 2, "answer {k}");
         anew.look(trip);
     }

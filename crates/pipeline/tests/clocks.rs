@@ -18,8 +18,8 @@ use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
 use posebridge_protocol::message::{Inertial, Message, TimeSync, VisionFix, WireStamp};
 use posebridge_sim::Scenario;
 use posebridge_telemetry::{
-    Address, BrickClock, Defect, Event, HostClock, Meters, Observed, Output, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, Verdict,
+    Address, BrickClock, Defect, Event, HostClock, Meters, Observed, Output, Radians, RadiansPerSecond, SensorId, Span,
+    Stamp, Verdict,
 };
 use station::{STATION, Station, at, config};
 use world::World;
@@ -78,10 +78,7 @@ fn fixes_stay_aligned_with_a_clock_that_is_2000_ppm_off_and_wraps() {
         assert!(worst_ms < 4.0, "{skew_ppm} ppm: {worst_ms} ms");
         for (error, sigma) in errors {
             let bound_ms = 3.0 * sigma.as_millis_f64() + 0.5;
-            assert!(
-                error.as_millis_f64().abs() < bound_ms,
-                "{error:?} {sigma:?}"
-            );
+            assert!(error.as_millis_f64().abs() < bound_ms, "{error:?} {sigma:?}");
         }
         let is_restart = |event: &&Event| matches!(event, Event::BrickRestarted { .. });
         assert_eq!(world.station.events().filter(is_restart).count(), 0);
@@ -109,8 +106,7 @@ fn across_the_wrap_the_estimate_follows_the_robot() {
     for truth in world.simulation.truth().iter().rev().take(40) {
         let estimate = world.station.pipeline.estimate_at(truth.brick);
         let estimate = estimate.expect("within the history");
-        let error_m =
-            (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
+        let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
         assert!(error_m < 0.03, "{error_m} at {:?}", truth.world);
     }
     let verdicts: Vec<Verdict> = world
@@ -121,9 +117,7 @@ fn across_the_wrap_the_estimate_follows_the_robot() {
             _ => None,
         })
         .collect();
-    let accepted = verdicts
-        .iter()
-        .filter(|verdict| **verdict == Verdict::Accepted);
+    let accepted = verdicts.iter().filter(|verdict| **verdict == Verdict::Accepted);
     assert!(accepted.count() as f64 > 0.95 * verdicts.len() as f64);
 }
 
@@ -166,11 +160,8 @@ fn when(station: &Station, is_it: impl Fn(&Event) -> bool) -> Vec<Stamp<HostCloc
 
 /// When the station asked for the time.
 fn asked_for_time(station: &Station) -> Vec<Stamp<HostClock>> {
-    let is_request =
-        |message: &Message| matches!(message, Message::TimeSync(sync) if sync.answer_nanos == 0);
-    let requests = station
-        .sent()
-        .filter(|(_, bytes)| messages(bytes).iter().any(is_request));
+    let is_request = |message: &Message| matches!(message, Message::TimeSync(sync) if sync.answer_nanos == 0);
+    let requests = station.sent().filter(|(_, bytes)| messages(bytes).iter().any(is_request));
     requests.map(|(now, _)| now).collect()
 }
 
@@ -181,28 +172,15 @@ fn first_usable(station: &Station, since: Stamp<HostClock>) -> Span {
         let later = instants.into_iter().find(|now| *now > after);
         later.expect("it comes")
     };
-    let aligned = first(since, |event| {
-        matches!(event, Event::BrickClockAligned { .. })
-    });
+    let aligned = first(since, |event| matches!(event, Event::BrickClockAligned { .. }));
     first(aligned, |event| matches!(event, Event::Estimated { .. })) - since
 }
 
 /// By how much the alignments within some time left their bounds, when the brick's clock showed `zero_ms` at host zero.
-fn worst_outside_ms(
-    station: &Station,
-    during: &RangeInclusive<Stamp<HostClock>>,
-    zero_ms: f64,
-    ppm: f64,
-) -> f64 {
+fn worst_outside_ms(station: &Station, during: &RangeInclusive<Stamp<HostClock>>, zero_ms: f64, ppm: f64) -> f64 {
     let mut outside_ms = f64::NEG_INFINITY;
     for (now, output) in &station.outputs {
-        let Output::Event(Event::BrickClockAligned {
-            offset,
-            uncertainty,
-            host,
-            ..
-        }) = output
-        else {
+        let Output::Event(Event::BrickClockAligned { offset, uncertainty, host, .. }) = output else {
             continue;
         };
         if during.contains(now) {
@@ -217,10 +195,7 @@ fn worst_outside_ms(
 #[test]
 fn estimates_have_a_host_time_within_three_seconds_of_the_first_request_and_of_a_restart() {
     for seed in 1..=5 {
-        let scenario = Scenario {
-            seed,
-            ..scenario(1_000.0)
-        };
+        let scenario = Scenario { seed, ..scenario(1_000.0) };
         let start_ms = scenario.brick.clock_start_micros as f64 * 1e-3;
         let mut world = World::new(scenario, &config());
         world.run_for(12);
@@ -248,12 +223,7 @@ fn answer(station: &mut Station, first: usize, now: Stamp<HostClock>) {
 }
 
 /// Answers as somebody, by a clock that is so many milliseconds ahead of the host's.
-fn answer_as(
-    station: &mut Station,
-    first: usize,
-    now: Stamp<HostClock>,
-    (who, ahead_ms): (Address, i64),
-) {
+fn answer_as(station: &mut Station, first: usize, now: Stamp<HostClock>, (who, ahead_ms): (Address, i64)) {
     let requests: Vec<i64> = station.outputs[first..]
         .iter()
         .filter_map(|(_, output)| match output {
@@ -300,12 +270,7 @@ fn station_that_only_talked() -> Station {
         let sent = station.outputs.len();
         station.pass_until(now);
         for (who, ahead_ms) in [(BRICK, 100_000), (CAMERA, 500_000)] {
-            answer_as(
-                &mut station,
-                sent,
-                now + Span::from_millis(10),
-                (who, ahead_ms),
-            );
+            answer_as(&mut station, sent, now + Span::from_millis(10), (who, ahead_ms));
         }
     }
     station
@@ -319,9 +284,7 @@ fn what_a_brick_answered_before_its_first_telemetry_is_known_when_it_becomes_the
     let fixes: Vec<_> = station
         .events()
         .filter_map(|event| match event {
-            Event::Observed { observation, .. } if observation.sensor == SensorId::CAMERA => {
-                Some(observation.stamp)
-            }
+            Event::Observed { observation, .. } if observation.sensor == SensorId::CAMERA => Some(observation.stamp),
             _ => None,
         })
         .collect();
@@ -330,11 +293,7 @@ fn what_a_brick_answered_before_its_first_telemetry_is_known_when_it_becomes_the
     };
     let error_ms = (stamp - Stamp::from_millis(100_640)).as_millis_f64();
     assert!(error_ms.abs() < 10.0, "{error_ms}");
-    assert!(
-        !station
-            .events()
-            .any(|event| matches!(event, Event::Defect { .. } | Event::BrickRestarted { .. }))
-    );
+    assert!(!station.events().any(|event| matches!(event, Event::Defect { .. } | Event::BrickRestarted { .. })));
 }
 
 #[test]
@@ -370,19 +329,12 @@ fn answered_requests_align_the_clocks_and_an_answer_from_before_all_time_does_no
         answer(&mut station, sent, now + Span::from_millis(10));
     }
     let aligned = station.events().filter_map(|event| match event {
-        Event::BrickClockAligned {
-            offset,
-            uncertainty,
-            ..
-        } => Some((*offset, *uncertainty)),
+        Event::BrickClockAligned { offset, uncertainty, .. } => Some((*offset, *uncertainty)),
         _ => None,
     });
     let (offset, uncertainty) = aligned.last().expect("the clocks are aligned");
     let error = offset - Span::from_millis(100_000);
-    assert!(
-        error.as_nanos().abs() <= uncertainty.as_nanos(),
-        "{error:?} {uncertainty:?}"
-    );
+    assert!(error.as_nanos().abs() <= uncertainty.as_nanos(), "{error:?} {uncertainty:?}");
 
     let sent = station.outputs.len();
     station.pass_until(at(4_000));
@@ -396,17 +348,10 @@ fn answered_requests_align_the_clocks_and_an_answer_from_before_all_time_does_no
             messages(bytes).iter().any(is_request).then_some(*now)
         })
         .expect("it asks all the time");
-    let nonsense = Message::TimeSync(TimeSync {
-        answer_nanos: -5,
-        request_nanos: request.as_nanos(),
-        target: Some(STATION),
-    });
+    let nonsense =
+        Message::TimeSync(TimeSync { answer_nanos: -5, request_nanos: request.as_nanos(), target: Some(STATION) });
     station.bytes(at(4_005), &frame(BRICK, &nonsense));
-    assert!(
-        !station
-            .events()
-            .any(|event| matches!(event, Event::BrickRestarted { .. }))
-    );
+    assert!(!station.events().any(|event| matches!(event, Event::BrickRestarted { .. })));
 }
 
 /// What the gyro said: the rate in the frame, and its integral.

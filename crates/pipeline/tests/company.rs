@@ -4,10 +4,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the events that they are about"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/brick.rs"]
 mod brick;
@@ -24,8 +21,8 @@ use posebridge_protocol::dialect::ids;
 use posebridge_protocol::framing::Framing;
 use posebridge_protocol::message::{CommandLong, Message};
 use posebridge_telemetry::{
-    Address, Audience, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Output, PeerId,
-    PortCounts, Priority, SourceHealth, Span, Stamp,
+    Address, Audience, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Output, PeerId, PortCounts, Priority,
+    SourceHealth, Span, Stamp,
 };
 use station::{LINK, Station, at, config, link};
 
@@ -36,11 +33,7 @@ fn health(station: &mut Station, id: LinkId) -> (LinkHealth, Vec<SourceHealth>) 
     let latest = station.outputs.iter().map(|(now, _)| *now).max();
     station.pass_until(latest.unwrap_or(at(0)) + Span::from_millis(1_000));
     let health = station.events().filter_map(|event| match event {
-        Event::Health {
-            link,
-            health,
-            sources,
-        } if *link == id => Some((*health, sources.clone())),
+        Event::Health { link, health, sources } if *link == id => Some((*health, sources.clone())),
         _ => None,
     });
     health.last().expect("a second has passed")
@@ -50,14 +43,7 @@ fn health(station: &mut Station, id: LinkId) -> (LinkHealth, Vec<SourceHealth>) 
 fn estimates(station: &Station) -> usize {
     let outputs = station.outputs.iter();
     let estimates = outputs.filter(|(_, output)| {
-        matches!(
-            output,
-            Output::Transmit {
-                link: LINK,
-                priority: Priority::Estimate { .. },
-                ..
-            }
-        )
+        matches!(output, Output::Transmit { link: LINK, priority: Priority::Estimate { .. }, .. })
     });
     estimates.count()
 }
@@ -68,10 +54,7 @@ fn by_a_new_connection(before: Stamp<HostClock>, told: u32) -> Station {
     config.links[0].rules.limits.bytes_per_s = Some(2_500);
     let mut station = Station::new(&config);
     Speaker::new(BRICK, LINK, 0).say(&mut station, before, &HEARTBEAT);
-    let counts = PortCounts {
-        peers: told,
-        ..PortCounts::default()
-    };
+    let counts = PortCounts { peers: told, ..PortCounts::default() };
     station.give(at(59_000), Input::Port { link: LINK, counts });
     let mut again = Speaker::new(BRICK, LINK, 1);
     for k in 0..200_u32 {
@@ -100,10 +83,7 @@ fn who_was_replaced_by_a_new_connection_gets_nothing_and_costs_nothing() {
 fn two_who_speak_on_one_link_hear_each_other() {
     for told in [0, 1, 2] {
         let mut station = Station::new(&config());
-        let counts = PortCounts {
-            peers: told,
-            ..PortCounts::default()
-        };
+        let counts = PortCounts { peers: told, ..PortCounts::default() };
         station.give(at(5), Input::Port { link: LINK, counts });
         Speaker::new(BRICK, LINK, 0).say(&mut station, at(10), &HEARTBEAT);
         let (_, passed) = Speaker::new(GCS, LINK, 1).say(&mut station, at(20), &HEARTBEAT);
@@ -124,11 +104,7 @@ fn a_limit_is_asked_once_for_a_frame_and_not_once_for_each_who_gets_it() {
         Speaker::new(BRICK, LINK, peer).say(&mut station, at(10), &HEARTBEAT);
     }
     let mut gcs = Speaker::new(GCS, GCS_LINK, 0);
-    let set = Message::ParamSet {
-        target: BRICK,
-        name: "GAIN".to_owned(),
-        value: 1.0,
-    };
+    let set = Message::ParamSet { target: BRICK, name: "GAIN".to_owned(), value: 1.0 };
     let to_both = [0, 1].map(|peer| (LINK, Audience::Peer(PeerId(peer)), Priority::Forwarded));
     assert_eq!(gcs.say(&mut station, at(100), &set).1, to_both);
     assert_eq!(gcs.say(&mut station, at(299), &set).1, []);
@@ -163,12 +139,9 @@ fn commands_of_the_station_pay_from_the_budget_as_those_of_others_do() {
 #[test]
 fn a_link_that_comes_up_again_has_reconnected_even_if_nothing_was_received() {
     let mut station = Station::new(&config());
-    for (now, state) in [
-        (at(100), LinkState::Down),
-        (at(200), LinkState::Up),
-        (at(300), LinkState::Down),
-        (at(400), LinkState::Up),
-    ] {
+    for (now, state) in
+        [(at(100), LinkState::Down), (at(200), LinkState::Up), (at(300), LinkState::Down), (at(400), LinkState::Up)]
+    {
         station.link(now, LINK, state);
     }
     assert_eq!(health(&mut station, LINK).0.reconnects, 2);
@@ -183,14 +156,9 @@ fn health_tells_of_those_who_were_heard_most_when_somebody_invents_senders() {
     }
     // Every address that sixteen bits can name, and then as many peers have gone.
     for system in 0..=255 {
-        let frames: Vec<u8> = (0..=255)
-            .flat_map(|component| frame(Address::new(system, component), &HEARTBEAT))
-            .collect();
-        let input = Input::Bytes {
-            link: LINK,
-            peer: PeerId(1 + u32::from(system)),
-            bytes: frames,
-        };
+        let frames: Vec<u8> =
+            (0..=255).flat_map(|component| frame(Address::new(system, component), &HEARTBEAT)).collect();
+        let input = Input::Bytes { link: LINK, peer: PeerId(1 + u32::from(system)), bytes: frames };
         station.give(at(100), input);
     }
     let told = |station: &mut Station| {
@@ -211,11 +179,7 @@ fn invented_peers_are_many_and_stay_cheap() {
     let mut station = Station::new(&config);
     let begun = &frame(BRICK, &ticks(5_000, 0, 0))[..12];
     for peer in 0..100_000_u32 {
-        let input = Input::Bytes {
-            link: LINK,
-            peer: PeerId(peer),
-            bytes: begun.to_vec(),
-        };
+        let input = Input::Bytes { link: LINK, peer: PeerId(peer), bytes: begun.to_vec() };
         station.pipeline.handle(at(i64::from(peer) / 20), &input);
         while station.pipeline.poll().is_some() {}
     }
@@ -235,11 +199,7 @@ fn a_command_reaches_the_robot_beside_a_flood_of_invented_senders() {
         let source = Address::new(2 + (number / 250) as u8, (number % 250) as u8);
         Speaker::new(source, LINK, 1).say(&mut station, at(20), &HEARTBEAT);
     }
-    let command = Message::Command(CommandLong {
-        target: BRICK,
-        command: 400,
-        params: [1.0; 7],
-    });
+    let command = Message::Command(CommandLong { target: BRICK, command: 400, params: [1.0; 7] });
     let (_, passed) = Speaker::new(GCS, GCS_LINK, 0).say(&mut station, at(30), &command);
     let to_brick = (LINK, Audience::Peer(PeerId(0)), Priority::Command);
     assert_eq!(passed, [to_brick]);

@@ -26,10 +26,7 @@ fn ev3_config() -> PipelineConfig {
         protocol: brick_protocol("ev3").expect("there is a row"),
         settings: BrickSettings::default(),
     });
-    PipelineConfig {
-        links: vec![ev3],
-        ..config()
-    }
+    PipelineConfig { links: vec![ev3], ..config() }
 }
 
 /// A station and an EV3 behind a link whose turn-around varies from 30 to 60 ms.
@@ -47,11 +44,7 @@ impl Scene {
     fn new(skew: f64) -> Self {
         let mut scene = Self {
             station: Station::new(&ev3_config()),
-            brick: Ev3Double {
-                start_micros: PERIOD_MICROS - (WRAP_S * 1e6) as u64,
-                skew,
-                ..Ev3Double::default()
-            },
+            brick: Ev3Double { start_micros: PERIOD_MICROS - (WRAP_S * 1e6) as u64, skew, ..Ev3Double::default() },
             way: Way::new(Span::from_millis(30)),
             now: Stamp::ZERO,
             given: 0,
@@ -77,10 +70,7 @@ impl Scene {
                 self.mailbox.push((self.now, bytes.clone()));
             }
             // Knuth's MMIX constants.
-            self.state = self
-                .state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
+            self.state = self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             self.way.turn_around = Span::from_micros(30_000 + (self.state >> 40) as i64 % 30_000);
             self.way.send(&mut self.brick, self.now, &bytes);
         }
@@ -89,12 +79,7 @@ impl Scene {
     fn run_until(&mut self, until: Stamp<HostClock>) {
         loop {
             let next = [self.way.next(), self.station.pipeline.deadline()];
-            let Some(next) = next
-                .into_iter()
-                .flatten()
-                .min()
-                .filter(|next| *next <= until)
-            else {
+            let Some(next) = next.into_iter().flatten().min().filter(|next| *next <= until) else {
                 return;
             };
             assert!(next >= self.now, "{next:?} is past at {:?}", self.now);
@@ -134,34 +119,18 @@ fn the_clock_stays_aligned_across_its_wrap() {
         scene.run_until(at(60_000));
         let events: Vec<_> = scene.station.events().cloned().collect();
         let is_upset = |event: &&Event| {
-            matches!(
-                event,
-                Event::BrickRestarted { .. }
-                    | Event::Defect {
-                        defect: Defect::Unaligned { .. },
-                        ..
-                    }
-            )
+            matches!(event, Event::BrickRestarted { .. } | Event::Defect { defect: Defect::Unaligned { .. }, .. })
         };
         assert_eq!(events.iter().filter(is_upset).count(), 0);
 
         let (mut worst_ms, mut widest_ms, mut exchanges) = (0.0_f64, 0.0_f64, 0);
         for event in &events {
-            let Event::BrickClockAligned {
-                brick,
-                host,
-                uncertainty,
-                ..
-            } = event
-            else {
+            let Event::BrickClockAligned { brick, host, uncertainty, .. } = event else {
                 continue;
             };
             exchanges += 1;
             let error_ms = (scene.true_micros(*host) - brick.as_micros() as f64).abs() * 1e-3;
-            assert!(
-                error_ms <= uncertainty.as_millis_f64() + 0.002,
-                "{error_ms}"
-            );
+            assert!(error_ms <= uncertainty.as_millis_f64() + 0.002, "{error_ms}");
             if *host > at(10_000) {
                 worst_ms = worst_ms.max(error_ms);
                 widest_ms = widest_ms.max(uncertainty.as_millis_f64());

@@ -4,10 +4,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the messages that they are about"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/brick.rs"]
 mod brick;
@@ -23,13 +20,10 @@ use network::Speaker;
 use posebridge_pipeline::{OutputKind, PipelineConfig, Voices};
 use posebridge_protocol::dialect::{Encoder, PayloadError, decode, ids};
 use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, WireVersion};
-use posebridge_protocol::message::{
-    CommandLong, Message, OdometryPose, SetMessageInterval, WireStamp,
-};
+use posebridge_protocol::message::{CommandLong, Message, OdometryPose, SetMessageInterval, WireStamp};
 use posebridge_protocol::signing::{Key, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned};
 use posebridge_telemetry::{
-    Address, Audience, Command, HostClock, Input, LinkId, Meters, Output, ParameterStorage,
-    Priority, Span, Stamp,
+    Address, Audience, Command, HostClock, Input, LinkId, Meters, Output, ParameterStorage, Priority, Span, Stamp,
 };
 use station::{LINK, STATION, Station, at, config, link, stream};
 
@@ -68,9 +62,7 @@ impl Heard {
         let mut heard = Self::default();
         for (now, output) in &station.outputs {
             match output {
-                Output::Transmit {
-                    link, to, bytes, ..
-                } if *link == id => {
+                Output::Transmit { link, to, bytes, .. } if *link == id => {
                     assert_eq!(*to, Audience::All, "or the others would miss it");
                     heard.take(*now, bytes);
                 }
@@ -82,10 +74,7 @@ impl Heard {
 
     fn take(&mut self, now: Stamp<HostClock>, bytes: &[u8]) {
         self.signed += u32::from(bytes[2] & 1);
-        let mut scanner = Scanner::new(ScannerConfig {
-            transport: Framing::Datagram,
-            ..ScannerConfig::default()
-        });
+        let mut scanner = Scanner::new(ScannerConfig { transport: Framing::Datagram, ..ScannerConfig::default() });
         let mut found = 0;
         scanner.push(Stamp::ZERO, bytes, &mut |scanned| {
             found += 1;
@@ -107,8 +96,7 @@ impl Heard {
                 Err(PayloadError::Failed { .. }) => None,
                 other => other.expect("the station makes sense"),
             };
-            self.said
-                .extend(message.map(|said| (now, frame.source, said)));
+            self.said.extend(message.map(|said| (now, frame.source, said)));
         });
         assert_eq!(found, 1, "one frame at a time");
     }
@@ -188,9 +176,9 @@ fn the_brick_and_we_share_one_count_without_a_gap() {
     // The brick's heartbeat is its own; ours would double it.
     assert_eq!(heard.times(BRICK, is_beat).len(), 20);
     assert!(heard.times(STATION, is_beat).len() >= 18);
-    let floor = heard.said.iter().filter(|(_, _, message)| {
-        matches!(message, Message::Odometry(said) if matches!(said.pose, OdometryPose::Odom(_)))
-    });
+    let floor = heard.said.iter().filter(
+        |(_, _, message)| matches!(message, Message::Odometry(said) if matches!(said.pose, OdometryPose::Odom(_))),
+    );
     assert!(floor.count() > 150);
 }
 
@@ -209,19 +197,12 @@ fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
     for who in [BRICK, STATION] {
         let beats = heard.times(who, is_beat);
         println!("{who} {beats:?}");
-        assert!(
-            beats
-                .iter()
-                .all(|at| (3_000..12_000).contains(at) || *at >= 20_000)
-        );
+        assert!(beats.iter().all(|at| (3_000..12_000).contains(at) || *at >= 20_000));
         assert!(beats.iter().any(|at| *at < 5_100) && beats.iter().any(|at| *at >= 20_000));
         assert_eq!(heard.lost(who), 0, "{who}");
     }
     let texts = heard.texts();
-    assert!(
-        texts.contains(&"robot 1/25 is lost: silent for 5.0 s"),
-        "{texts:?}"
-    );
+    assert!(texts.contains(&"robot 1/25 is lost: silent for 5.0 s"), "{texts:?}");
     assert!(texts.contains(&"robot 1/25 is heard again"), "{texts:?}");
     // On the robot's own link the station is there all the time: somebody may wait for it.
     assert!(Heard::on(&station, LINK).times(STATION, is_beat).len() >= 22);
@@ -229,18 +210,12 @@ fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
 
 #[test]
 fn what_became_of_a_request_is_told_whatever_was_said_just_before() {
-    let report = |text: &str| Input::Report {
-        severity: 6,
-        text: text.to_owned(),
-    };
+    let report = |text: &str| Input::Report { severity: 6, text: text.to_owned() };
     let mut station = Station::new(&two_links());
     let results = [
         (Command::StopRecording, "recorded run/recording.mcap"),
         (Command::StopRecording, "nothing is being recorded"),
-        (
-            Command::Parameters(ParameterStorage::Save),
-            "saved parameters.toml in run",
-        ),
+        (Command::Parameters(ParameterStorage::Save), "saved parameters.toml in run"),
     ];
     for (command, result) in results {
         station.give(at(2_001), Input::Command(command));
@@ -260,11 +235,8 @@ fn what_became_of_a_request_is_told_whatever_was_said_just_before() {
 
 #[test]
 fn a_range_is_said_once_by_the_robot_or_for_it() {
-    let range = |millis| Message::DistanceSensor {
-        stamp: WireStamp::Millis32(millis),
-        range: Meters(1.25),
-        sigma: None,
-    };
+    let range =
+        |millis| Message::DistanceSensor { stamp: WireStamp::Millis32(millis), range: Meters(1.25), sigma: None };
     let is_range = |message: &Message| matches!(message, Message::DistanceSensor { .. });
     // Of component 1 the frames themselves are the vehicle's; of another component nobody would look for them.
     for address in [BRICK, Address::new(1, 25)] {
@@ -300,17 +272,12 @@ fn commands_about_what_we_say_for_the_robot_are_ours_and_all_others_its_own() {
             interval: Some(Span::from_millis(500)),
         })
     };
-    let to_brick =
-        |passed: &[(LinkId, Audience, Priority)]| passed.iter().any(|(link, _, _)| *link == LINK);
+    let to_brick = |passed: &[(LinkId, Audience, Priority)]| passed.iter().any(|(link, _, _)| *link == LINK);
     let (_, passed) = gcs.say(&mut station, at(2_000), &interval(ids::ATTITUDE));
     assert!(!to_brick(&passed), "the brick would refuse it");
     let (_, passed) = gcs.say(&mut station, at(2_001), &interval(ids::PB_WHEEL_TICKS));
     assert!(to_brick(&passed));
-    let any = Message::Command(CommandLong {
-        target: BRICK,
-        command: 400,
-        params: [0.0; 7],
-    });
+    let any = Message::Command(CommandLong { target: BRICK, command: 400, params: [0.0; 7] });
     let (_, passed) = gcs.say(&mut station, at(2_002), &any);
     assert!(to_brick(&passed));
     let heard = Heard::on(&station, GCS_LINK);
@@ -333,11 +300,7 @@ fn a_ring_brings_nothing_round_twice() {
         .outputs
         .iter()
         .filter_map(|(_, output)| match output {
-            Output::Transmit {
-                link: GCS_LINK,
-                bytes,
-                ..
-            } => Some(bytes.clone()),
+            Output::Transmit { link: GCS_LINK, bytes, .. } => Some(bytes.clone()),
             _ => None,
         })
         .collect();
@@ -347,12 +310,10 @@ fn a_ring_brings_nothing_round_twice() {
     for bytes in &sent {
         stranger.give(&mut station, at(2_010), bytes);
     }
-    let again = station.outputs[seen..]
-        .iter()
-        .filter(|(_, output)| match output {
-            Output::Transmit { bytes, .. } => sent.contains(bytes) && bytes[6] == 1,
-            Output::Event(_) | Output::Request(_) => false,
-        });
+    let again = station.outputs[seen..].iter().filter(|(_, output)| match output {
+        Output::Transmit { bytes, .. } => sent.contains(bytes) && bytes[6] == 1,
+        Output::Event(_) | Output::Request(_) => false,
+    });
     assert_eq!(again.count(), 0);
 }
 
@@ -362,11 +323,7 @@ fn a_key() -> SigningConfig {
         key: Key::from_bytes([7; 32]),
         link_id: 1,
         unsigned: Unsigned::RefuseExcept(BTreeSet::new()),
-        memory: Memory {
-            written: date,
-            clock: date,
-            ..Memory::default()
-        },
+        memory: Memory { written: date, clock: date, ..Memory::default() },
     }
 }
 
@@ -381,11 +338,7 @@ fn nobody_loses_frames_by_what_was_for_the_station_alone() {
         let mut station = Station::new(&config);
         let mut brick = Speaker::new(BRICK, LINK, 0);
         let mut camera = Speaker::new(CAMERA, LINK, 0);
-        let for_us = Message::Command(CommandLong {
-            target: STATION,
-            command: 400,
-            params: [0.0; 7],
-        });
+        let for_us = Message::Command(CommandLong { target: STATION, command: 400, params: [0.0; 7] });
         for second in 0..8 {
             drive(&mut station, &mut brick, 1_000 * second, 1_000);
             let now = at(i64::from(1_000 * second) + 970);
@@ -411,12 +364,7 @@ fn nobody_loses_frames_by_what_was_for_the_station_alone() {
     }
 }
 
-fn sign(
-    brick: &mut LinkSigning,
-    encoder: &mut Encoder,
-    now: Stamp<HostClock>,
-    message: &Message,
-) -> Vec<u8> {
+fn sign(brick: &mut LinkSigning, encoder: &mut Encoder, now: Stamp<HostClock>, message: &Message) -> Vec<u8> {
     let mut bytes = Vec::new();
     let seal = brick.next_seal(now).expect("it has stamps left");
     encoder.encode_signed(BRICK, message, &seal, &mut bytes);
@@ -433,11 +381,7 @@ fn signed_frames_are_never_touched_and_silence_us() {
     for step in 0..60_u32 {
         let now = at(i64::from(step * 50));
         station.pass_until(now);
-        let message = if step % 20 == 0 {
-            HEARTBEAT
-        } else {
-            ticks(step * 50, 0, 0)
-        };
+        let message = if step % 20 == 0 { HEARTBEAT } else { ticks(step * 50, 0, 0) };
         let bytes = sign(&mut signing, &mut encoder, now, &message);
         voice.give(&mut station, now, &bytes);
         said.push(bytes);
@@ -446,11 +390,7 @@ fn signed_frames_are_never_touched_and_silence_us() {
         .outputs
         .iter()
         .filter_map(|(_, output)| match output {
-            Output::Transmit {
-                link: GCS_LINK,
-                bytes,
-                ..
-            } if bytes[6] == 1 => Some(bytes.clone()),
+            Output::Transmit { link: GCS_LINK, bytes, .. } if bytes[6] == 1 => Some(bytes.clone()),
             _ => None,
         })
         .collect();

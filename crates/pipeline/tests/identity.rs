@@ -13,18 +13,13 @@ mod station;
 use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
 use posebridge_pipeline::{DescriptionPolicy, OutputKind};
 use posebridge_protocol::message::{Message, RobotDescription};
-use posebridge_telemetry::{
-    Address, Event, LinkId, Meters, Observed, RadiansPerSecond, RobotId, SystemId,
-};
+use posebridge_telemetry::{Address, Event, LinkId, Meters, Observed, RadiansPerSecond, RobotId, SystemId};
 use station::{LINK, Station, at, config, link, stream};
 
 const NEIGHBOUR: Address = Address::new(2, 1);
 
 fn robot(address: Address) -> RobotId {
-    RobotId {
-        link: LINK,
-        address,
-    }
+    RobotId { link: LINK, address }
 }
 
 /// Who was believed to have observed something.
@@ -47,11 +42,7 @@ fn the_first_robot_that_is_heard_is_followed_and_its_neighbour_is_not() {
     station.bytes(at(150), &frame(BRICK, &ticks(5_050, 4, 4)));
     station.pass_until(at(3_000));
     assert_eq!(observers(&station), [robot(BRICK); 2]);
-    assert!(
-        !station
-            .events()
-            .any(|event| matches!(event, Event::BrickRestarted { .. }))
-    );
+    assert!(!station.events().any(|event| matches!(event, Event::BrickRestarted { .. })));
 }
 
 #[test]
@@ -88,22 +79,14 @@ fn what_the_station_said_itself_is_no_observation_when_a_link_echoes() {
         let now = at(100 + i64::from(k) * 50);
         let first = station.sent().count();
         station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, 0)));
-        let echo: Vec<u8> = station
-            .sent()
-            .skip(first)
-            .flat_map(|(_, bytes)| bytes.to_vec())
-            .collect();
+        let echo: Vec<u8> = station.sent().skip(first).flat_map(|(_, bytes)| bytes.to_vec()).collect();
         let is_pose = |message: &Message| matches!(message, Message::Odometry(_));
         assert!(messages(&echo).iter().any(is_pose));
         let heard = observers(&station).len();
         station.bytes(now, &echo);
         assert_eq!(observers(&station).len(), heard);
     }
-    assert!(
-        !station
-            .events()
-            .any(|event| matches!(event, Event::Defect { .. }))
-    );
+    assert!(!station.events().any(|event| matches!(event, Event::Defect { .. })));
 }
 
 /// A robot's own words, with a track of this width and encoders of 360 counts per turn.
@@ -127,9 +110,7 @@ fn heading_after_a_quarter(station: &mut Station) -> f64 {
         station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, counts)));
     }
     let pipeline = &station.pipeline;
-    let estimate = pipeline
-        .latest()
-        .and_then(|latest| pipeline.estimate_at(latest));
+    let estimate = pipeline.latest().and_then(|latest| pipeline.estimate_at(latest));
     estimate.expect("it was observed").pose.heading.rad()
 }
 
@@ -137,36 +118,11 @@ fn heading_after_a_quarter(station: &mut Station) -> f64 {
 fn a_robots_own_description_replaces_the_geometry_where_it_is_adopted() {
     let quarter_m = 0.028 * std::f64::consts::FRAC_PI_2;
     for (policy, source, described, expected_width_m) in [
-        (
-            DescriptionPolicy::Adopt,
-            BRICK,
-            description(0.2, 360.0),
-            0.2,
-        ),
-        (
-            DescriptionPolicy::Ignore,
-            BRICK,
-            description(0.2, 360.0),
-            0.112,
-        ),
-        (
-            DescriptionPolicy::Adopt,
-            NEIGHBOUR,
-            description(0.2, 360.0),
-            0.112,
-        ),
-        (
-            DescriptionPolicy::Adopt,
-            BRICK,
-            description(-0.2, 360.0),
-            0.112,
-        ),
-        (
-            DescriptionPolicy::Adopt,
-            BRICK,
-            description(0.2, 0.0),
-            0.112,
-        ),
+        (DescriptionPolicy::Adopt, BRICK, description(0.2, 360.0), 0.2),
+        (DescriptionPolicy::Ignore, BRICK, description(0.2, 360.0), 0.112),
+        (DescriptionPolicy::Adopt, NEIGHBOUR, description(0.2, 360.0), 0.112),
+        (DescriptionPolicy::Adopt, BRICK, description(-0.2, 360.0), 0.112),
+        (DescriptionPolicy::Adopt, BRICK, description(0.2, 0.0), 0.112),
     ] {
         let mut config = config();
         config.description = policy;

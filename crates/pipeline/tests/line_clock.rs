@@ -37,10 +37,7 @@ fn line_config(columns: &[&str]) -> PipelineConfig {
             ..BrickSettings::default()
         },
     });
-    PipelineConfig {
-        links: vec![board],
-        ..config()
-    }
+    PipelineConfig { links: vec![board], ..config() }
 }
 
 /// A minute of a board that prints `line(seconds, count)` each 50 ms.
@@ -58,26 +55,14 @@ fn minute(columns: &[&str], line: impl Fn(f64, i64) -> String) -> Station {
 }
 
 fn last_estimate(station: &Station) -> Estimate {
-    let estimates = station.events().filter_map(|event| {
-        if let Event::Estimated { estimate, .. } = event {
-            Some(*estimate)
-        } else {
-            None
-        }
-    });
+    let estimates = station
+        .events()
+        .filter_map(|event| if let Event::Estimated { estimate, .. } = event { Some(*estimate) } else { None });
     estimates.last().expect("it is estimated")
 }
 
 fn unaligned(station: &Station) -> usize {
-    let is_unaligned = |event: &&Event| {
-        matches!(
-            event,
-            Event::Defect {
-                defect: Defect::Unaligned { .. },
-                ..
-            }
-        )
-    };
+    let is_unaligned = |event: &&Event| matches!(event, Event::Defect { defect: Defect::Unaligned { .. }, .. });
     station.events().filter(is_unaligned).count()
 }
 
@@ -94,18 +79,10 @@ fn travel_error_m(station: &Station) -> f64 {
 
 #[test]
 fn lines_without_a_time_drive_the_filter_at_the_cost_of_the_first_ones() {
-    let station = minute(&["left_ticks", "right_ticks"], |_, count| {
-        format!("{count},{count}\r\n")
-    });
+    let station = minute(&["left_ticks", "right_ticks"], |_, count| format!("{count},{count}\r\n"));
     let observations: Vec<_> = station
         .events()
-        .filter_map(|event| {
-            if let Event::Observed { observation, .. } = event {
-                Some(*observation)
-            } else {
-                None
-            }
-        })
+        .filter_map(|event| if let Event::Observed { observation, .. } = event { Some(*observation) } else { None })
         .collect();
     println!(
         "lines without a time: {} of 1200 observed, {} came before the clock was known; stamps {:?} ± {:?}; after 60 s {:.1} mm off",
@@ -137,16 +114,9 @@ fn a_boards_counter_of_milliseconds_or_microseconds_may_wrap() {
             let time = (start + made_s * steps_per_s) as u64 as u32;
             format!("{time},{count},{count}\n")
         });
-        assert_eq!(
-            (unaligned(&station), restarts(&station)),
-            (0, 0),
-            "{column}"
-        );
+        assert_eq!((unaligned(&station), restarts(&station)), (0, 0), "{column}");
         let error_m = travel_error_m(&station);
-        println!(
-            "{column} across its wrap: after 60 s {:.1} mm off",
-            error_m * 1e3
-        );
+        println!("{column} across its wrap: after 60 s {:.1} mm off", error_m * 1e3);
         // The first line is no proof of a beginning.
         assert!((error_m + SPEED_M_PER_S * 0.05).abs() < 0.01, "{error_m}");
     }
@@ -154,23 +124,17 @@ fn a_boards_counter_of_milliseconds_or_microseconds_may_wrap() {
 
 #[test]
 fn a_board_that_is_reset_begins_anew_where_it_was() {
-    let station = minute(
-        &["time_ms", "left_ticks", "right_ticks"],
-        |made_s, count| {
-            if made_s < 30.0 {
-                format!("{},{count},{count}\n", (made_s * 1e3) as i64)
-            } else {
-                let since = (TICKS_PER_S * (made_s - 30.0)) as i64;
-                format!("{},{since},{since}\n", ((made_s - 30.0) * 1e3) as i64)
-            }
-        },
-    );
+    let station = minute(&["time_ms", "left_ticks", "right_ticks"], |made_s, count| {
+        if made_s < 30.0 {
+            format!("{},{count},{count}\n", (made_s * 1e3) as i64)
+        } else {
+            let since = (TICKS_PER_S * (made_s - 30.0)) as i64;
+            format!("{},{since},{since}\n", ((made_s - 30.0) * 1e3) as i64)
+        }
+    });
     assert_eq!(restarts(&station), 1);
     let lost_m = -travel_error_m(&station);
-    println!(
-        "a reset of the board after 30 s: {:.1} mm of 5.9 m lost",
-        lost_m * 1e3
-    );
+    println!("a reset of the board after 30 s: {:.1} mm of 5.9 m lost", lost_m * 1e3);
     // The way of the first line and of three around the reset at most.
     assert!((0.0..SPEED_M_PER_S * 0.21).contains(&lost_m), "{lost_m}");
     let ahead = last_estimate(&station).stamp - Stamp::from_millis(29_950);

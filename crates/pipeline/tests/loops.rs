@@ -4,10 +4,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the events that they are about"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/brick.rs"]
 mod brick;
@@ -168,9 +165,7 @@ fn an_echo_is_no_news_and_a_stranger_under_our_address_is_told() {
     }
     let namesakes = |station: &Station| {
         let is_one = |event: &&Event| {
-            let defect = Defect::Namesake {
-                message_id: ids::HEARTBEAT,
-            };
+            let defect = Defect::Namesake { message_id: ids::HEARTBEAT };
             **event == Event::Defect { link: FAR, defect }
         };
         station.events().filter(is_one).count()
@@ -184,15 +179,11 @@ fn an_echo_is_no_news_and_a_stranger_under_our_address_is_told() {
     }
     assert_eq!(namesakes(&station), 5);
     assert!(
-        !station.outputs[seen..]
-            .iter()
-            .any(|(_, output)| matches!(output, Output::Event(Event::RobotSeen { .. })))
+        !station.outputs[seen..].iter().any(|(_, output)| matches!(output, Output::Event(Event::RobotSeen { .. })))
     );
     station.pass_until(at(4_000));
     let told = station.events().filter_map(|event| match event {
-        Event::Health {
-            link: FAR, health, ..
-        } => Some(health.namesakes),
+        Event::Health { link: FAR, health, .. } => Some(health.namesakes),
         _ => None,
     });
     assert_eq!(told.last(), Some(5));

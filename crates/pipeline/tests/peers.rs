@@ -6,10 +6,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the events that they are about"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/brick.rs"]
 mod brick;
@@ -20,8 +17,7 @@ use brick::{HEARTBEAT, ticks};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_telemetry::{
-    Address, Event, HostClock, Input, LinkHealth, Observation, Observed, PeerId, SourceHealth,
-    Span, Stamp,
+    Address, Event, HostClock, Input, LinkHealth, Observation, Observed, PeerId, SourceHealth, Span, Stamp,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -104,9 +100,7 @@ fn give(station: &mut Station, now: Stamp<HostClock>, peer: PeerId, bytes: Vec<u
 
 fn health(station: &Station) -> (LinkHealth, &[SourceHealth]) {
     let told = station.events().filter_map(|event| match event {
-        Event::Health {
-            health, sources, ..
-        } => Some((*health, sources.as_slice())),
+        Event::Health { health, sources, .. } => Some((*health, sources.as_slice())),
         _ => None,
     });
     told.last().expect("once per second")
@@ -125,11 +119,7 @@ fn of_five_hundred_peers_a_mad_and_a_silent_one_cost_nobody_a_frame() {
     for framing in [Framing::Datagram, Framing::Stream] {
         let mut station = station_in_a_crowd(framing);
         let (told, sources) = health(&station);
-        assert_eq!(
-            told.frames_in,
-            u64::from(2 * ROBOTS * ROUNDS),
-            "{framing:?}"
-        );
+        assert_eq!(told.frames_in, u64::from(2 * ROBOTS * ROUNDS), "{framing:?}");
         assert_eq!(told.frames_lost, 0, "{framing:?}");
         let noise = u64::from(ROBOTS * ROUNDS) * GARBAGE as u64;
         let begun = BEGUN.len() as u64;
@@ -140,11 +130,7 @@ fn of_five_hundred_peers_a_mad_and_a_silent_one_cost_nobody_a_frame() {
         };
         assert_eq!(told.garbage_bytes, garbage, "{framing:?}");
         let expected: Vec<_> = (0..249)
-            .map(|robot| SourceHealth {
-                source: address(robot),
-                frames: u64::from(4 * ROUNDS),
-                lost: 0,
-            })
+            .map(|robot| SourceHealth { source: address(robot), frames: u64::from(4 * ROUNDS), lost: 0 })
             .collect();
         assert_eq!(sources, expected, "{framing:?}");
         // Until he is forgotten.
@@ -160,11 +146,7 @@ fn in_a_crowd_the_robot_is_followed_and_nobody_else() {
     let tick_rad = config().filter_config.geometry.tick.0;
     // Two robots bear the address of the first; whoever of the two speaks, nobody with another address is believed.
     let observations = observations(&station);
-    assert!(
-        observations.len() >= ROUNDS as usize,
-        "{}",
-        observations.len()
-    );
+    assert!(observations.len() >= ROUNDS as usize, "{}", observations.len());
     for observation in observations {
         let Observed::WheelAngles { left, right } = observation.observed else {
             panic!("nobody sends anything else");

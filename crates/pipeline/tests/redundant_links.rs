@@ -4,10 +4,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the events that they are about"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/brick.rs"]
 mod brick;
@@ -114,9 +111,7 @@ impl Run {
             })
             .flat_map(|(index, messages)| messages.into_iter().map(move |said| (index, said)))
             .filter_map(|(index, message)| match message {
-                Message::TimeSync(sync) if sync.answer_nanos == 0 => {
-                    Some((index, sync.request_nanos))
-                }
+                Message::TimeSync(sync) if sync.answer_nanos == 0 => Some((index, sync.request_nanos)),
                 _ => None,
             })
             .collect();
@@ -139,9 +134,7 @@ impl Run {
         let outputs = self.station.outputs.iter();
         let during = outputs.filter(|(now, _)| *now > from && *now <= to);
         let stamps = during.filter_map(|(_, output)| match output {
-            Output::Event(Event::Observed { observation, .. }) => {
-                Some(observation.stamp.as_nanos() / 1_000_000)
-            }
+            Output::Event(Event::Observed { observation, .. }) => Some(observation.stamp.as_nanos() / 1_000_000),
             _ => None,
         });
         let mut stamps: Vec<_> = stamps.collect();
@@ -151,10 +144,8 @@ impl Run {
 }
 
 fn restarts(station: &Station) -> Vec<Stamp<HostClock>> {
-    let restarts = station
-        .outputs
-        .iter()
-        .filter(|(_, output)| matches!(output, Output::Event(Event::BrickRestarted { .. })));
+    let restarts =
+        station.outputs.iter().filter(|(_, output)| matches!(output, Output::Event(Event::BrickRestarted { .. })));
     restarts.map(|(now, _)| *now).collect()
 }
 
@@ -196,10 +187,7 @@ fn a_restart_is_seen_once_and_soon_whatever_a_slow_link_still_brings_of_the_time
                 }
                 let quickest = if quick_is_up { 0 } else { 9_000 + held_ms };
                 let seen = restarts(&run.station);
-                assert!(
-                    matches!(seen[..], [one] if one <= at(quickest.max(10_000) + 150)),
-                    "{case}: {seen:?}"
-                );
+                assert!(matches!(seen[..], [one] if one <= at(quickest.max(10_000) + 150)), "{case}: {seen:?}");
                 // What was sent before it and comes after it is no instant of the new clock, and the rest is used once.
                 let after = run.observed(seen[0], at(20_000));
                 assert!(after.windows(2).all(|pair| pair[0] < pair[1]), "{case}");
@@ -251,10 +239,7 @@ fn a_brick_that_restarts_behind_a_new_connection_is_noticed_within_three_seconds
         after.say(&mut station, now, &ticks(100 + k * 50, 0, 0));
     }
     let seen = restarts(&station);
-    assert!(
-        matches!(seen[..], [one] if one <= up + Span::from_millis(3_000)),
-        "{seen:?}"
-    );
+    assert!(matches!(seen[..], [one] if one <= up + Span::from_millis(3_000)), "{seen:?}");
 }
 
 #[test]
@@ -278,9 +263,7 @@ fn a_stamp_from_the_future_by_a_link_that_then_dies_does_not_keep_the_other_one_
 #[test]
 fn a_copy_by_a_redundant_link_is_not_used_because_a_detour_was_quicker_still() {
     let mut config = config();
-    config.links = [LINKS[0], LINKS[1], LINK]
-        .map(|id| link(id, vec![]))
-        .to_vec();
+    config.links = [LINKS[0], LINKS[1], LINK].map(|id| link(id, vec![])).to_vec();
     config.links[0].rules.group = Some(0);
     config.links[1].rules.group = Some(0);
     let mut station = Station::new(&config);

@@ -1,13 +1,7 @@
 //! Questions about messages: to the station alone they are always answered, to all components of its system only with what it has.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when something is missing"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when something is missing")]
 #![expect(clippy::wildcard_enum_match_arm, reason = "helpers of tests")]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/brick.rs"]
 mod brick;
@@ -36,14 +30,7 @@ fn ask(ground: &mut Ground, target: Address, command: u16, params: [f32; 2]) -> 
     let mut seven = [0.0; 7];
     seven[..2].copy_from_slice(&params);
     let params = seven;
-    let said = ground.say(
-        100,
-        &Message::Command(CommandLong {
-            target,
-            command,
-            params,
-        }),
-    );
+    let said = ground.say(100, &Message::Command(CommandLong { target, command, params }));
     let results: Vec<u8> = said
         .iter()
         .filter_map(|message| match message {
@@ -58,10 +45,9 @@ fn ask(ground: &mut Ground, target: Address, command: u16, params: [f32; 2]) -> 
 #[test]
 fn a_question_to_all_components_is_answered_with_what_the_station_has() {
     let mut ground = Ground::new(|_| {});
-    for (command, about) in [
-        (COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION),
-        (COMMAND_GET_MESSAGE_INTERVAL, ids::ODOMETRY),
-    ] {
+    for (command, about) in
+        [(COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION), (COMMAND_GET_MESSAGE_INTERVAL, ids::ODOMETRY)]
+    {
         for target in [STATION, ALL_OF_OURS] {
             let answer = ask(&mut ground, target, command, [about as f32, 0.0]);
             assert_eq!(answer, (vec![ACCEPTED], 1), "{command} to {target}");
@@ -91,12 +77,7 @@ fn an_interval_that_is_none_is_denied_and_changes_nothing() {
         let command = COMMAND_SET_MESSAGE_INTERVAL;
         let (results, _) = ask(&mut ground, STATION, command, [pose, micros]);
         let seen = ground.station.outputs.len();
-        ask(
-            &mut ground,
-            STATION,
-            COMMAND_GET_MESSAGE_INTERVAL,
-            [pose, 0.0],
-        );
+        ask(&mut ground, STATION, COMMAND_GET_MESSAGE_INTERVAL, [pose, 0.0]);
         let told = ground.heard_since(seen, GCS_LINK);
         let told = told.iter().find_map(|message| match message {
             Message::MessageInterval(told) => Some(told.interval_micros),

@@ -8,10 +8,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "the figures are to be read, and a test picks the events that it is about and stops at the first surprise"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests that need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
 #[path = "support/damage.rs"]
 mod damage;
@@ -75,11 +72,7 @@ impl Line {
 
     fn bytes(&mut self, now: Stamp<HostClock>, bytes: &[u8]) {
         self.pass_until(now);
-        let input = Input::Bytes {
-            link: LINK,
-            peer: PeerId::default(),
-            bytes: bytes.to_vec(),
-        };
+        let input = Input::Bytes { link: LINK, peer: PeerId::default(), bytes: bytes.to_vec() };
         self.give(now, &input);
     }
 }
@@ -93,11 +86,7 @@ fn drive(kind: &Kind) -> Books {
         let bytes = speaker.say(number, sent_ms(number), &mut line.books);
         let mut cuts = [0, 0].map(|_| rng.random_range(0..=bytes.len()));
         cuts.sort_unstable();
-        let pieces = [
-            &bytes[..cuts[0]],
-            &bytes[cuts[0]..cuts[1]],
-            &bytes[cuts[1]..],
-        ];
+        let pieces = [&bytes[..cuts[0]], &bytes[cuts[0]..cuts[1]], &bytes[cuts[1]..]];
         for (millis, piece) in (sent_ms(number)..).zip(pieces) {
             line.bytes(Stamp::from_millis(millis), piece);
         }
@@ -130,13 +119,10 @@ fn delay_behind(torn: &[u8], quiet_ms: i64, pieces: &[&[u8]]) -> Span {
     }
     let last_byte = now - Span::from_millis(4);
     station.pass_until(now + Span::from_millis(2_000));
-    let heard = station
-        .outputs
-        .iter()
-        .find_map(|(at, output)| match output {
-            Output::Event(Event::RobotSeen { robot }) if robot.address == BRICK => Some(*at),
-            _ => None,
-        });
+    let heard = station.outputs.iter().find_map(|(at, output)| match output {
+        Output::Event(Event::RobotSeen { robot }) if robot.address == BRICK => Some(*at),
+        _ => None,
+    });
     heard.expect("it is heard") - last_byte
 }
 
@@ -169,8 +155,7 @@ fn a_heartbeat_behind_a_torn_frame_is_late_by_one_gap_at_most() {
 
 /// On a line that is never silent for a gap, a torn header is found out when as many bytes have come as it promises.
 #[test]
-fn on_a_busy_line_a_torn_header_hides_frames_for_as_long_as_its_own_would_have_taken_and_none_is_lost()
- {
+fn on_a_busy_line_a_torn_header_hides_frames_for_as_long_as_its_own_would_have_taken_and_none_is_lost() {
     let mut line = Line::new();
     let torn = &frame_of(3)[..12];
     line.bytes(Stamp::from_millis(sent_ms(0)), torn);

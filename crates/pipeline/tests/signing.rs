@@ -24,8 +24,7 @@ use posebridge_protocol::signing::{
     Ending, Key, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Timestamp, Unsigned,
 };
 use posebridge_telemetry::{
-    Address, Defect, Event, HostClock, Input, LinkId, Output, PeerId, Priority, Refusal,
-    SourceHealth, Stamp,
+    Address, Defect, Event, HostClock, Input, LinkId, Output, PeerId, Priority, Refusal, SourceHealth, Stamp,
 };
 use station::{LINK, Station, at};
 
@@ -38,11 +37,7 @@ fn signing(key: u8, link_id: u8) -> SigningConfig {
         key: Key::from_bytes([key; 32]),
         link_id,
         unsigned: Unsigned::RefuseExcept(BTreeSet::from([RADIO_STATUS])),
-        memory: Memory {
-            written: DATE,
-            clock: DATE,
-            ..Memory::default()
-        },
+        memory: Memory { written: DATE, clock: DATE, ..Memory::default() },
     }
 }
 
@@ -60,27 +55,20 @@ struct Brick {
 
 impl Brick {
     fn with_key(key: u8) -> Self {
-        Self {
-            signing: LinkSigning::new(signing(key, 0)),
-            encoder: Encoder::new(WireVersion::V2),
-        }
+        Self { signing: LinkSigning::new(signing(key, 0)), encoder: Encoder::new(WireVersion::V2) }
     }
 
     fn say(&mut self, now: Stamp<HostClock>, message: &Message) -> Vec<u8> {
         let seal = self.signing.next_seal(now).expect("it has a time");
         let mut bytes = Vec::new();
-        self.encoder
-            .encode_signed(BRICK, message, &seal, &mut bytes);
+        self.encoder.encode_signed(BRICK, message, &seal, &mut bytes);
         bytes
     }
 }
 
 fn refusals(station: &Station) -> Vec<(Address, Refusal)> {
     let refused = station.events().filter_map(|event| match event {
-        Event::Defect {
-            link: LINK,
-            defect: Defect::Refused { source, reason },
-        } => Some((*source, *reason)),
+        Event::Defect { link: LINK, defect: Defect::Refused { source, reason } } => Some((*source, *reason)),
         _ => None,
     });
     refused.collect()
@@ -102,29 +90,13 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     station.bytes(at(180), &first);
     let past = Stamp::from_millis(-61_000);
     let mut late = Brick::with_key(7);
-    late.signing = LinkSigning::new(SigningConfig {
-        link_id: 9,
-        memory: Memory::default(),
-        ..signing(7, 9)
-    });
+    late.signing = LinkSigning::new(SigningConfig { link_id: 9, memory: Memory::default(), ..signing(7, 9) });
     station.bytes(at(190), &late.say(past, &ticks(5_080, 900, 0)));
     assert_eq!(
-        refusals(&station)
-            .iter()
-            .map(|(_, why)| *why)
-            .collect::<Vec<_>>(),
-        [
-            Refusal::Unsigned,
-            Refusal::WrongSignature,
-            Refusal::Replayed,
-            Refusal::Stale
-        ]
+        refusals(&station).iter().map(|(_, why)| *why).collect::<Vec<_>>(),
+        [Refusal::Unsigned, Refusal::WrongSignature, Refusal::Replayed, Refusal::Stale]
     );
-    assert!(
-        refusals(&station)
-            .iter()
-            .all(|(source, _)| *source == BRICK)
-    );
+    assert!(refusals(&station).iter().all(|(source, _)| *source == BRICK));
     assert_eq!(observed(&station), 2);
 
     station.bytes(at(200), &brick.say(at(200), &ticks(5_100, 8, 8)));
@@ -134,11 +106,7 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     assert_eq!(health.refused_frames, 4);
     assert_eq!(health.frames_in, 7);
     assert_eq!(health.frames_lost, 0);
-    let expected = SourceHealth {
-        source: BRICK,
-        frames: 3,
-        lost: 0,
-    };
+    let expected = SourceHealth { source: BRICK, frames: 3, lost: 0 };
     assert_eq!(sources, [expected]);
 }
 
@@ -161,15 +129,10 @@ fn what_the_station_says_is_signed_with_rising_stamps() {
         let now = at(100 + i64::from(k) * 50);
         station.bytes(now, &brick.say(now, &ticks(5_000 + k * 50, 0, 0)));
     }
-    let sent: Vec<(Stamp<HostClock>, Vec<u8>)> = station
-        .sent()
-        .map(|(now, bytes)| (now, bytes.to_vec()))
-        .collect();
+    let sent: Vec<(Stamp<HostClock>, Vec<u8>)> = station.sent().map(|(now, bytes)| (now, bytes.to_vec())).collect();
     assert!(sent.len() > 20);
-    let mut receiver = LinkSigning::new(SigningConfig {
-        unsigned: Unsigned::RefuseExcept(BTreeSet::new()),
-        ..signing(7, 0)
-    });
+    let mut receiver =
+        LinkSigning::new(SigningConfig { unsigned: Unsigned::RefuseExcept(BTreeSet::new()), ..signing(7, 0) });
     let mut estimates = 0;
     for (now, bytes) in &sent {
         let mut verdict = None;
@@ -204,19 +167,9 @@ fn the_same_inputs_give_the_same_bytes_and_events() {
     };
     let (once, again): (Vec<_>, Vec<_>) = (run(), run());
     assert_eq!(once, again);
-    let is_refusal = |output: &Output| {
-        matches!(
-            output,
-            Output::Event(Event::Defect {
-                defect: Defect::Refused { .. },
-                ..
-            })
-        )
-    };
-    assert_eq!(
-        once.iter().filter(|(_, output)| is_refusal(output)).count(),
-        10
-    );
+    let is_refusal =
+        |output: &Output| matches!(output, Output::Event(Event::Defect { defect: Defect::Refused { .. }, .. }));
+    assert_eq!(once.iter().filter(|(_, output)| is_refusal(output)).count(), 10);
 }
 
 #[test]
@@ -279,25 +232,14 @@ fn a_frame_that_may_come_unsigned_teaches_nothing_about_who_it_claims_to_be_from
     station.bytes(at(40), &brick.say(at(40), &ticks(5_000, 0, 0)));
     assert_eq!(refusals(&station), []);
     let mut reached = |target: Address| {
-        let command = Message::Command(CommandLong {
-            target,
-            command: 400,
-            params: [1.0; 7],
-        });
+        let command = Message::Command(CommandLong { target, command: 400, params: [1.0; 7] });
         let seen = station.outputs.len();
-        let input = Input::Bytes {
-            link: GCS_LINK,
-            peer: PeerId::default(),
-            bytes: frame(Address::new(254, 190), &command),
-        };
+        let input =
+            Input::Bytes { link: GCS_LINK, peer: PeerId::default(), bytes: frame(Address::new(254, 190), &command) };
         station.give(at(50), input);
         let sent = station.outputs[seen..].iter();
         let links = sent.filter_map(|(_, output)| match output {
-            Output::Transmit {
-                link,
-                priority: Priority::Command,
-                ..
-            } => Some(*link),
+            Output::Transmit { link, priority: Priority::Command, .. } => Some(*link),
             _ => None,
         });
         links.collect::<Vec<_>>()

@@ -16,8 +16,7 @@ use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_pipeline::ThermometerConfig;
 use posebridge_protocol::message::{Message, WireStamp};
 use posebridge_telemetry::{
-    Address, Celsius, ChannelName, Event, Input, LinkId, LinkState, Output, ScalarEstimate,
-    SensorId, Stamp, Verdict,
+    Address, Celsius, ChannelName, Event, Input, LinkId, LinkState, Output, ScalarEstimate, SensorId, Stamp, Verdict,
 };
 use station::{Station, at, config, link};
 
@@ -48,18 +47,9 @@ struct Told {
 
 fn told(station: &Station) -> Vec<Told> {
     let temperatures = station.events().filter_map(|event| match event {
-        Event::Temperature {
-            brick,
-            channel,
-            verdict,
-            settled,
-            ..
-        } => Some(Told {
-            address: brick.address,
-            channel: *channel,
-            verdict: *verdict,
-            settled: *settled,
-        }),
+        Event::Temperature { brick, channel, verdict, settled, .. } => {
+            Some(Told { address: brick.address, channel: *channel, verdict: *verdict, settled: *settled })
+        }
         _ => None,
     });
     temperatures.collect()
@@ -92,18 +82,14 @@ fn the_pose_is_the_same_with_a_thermometer_and_leaves_before_it() {
     assert_eq!(sent, without.sent().collect::<Vec<_>>());
 
     assert_eq!(told(&with).len(), 200);
-    let is_temperature =
-        |output: &Output| matches!(output, Output::Event(Event::Temperature { .. }));
-    let place = with
-        .outputs
-        .iter()
-        .position(|(_, output)| is_temperature(output));
+    let is_temperature = |output: &Output| matches!(output, Output::Event(Event::Temperature { .. }));
+    let place = with.outputs.iter().position(|(_, output)| is_temperature(output));
     let before = &with.outputs[..place.expect("it was told")];
     let first = before.iter().filter(|(now, _)| *now == at(100));
     let has_left = |output: &Output| match output {
-        Output::Transmit { bytes, .. } => messages(bytes)
-            .iter()
-            .any(|message| matches!(message, Message::PlanarPose(_))),
+        Output::Transmit { bytes, .. } => {
+            messages(bytes).iter().any(|message| matches!(message, Message::PlanarPose(_)))
+        }
         Output::Event(_) | Output::Request(_) => false,
     };
     assert!(first.into_iter().any(|(_, output)| has_left(output)));
@@ -122,10 +108,7 @@ fn a_board_of_thermometers_is_followed_and_is_not_the_robot() {
         // Its clock is its own.
         let millis = 777_000 + 250 * k;
         let since_s = 0.25 * f64::from(k);
-        station.bytes(
-            now,
-            &frame(BATH, &named("temp_a", millis, shown_c(since_s))),
-        );
+        station.bytes(now, &frame(BATH, &named("temp_a", millis, shown_c(since_s))));
         station.bytes(now, &frame(BATH, &named("temp_b", millis, 4.0)));
     }
     station.bytes(at(21_000), &frame(BRICK, &ticks(5_000, 0, 0)));
@@ -147,10 +130,7 @@ fn a_board_of_thermometers_is_followed_and_is_not_the_robot() {
         let last = last.expect("it was told");
         assert_eq!((last.address, last.verdict), (BATH, Verdict::Accepted));
         let settled = last.settled.expect("it was read");
-        assert!(
-            (settled.value - end_c).abs() < least_k,
-            "{name}: {settled:?}"
-        );
+        assert!((settled.value - end_c).abs() < least_k, "{name}: {settled:?}");
     }
 }
 
@@ -181,14 +161,8 @@ fn damaged_temperatures_are_told_and_change_nothing() {
     let expected = [Verdict::Accepted, Verdict::Malformed, Verdict::TooOld];
     assert_eq!(verdicts, expected);
     let settled: Vec<_> = told(&station).iter().map(|told| told.settled).collect();
-    assert!(
-        settled
-            .iter()
-            .all(|settled| *settled == settled_first(&station))
-    );
-    let defects = station
-        .events()
-        .filter(|event| matches!(event, Event::Defect { .. }));
+    assert!(settled.iter().all(|settled| *settled == settled_first(&station)));
+    let defects = station.events().filter(|event| matches!(event, Event::Defect { .. }));
     assert_eq!(defects.count(), 4);
 }
 
@@ -204,9 +178,7 @@ fn a_crowd_of_made_up_names_is_bounded_and_told_once() {
         station.bytes(at(100 + i64::from(k)), &frame(BATH, &message));
     }
     assert_eq!(told(&station).len(), 16);
-    let texts = station
-        .events()
-        .filter(|event| matches!(event, Event::Text { .. }));
+    let texts = station.events().filter(|event| matches!(event, Event::Text { .. }));
     assert_eq!(texts.count(), 1);
 }
 
@@ -240,33 +212,15 @@ fn a_copy_by_a_second_link_is_not_a_second_reading_and_the_same_inputs_say_the_s
     }
     let mut station = Station::new(&config);
     for k in 0..30 {
-        let bytes = frame(
-            BATH,
-            &named("temp", 1_000 + 250 * k, shown_c(0.25 * f64::from(k))),
-        );
+        let bytes = frame(BATH, &named("temp", 1_000 + 250 * k, shown_c(0.25 * f64::from(k))));
         let now = 100 + 250 * i64::from(k);
         station.bytes(at(now), &bytes);
-        station.give(
-            at(now + 7),
-            Input::Bytes {
-                link: other,
-                peer: posebridge_telemetry::PeerId::default(),
-                bytes,
-            },
-        );
+        station.give(at(now + 7), Input::Bytes { link: other, peer: posebridge_telemetry::PeerId::default(), bytes });
     }
     assert_eq!(told(&station).len(), 30);
     let mut again = Station::new(&config);
     // The links came up when the station was made.
-    let is_link = |input: &Input| {
-        matches!(
-            input,
-            Input::Link {
-                state: LinkState::Up,
-                ..
-            }
-        )
-    };
+    let is_link = |input: &Input| matches!(input, Input::Link { state: LinkState::Up, .. });
     for (now, input) in station.inputs.iter().filter(|(_, input)| !is_link(input)) {
         again.give(*now, input.clone());
     }

@@ -20,10 +20,7 @@ pub fn line(stamp: Stamp<BrickClock>, pose: Pose<Arena>) -> String {
     let mut line = String::new();
     let micros = stamp.as_micros();
     let sign = if micros < 0 { "-" } else { "" };
-    let (seconds, fraction) = (
-        micros.unsigned_abs() / 1_000_000,
-        micros.unsigned_abs() % 1_000_000,
-    );
+    let (seconds, fraction) = (micros.unsigned_abs() / 1_000_000, micros.unsigned_abs() % 1_000_000);
     // Writing to a String cannot fail.
     let _ = writeln!(
         line,
@@ -43,18 +40,11 @@ mod tests {
 
     #[test]
     fn a_line_has_whole_microseconds_and_a_turn_about_the_vertical() {
-        let pose = Pose::new(
-            Meters(1.5),
-            Meters(-0.25),
-            Heading::from_rad(std::f64::consts::FRAC_PI_2),
-        );
+        let pose = Pose::new(Meters(1.5), Meters(-0.25), Heading::from_rad(std::f64::consts::FRAC_PI_2));
         let text = line(Stamp::from_nanos(1_700_000_000_000_001_999), pose);
         let root = std::f64::consts::FRAC_1_SQRT_2;
         let fields: Vec<&str> = text.split_whitespace().collect();
-        assert_eq!(
-            fields[..6],
-            ["1700000000.000001", "1.5", "-0.25", "0", "0", "0"]
-        );
+        assert_eq!(fields[..6], ["1700000000.000001", "1.5", "-0.25", "0", "0", "0"]);
         let [qz, qw] = [fields[6], fields[7]].map(|field| field.parse::<f64>().unwrap());
         assert!((qz - root).abs() < 1e-15 && (qw - root).abs() < 1e-15);
         let before_zero = line(Stamp::from_millis(-1_500), pose);

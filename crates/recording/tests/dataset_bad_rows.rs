@@ -55,10 +55,7 @@ fn a_rate_without_an_interval_is_left_out() {
 
 #[test]
 fn a_fix_that_repeats_a_stamp_is_left_out() {
-    let run = load_rows(
-        "[[fixes]]\nfile = \"data\"\nx = 1\ny = 2",
-        "0,1,1\n0,1,1\n1,1,1\n",
-    );
+    let run = load_rows("[[fixes]]\nfile = \"data\"\nx = 1\ny = 2", "0,1,1\n0,1,1\n1,1,1\n");
     let named = "data.csv:2: repeated stamp: the stamp of the fix before";
     check(&run, Reason::RepeatedStamp, named, 2);
 }
@@ -68,10 +65,7 @@ fn a_position_that_jumps_is_left_out() {
     let limit = "x = 1\ny = 2\nmax_speed_m_per_s = 2";
     let named = "data.csv:3: impossible jump: 50.00 m/s, the limit is 2";
     for kind in ["fixes", "truth"] {
-        let run = load_rows(
-            &format!("[[{kind}]]\nfile = \"data\"\n{limit}"),
-            "0,0,0\n1,1,0\n2,51,0\n3,3,0\n",
-        );
+        let run = load_rows(&format!("[[{kind}]]\nfile = \"data\"\n{limit}"), "0,0,0\n1,1,0\n2,51,0\n3,3,0\n");
         check(&run, Reason::ImpossibleJump, named, 3);
     }
     let run = load_rows(
@@ -105,11 +99,7 @@ fn a_spike_of_a_counter_is_left_out_with_its_way_back() {
     };
     let absolute = wheels("absolute", "0,100\n1,101\n2,9000\n3,103\n4,104\n");
     assert_eq!(absolute.bad_rows.count(Reason::ImpossibleJump), 2);
-    assert_eq!(
-        last(&absolute),
-        102.0,
-        "the motion of the two bad rows is unknown"
-    );
+    assert_eq!(last(&absolute), 102.0, "the motion of the two bad rows is unknown");
     let increments = wheels("increments", "0,0\n1,1\n2,9000\n3,1\n4,1\n");
     assert_eq!(increments.bad_rows.count(Reason::ImpossibleJump), 1);
     assert_eq!(last(&increments), 3.0);
@@ -127,16 +117,10 @@ fn a_stamp_that_leaps_is_left_out_but_a_gap_that_lasts_is_believed() {
 
 #[test]
 fn a_range_outside_its_limits_is_left_out() {
-    let run = load_rows(
-        "[[wall_range]]\nfile = \"data\"\nrange = 1\nmin_m = 0.04\nmax_m = 4",
-        "0,1\n1,0\n2,2\n",
-    );
+    let run = load_rows("[[wall_range]]\nfile = \"data\"\nrange = 1\nmin_m = 0.04\nmax_m = 4", "0,1\n1,0\n2,2\n");
     let named = "data.csv:2: out of range: 0 m, the limits are 0.04 to 4";
     check(&run, Reason::OutOfRange, named, 2);
-    let run = load_rows(
-        "[[compass]]\nfile = \"data\"\nheading = { qz = 1, qw = 2 }",
-        "0,0,1\n1,0,0\n",
-    );
+    let run = load_rows("[[compass]]\nfile = \"data\"\nheading = { qz = 1, qw = 2 }", "0,0,1\n1,0,0\n");
     let named = "data.csv:2: out of range: a quaternion of zeros";
     check(&run, Reason::OutOfRange, named, 1);
 }
@@ -147,20 +131,12 @@ fn an_id_that_the_map_does_not_have_is_left_out() {
         "[files.map]\npath = \"map.csv\"\n[landmarks]\nfile = \"map\"\nx = 0\ny = 1\n\
          [[landmark_sightings]]\nfile = \"data\"\nid = 1\nrange = 2\nbearing = 3",
     );
-    let files = [
-        ("data.csv", "0,1,2,0\n1,5,2,0\n"),
-        ("map.csv", "1,1\n2,2\n"),
-    ];
+    let files = [("data.csv", "0,1,2,0\n1,5,2,0\n"), ("map.csv", "1,1\n2,2\n")];
     let run = try_load(&descriptor, "only", &files).unwrap();
     check(&run, Reason::UnknownId, "data.csv:2: unknown id: 5", 1);
     let halves = [("data.csv", "0,1,2,0\n1,0.5,2,0\n"), files[1]];
     let run = try_load(&descriptor, "only", &halves).unwrap();
-    check(
-        &run,
-        Reason::NotNumeric,
-        "data.csv:2: not a number: `0.5`",
-        1,
-    );
+    check(&run, Reason::NotNumeric, "data.csv:2: not a number: `0.5`", 1);
 }
 
 #[test]

@@ -9,8 +9,8 @@ use std::f64::consts::PI;
 use inline::{GEOMETRY, parse, try_load};
 use posebridge_recording::dataset::{LoadOptions, Reason, load};
 use posebridge_telemetry::{
-    BeaconId, Celsius, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
-    Observed, Point2, Pose, Radians, RadiansPerSecond, SensorId,
+    BeaconId, Celsius, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observed, Point2, Pose,
+    Radians, RadiansPerSecond, SensorId,
 };
 use rows::{load_rows, observed};
 
@@ -42,30 +42,14 @@ fn in_ticks(counting: &str, [left, right]: [usize; 2]) -> String {
 
 #[test]
 fn absolute_ticks_become_rotation_with_their_base() {
-    let found = wheels(
-        &in_ticks("absolute", [1, 2]),
-        "0,20795,16067\n0.5,20805,16057\n",
-    );
-    assert_eq!(
-        found,
-        [
-            (0, [2_079_500_000, 1_606_700_000]),
-            (SECOND / 2, [2_080_500_000, 1_605_700_000])
-        ]
-    );
+    let found = wheels(&in_ticks("absolute", [1, 2]), "0,20795,16067\n0.5,20805,16057\n");
+    assert_eq!(found, [(0, [2_079_500_000, 1_606_700_000]), (SECOND / 2, [2_080_500_000, 1_605_700_000])]);
 }
 
 #[test]
 fn increments_add_up_and_the_first_row_is_the_base() {
     let found = wheels(&in_ticks("increments", [2, 1]), "0,99,99\n1,1,2\n2,-3,4\n");
-    assert_eq!(
-        found,
-        [
-            (0, [0, 0]),
-            (SECOND, [200_000, 100_000]),
-            (2 * SECOND, [600_000, -200_000])
-        ]
-    );
+    assert_eq!(found, [(0, [0, 0]), (SECOND, [200_000, 100_000]), (2 * SECOND, [600_000, -200_000])]);
 }
 
 #[test]
@@ -106,14 +90,8 @@ fn a_counter_of_16_bits_may_wrap_either_way() {
 #[test]
 fn counters_lose_nothing_on_a_row_without_an_interval() {
     // The layout of the LEGO recording: the same stamp twice, here with different counts.
-    let absolute = wheels(
-        &in_ticks("absolute", [1, 2]),
-        "0,0,0\n1,10,10\n1,15,15\n2,20,20\n",
-    );
-    let increments = wheels(
-        &in_ticks("increments", [1, 2]),
-        "0,0,0\n1,10,10\n1,5,5\n2,5,5\n",
-    );
+    let absolute = wheels(&in_ticks("absolute", [1, 2]), "0,0,0\n1,10,10\n1,15,15\n2,20,20\n");
+    let increments = wheels(&in_ticks("increments", [1, 2]), "0,0,0\n1,10,10\n1,5,5\n2,5,5\n");
     assert_eq!(absolute, increments);
     assert_eq!(absolute.len(), 3);
     assert_eq!(absolute[2], (2 * SECOND, [2_000_000, 2_000_000]));
@@ -156,19 +134,10 @@ fn body_velocity_is_forward_and_turn_or_both_wheels() {
     );
     let forward = MetersPerSecond(0.25);
     let turn = RadiansPerSecond(-0.5);
-    assert_eq!(
-        observed(&body),
-        [(0, Observed::BodyVelocity { forward, turn })]
-    );
-    let wheels = load_rows(
-        "[[body_velocity]]\nfile = \"data\"\nleft = 1\nright = 2",
-        "0,0.125,0.375\n",
-    );
+    assert_eq!(observed(&body), [(0, Observed::BodyVelocity { forward, turn })]);
+    let wheels = load_rows("[[body_velocity]]\nfile = \"data\"\nleft = 1\nright = 2", "0,0.125,0.375\n");
     let turn = RadiansPerSecond(0.5);
-    assert_eq!(
-        observed(&wheels),
-        [(0, Observed::BodyVelocity { forward, turn })]
-    );
+    assert_eq!(observed(&wheels), [(0, Observed::BodyVelocity { forward, turn })]);
 }
 
 #[test]
@@ -177,11 +146,8 @@ fn a_mean_speed_holds_from_the_row_before() {
         "[[body_velocity]]\nfile = \"data\"\nforward = 1\nturn = 2\ninterval = \"previous\"",
         "0,1,0\n1,2,0\n3,4,0\n",
     );
-    let found: Vec<_> = run
-        .observations
-        .iter()
-        .map(|timed| (timed.observation.stamp.as_nanos(), timed.arrival.as_nanos()))
-        .collect();
+    let found: Vec<_> =
+        run.observations.iter().map(|timed| (timed.observation.stamp.as_nanos(), timed.arrival.as_nanos())).collect();
     assert_eq!(found, [(0, SECOND), (SECOND, 3 * SECOND)]);
 }
 
@@ -205,28 +171,13 @@ fn gyro_accelerometers_compass_and_temperature_are_read_in_si_units() {
     );
     let expected = [
         Observed::TurnRate(RadiansPerSecond(-PI)),
-        Observed::WheelAccelerations {
-            left: MetersPerSecondSquared(9.80665),
-            right: MetersPerSecondSquared(-2.0),
-        },
+        Observed::WheelAccelerations { left: MetersPerSecondSquared(9.80665), right: MetersPerSecondSquared(-2.0) },
         Observed::CompassHeading(Heading::from_rad(0.0)),
         Observed::Temperature(Celsius(0.0)),
     ];
     assert_eq!(observed(&run), expected.map(|observed| (0, observed)));
-    let sensors: Vec<_> = run
-        .observations
-        .iter()
-        .map(|t| t.observation.sensor)
-        .collect();
-    assert_eq!(
-        sensors,
-        [
-            SensorId::GYRO,
-            SensorId::ACCELEROMETER,
-            SensorId::COMPASS,
-            SensorId::THERMOMETER
-        ]
-    );
+    let sensors: Vec<_> = run.observations.iter().map(|t| t.observation.sensor).collect();
+    assert_eq!(sensors, [SensorId::GYRO, SensorId::ACCELEROMETER, SensorId::COMPASS, SensorId::THERMOMETER]);
 }
 
 #[test]
@@ -236,10 +187,7 @@ fn a_wall_range_that_is_only_repeated_says_nothing_new() {
         "0,4030\n0.01,4030\n0.02,4000\n0.03,4030\n",
     );
     let ranges: Vec<_> = observed(&run).into_iter().map(|(_, range)| range).collect();
-    assert_eq!(
-        ranges,
-        [4.03, 4.0, 4.03].map(|range| Observed::WallRange(Meters(range)))
-    );
+    assert_eq!(ranges, [4.03, 4.0, 4.03].map(|range| Observed::WallRange(Meters(range))));
     assert_eq!(run.bad_rows.total(), 0);
 }
 
@@ -271,18 +219,9 @@ fn sightings_go_through_the_map_of_ids_and_may_share_a_stamp() {
         ("codes.dat", "6 72\n7 9\n"),
     ];
     let run = try_load(&parse(MAPS), "only", &files).unwrap();
-    let sighting = |id, range, bearing| Observed::Landmark {
-        id: LandmarkId(id),
-        range: Meters(range),
-        bearing: Radians(bearing),
-    };
-    assert_eq!(
-        observed(&run),
-        [
-            (SECOND, sighting(6, 3.5, -0.25)),
-            (SECOND, sighting(7, 1.0, 0.0))
-        ]
-    );
+    let sighting =
+        |id, range, bearing| Observed::Landmark { id: LandmarkId(id), range: Meters(range), bearing: Radians(bearing) };
+    assert_eq!(observed(&run), [(SECOND, sighting(6, 3.5, -0.25)), (SECOND, sighting(7, 1.0, 0.0))]);
     assert_eq!(
         run.landmarks,
         [
@@ -317,23 +256,11 @@ fn beacons_may_stand_in_the_rows_of_the_ranges_and_a_filter_tells_rows_apart() {
     file = "data"
     id = 5
     range = 2"#;
-    let run = load_rows(
-        rest,
-        "1,range2,2.5,-0.02,-0.01,105\n1,odom2diff,0.1,0.2\n2,range2,2.25,-0.02,-0.01,105\n",
-    );
+    let run = load_rows(rest, "1,range2,2.5,-0.02,-0.01,105\n1,odom2diff,0.1,0.2\n2,range2,2.25,-0.02,-0.01,105\n");
     let id = BeaconId(105);
-    let range = |range| Observed::BeaconRange {
-        id,
-        range: Meters(range),
-    };
-    assert_eq!(
-        observed(&run),
-        [(SECOND, range(2.5)), (2 * SECOND, range(2.25))]
-    );
-    assert_eq!(
-        run.beacons,
-        [(id, Point2::new(Meters(-0.02), Meters(-0.01)))]
-    );
+    let range = |range| Observed::BeaconRange { id, range: Meters(range) };
+    assert_eq!(observed(&run), [(SECOND, range(2.5)), (2 * SECOND, range(2.25))]);
+    assert_eq!(run.beacons, [(id, Point2::new(Meters(-0.02), Meters(-0.01)))]);
     assert_eq!(run.bad_rows.total(), 0);
 }
 
@@ -426,10 +353,7 @@ fn latitude_and_longitude_become_metres_with_the_receiver_s_own_variances() {
 
 #[test]
 fn a_fix_that_claims_no_error_or_lies_behind_the_pole_is_a_bad_row() {
-    let run = load_rows(
-        GPS,
-        "0,0,10,0,1\n1,0,10,1,-1\n2,90.5,10,1,1\n3,0,10,1,1000000\n",
-    );
+    let run = load_rows(GPS, "0,0,10,0,1\n1,0,10,1,-1\n2,90.5,10,1,1\n3,0,10,1,1000000\n");
     assert_eq!(run.bad_rows.count(Reason::OutOfRange), 3);
     assert_eq!((run.observations.len(), run.bad_rows.total()), (1, 3));
 }
@@ -442,11 +366,7 @@ fn every_third_fix_is_used_and_the_rest_withheld() {
     };
     let check = |use_every: Option<usize>, used: &[i64], withheld: &[i64]| {
         let mut open = |_: &std::path::Path| Ok(fix_rows().into_bytes());
-        let options = LoadOptions {
-            run: "only",
-            geometry: GEOMETRY,
-            use_every,
-        };
+        let options = LoadOptions { run: "only", geometry: GEOMETRY, use_every };
         let run = load(&parse(FIXES), options, &mut open).unwrap();
         let mut fixes = run.observations.iter().filter_map(|timed| {
             let Observed::Fix(fix) = timed.observation.observed else {
@@ -465,32 +385,19 @@ fn every_third_fix_is_used_and_the_rest_withheld() {
 
 #[test]
 fn observations_come_in_the_order_of_their_arrival() {
-    let run = load_rows(
-        "arrival = { column = 1 }\n[[gyro]]\nfile = \"data\"\nturn_rate = 2",
-        "1,9,0.1\n2,5,0.2\n3,9,0.3\n",
-    );
+    let run =
+        load_rows("arrival = { column = 1 }\n[[gyro]]\nfile = \"data\"\nturn_rate = 2", "1,9,0.1\n2,5,0.2\n3,9,0.3\n");
     let rates: Vec<_> = observed(&run).into_iter().map(|(_, rate)| rate).collect();
-    assert_eq!(
-        rates,
-        [0.2, 0.1, 0.3].map(|rate| Observed::TurnRate(RadiansPerSecond(rate)))
-    );
+    assert_eq!(rates, [0.2, 0.1, 0.3].map(|rate| Observed::TurnRate(RadiansPerSecond(rate))));
 }
 
 #[test]
 fn a_start_is_given_or_comes_from_the_truth_or_a_fix() {
-    let given = load_rows(
-        "[start]\nx_m = 1\ny_m = 2\nheading_deg = 180\nposition_sigma_m = 0.01\nheading_sigma_rad = 0.1",
-        "",
-    );
+    let given =
+        load_rows("[start]\nx_m = 1\ny_m = 2\nheading_deg = 180\nposition_sigma_m = 0.01\nheading_sigma_rad = 0.1", "");
     let start = given.start.unwrap();
-    assert_eq!(
-        start.pose,
-        Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(PI))
-    );
-    assert_eq!(
-        (start.position_sigma_m, start.heading_sigma_rad),
-        (0.01, 0.1)
-    );
+    assert_eq!(start.pose, Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(PI)));
+    assert_eq!((start.position_sigma_m, start.heading_sigma_rad), (0.01, 0.1));
 
     let from = "[start]\nfrom = \"fixes\"\nposition_sigma_m = 0.01\nheading_sigma_rad = 0.1";
     let rest = r#"[files.gyro]
@@ -512,11 +419,7 @@ fn a_start_is_given_or_comes_from_the_truth_or_a_fix() {
     let run = try_load(&descriptor, "only", &files).unwrap();
     let pose = run.start.unwrap().pose;
     assert!((pose.x.0 - 1.0).abs() < 1e-12 && (pose.y.0 - 0.5).abs() < 1e-12);
-    assert_eq!(
-        observed(&run).len(),
-        1,
-        "what lies before the start is left out"
-    );
+    assert_eq!(observed(&run).len(), 1, "what lies before the start is left out");
     assert_eq!(run.withheld.len(), 1);
 }
 
@@ -535,11 +438,5 @@ fn times_may_have_two_columns_and_rows_another_order() {
     let log = "a title\nrate\tsec\tnsec\n0.25\t1493325165\t641284114\n0.5\t1493325165\t7\n";
     let run = try_load(&parse(rest), "only", &[("log.txt", log)]).unwrap();
     let rate = |rate| Observed::TurnRate(RadiansPerSecond(rate));
-    assert_eq!(
-        observed(&run),
-        [
-            (1_493_325_165_000_000_007, rate(0.5)),
-            (1_493_325_165_641_284_114, rate(0.25))
-        ]
-    );
+    assert_eq!(observed(&run), [(1_493_325_165_000_000_007, rate(0.5)), (1_493_325_165_641_284_114, rate(0.25))]);
 }

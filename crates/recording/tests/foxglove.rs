@@ -1,9 +1,6 @@
 //! What stands beside the inputs: every message is what its channel's schema says, and holds what the event said.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside the test functions may fail loudly as well"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
 #[path = "support/protobuf.rs"]
 mod protobuf;
@@ -14,10 +11,9 @@ use std::io::Cursor;
 use posebridge_recording::container::{FORMAT, Gap, Header, INPUT_TOPIC, TruthSample, Writer};
 use posebridge_recording::foxglove::CHANNELS;
 use posebridge_telemetry::{
-    Address, Arena, Calibration, Celsius, ChannelName, Command, Estimate, Event, Fix, FusionRecord,
-    Heading, Input, LinkHealth, LinkId, LinkState, Meters, MetersPerSecond, Observation, Observed,
-    Point2, Pose, RadiansPerSecond, RobotId, ScalarEstimate, SensorId, SourceHealth, Span, Stamp,
-    Validity, Verdict,
+    Address, Arena, Calibration, Celsius, ChannelName, Command, Estimate, Event, Fix, FusionRecord, Heading, Input,
+    LinkHealth, LinkId, LinkState, Meters, MetersPerSecond, Observation, Observed, Point2, Pose, RadiansPerSecond,
+    RobotId, ScalarEstimate, SensorId, SourceHealth, Span, Stamp, Validity, Verdict,
 };
 use protobuf::Fields;
 use serde_json::Value;
@@ -25,10 +21,7 @@ use serde_json::Value;
 const UTC_START_MICROS: u64 = 1_700_000_000_000_000;
 
 fn robot() -> RobotId {
-    RobotId {
-        link: LinkId(0),
-        address: Address::new(1, 1),
-    }
+    RobotId { link: LinkId(0), address: Address::new(1, 1) }
 }
 
 /// 1.5 m east, 0.25 m south, turned left by 0.6 rad; variances that all differ.
@@ -37,11 +30,7 @@ fn estimate(brick_millis: i64) -> Estimate {
     for (i, row) in covariance.iter_mut().enumerate() {
         for (j, entry) in row.iter_mut().enumerate() {
             let (low, high) = (i.min(j) as f64, i.max(j) as f64);
-            *entry = if i == j {
-                1e-4 * (1.0 + low)
-            } else {
-                1e-6 * (5.0 * low + high)
-            };
+            *entry = if i == j { 1e-4 * (1.0 + low) } else { 1e-6 * (5.0 * low + high) };
         }
     }
     Estimate {
@@ -50,11 +39,7 @@ fn estimate(brick_millis: i64) -> Estimate {
         forward_speed: MetersPerSecond(0.2),
         turn_rate: RadiansPerSecond(-0.5),
         covariance,
-        validity: Validity {
-            position: true,
-            heading: true,
-            speeds: true,
-        },
+        validity: Validity { position: true, heading: true, speeds: true },
         is_dead_reckoning: false,
         fix_age: Some(Span::from_millis(300)),
         reset_counter: 2,
@@ -139,45 +124,20 @@ fn sightings() -> Vec<Event> {
 
 /// One of every kind.
 fn events() -> Vec<Event> {
-    let health = LinkHealth {
-        bytes_in: 1_000,
-        frames_lost: 3,
-        round_trip: Some(Span::from_millis(3)),
-        ..LinkHealth::default()
-    };
-    let source = SourceHealth {
-        source: Address::new(1, 1),
-        frames: 40,
-        lost: 3,
-    };
+    let health =
+        LinkHealth { bytes_in: 1_000, frames_lost: 3, round_trip: Some(Span::from_millis(3)), ..LinkHealth::default() };
+    let source = SourceHealth { source: Address::new(1, 1), frames: 40, lost: 3 };
     let (link, robot) = (LinkId(0), robot());
     let mut events = vec![
         aligned(),
         Event::RobotSeen { robot },
-        Event::RobotLost {
-            robot,
-            silence: Span::from_millis(3_000),
-        },
+        Event::RobotLost { robot, silence: Span::from_millis(3_000) },
         Event::BrickRestarted { robot },
-        Event::Link {
-            link,
-            state: LinkState::Down,
-        },
-        Event::Health {
-            link,
-            health,
-            sources: vec![source],
-        },
-        Event::Text {
-            source: Address::new(1, 1),
-            severity: 3,
-            text: "motor hot".to_owned(),
-        },
+        Event::Link { link, state: LinkState::Down },
+        Event::Health { link, health, sources: vec![source] },
+        Event::Text { source: Address::new(1, 1), severity: 3, text: "motor hot".to_owned() },
         fused(Verdict::ResetTo, 12.0),
-        Event::Estimated {
-            robot,
-            estimate: estimate(5_050),
-        },
+        Event::Estimated { robot, estimate: estimate(5_050) },
     ];
     events.extend(sightings());
     events
@@ -194,11 +154,7 @@ struct Found {
 }
 
 fn written(spacing: Span, write: impl FnOnce(&mut Writer<Cursor<Vec<u8>>>)) -> Vec<Found> {
-    let header = Header {
-        format: FORMAT,
-        utc_start_micros: UTC_START_MICROS,
-        ..Header::default()
-    };
+    let header = Header { format: FORMAT, utc_start_micros: UTC_START_MICROS, ..Header::default() };
     let mut writer = Writer::create(Cursor::new(Vec::new()), &header).unwrap();
     writer.space_outputs(spacing);
     write(&mut writer);
@@ -233,11 +189,7 @@ fn one_of_each() -> Vec<Found> {
         writer.record(now, &Input::Command(set_pose)).unwrap();
         let learned = Calibration::default();
         writer.record_calibration(now, &learned).unwrap();
-        let gap = Gap {
-            inputs: 7,
-            from: now,
-            to: Stamp::from_millis(1_200),
-        };
+        let gap = Gap { inputs: 7, from: now, to: Stamp::from_millis(1_200) };
         writer.record_gap(&gap).unwrap();
         let truth = TruthSample {
             stamp: Stamp::from_millis(5_100),
@@ -265,15 +217,10 @@ fn every_channel_is_written_with_the_schema_of_the_table() {
     let topics: BTreeSet<&str> = found.iter().map(|found| found.topic.as_str()).collect();
     let table: BTreeSet<&str> = CHANNELS.iter().map(|channel| channel.topic).collect();
     assert_eq!(topics, table);
-    let schemas: BTreeMap<&str, &str> =
-        CHANNELS.iter().map(|one| (one.topic, one.schema)).collect();
+    let schemas: BTreeMap<&str, &str> = CHANNELS.iter().map(|one| (one.topic, one.schema)).collect();
     for found in &found {
         assert_eq!(found.schema, schemas[found.topic.as_str()]);
-        assert!(
-            !found.schema_data.is_empty(),
-            "{} has no schema",
-            found.topic
-        );
+        assert!(!found.schema_data.is_empty(), "{} has no schema", found.topic);
     }
 }
 
@@ -335,10 +282,7 @@ fn a_number_that_is_none_is_left_out() {
         let mut broken = estimate(5_000);
         broken.pose = Pose::<Arena>::new(Meters(f64::NAN), Meters(2.0), Heading::from_rad(0.0));
         broken.covariance[0][0] = f64::INFINITY;
-        let estimated = Event::Estimated {
-            robot: robot(),
-            estimate: broken,
-        };
+        let estimated = Event::Estimated { robot: robot(), estimate: broken };
         writer.record_event(Stamp::ZERO, &estimated).unwrap();
         let fused = fused(Verdict::Gated, f64::INFINITY);
         writer.record_event(Stamp::ZERO, &fused).unwrap();
@@ -348,11 +292,7 @@ fn a_number_that_is_none_is_left_out() {
     assert_eq!(estimate["y_m"], 2.0);
     let fusion = json(only(&found, "posebridge/fusion"));
     assert!(fusion.get("nis").is_none());
-    assert!(
-        found
-            .iter()
-            .all(|found| found.topic != "/posebridge/ellipse")
-    );
+    assert!(found.iter().all(|found| found.topic != "/posebridge/ellipse"));
     for found in found.iter().filter(|found| found.encoding == "jsonschema") {
         let schema: Value = serde_json::from_slice(&found.schema_data).unwrap();
         assert_valid(&json(found), &schema, &found.topic);
@@ -375,10 +315,7 @@ fn an_estimate_is_an_odometry_at_its_own_instant() {
     // When it came: 1.1 s after the start. For when it holds: 50 ms behind the alignment at 1 s, by a clock that is a thousandth fast.
     assert_eq!(message.log_time, UTC_START_MICROS * 1_000 + 1_100_000_000);
     assert_eq!(odometry.number("timestamp.seconds"), 1_700_000_001.0);
-    near(
-        odometry.number("timestamp.nanos") * 1e-9,
-        (0.05_f64 / 1.001 * 1e9).round() * 1e-9,
-    );
+    near(odometry.number("timestamp.nanos") * 1e-9, (0.05_f64 / 1.001 * 1e9).round() * 1e-9);
     assert_eq!(odometry.text("frame_id"), "arena");
     assert_eq!(odometry.text("body_frame_id"), "body");
     near(odometry.number("pose.position.x"), 1.5);
@@ -411,22 +348,13 @@ fn the_ellipse_holds_95_percent() {
         round.covariance[1][0] = 0.0;
         round.covariance[0][0] = 4e-4;
         round.covariance[1][1] = 1e-4;
-        let estimated = Event::Estimated {
-            robot: robot(),
-            estimate: round,
-        };
+        let estimated = Event::Estimated { robot: robot(), estimate: round };
         writer.record_event(Stamp::ZERO, &estimated).unwrap();
     });
     let scene = read(only(&found, "/posebridge/ellipse"));
     let sigmas = (-2.0 * 0.05_f64.ln()).sqrt();
-    near(
-        scene.number("entities.cylinders.size.x"),
-        2.0 * sigmas * 0.02,
-    );
-    near(
-        scene.number("entities.cylinders.size.y"),
-        2.0 * sigmas * 0.01,
-    );
+    near(scene.number("entities.cylinders.size.x"), 2.0 * sigmas * 0.02);
+    near(scene.number("entities.cylinders.size.y"), 2.0 * sigmas * 0.01);
     near(scene.number("entities.cylinders.bottom_scale"), 1.0);
     assert_eq!(scene.text("entities.id"), "ellipse");
 }
@@ -436,16 +364,9 @@ fn estimates_are_thinned_and_what_was_not_accepted_stays() {
     let found = written(Span::from_millis(50), |writer| {
         for n in 0..100 {
             let now = Stamp::from_millis(10 * n);
-            let estimated = Event::Estimated {
-                robot: robot(),
-                estimate: estimate(10 * n),
-            };
+            let estimated = Event::Estimated { robot: robot(), estimate: estimate(10 * n) };
             writer.record_event(now, &estimated).unwrap();
-            let verdict = if n == 33 {
-                Verdict::Gated
-            } else {
-                Verdict::Accepted
-            };
+            let verdict = if n == 33 { Verdict::Gated } else { Verdict::Accepted };
             writer.record_event(now, &fused(verdict, 1.0)).unwrap();
         }
     });
@@ -455,9 +376,7 @@ fn estimates_are_thinned_and_what_was_not_accepted_stays() {
     assert_eq!(count("posebridge/fusion"), 21);
     assert_eq!(count("/posebridge/path"), 1);
     let gated = |found: &&Found| json(found)["verdict"] == "gated";
-    let fusions = found
-        .iter()
-        .filter(|found| found.topic == "posebridge/fusion");
+    let fusions = found.iter().filter(|found| found.topic == "posebridge/fusion");
     assert_eq!(fusions.filter(gated).count(), 1);
 }
 
@@ -467,17 +386,12 @@ fn the_path_stays_small_and_reaches_from_the_start_to_here() {
         for n in 0..3_000_i64 {
             let mut moving = estimate(100 * n);
             moving.pose = Pose::new(Meters(n as f64), Meters(0.0), Heading::from_rad(0.0));
-            let estimated = Event::Estimated {
-                robot: robot(),
-                estimate: moving,
-            };
+            let estimated = Event::Estimated { robot: robot(), estimate: moving };
             let now = Stamp::from_millis(100 * n);
             writer.record_event(now, &estimated).unwrap();
         }
     });
-    let last = found
-        .iter()
-        .rfind(|found| found.topic == "/posebridge/path");
+    let last = found.iter().rfind(|found| found.topic == "/posebridge/path");
     let path = read(last.unwrap());
     let east = path.numbers("poses.position.x");
     assert!((100..256).contains(&east.len()), "{}", east.len());

@@ -3,10 +3,7 @@
 //! One set of optiodom lies in the repository. The other recordings may not be shipped: their tests run where
 //! `POSEBRIDGE_DATA` names the folder that holds them.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside the test functions may fail loudly as well"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
 mod support;
 
@@ -14,12 +11,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use posebridge_recording::dataset::{Descriptor, LoadOptions, Reason, Run};
-use posebridge_telemetry::{
-    BrickClock, DriveGeometry, Fix, Meters, Observed, Odom, Pose as OdomPose, Stamp,
-};
+use posebridge_telemetry::{BrickClock, DriveGeometry, Fix, Meters, Observed, Odom, Pose as OdomPose, Stamp};
 use support::{
-    Errors, Pose, advance, against_truth, dead_reckoning, descriptor, geometry, load_from, motion,
-    repository,
+    Errors, Pose, advance, against_truth, dead_reckoning, descriptor, geometry, load_from, motion, repository,
 };
 
 fn foreign_data() -> Option<PathBuf> {
@@ -28,11 +22,7 @@ fn foreign_data() -> Option<PathBuf> {
 
 fn load_with(data: &Path, descriptor: &Descriptor, run: &str, geometry: DriveGeometry) -> Run {
     let use_every = None;
-    let options = LoadOptions {
-        run,
-        geometry,
-        use_every,
-    };
+    let options = LoadOptions { run, geometry, use_every };
     load_from(data, descriptor, options)
 }
 
@@ -52,20 +42,12 @@ fn kinds(run: &Run) -> BTreeMap<&'static str, usize> {
 
 /// The errors as the published tables print them.
 fn printed(errors: &Errors) -> String {
-    format!(
-        "{:.4} / {:.4} / {:.4} / {:.2}",
-        errors.rms_m, errors.max_m, errors.end_m, errors.heading_rms_deg
-    )
+    format!("{:.4} / {:.4} / {:.4} / {:.2}", errors.rms_m, errors.max_m, errors.end_m, errors.heading_rms_deg)
 }
 
 /// The position errors as the coarser tables print them.
 fn in_centimetres(errors: &Errors) -> String {
-    let Errors {
-        rms_m,
-        max_m,
-        end_m,
-        ..
-    } = errors;
+    let Errors { rms_m, max_m, end_m, .. } = errors;
     format!("{rms_m:.2} / {max_m:.2} / {end_m:.2}")
 }
 
@@ -131,10 +113,7 @@ fn optiodom_dead_reckoning_gives_the_published_figures() {
         &repository().join("tests/data"),
         "circular/250620202104/",
         6,
-        [
-            "0.0291 / 0.0457 / 0.0421 / 5.43",
-            "0.0064 / 0.0121 / 0.0043 / 0.92",
-        ],
+        ["0.0291 / 0.0457 / 0.0421 / 5.43", "0.0064 / 0.0121 / 0.0043 / 0.92"],
     );
 }
 
@@ -147,29 +126,10 @@ fn the_other_optiodom_sets_give_them_too() {
         &data,
         "square/230620202317/",
         10,
-        [
-            "0.0115 / 0.0223 / 0.0202 / 1.30",
-            "0.0111 / 0.0204 / 0.0192 / 1.15",
-        ],
+        ["0.0115 / 0.0223 / 0.0202 / 1.30", "0.0111 / 0.0204 / 0.0192 / 1.15"],
     );
-    check_set(
-        &data,
-        "square/231220200040/",
-        6,
-        [
-            "0.0509 / 0.0834 / 0.0740 / 2.59",
-            "0.0294 / 0.0488 / 0.0211 / 1.13",
-        ],
-    );
-    check_set(
-        &data,
-        "free/030120210001/",
-        2,
-        [
-            "0.0411 / 0.0718 / 0.0418 / 2.23",
-            "0.0175 / 0.0321 / 0.0210 / 1.71",
-        ],
-    );
+    check_set(&data, "square/231220200040/", 6, ["0.0509 / 0.0834 / 0.0740 / 2.59", "0.0294 / 0.0488 / 0.0211 / 1.13"]);
+    check_set(&data, "free/030120210001/", 2, ["0.0411 / 0.0718 / 0.0418 / 2.23", "0.0175 / 0.0321 / 0.0210 / 1.71"]);
 }
 
 /// All fixes of a run, used and withheld, in order.
@@ -200,10 +160,7 @@ fn lego_dead_reckoning_gives_the_published_figures() {
     let (nominal, run) = load_run(&data, "lego-nxt-camera.toml", "robot4");
     let found = [0.155, 0.173].map(|track_m| {
         let track_width = Meters(track_m);
-        let geometry = DriveGeometry {
-            track_width,
-            ..nominal
-        };
+        let geometry = DriveGeometry { track_width, ..nominal };
         let steps = motion(&run, geometry);
         // The first camera record is the start itself; the last one lies behind the last count.
         let errors: Vec<f64> = all_fixes(&run)[1..]
@@ -220,10 +177,7 @@ fn lego_dead_reckoning_gives_the_published_figures() {
         (format!("{rms:.1}"), format!("{max:.0}"))
     });
     let expected = [("597.4", "1172"), ("68.6", "149")];
-    assert_eq!(
-        found,
-        expected.map(|(rms, max)| (rms.to_owned(), max.to_owned()))
-    );
+    assert_eq!(found, expected.map(|(rms, max)| (rms.to_owned(), max.to_owned())));
     assert_eq!(run.bad_rows.count(Reason::ZeroInterval), 61);
     assert_eq!(run.bad_rows.total(), 61);
     // 278 records, every fourth from the first; of those withheld, 207 lie between the encoder records.
@@ -237,10 +191,7 @@ fn the_early_camera_differs_in_nothing_but_its_stamps() {
     };
     let (_, plain) = load_run(&data, "lego-nxt-camera.toml", "robot4");
     let (_, early) = load_run(&data, "lego-nxt-camera.toml", "camera-200ms-earlier");
-    let shifted: Vec<_> = all_fixes(&plain)
-        .into_iter()
-        .map(|(nanos, fix)| (nanos - 200_000_000, fix))
-        .collect();
+    let shifted: Vec<_> = all_fixes(&plain).into_iter().map(|(nanos, fix)| (nanos - 200_000_000, fix)).collect();
     assert_eq!(all_fixes(&early), shifted);
 }
 
@@ -254,9 +205,7 @@ fn neato_streams_are_complete_and_repeated_stamps_are_counted() {
     assert_eq!(slip.bad_rows.total(), 0);
     assert!(slip.start.is_some());
     assert!(
-        slip.observations
-            .iter()
-            .any(|timed| timed.arrival.as_nanos() > timed.observation.stamp.as_nanos()),
+        slip.observations.iter().any(|timed| timed.arrival.as_nanos() > timed.observation.stamp.as_nanos()),
         "arrivals of their own"
     );
     let (_, square) = load_run(&data, file, "square_undisturbed");
@@ -264,10 +213,7 @@ fn neato_streams_are_complete_and_repeated_stamps_are_counted() {
     assert_eq!(square.bad_rows.total(), 160);
     let (_, turning) = load_run(&data, file, "turning_180");
     assert!(turning.withheld.is_empty());
-    assert_eq!(
-        kinds(&turning),
-        BTreeMap::from([("odometer_pose", 207), ("turn_rate", 1373)])
-    );
+    assert_eq!(kinds(&turning), BTreeMap::from([("odometer_pose", 207), ("turn_rate", 1373)]));
 }
 
 #[test]
@@ -275,10 +221,7 @@ fn roomba_counts_and_gyro_give_the_published_turns() {
     let Some(data) = foreign_data() else {
         return;
     };
-    for (name, wheels_deg, gyro_deg) in [
-        ("drive-turn-180", "-180.4", "-179.5"),
-        ("circle", "-327.9", "-322.2"),
-    ] {
+    for (name, wheels_deg, gyro_deg) in [("drive-turn-180", "-180.4", "-179.5"), ("circle", "-327.9", "-322.2")] {
         let (geometry, run) = load_run(&data, "roomba-imu.toml", name);
         let poses = dead_reckoning(&run, geometry);
         let heading_deg = poses.last().unwrap().1[2].to_degrees();
@@ -290,10 +233,7 @@ fn roomba_counts_and_gyro_give_the_published_turns() {
                 last = Some(now);
             }
         }
-        let found = [
-            format!("{heading_deg:.1}"),
-            format!("{:.1}", gyro_rad.to_degrees()),
-        ];
+        let found = [format!("{heading_deg:.1}"), format!("{:.1}", gyro_rad.to_degrees())];
         assert_eq!(found, [wheels_deg, gyro_deg], "{name}");
     }
 }
@@ -358,10 +298,7 @@ fn labyrinth_dead_reckoning_gives_the_published_figures() {
     let (_, run) = load_run(&data, "uwb-labyrinth.toml", "labyrinth");
     let errors = against_truth(&run, &odometer_poses(&run));
     assert_eq!(printed(&errors), "0.1101 / 0.2205 / 0.1781 / 0.00");
-    assert_eq!(
-        kinds(&run),
-        BTreeMap::from([("beacon_range", 233), ("body_velocity", 232)])
-    );
+    assert_eq!(kinds(&run), BTreeMap::from([("beacon_range", 233), ("body_velocity", 232)]));
     assert_eq!((run.beacons.len(), run.bad_rows.total()), (4, 0));
 }
 
@@ -372,10 +309,9 @@ fn mrclam_sightings_are_those_of_known_landmarks() {
     };
     // The published figures, 2.62 / 8.33 / 8.33 and 2.98 / 8.98 / 3.55, are taken at other instants (those of the
     // events); these are taken at the stamps of the truth.
-    for (name, sightings, dead_reckoning) in [
-        ("robot1", 1534, "2.73 / 8.33 / 8.33"),
-        ("robot2", 3239, "3.01 / 8.99 / 3.57"),
-    ] {
+    for (name, sightings, dead_reckoning) in
+        [("robot1", 1534, "2.73 / 8.33 / 8.33"), ("robot2", 3239, "3.01 / 8.99 / 3.57")]
+    {
         let (_, run) = load_run(&data, "mrclam6.toml", name);
         let errors = against_truth(&run, &odometer_poses(&run));
         assert_eq!(in_centimetres(&errors), dead_reckoning, "{name}");
@@ -392,11 +328,7 @@ fn ranges_and_temperatures_are_read_in_their_units() {
         return;
     };
     let (_, car) = load_run(&data, "tof-wall.toml", "robotA-80-step");
-    let ranges: Vec<Observed> = car
-        .observations
-        .iter()
-        .map(|timed| timed.observation.observed)
-        .collect();
+    let ranges: Vec<Observed> = car.observations.iter().map(|timed| timed.observation.observed).collect();
     assert_eq!(ranges.first(), Some(&Observed::WallRange(Meters(4.03))));
     assert_eq!(ranges.last(), Some(&Observed::WallRange(Meters(0.443))));
     for (name, first) in [("KM", 25.0), ("KiS", 25.0), ("LG", 24.88)] {
@@ -416,10 +348,7 @@ fn husky_streams_are_complete_and_the_gps_draws_the_published_extent() {
     let (_, run) = load_run(&data, "husky-outdoor.toml", "husky");
     assert_eq!(run.bad_rows.total(), 0);
     assert_eq!((run.start, run.truth.len()), (None, 0));
-    assert_eq!(
-        kinds(&run),
-        BTreeMap::from([("body_velocity", 3951), ("fix", 494), ("turn_rate", 11_865)])
-    );
+    assert_eq!(kinds(&run), BTreeMap::from([("body_velocity", 3951), ("fix", 494), ("turn_rate", 11_865)]));
     let fixes = all_fixes(&run);
     let (first, last) = (&fixes[0].1, &fixes[fixes.len() - 1].1);
     assert!(first.position.x.0.hypot(first.position.y.0) < 1e-6);
@@ -427,24 +356,16 @@ fn husky_streams_are_complete_and_the_gps_draws_the_published_extent() {
     assert!((end_m - 13.0).abs() < 0.5, "{end_m}");
     let extent = |of: fn(&Fix) -> f64| {
         let values = fixes.iter().map(|(_, fix)| of(fix));
-        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
-            (low.min(value), high.max(value))
-        });
+        let (low, high) =
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
         high - low
     };
     // Published as 57 x 146 m without a formula; a sphere of 6371 km gives 57.46 m where the ellipsoid gives 57.61 m.
-    let (east_m, north_m) = (
-        extent(|fix| fix.position.x.0),
-        extent(|fix| fix.position.y.0),
-    );
+    let (east_m, north_m) = (extent(|fix| fix.position.x.0), extent(|fix| fix.position.y.0));
     assert!((east_m - 57.61).abs() < 0.01, "{east_m}");
     assert!((north_m - 146.0).abs() < 0.5, "{north_m}");
     let withheld_last = run.withheld.last().unwrap().stamp.as_nanos();
-    assert_eq!(
-        withheld_last,
-        fixes[fixes.len() - 1].0,
-        "the end is not given"
-    );
+    assert_eq!(withheld_last, fixes[fixes.len() - 1].0, "the end is not given");
     for (_, fix) in &fixes {
         let claims = fix.covariance.unwrap();
         assert!((0.6..3.0).contains(&claims.xx_m2) && claims.xx_m2 == claims.yy_m2);
@@ -456,11 +377,9 @@ fn baths_and_centimetres_are_those_of_their_owners() {
     let Some(data) = foreign_data() else {
         return;
     };
-    for (name, from, to) in [
-        ("heating-20-56", 20.5, 56.0),
-        ("cooling-55-21", 55.5, 21.0),
-        ("heating-21-76", 21.0, 76.0),
-    ] {
+    for (name, from, to) in
+        [("heating-20-56", 20.5, 56.0), ("cooling-55-21", 55.5, 21.0), ("heating-21-76", 21.0, 76.0)]
+    {
         let (_, run) = load_run(&data, "rtd-step.toml", name);
         let degrees: Vec<f64> = run
             .observations

@@ -57,10 +57,7 @@ impl<C: Clock> Stamp<C> {
     /// An instant in nanoseconds since the clock's zero.
     #[must_use]
     pub const fn from_nanos(nanos: i64) -> Self {
-        Self {
-            nanos,
-            clock: PhantomData,
-        }
+        Self { nanos, clock: PhantomData }
     }
 
     /// An instant in microseconds since the clock's zero; saturates at the ends of the range.
@@ -227,9 +224,7 @@ fn nearest(value: f64) -> i64 {
     let whole = value as i64;
     // Exact: beyond 2^53 there is no fraction.
     let fraction = value - whole as f64;
-    whole
-        .saturating_add(i64::from(fraction >= 0.5))
-        .saturating_sub(i64::from(fraction <= -0.5))
+    whole.saturating_add(i64::from(fraction >= 0.5)).saturating_sub(i64::from(fraction <= -0.5))
 }
 
 #[cfg(test)]
@@ -260,9 +255,7 @@ mod tests {
         ];
         for _ in 0..200_000 {
             // Any bits at all, and what is usual.
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             values.push(f64::from_bits(state));
             values.push((state >> 20) as f64 / 64.0 - 1e11);
         }
@@ -276,26 +269,17 @@ mod tests {
         let late = Stamp::<BrickClock>::from_millis(1_500);
         let early = Stamp::<BrickClock>::from_micros(250_000);
         assert_eq!(late - early, Span::from_millis(1_250));
-        assert_eq!(
-            Stamp::<BrickClock>::from_nanos(i64::MAX) + Span::from_nanos(1),
-            Stamp::from_nanos(i64::MAX)
-        );
+        assert_eq!(Stamp::<BrickClock>::from_nanos(i64::MAX) + Span::from_nanos(1), Stamp::from_nanos(i64::MAX));
     }
 
     #[test]
     fn seconds_round_to_the_nearest_nanosecond() {
-        assert_eq!(
-            Stamp::<HostClock>::from_secs_f64(0.05).as_nanos(),
-            50_000_000
-        );
+        assert_eq!(Stamp::<HostClock>::from_secs_f64(0.05).as_nanos(), 50_000_000);
         assert_eq!(Stamp::<HostClock>::from_secs_f64(f64::NAN).as_nanos(), 0);
     }
 
     #[test]
     fn a_stamp_names_its_clock() {
-        assert_eq!(
-            format!("{:?}", Stamp::<CameraClock>::from_millis(1)),
-            "camera@0.001000000s"
-        );
+        assert_eq!(format!("{:?}", Stamp::<CameraClock>::from_millis(1)), "camera@0.001000000s");
     }
 }

@@ -70,9 +70,7 @@ impl Command {
             Self::Learning(Learning::Frozen) => "freeze calibration",
             Self::Learning(Learning::Free) => "learn calibration",
             Self::ResetCalibration => "reset calibration",
-            Self::SwitchSource {
-                to: Switch::Off, ..
-            } => "switch source off",
+            Self::SwitchSource { to: Switch::Off, .. } => "switch source off",
             Self::SwitchSource { to: Switch::On, .. } => "switch source on",
             Self::StartRecording => "start recording",
             Self::StopRecording => "stop recording",

@@ -69,13 +69,9 @@ mod tests {
     fn the_axes_of_a_known_covariance() {
         // Eigenvalues 9 and 1, longer axis at 30 degrees: P = R diag(9, 1) R'.
         let (sin, cos) = std::f64::consts::FRAC_PI_6.sin_cos();
-        let ellipse = Ellipse::of_covariance(
-            9.0 * cos * cos + sin * sin,
-            8.0 * sin * cos,
-            9.0 * sin * sin + cos * cos,
-            2.0,
-        )
-        .unwrap();
+        let ellipse =
+            Ellipse::of_covariance(9.0 * cos * cos + sin * sin, 8.0 * sin * cos, 9.0 * sin * sin + cos * cos, 2.0)
+                .unwrap();
         assert!((ellipse.semi_major_m - 6.0).abs() < 1e-12);
         assert!((ellipse.semi_minor_m - 2.0).abs() < 1e-12);
         assert!((ellipse.direction_rad - std::f64::consts::FRAC_PI_6).abs() < 1e-12);

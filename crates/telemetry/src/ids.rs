@@ -60,9 +60,8 @@ impl SensorId {
     /// The first of the further cameras; those before it are taken.
     const SECOND_CAMERA: u8 = 32;
     /// The names of the further cameras.
-    const FURTHER_CAMERAS: [&'static str; 7] = [
-        "camera 2", "camera 3", "camera 4", "camera 5", "camera 6", "camera 7", "camera 8",
-    ];
+    const FURTHER_CAMERAS: [&'static str; 7] =
+        ["camera 2", "camera 3", "camera 4", "camera 5", "camera 6", "camera 7", "camera 8"];
 
     /// The camera with this place in the order in which they were first heard, from 0: [`Self::CAMERA`], then up to seven more. What
     /// comes after them shares the last one.
@@ -137,8 +136,7 @@ impl ChannelName {
         let end = self.bytes.iter().position(|byte| *byte == 0);
         let said = self.bytes.get(..end.unwrap_or(Self::LONGEST));
         // Every byte is ASCII, by construction.
-        said.and_then(|said| std::str::from_utf8(said).ok())
-            .unwrap_or_default()
+        said.and_then(|said| std::str::from_utf8(said).ok()).unwrap_or_default()
     }
 }
 
@@ -167,10 +165,7 @@ impl Address {
     /// The address `system/component`.
     #[must_use]
     pub const fn new(system: u8, component: u8) -> Self {
-        Self {
-            system: SystemId(system),
-            component: ComponentId(component),
-        }
+        Self { system: SystemId(system), component: ComponentId(component) }
     }
 }
 
@@ -201,15 +196,11 @@ mod tests {
 
     #[test]
     fn further_cameras_have_ids_and_names_of_their_own() {
-        let names: Vec<_> = (0..10)
-            .map(|place| SensorId::camera(place).name())
-            .collect();
+        let names: Vec<_> = (0..10).map(|place| SensorId::camera(place).name()).collect();
         assert_eq!(names[..3], ["camera", "camera 2", "camera 3"]);
         assert_eq!(names[7..], ["camera 8"; 3]);
         assert_eq!(SensorId(31).name(), "sensor");
-        let known: Vec<u8> = (0..=u8::MAX)
-            .filter(|id| SensorId(*id).is_known())
-            .collect();
+        let known: Vec<u8> = (0..=u8::MAX).filter(|id| SensorId(*id).is_known()).collect();
         assert_eq!(known, (0..=9).chain(32..=38).collect::<Vec<u8>>());
     }
 

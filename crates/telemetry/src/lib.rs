@@ -33,16 +33,12 @@ pub use engine::{Input, Output};
 pub use estimate::{Estimate, PoseJump, ScalarEstimate, Validity};
 pub use event::{Defect, Event, LinkState, Refusal};
 pub use fusion::{FusionRecord, Verdict};
-pub use ids::{
-    Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId,
-    SystemId,
-};
+pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId, SystemId};
 pub use link_health::{LinkHealth, PortCounts, SourceHealth};
 pub use observation::{Fix, Observation, Observed, PositionCovariance};
 pub use outbound::{Audience, Priority};
 pub use quantities::{
-    Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians,
-    RadiansPerSecond, Volts,
+    Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond, Volts,
 };
 pub use repeats::{Repeats, Shown};
 pub use robot::{DriveGeometry, SensorNoise};

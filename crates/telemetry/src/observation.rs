@@ -2,9 +2,7 @@
 
 use crate::clock::{BrickClock, Span, Stamp};
 use crate::ids::{BeaconId, LandmarkId, SensorId};
-use crate::quantities::{
-    Celsius, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond,
-};
+use crate::quantities::{Celsius, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond};
 use crate::spaces::{Arena, Body, Odom, Point2, Pose};
 
 /// One observation, aligned to the brick's clock: what the estimator takes.

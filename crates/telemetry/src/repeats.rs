@@ -20,12 +20,7 @@ pub struct Repeats {
 impl Default for Repeats {
     /// Nothing was said yet.
     fn default() -> Self {
-        Self {
-            last: None,
-            at: Stamp::ZERO,
-            held: 0,
-            since: Stamp::ZERO,
-        }
+        Self { last: None, at: Stamp::ZERO, held: 0, since: Stamp::ZERO }
     }
 }
 
@@ -53,10 +48,7 @@ impl Repeats {
         let before = self.held();
         self.held = 0;
         self.last = Some(line.to_owned());
-        Shown {
-            before,
-            is_shown: true,
-        }
+        Shown { before, is_shown: true }
     }
 
     /// What was held back for long enough, to be shown now.

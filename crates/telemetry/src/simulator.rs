@@ -135,12 +135,7 @@ pub struct NumberField {
 
 impl NumberField {
     const fn new(command: &'static str, field: &'static str, range: (f64, f64)) -> Self {
-        Self {
-            command,
-            field,
-            least: range.0,
-            most: range.1,
-        }
+        Self { command, field, least: range.0, most: range.1 }
     }
 
     /// What may stand there.
@@ -151,11 +146,7 @@ impl NumberField {
 
     fn check(&'static self, value: f64) -> Result<(), OutOfRange> {
         // A number that is not finite is in no range.
-        if self.range().contains(&value) {
-            Ok(())
-        } else {
-            Err(OutOfRange { field: self, value })
-        }
+        if self.range().contains(&value) { Ok(()) } else { Err(OutOfRange { field: self, value }) }
     }
 }
 
@@ -171,17 +162,8 @@ pub struct OutOfRange {
 impl fmt::Display for OutOfRange {
     // Short, because it has to fit into a STATUSTEXT.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NumberField {
-            command,
-            field,
-            least,
-            most,
-        } = self.field;
-        write!(
-            f,
-            "{command}: {field} {:?} not in {least}..{most}",
-            self.value
-        )
+        let NumberField { command, field, least, most } = self.field;
+        write!(f, "{command}: {field} {:?} not in {least}..{most}", self.value)
     }
 }
 
@@ -244,11 +226,7 @@ impl SimulatorCommand {
     /// One of them is out of its range or not finite.
     pub fn check(&self) -> Result<(), OutOfRange> {
         match *self {
-            Self::Kidnap {
-                forward_m,
-                left_m,
-                turn_rad,
-            } => {
+            Self::Kidnap { forward_m, left_m, turn_rad } => {
                 KIDNAP_FORWARD.check(forward_m)?;
                 KIDNAP_LEFT.check(left_m)?;
                 KIDNAP_TURN.check(turn_rad)
@@ -261,24 +239,14 @@ impl SimulatorCommand {
                 SLIP_FACTOR.check(factor)?;
                 SLIP_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND)
             }
-            Self::CameraDelay { delay } => {
-                CAMERA_DELAY.check(delay.as_nanos() as f64 / NANOS_PER_MILLISECOND)
-            }
+            Self::CameraDelay { delay } => CAMERA_DELAY.check(delay.as_nanos() as f64 / NANOS_PER_MILLISECOND),
             Self::GyroBiasStep { rad_per_s } => GYRO_BIAS.check(rad_per_s),
-            Self::PullCable { duration } => {
-                CABLE_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND)
-            }
-            Self::Drive {
-                forward_m_per_s,
-                turn_rad_per_s,
-            } => {
+            Self::PullCable { duration } => CABLE_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND),
+            Self::Drive { forward_m_per_s, turn_rad_per_s } => {
                 DRIVE_FORWARD.check(forward_m_per_s)?;
                 DRIVE_TURN.check(turn_rad_per_s)
             }
-            Self::Camera(Switch::On | Switch::Off)
-            | Self::LinkProfile(_)
-            | Self::Steering(_)
-            | Self::Path => Ok(()),
+            Self::Camera(Switch::On | Switch::Off) | Self::LinkProfile(_) | Self::Steering(_) | Self::Path => Ok(()),
         }
     }
 }
@@ -288,26 +256,12 @@ impl fmt::Display for SimulatorCommand {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.name();
         match self {
-            Self::Kidnap {
-                forward_m,
-                left_m,
-                turn_rad,
-            } => write!(
-                f,
-                "{name}: {forward_m:.2} m forward, {left_m:.2} m left, {:.0} deg",
-                turn_rad.to_degrees()
-            ),
-            Self::Slip {
-                wheel,
-                factor,
-                duration,
-            } => write!(
-                f,
-                "{name}: {} lost {:.0} % for {:.1} s",
-                wheel.word(),
-                factor * 100.0,
-                duration.as_secs_f64()
-            ),
+            Self::Kidnap { forward_m, left_m, turn_rad } => {
+                write!(f, "{name}: {forward_m:.2} m forward, {left_m:.2} m left, {:.0} deg", turn_rad.to_degrees())
+            }
+            Self::Slip { wheel, factor, duration } => {
+                write!(f, "{name}: {} lost {:.0} % for {:.1} s", wheel.word(), factor * 100.0, duration.as_secs_f64())
+            }
             Self::Camera(Switch::On) => write!(f, "{name}: on"),
             Self::Camera(Switch::Off) => write!(f, "{name}: off"),
             Self::CameraDelay { delay } => write!(f, "{name}: {:.0} ms", delay.as_millis_f64()),
@@ -316,13 +270,9 @@ impl fmt::Display for SimulatorCommand {
             Self::LinkProfile(None) => write!(f, "{name}: none"),
             Self::PullCable { duration } => write!(f, "{name}: {:.1} s", duration.as_secs_f64()),
             Self::Steering(source) => write!(f, "{name}: by {}", source.word()),
-            Self::Drive {
-                forward_m_per_s,
-                turn_rad_per_s,
-            } => write!(
-                f,
-                "{name}: {forward_m_per_s:.2} m/s, {turn_rad_per_s:.2} rad/s"
-            ),
+            Self::Drive { forward_m_per_s, turn_rad_per_s } => {
+                write!(f, "{name}: {forward_m_per_s:.2} m/s, {turn_rad_per_s:.2} rad/s")
+            }
             Self::Path => write!(f, "{name}: followed again"),
         }
     }
@@ -343,11 +293,7 @@ mod tests {
         let told = |command: SimulatorCommand| command.check().unwrap_err().to_string();
         assert_eq!(told(slip(1.5, 1_000)), "slip: factor 1.5 not in 0..1");
         assert_eq!(told(slip(0.5, 0)), "slip: seconds 0.0 not in 0.1..60");
-        let kidnap = SimulatorCommand::Kidnap {
-            forward_m: 0.0,
-            left_m: f64::NAN,
-            turn_rad: 0.0,
-        };
+        let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: f64::NAN, turn_rad: 0.0 };
         assert_eq!(told(kidnap), "kidnap: left_m NaN not in -10..10");
     }
 
@@ -356,21 +302,11 @@ mod tests {
         let profile = ProfileName::from_bytes(b"bluetooth-spp");
         for (command, line) in [
             (
-                SimulatorCommand::Kidnap {
-                    forward_m: -10.0,
-                    left_m: -10.0,
-                    turn_rad: -PI,
-                },
+                SimulatorCommand::Kidnap { forward_m: -10.0, left_m: -10.0, turn_rad: -PI },
                 "kidnap: -10.00 m forward, -10.00 m left, -180 deg",
             ),
-            (
-                SimulatorCommand::LinkProfile(Some(profile)),
-                "link-profile: bluetooth-spp",
-            ),
-            (
-                SimulatorCommand::Steering(SteeringSource::Odometry),
-                "steering: by odometry",
-            ),
+            (SimulatorCommand::LinkProfile(Some(profile)), "link-profile: bluetooth-spp"),
+            (SimulatorCommand::Steering(SteeringSource::Odometry), "steering: by odometry"),
         ] {
             assert_eq!(command.to_string(), line);
             // MAVLink's STATUSTEXT holds 50 characters.

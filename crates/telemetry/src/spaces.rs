@@ -70,11 +70,7 @@ impl<S> Point2<S> {
     /// The point (x, y).
     #[must_use]
     pub const fn new(x: Meters, y: Meters) -> Self {
-        Self {
-            x,
-            y,
-            space: PhantomData,
-        }
+        Self { x, y, space: PhantomData }
     }
 
     /// The straight distance between two points of one space.
@@ -120,12 +116,7 @@ impl<Target, Source> Transform2<Target, Source> {
     /// The transform whose source origin lies at (x, y) in the target and whose source x axis has this heading there.
     #[must_use]
     pub const fn new(x: Meters, y: Meters, heading: Heading) -> Self {
-        Self {
-            x,
-            y,
-            heading,
-            spaces: PhantomData,
-        }
+        Self { x, y, heading, spaces: PhantomData }
     }
 
     /// The transform back.
@@ -191,20 +182,13 @@ mod tests {
     fn a_transform_times_its_inverse_is_the_identity() {
         let arena_from_body = Pose::<Arena>::new(Meters(1.5), Meters(-0.7), Heading::from_rad(2.9));
         let identity = arena_from_body * arena_from_body.inverse();
-        assert!(
-            identity.x.0.abs() < 1e-12
-                && identity.y.0.abs() < 1e-12
-                && identity.heading.rad().abs() < 1e-12
-        );
+        assert!(identity.x.0.abs() < 1e-12 && identity.y.0.abs() < 1e-12 && identity.heading.rad().abs() < 1e-12);
     }
 
     #[test]
     fn a_point_on_the_left_of_a_body_that_looks_north_lies_west() {
-        let arena_from_body = Pose::<Arena>::new(
-            Meters(2.0),
-            Meters(1.0),
-            Heading::from_rad(std::f64::consts::FRAC_PI_2),
-        );
+        let arena_from_body =
+            Pose::<Arena>::new(Meters(2.0), Meters(1.0), Heading::from_rad(std::f64::consts::FRAC_PI_2));
         let in_arena = arena_from_body * Point2::<Body>::new(Meters(0.0), Meters(0.5));
         assert!((in_arena.x.0 - 1.5).abs() < 1e-12 && (in_arena.y.0 - 1.0).abs() < 1e-12);
     }

@@ -20,12 +20,7 @@ pub(crate) fn check(data: &[u8]) {
             match received {
                 Received::Pose(pose) => {
                     let numbers = [pose.x_m, pose.y_m, pose.heading_rad];
-                    assert!(
-                        numbers
-                            .iter()
-                            .chain(&pose.covariance)
-                            .all(|x| x.is_finite())
-                    );
+                    assert!(numbers.iter().chain(&pose.covariance).all(|x| x.is_finite()));
                 }
                 Received::TimeRequest(request) => {
                     link.answer_time(&request, 7, &mut |answer: &[u8]| assert_answer(answer));
@@ -43,10 +38,7 @@ fn assert_answer(answer: &[u8]) {
         if let Scanned::Frame(frame) = found {
             assert_eq!(frame.raw, answer);
             let message = decode(&frame).ok().flatten();
-            assert!(
-                matches!(message, Some(Message::TimeSync(sync)) if sync.answer_nanos == 7_000),
-                "{message:?}"
-            );
+            assert!(matches!(message, Some(Message::TimeSync(sync)) if sync.answer_nanos == 7_000), "{message:?}");
             answers += 1;
         }
     };

@@ -41,11 +41,6 @@ fn written(config: &Config) -> String {
 
 /// Somebody who reads the message must find the place: a line of the file, or a key between backticks.
 fn assert_names_a_place(message: &str) {
-    let inside = message
-        .strip_prefix("configuration `fuzz.toml`: ")
-        .unwrap_or(message);
-    assert!(
-        inside.contains("line ") || inside.contains('`'),
-        "neither a line nor a key: {message}"
-    );
+    let inside = message.strip_prefix("configuration `fuzz.toml`: ").unwrap_or(message);
+    assert!(inside.contains("line ") || inside.contains('`'), "neither a line nor a key: {message}");
 }

@@ -1,8 +1,6 @@
 //! Any text as a link profile: it is refused with a line, or it makes a link whose time runs on and whose books balance.
 
-use posebridge_sim::impairment::{
-    Counters, DirectionProfile, End, ImpairedLink, LinkEvent, LinkKind, LinkProfile,
-};
+use posebridge_sim::impairment::{Counters, DirectionProfile, End, ImpairedLink, LinkEvent, LinkKind, LinkProfile};
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
 use crate::operands::Operands;
@@ -40,11 +38,7 @@ fn drive(profile: &LinkProfile, seed: u64, program: &[u8]) {
         let (what, size) = (operands.byte(), operands.byte());
         now = now + Span::from_micros(i64::from(what >> 1) * i64::from(what >> 1) * 10);
         bench.pass_to(now);
-        let from = if what & 1 == 0 {
-            End::Brick
-        } else {
-            End::Station
-        };
+        let from = if what & 1 == 0 { End::Brick } else { End::Station };
         bench.offer(from, now, usize::from(size) * 8);
         bench.pass_to(now);
     }
@@ -126,10 +120,7 @@ impl<'a> Bench<'a> {
     }
 
     fn finish(&self) {
-        for (end, direction) in [
-            (End::Brick, &self.profile.to_brick),
-            (End::Station, &self.profile.to_station),
-        ] {
+        for (end, direction) in [(End::Brick, &self.profile.to_brick), (End::Station, &self.profile.to_station)] {
             let (offered, delivered) = (&self.offered[index(end)], &self.delivered[index(end)]);
             let counters = self.link.counters(end);
             check_books(counters, offered.len());

@@ -61,11 +61,7 @@ pub struct Target {
 
 impl Target {
     const fn new(name: &'static str, check: fn(&[u8]), short_runs: u32) -> Self {
-        Self {
-            name,
-            check,
-            short_runs,
-        }
+        Self { name, check, short_runs }
     }
 }
 

@@ -50,17 +50,8 @@ fn settings(choice: u8) -> BrickSettings {
     let is = |bit: u8| choice & (1 << bit) != 0;
     BrickSettings {
         nxt: NxtSettings {
-            sensors: [
-                NxtSensor::HtGyro,
-                NxtSensor::HtCompass,
-                NxtSensor::Ultrasonic,
-                NxtSensor::Temperature,
-            ],
-            outstanding: if is(1) {
-                Outstanding::Two
-            } else {
-                Outstanding::One
-            },
+            sensors: [NxtSensor::HtGyro, NxtSensor::HtCompass, NxtSensor::Ultrasonic, NxtSensor::Temperature],
+            outstanding: if is(1) { Outstanding::Two } else { Outstanding::One },
             ..NxtSettings::default()
         },
         ..BrickSettings::default()

@@ -47,14 +47,7 @@ impl Owner {
         let values: Vec<f32> = (0..count).map(|index| index as f32).collect();
         let named = values.iter().enumerate();
         session.offer_parameters(named.map(|(index, value)| (name(index), *value)));
-        Self {
-            session,
-            now,
-            values,
-            is_asked: false,
-            left: 0,
-            listed_at: None,
-        }
+        Self { session, now, values, is_asked: false, left: 0, listed_at: None }
     }
 
     fn operate(&mut self, operands: &mut Operands<'_>) {
@@ -64,8 +57,7 @@ impl Owner {
             1 => Address::new(operands.byte(), operands.byte()),
             _ => OWN,
         };
-        let is_ours =
-            target.system == OWN.system && (target == OWN || target == Address::new(1, 0));
+        let is_ours = target.system == OWN.system && (target == OWN || target == Address::new(1, 0));
         let counts = is_ours && !self.values.is_empty();
         match kind % 4 {
             0 => self.wait(Span::from_millis(i64::from(operands.byte()))),
@@ -80,30 +72,17 @@ impl Owner {
                 let index = operands.number() as i16 >> (operands.byte() % 16);
                 let name = spelled(operands);
                 self.is_asked |= counts;
-                let told = self.hear(&Message::ParamRequestRead {
-                    target,
-                    name: name.clone(),
-                    index,
-                });
-                let known = if index == -1 {
-                    self.index_of(&name)
-                } else {
-                    usize::try_from(index).ok()
-                };
+                let told = self.hear(&Message::ParamRequestRead { target, name: name.clone(), index });
+                let known = if index == -1 { self.index_of(&name) } else { usize::try_from(index).ok() };
                 let is_known = known.is_some_and(|known| known < self.values.len());
                 assert_eq!(told, usize::from(counts && is_known));
             }
             _ => {
                 let name = spelled(operands);
                 let bits = [operands.byte(), operands.byte(), operands.byte()];
-                let value =
-                    f32::from_bits(u32::from_le_bytes([bits[0], bits[1], bits[2], bits[0]]));
+                let value = f32::from_bits(u32::from_le_bytes([bits[0], bits[1], bits[2], bits[0]]));
                 self.is_asked |= counts;
-                self.hear(&Message::ParamSet {
-                    target,
-                    name,
-                    value,
-                });
+                self.hear(&Message::ParamSet { target, name, value });
             }
         }
     }
@@ -136,18 +115,10 @@ impl Owner {
             };
             assert!(count < MOST_OUTPUTS);
             match output {
-                SessionOutput::Send(Message::ParamValue {
-                    name: named,
-                    value,
-                    count,
-                    index,
-                }) => {
+                SessionOutput::Send(Message::ParamValue { name: named, value, count, index }) => {
                     told += 1;
                     let index = usize::from(index);
-                    assert_eq!(
-                        (named, usize::from(count)),
-                        (name(index), self.values.len())
-                    );
+                    assert_eq!((named, usize::from(count)), (name(index), self.values.len()));
                     assert_eq!(value.to_bits(), self.values[index].to_bits());
                     assert!(self.is_asked);
                     if why == Why::Time {
@@ -210,12 +181,7 @@ fn spelled(operands: &mut Operands<'_>) -> String {
 fn config() -> SessionConfig {
     SessionConfig {
         own: OWN,
-        heartbeat: Heartbeat {
-            vehicle_type: 18,
-            autopilot: 8,
-            base_mode: 0,
-            system_status: 4,
-        },
+        heartbeat: Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 },
         heartbeat_period: Span::from_millis(1_000),
         timesync_period: None,
         peer_timeout: Span::from_millis(3_000),

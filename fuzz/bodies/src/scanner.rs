@@ -8,10 +8,7 @@ pub(crate) fn check(data: &[u8]) {
     let [options, chunk, bytes @ ..] = data else {
         return;
     };
-    let config = ScannerConfig {
-        accept_v1: options & 1 != 0,
-        ..ScannerConfig::default()
-    };
+    let config = ScannerConfig { accept_v1: options & 1 != 0, ..ScannerConfig::default() };
     let chunk = usize::from(*chunk).max(1);
     let (whole, whole_bytes) = scan(config, bytes, bytes.len().max(1));
     let (chunked, chunked_bytes) = scan(config, bytes, chunk);
@@ -19,10 +16,7 @@ pub(crate) fn check(data: &[u8]) {
     assert_eq!(whole_bytes, bytes.len() as u64);
     assert_eq!(chunked_bytes, bytes.len() as u64);
 
-    let datagrams = ScannerConfig {
-        transport: Framing::Datagram,
-        ..config
-    };
+    let datagrams = ScannerConfig { transport: Framing::Datagram, ..config };
     let (_, accounted) = scan(datagrams, bytes, chunk);
     assert_eq!(accounted, bytes.len() as u64);
 }

@@ -55,12 +55,7 @@ pub(crate) fn check(data: &[u8]) {
 fn config() -> SessionConfig {
     SessionConfig {
         own: Address::new(1, 2),
-        heartbeat: Heartbeat {
-            vehicle_type: 18,
-            autopilot: 8,
-            base_mode: 0,
-            system_status: 4,
-        },
+        heartbeat: Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 },
         heartbeat_period: Span::from_millis(1_000),
         timesync_period: Some(Span::from_millis(500)),
         peer_timeout: Span::from_millis(3_000),

@@ -13,10 +13,7 @@ pub(crate) fn check(data: &[u8]) {
     };
     let (whole, counts) = read(file, file.len().max(1));
     let (chunked, chunked_counts) = read(file, usize::from(*chunk) + 1);
-    assert!(
-        whole == chunked && counts == chunked_counts,
-        "chunks of {chunk} + 1"
-    );
+    assert!(whole == chunked && counts == chunked_counts, "chunks of {chunk} + 1");
     assert_eq!(counts.bytes, file.len() as u64);
     let length = |(_, _, frame, _): &Read| (TIME_BYTES + frame.len()) as u64;
     let inside: u64 = whole.iter().map(length).sum();
@@ -41,12 +38,7 @@ fn read(file: &[u8], chunk: usize) -> (Vec<Read>, Counts) {
     let mut records = Vec::new();
     let mut take = |record: Record<'_, ()>| {
         let is_whole = record.judged == Judged::Whole(());
-        records.push((
-            record.offset,
-            record.micros,
-            record.frame.to_vec(),
-            is_whole,
-        ));
+        records.push((record.offset, record.micros, record.frame.to_vec(), is_whole));
     };
     for chunk in file.chunks(chunk) {
         reader.push(chunk, &mut judge, &mut take);
@@ -67,10 +59,7 @@ fn check_rewritten(records: &[Read]) {
         panic!("a vector takes everything");
     };
     let (again, counts) = read(&file, file.len().max(1));
-    assert_eq!(
-        (counts.whole, counts.bytes_outside),
-        (whole.len() as u64, 0)
-    );
+    assert_eq!((counts.whole, counts.bytes_outside), (whole.len() as u64, 0));
     assert!(again.is_sorted_by_key(|(_, micros, ..)| *micros));
     for ((_, _, before, _), (_, _, after, _)) in whole.iter().zip(&again) {
         assert_eq!(before, after);

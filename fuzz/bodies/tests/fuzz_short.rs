@@ -2,10 +2,7 @@
 //!
 //! The count of runs is fixed and the seed stands here, so that a failure comes back on the next run and on another
 //! machine. `fuzz/run` is the longer way, which follows coverage.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop where the checkout is broken"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop where the checkout is broken")]
 
 #[path = "support/mutations.rs"]
 mod mutations;
@@ -41,10 +38,7 @@ fn every_target_keeps_its_promises_on_its_corpus() {
 #[test]
 fn every_target_keeps_its_promises_on_mutations_of_its_corpus() {
     for target in TARGETS {
-        let corpus: Vec<_> = corpus(target.name)
-            .into_iter()
-            .map(|(_, bytes)| bytes)
-            .collect();
+        let corpus: Vec<_> = corpus(target.name).into_iter().map(|(_, bytes)| bytes).collect();
         let mut random = Pcg64::seed_from_u64(SEED);
         for run in 0..target.short_runs {
             let bytes = mutated(&corpus, &mut random);
@@ -63,10 +57,7 @@ fn the_corpus_has_a_folder_for_every_target_and_no_other_and_stays_small() {
     let names: BTreeSet<_> = TARGETS.iter().map(|target| target.name.into()).collect();
     assert_eq!(folders, names);
 
-    let entries: Vec<_> = TARGETS
-        .iter()
-        .flat_map(|target| corpus(target.name))
-        .collect();
+    let entries: Vec<_> = TARGETS.iter().flat_map(|target| corpus(target.name)).collect();
     let bytes: usize = entries.iter().map(|(_, bytes)| bytes.len()).sum();
     assert!(entries.len() <= MOST_FILES, "{} files", entries.len());
     assert!(bytes <= MOST_BYTES, "{bytes} bytes");

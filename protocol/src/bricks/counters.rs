@@ -98,13 +98,7 @@ enum Meaning {
 
 impl Counters {
     pub(super) const fn new(limits: Limits) -> Self {
-        Self {
-            limits,
-            now_s: 0.0,
-            last: None,
-            doubted: None,
-            is_restarted: false,
-        }
+        Self { limits, now_s: 0.0, last: None, doubted: None, is_restarted: false }
     }
 
     /// The brick was switched off and on: its counters began at zero, wherever they stand when they are read next.
@@ -122,11 +116,7 @@ impl Counters {
         if is_restarted {
             return Counted::Rebased(self.keep(counts, last.total_from([0; 2], counts), None));
         }
-        let now = Sample {
-            at_s: self.now_s,
-            counts,
-            ..last
-        };
+        let now = Sample { at_s: self.now_s, counts, ..last };
         let Some(doubted) = self.doubted else {
             if self.is_motion(&last, &now) {
                 return Counted::Total(self.move_on(&last, &now));
@@ -141,11 +131,7 @@ impl Counters {
                 Counted::Doubted
             }
             meaning @ (Meaning::FromZero | Meaning::FromDoubted) => {
-                let from = if meaning == Meaning::FromZero {
-                    [0; 2]
-                } else {
-                    doubted.counts.wheels
-                };
+                let from = if meaning == Meaning::FromZero { [0; 2] } else { doubted.counts.wheels };
                 let speed = doubted.speed_to(&now);
                 Counted::Rebased(self.keep(counts, last.total_from(from, counts), speed))
             }
@@ -153,18 +139,13 @@ impl Counters {
     }
 
     fn is_motion(&self, last: &Sample, now: &Sample) -> bool {
-        last.reaches(now, self.limits)
-            && (!last.may_be_zeroed(now, self.limits) || last.explains(now))
+        last.reaches(now, self.limits) && (!last.may_be_zeroed(now, self.limits) || last.explains(now))
     }
 
     fn meaning(&self, last: &Sample, doubted: &Sample, now: &Sample) -> Meaning {
         let runs_on = last.reaches(now, self.limits);
         if !doubted.reaches(now, self.limits) {
-            return if runs_on {
-                Meaning::Motion
-            } else {
-                Meaning::Nothing
-            };
+            return if runs_on { Meaning::Motion } else { Meaning::Nothing };
         }
         let is_zeroed = last.may_be_zeroed(doubted, self.limits);
         match (runs_on, is_zeroed) {
@@ -182,12 +163,7 @@ impl Counters {
 
     fn keep(&mut self, counts: Counts, total: [i64; 2], speed: Option<[f64; 2]>) -> [i64; 2] {
         self.doubted = None;
-        self.last = Some(Sample {
-            at_s: self.now_s,
-            counts,
-            total,
-            speed,
-        });
+        self.last = Some(Sample { at_s: self.now_s, counts, total, speed });
         total
     }
 }
@@ -202,19 +178,10 @@ impl Sample {
 
     /// Whether the counters may have been set to zero in between.
     fn may_be_zeroed(&self, now: &Self, limits: Limits) -> bool {
-        let zeroed = Self {
-            counts: Counts {
-                wheels: [0; 2],
-                third: None,
-            },
-            ..*self
-        };
+        let zeroed = Self { counts: Counts { wheels: [0; 2], third: None }, ..*self };
         let pairs = self.counts.wheels.iter().zip(&now.counts.wheels);
-        let is_nearer = pairs
-            .into_iter()
-            .all(|(last, found)| found.unsigned_abs() <= last.unsigned_abs());
-        let is_kept = now.counts.third.is_some_and(|third| third != 0)
-            && now.counts.third == self.counts.third;
+        let is_nearer = pairs.into_iter().all(|(last, found)| found.unsigned_abs() <= last.unsigned_abs());
+        let is_kept = now.counts.third.is_some_and(|third| third != 0) && now.counts.third == self.counts.third;
         is_nearer && !is_kept && zeroed.reaches(now, limits)
     }
 
@@ -244,16 +211,10 @@ impl Sample {
             changes
                 .iter()
                 .zip(led)
-                .map(|(change, (before, after))| {
-                    distance(*change as f64, [before * dt_s, after * dt_s])
-                })
+                .map(|(change, (before, after))| distance(*change as f64, [before * dt_s, after * dt_s]))
                 .fold(0.0, f64::max)
         };
-        if surprise([0; 2]) < surprise(self.counts.wheels) {
-            Meaning::FromZero
-        } else {
-            Meaning::Motion
-        }
+        if surprise([0; 2]) < surprise(self.counts.wheels) { Meaning::FromZero } else { Meaning::Motion }
     }
 
     fn speed_to(&self, now: &Self) -> Option<[f64; 2]> {
@@ -274,10 +235,7 @@ impl Sample {
 /// By how much the counters, which wrap, have changed.
 fn changes(from: [i32; 2], to: [i32; 2]) -> [i64; 2] {
     let [left, right] = to;
-    [
-        i64::from(left.wrapping_sub(from[0])),
-        i64::from(right.wrapping_sub(from[1])),
-    ]
+    [i64::from(left.wrapping_sub(from[0])), i64::from(right.wrapping_sub(from[1]))]
 }
 
 /// How far a change lies outside of what lies between nothing and these.
@@ -292,10 +250,7 @@ mod tests {
     use super::*;
 
     const CYCLE: Span = Span::from_millis(30);
-    const LIMITS: Limits = Limits {
-        fastest_per_s: 1_600.0,
-        margin: 3.0,
-    };
+    const LIMITS: Limits = Limits { fastest_per_s: 1_600.0, margin: 3.0 };
 
     /// Counts that are read each cycle, but for some silences.
     #[derive(Debug)]
@@ -349,20 +304,14 @@ mod tests {
         for before in [[20, 9], [17, 7]] {
             let taken = taken(&[before, [20, 9], [0, 0], [0, 0], [0, 0]]);
             assert_eq!(taken[2], Counted::Doubted);
-            assert_eq!(
-                taken[3..],
-                [Counted::Rebased([20, 9]), Counted::Total([20, 9])]
-            );
+            assert_eq!(taken[3..], [Counted::Rebased([20, 9]), Counted::Total([20, 9])]);
         }
     }
 
     #[test]
     fn wheels_that_roll_back_through_zero_at_once_are_motion() {
         let samples: Vec<_> = (-6..=6).map(|k: i32| [-k * 20, -k * 20]).collect();
-        let expected: Vec<_> = samples
-            .iter()
-            .map(|counts| Counted::Total(counts.map(i64::from)))
-            .collect();
+        let expected: Vec<_> = samples.iter().map(|counts| Counted::Total(counts.map(i64::from))).collect();
         assert_eq!(taken(&samples), expected);
     }
 
@@ -370,10 +319,7 @@ mod tests {
     fn a_third_motor_that_keeps_its_count_says_that_nothing_fell() {
         for (third, expected) in [(90, Counted::Total([0, 0])), (0, Counted::Doubted)] {
             let mut counters = Counters::new(LIMITS);
-            let reading = |left, third| Counts {
-                wheels: [left, 0],
-                third: Some(third),
-            };
+            let reading = |left, third| Counts { wheels: [left, 0], third: Some(third) };
             counters.take(CYCLE, reading(30, 90));
             counters.take(CYCLE, reading(30, 90));
             assert_eq!(counters.take(CYCLE, reading(0, third)), expected);
@@ -399,10 +345,7 @@ mod tests {
     #[test]
     fn motion_since_the_zero_counts_and_the_wrap_of_the_counter_is_none() {
         let reset = taken(&[[9_000, 9_000], [30, 28], [45, 42]]);
-        assert_eq!(
-            reset[1..],
-            [Counted::Doubted, Counted::Rebased([9_045, 9_042])]
-        );
+        assert_eq!(reset[1..], [Counted::Doubted, Counted::Rebased([9_045, 9_042])]);
         let wrapped = taken(&[[i32::MAX - 4, -3], [i32::MIN + 5, 7]]);
         let expected = Counted::Total([i64::from(i32::MAX) + 6, 7]);
         assert_eq!(wrapped[1], expected);
@@ -437,11 +380,7 @@ mod tests {
         for after in [2_000, 1_700, 2_300, 1_100, 1_000, 900] {
             let mut bench = Bench::moving(15, 1_000);
             let total = i64::from(after);
-            assert_eq!(
-                bench.after(silence, [after; 2]),
-                Counted::Total([total; 2]),
-                "{after}"
-            );
+            assert_eq!(bench.after(silence, [after; 2]), Counted::Total([total; 2]), "{after}");
         }
     }
 
@@ -456,10 +395,7 @@ mod tests {
     #[test]
     fn the_speed_after_a_silence_tells_a_way_back_from_a_new_beginning() {
         let silence = Span::from_millis(2_500);
-        for (next, expected) in [
-            (380, Counted::Total([380; 2])),
-            (420, Counted::Rebased([900 + 420; 2])),
-        ] {
+        for (next, expected) in [(380, Counted::Total([380; 2])), (420, Counted::Rebased([900 + 420; 2]))] {
             let mut bench = Bench::moving(0, 900);
             assert_eq!(bench.after(silence, [400; 2]), Counted::Doubted);
             assert_eq!(bench.take([next; 2]), expected);

@@ -4,9 +4,7 @@ use posebridge_telemetry::{Address, Defect, HostClock, SourceHealth, Stamp};
 
 use super::{BrickCodec, BrickSettings, Heard};
 use crate::dialect::{Encoder, decode};
-use crate::framing::{
-    FrameRef, ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion,
-};
+use crate::framing::{FrameRef, ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion};
 use crate::message::Message;
 
 /// The state of one link that speaks MAVLink.
@@ -51,8 +49,7 @@ impl BrickCodec for Mavlink {
 
     fn tick(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
         let sequences = &mut self.sequences;
-        self.scanner
-            .tick(now, &mut |found| hear((now, &mut *sequences), found, sink));
+        self.scanner.tick(now, &mut |found| hear((now, &mut *sequences), found, sink));
     }
 
     fn poll(&mut self) -> Option<Vec<u8>> {
@@ -60,13 +57,7 @@ impl BrickCodec for Mavlink {
         None
     }
 
-    fn encode(
-        &mut self,
-        _now: Stamp<HostClock>,
-        from: Address,
-        message: &Message,
-        out: &mut Vec<u8>,
-    ) -> usize {
+    fn encode(&mut self, _now: Stamp<HostClock>, from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
         self.encoder.encode(from, message, out)
     }
 
@@ -91,10 +82,7 @@ fn hear(
         Scanned::Frame(frame) => {
             let missing = sequences.take(&frame, now);
             if missing > 0 {
-                sink(Heard::Defect(Defect::Lost {
-                    source: frame.source,
-                    frames: missing,
-                }));
+                sink(Heard::Defect(Defect::Lost { source: frame.source, frames: missing }));
             }
             sink(meaning(&frame));
         }
@@ -103,13 +91,8 @@ fn hear(
 
 fn meaning<'a>(frame: &FrameRef<'a>) -> Heard<'a> {
     match decode(frame) {
-        Ok(Some(message)) => Heard::Message {
-            from: frame.source,
-            message,
-        },
+        Ok(Some(message)) => Heard::Message { from: frame.source, message },
         Ok(None) => Heard::Other(*frame),
-        Err(error) => Heard::Defect(Defect::Payload {
-            message_id: error.message_id(),
-        }),
+        Err(error) => Heard::Defect(Defect::Payload { message_id: error.message_id() }),
     }
 }

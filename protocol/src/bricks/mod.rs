@@ -43,16 +43,8 @@ pub const BRICKS: &[BrickProtocol] = &[
         summary: "LEGO NXT with a program that sends MAVLink frames of itself",
         open: nxt::open_push,
     },
-    BrickProtocol {
-        name: "ev3",
-        summary: "LEGO EV3 as it is: direct commands by Bluetooth or WiFi",
-        open: ev3::open,
-    },
-    BrickProtocol {
-        name: "line",
-        summary: "lines of text from boards that print: key:value or CSV",
-        open: line::open,
-    },
+    BrickProtocol { name: "ev3", summary: "LEGO EV3 as it is: direct commands by Bluetooth or WiFi", open: ev3::open },
+    BrickProtocol { name: "line", summary: "lines of text from boards that print: key:value or CSV", open: line::open },
     BrickProtocol {
         name: "camera-json",
         summary: "no brick but cameras that say in lines of JSON where the robot is",
@@ -129,13 +121,7 @@ pub trait BrickCodec: fmt::Debug + Send {
     fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>));
 
     /// The same for a chunk of one of several peers of a link. A brick is alone on its link; who may have company keeps them apart.
-    fn push_from(
-        &mut self,
-        now: Stamp<HostClock>,
-        _peer: PeerId,
-        bytes: &[u8],
-        sink: &mut dyn FnMut(Heard<'_>),
-    ) {
+    fn push_from(&mut self, now: Stamp<HostClock>, _peer: PeerId, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         self.push(now, bytes, sink);
     }
 
@@ -154,13 +140,7 @@ pub trait BrickCodec: fmt::Debug + Send {
     }
 
     /// Appends the message to `out` and returns how many bytes it took; 0 when the protocol cannot say it, or not now.
-    fn encode(
-        &mut self,
-        now: Stamp<HostClock>,
-        from: Address,
-        message: &Message,
-        out: &mut Vec<u8>,
-    ) -> usize;
+    fn encode(&mut self, now: Stamp<HostClock>, from: Address, message: &Message, out: &mut Vec<u8>) -> usize;
 
     /// What was found in the bytes so far.
     fn counters(&self) -> ScanCounters;

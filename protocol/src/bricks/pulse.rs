@@ -29,22 +29,14 @@ pub(super) struct Pulse {
 impl Default for Pulse {
     /// A robot's.
     fn default() -> Self {
-        Self {
-            vehicle_type: GROUND_ROVER,
-            autopilot: GENERIC,
-            last: None,
-        }
+        Self { vehicle_type: GROUND_ROVER, autopilot: GENERIC, last: None }
     }
 }
 
 impl Pulse {
     /// A camera's.
     pub(super) const fn of_camera() -> Self {
-        Self {
-            vehicle_type: CAMERA,
-            autopilot: NOT_AN_AUTOPILOT,
-            last: None,
-        }
+        Self { vehicle_type: CAMERA, autopilot: NOT_AN_AUTOPILOT, last: None }
     }
 
     /// The brick was heard at `now`: its heartbeat, if one is due.

@@ -92,9 +92,7 @@ mod tests {
 
     #[test]
     fn lines_end_with_either_or_both() {
-        let lines: Vec<_> = [b"a", b"b", b"c", b"d"]
-            .map(|line| Ok(line.to_vec()))
-            .into();
+        let lines: Vec<_> = [b"a", b"b", b"c", b"d"].map(|line| Ok(line.to_vec())).into();
         assert_eq!(cuts(b"\na\nb\rc\r\n\r\nd\n\re"), lines);
     }
 

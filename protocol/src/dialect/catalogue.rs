@@ -23,11 +23,8 @@ pub(crate) static CATALOGUE: LazyLock<Catalogue> = LazyLock::new(|| Catalogue::b
 /// The same with the messages of foreign dialects.
 pub(crate) static EVERYTHING: LazyLock<Catalogue> = LazyLock::new(|| {
     let foreign = FOREIGN.iter().map(|message| {
-        let shape = Shape {
-            crc_extra: message.crc_extra,
-            max_len_v1: message.max_len_v1,
-            max_len_v2: message.max_len_v2,
-        };
+        let shape =
+            Shape { crc_extra: message.crc_extra, max_len_v1: message.max_len_v1, max_len_v2: message.max_len_v2 };
         (message.id, shape)
     });
     Catalogue::build(spoken().chain(foreign))
@@ -36,28 +33,21 @@ pub(crate) static EVERYTHING: LazyLock<Catalogue> = LazyLock::new(|| {
 /// The name of a message in its definition, also of one of a dialect that is not spoken here; `None` when nobody knows it.
 #[must_use]
 pub fn message_name(id: u32) -> Option<&'static str> {
-    let standard =
-        || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());
-    let own = || {
-        posebridge::MavMessage::default_message_from_id(id).map(|message| message.message_name())
-    };
+    let standard = || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());
+    let own = || posebridge::MavMessage::default_message_from_id(id).map(|message| message.message_name());
     let foreign = || {
         let index = FOREIGN.binary_search_by_key(&id, |message| message.id);
         index.ok().and_then(|index| FOREIGN.get(index))
     };
-    standard()
-        .or_else(own)
-        .or_else(|| foreign().map(|message| message.name))
+    standard().or_else(own).or_else(|| foreign().map(|message| message.name))
 }
 
 /// The messages that this station speaks, with their shapes.
 fn spoken() -> impl Iterator<Item = (u32, Shape)> {
-    let standard = common::MavMessage::all_ids()
-        .iter()
-        .filter_map(|&id| Some((id, measure::<common::MavMessage>(id)?)));
-    let own = posebridge::MavMessage::all_ids()
-        .iter()
-        .filter_map(|&id| Some((id, measure::<posebridge::MavMessage>(id)?)));
+    let standard =
+        common::MavMessage::all_ids().iter().filter_map(|&id| Some((id, measure::<common::MavMessage>(id)?)));
+    let own =
+        posebridge::MavMessage::all_ids().iter().filter_map(|&id| Some((id, measure::<posebridge::MavMessage>(id)?)));
     standard.chain(own)
 }
 
@@ -82,10 +72,7 @@ pub(crate) struct Catalogue {
 
 impl Catalogue {
     fn build(shapes: impl Iterator<Item = (u32, Shape)>) -> Self {
-        let mut catalogue = Self {
-            pages: vec![0; PAGES],
-            shapes: vec![[None; PAGE]],
-        };
+        let mut catalogue = Self { pages: vec![0; PAGES], shapes: vec![[None; PAGE]] };
         for (id, shape) in shapes {
             let id = id as usize;
             if catalogue.pages[id / PAGE] == 0 {
@@ -123,11 +110,7 @@ fn written<M: Message>(message: &M, version: MavlinkVersion) -> u8 {
     let mut over_ones = [0xFF; MAX_PAYLOAD];
     message.ser(version, &mut over_zeros);
     message.ser(version, &mut over_ones);
-    let length = over_zeros
-        .iter()
-        .zip(&over_ones)
-        .take_while(|(a, b)| a == b)
-        .count();
+    let length = over_zeros.iter().zip(&over_ones).take_while(|(a, b)| a == b).count();
     length as u8
 }
 
@@ -162,11 +145,7 @@ mod tests {
             (331, 91, 230, 233),
             (9000, 113, 137, 137),
         ] {
-            let expected = Shape {
-                crc_extra,
-                max_len_v1,
-                max_len_v2,
-            };
+            let expected = Shape { crc_extra, max_len_v1, max_len_v2 };
             assert_eq!(CATALOGUE.shape(id), Some(expected), "message {id}");
         }
     }
@@ -197,11 +176,7 @@ mod tests {
         assert_eq!(message_name(42_102), Some("PB_PLANAR_POSE"));
         assert_eq!(message_name(9_999_999), None);
         for id in 0..100_000 {
-            assert_eq!(
-                EVERYTHING.shape(id).is_some(),
-                message_name(id).is_some(),
-                "{id}"
-            );
+            assert_eq!(EVERYTHING.shape(id).is_some(), message_name(id).is_some(), "{id}");
         }
     }
 

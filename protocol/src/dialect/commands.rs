@@ -17,9 +17,7 @@
 //! # Source
 //! common.xml, MAV_CMD and PREFLIGHT_STORAGE_PARAMETER_ACTION; docs/parameters.md.
 
-use posebridge_telemetry::{
-    Command, Heading, Learning, Meters, ParameterStorage, Pose, SensorId, Switch,
-};
+use posebridge_telemetry::{Command, Heading, Learning, Meters, ParameterStorage, Pose, SensorId, Switch};
 
 use super::ids;
 use super::spaces::{Planar, turn_ned};
@@ -94,14 +92,8 @@ pub fn understood(command: &CommandLong) -> Result<Command, CommandError> {
                 return Err(nonsense(command, 1, wanted));
             }
             match choice(command, 2, "0 or 1")? {
-                0 => Ok(Command::SwitchSource {
-                    sensor,
-                    to: Switch::Off,
-                }),
-                1 => Ok(Command::SwitchSource {
-                    sensor,
-                    to: Switch::On,
-                }),
+                0 => Ok(Command::SwitchSource { sensor, to: Switch::Off }),
+                1 => Ok(Command::SwitchSource { sensor, to: Switch::On }),
                 _ => Err(nonsense(command, 2, "0 or 1")),
             }
         }
@@ -140,17 +132,10 @@ fn set_pose(command: &CommandLong) -> Result<Command, CommandError> {
             return Err(nonsense(command, index, "a sigma above 0"));
         }
     }
-    let arena = turn_ned(Planar {
-        x: f64::from(north_m),
-        y: f64::from(east_m),
-        angle: f64::from(yaw_deg).to_radians(),
-    });
+    let arena =
+        turn_ned(Planar { x: f64::from(north_m), y: f64::from(east_m), angle: f64::from(yaw_deg).to_radians() });
     Ok(Command::SetPose {
-        pose: Pose::new(
-            Meters(arena.x),
-            Meters(arena.y),
-            Heading::from_rad(arena.angle),
-        ),
+        pose: Pose::new(Meters(arena.x), Meters(arena.y), Heading::from_rad(arena.angle)),
         position_sigma_m: f64::from(position_sigma_m),
         heading_sigma_rad: f64::from(yaw_sigma_deg).to_radians(),
     })
@@ -160,11 +145,7 @@ fn set_pose(command: &CommandLong) -> Result<Command, CommandError> {
 fn choice(command: &CommandLong, index: u8, wanted: &'static str) -> Result<u8, CommandError> {
     let value = parameter(command, index);
     let whole = (0.0..=255.0).contains(&value) && value.fract() == 0.0;
-    if whole {
-        Ok(value as u8)
-    } else {
-        Err(nonsense(command, index, wanted))
-    }
+    if whole { Ok(value as u8) } else { Err(nonsense(command, index, wanted)) }
 }
 
 /// One of the seven, from 1.
@@ -174,10 +155,5 @@ fn parameter(command: &CommandLong, index: u8) -> f32 {
 }
 
 fn nonsense(command: &CommandLong, index: u8, wanted: &'static str) -> CommandError {
-    CommandError::Parameter {
-        command: command.command,
-        index,
-        value: parameter(command, index),
-        wanted,
-    }
+    CommandError::Parameter { command: command.command, index, value: parameter(command, index), wanted }
 }

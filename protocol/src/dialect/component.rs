@@ -9,8 +9,8 @@ use super::payload::{Payload, Reader, Writer, micros64, millis32};
 use super::sensors::NAME;
 use crate::framing::WireVersion;
 use crate::message::{
-    AutopilotVersion, ComponentInformation, FloatArray, Message, MessageInterval, NamedValue,
-    ProtocolVersion, WireStamp,
+    AutopilotVersion, ComponentInformation, FloatArray, Message, MessageInterval, NamedValue, ProtocolVersion,
+    WireStamp,
 };
 
 /// Length of DEBUG_FLOAT_ARRAY.data.
@@ -26,10 +26,7 @@ pub(super) fn autopilot_version(payload: &[u8]) -> Message {
     let mut reader = Reader::new(payload);
     let capabilities = reader.u64();
     let _uid = reader.u64();
-    Message::AutopilotVersion(AutopilotVersion {
-        capabilities,
-        software: reader.u32().to_be_bytes(),
-    })
+    Message::AutopilotVersion(AutopilotVersion { capabilities, software: reader.u32().to_be_bytes() })
 }
 
 fn write_autopilot_version(version: WireVersion, said: AutopilotVersion) -> Payload {
@@ -51,12 +48,7 @@ pub(super) fn protocol_version(payload: &[u8]) -> Message {
 
 fn write_protocol_version(version: WireVersion, said: ProtocolVersion) -> Payload {
     let no_hashes = [0; 16];
-    Writer::new()
-        .u16(said.version)
-        .u16(said.min_version)
-        .u16(said.max_version)
-        .raw(&no_hashes)
-        .finish(version)
+    Writer::new().u16(said.version).u16(said.min_version).u16(said.max_version).raw(&no_hashes).finish(version)
 }
 
 pub(super) fn component_information(payload: &[u8]) -> Message {
@@ -98,18 +90,11 @@ fn write_component_information(version: WireVersion, said: &ComponentInformation
 pub(super) fn message_interval(payload: &[u8]) -> Message {
     let mut reader = Reader::new(payload);
     let interval_micros = reader.i32();
-    Message::MessageInterval(MessageInterval {
-        message_id: reader.u16(),
-        interval_micros,
-    })
+    Message::MessageInterval(MessageInterval { message_id: reader.u16(), interval_micros })
 }
 
 fn write_named_value(version: WireVersion, said: &NamedValue) -> Payload {
-    Writer::new()
-        .u32(millis32(said.stamp))
-        .f32(said.value)
-        .text::<NAME>(said.name.as_str())
-        .finish(version)
+    Writer::new().u32(millis32(said.stamp)).f32(said.value).text::<NAME>(said.name.as_str()).finish(version)
 }
 
 pub(super) fn float_array(payload: &[u8]) -> Message {
@@ -121,12 +106,7 @@ pub(super) fn float_array(payload: &[u8]) -> Message {
     while values.last().is_some_and(|value| value.to_bits() == 0) {
         values.pop();
     }
-    Message::FloatArray(FloatArray {
-        stamp,
-        name,
-        id,
-        values,
-    })
+    Message::FloatArray(FloatArray { stamp, name, id, values })
 }
 
 fn write_float_array(version: WireVersion, said: &FloatArray) -> Payload {
@@ -147,18 +127,11 @@ fn write_float_array(version: WireVersion, said: &FloatArray) -> Payload {
 )]
 pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
     let written = match message {
-        Message::AutopilotVersion(said) => (
-            ids::AUTOPILOT_VERSION,
-            write_autopilot_version(version, *said),
-        ),
-        Message::ProtocolVersion(said) => (
-            ids::PROTOCOL_VERSION,
-            write_protocol_version(version, *said),
-        ),
-        Message::ComponentInformation(said) => (
-            ids::COMPONENT_INFORMATION_BASIC,
-            write_component_information(version, said),
-        ),
+        Message::AutopilotVersion(said) => (ids::AUTOPILOT_VERSION, write_autopilot_version(version, *said)),
+        Message::ProtocolVersion(said) => (ids::PROTOCOL_VERSION, write_protocol_version(version, *said)),
+        Message::ComponentInformation(said) => {
+            (ids::COMPONENT_INFORMATION_BASIC, write_component_information(version, said))
+        }
         Message::MessageInterval(said) => {
             let writer = Writer::new().i32(said.interval_micros);
             let writer = writer.u16(said.message_id);

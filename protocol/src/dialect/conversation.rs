@@ -3,9 +3,7 @@
 //! Most have enumerations and are read field by field in wire order (largest type first, extensions last). Source:
 //! MAVLink minimal.xml, standard.xml and common.xml.
 
-use mavlink::dialects::common::{
-    PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA,
-};
+use mavlink::dialects::common::{PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA};
 use posebridge_telemetry::Address;
 
 use super::ids::COMMAND_SET_MESSAGE_INTERVAL;
@@ -13,8 +11,7 @@ use super::payload::{Payload, Reader, Writer, millis32, read, somebody, text_fro
 use super::{Decoded, ids};
 use crate::framing::WireVersion;
 use crate::message::{
-    CommandAck, CommandInt, CommandLong, Heartbeat, Message, STOP, SetMessageInterval, TextPart,
-    TimeSync, WireStamp,
+    CommandAck, CommandInt, CommandLong, Heartbeat, Message, STOP, SetMessageInterval, TextPart, TimeSync, WireStamp,
 };
 
 /// MAVLink's own minor version, in every heartbeat.
@@ -90,11 +87,7 @@ pub(super) fn command_long(payload: &[u8]) -> Message {
     let params: [f32; 7] = reader.f32s();
     let command = reader.u16();
     let target = reader.address();
-    let command = CommandLong {
-        target,
-        command,
-        params,
-    };
+    let command = CommandLong { target, command, params };
     SetMessageInterval::of(&command).map_or(Message::Command(command), Message::SetMessageInterval)
 }
 
@@ -104,15 +97,7 @@ pub(super) fn command_int(payload: &[u8]) -> Message {
     let (x, y, z) = (reader.i32(), reader.i32(), reader.f32());
     let command = reader.u16();
     let target = reader.address();
-    Message::CommandInt(CommandInt {
-        target,
-        frame: reader.u8(),
-        command,
-        params,
-        x,
-        y,
-        z,
-    })
+    Message::CommandInt(CommandInt { target, frame: reader.u8(), command, params, x, y, z })
 }
 
 fn write_command_int(version: WireVersion, command: &CommandInt) -> Payload {
@@ -132,26 +117,15 @@ fn write_command_int(version: WireVersion, command: &CommandInt) -> Payload {
 
 fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
     let confirmation = 0;
-    Writer::new()
-        .f32s(&command.params)
-        .u16(command.command)
-        .address(command.target)
-        .u8(confirmation)
-        .finish(version)
+    Writer::new().f32s(&command.params).u16(command.command).address(command.target).u8(confirmation).finish(version)
 }
 
 fn write_interval(version: WireVersion, wanted: &SetMessageInterval) -> Payload {
-    let micros = wanted
-        .interval
-        .map_or(STOP, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
+    let micros = wanted.interval.map_or(STOP, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
     let mut params = [0.0; 7];
     params[0] = wanted.message_id as f32;
     params[1] = micros;
-    let command = CommandLong {
-        target: wanted.target,
-        command: COMMAND_SET_MESSAGE_INTERVAL,
-        params,
-    };
+    let command = CommandLong { target: wanted.target, command: COMMAND_SET_MESSAGE_INTERVAL, params };
     write_command(version, &command)
 }
 
@@ -161,11 +135,7 @@ pub(super) fn command_ack(payload: &[u8]) -> Message {
     let result = reader.u8();
     let _progress = reader.u8();
     let _detail = reader.u32();
-    Message::CommandAck(CommandAck {
-        command,
-        result,
-        target: somebody(reader.address()),
-    })
+    Message::CommandAck(CommandAck { command, result, target: somebody(reader.address()) })
 }
 
 fn write_ack(version: WireVersion, ack: CommandAck) -> Payload {
@@ -185,18 +155,13 @@ pub(super) fn status_text(payload: &[u8]) -> Message {
     Message::StatusText {
         severity: reader.u8(),
         text: reader.text::<STATUS_TEXT>(),
-        part: TextPart {
-            text_id: reader.u16(),
-            index: reader.u8(),
-        },
+        part: TextPart { text_id: reader.u16(), index: reader.u8() },
     }
 }
 
 pub(super) fn param_request_list(payload: &[u8]) -> Decoded {
     let data: PARAM_REQUEST_LIST_DATA = read(payload)?;
-    Ok(Some(Message::ParamRequestList {
-        target: Address::new(data.target_system, data.target_component),
-    }))
+    Ok(Some(Message::ParamRequestList { target: Address::new(data.target_system, data.target_component) }))
 }
 
 pub(super) fn param_request_read(payload: &[u8]) -> Decoded {
@@ -215,11 +180,7 @@ pub(super) fn param_set(payload: &[u8]) -> Message {
     let name = reader.text::<PARAM_NAME>();
     let kind = reader.u8();
     match param_number(slot, kind) {
-        Some(value) => Message::ParamSet {
-            target,
-            name,
-            value,
-        },
+        Some(value) => Message::ParamSet { target, name, value },
         None => Message::ParamSetUnsupported { target, name, kind },
     }
 }
@@ -248,12 +209,7 @@ pub(super) fn param_value(payload: &[u8]) -> Option<Message> {
     let index = reader.u16();
     let name = reader.text::<PARAM_NAME>();
     let is_float = reader.u8() == PARAM_TYPE_REAL32;
-    is_float.then_some(Message::ParamValue {
-        name,
-        value,
-        count,
-        index,
-    })
+    is_float.then_some(Message::ParamValue { name, value, count, index })
 }
 
 /// Writes the messages of this module; `None` for all others.
@@ -269,21 +225,11 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
         Message::Command(command) => (ids::COMMAND_LONG, write_command(version, command)),
         Message::CommandInt(command) => (ids::COMMAND_INT, write_command_int(version, command)),
         Message::CommandAck(ack) => (ids::COMMAND_ACK, write_ack(version, *ack)),
-        Message::SystemTime {
-            unix_micros,
-            since_boot,
-        } => {
-            let data = SYSTEM_TIME_DATA {
-                time_unix_usec: *unix_micros,
-                time_boot_ms: millis32(*since_boot),
-            };
+        Message::SystemTime { unix_micros, since_boot } => {
+            let data = SYSTEM_TIME_DATA { time_unix_usec: *unix_micros, time_boot_ms: millis32(*since_boot) };
             (ids::SYSTEM_TIME, Payload::of(version, &data))
         }
-        Message::StatusText {
-            severity,
-            text,
-            part,
-        } => {
+        Message::StatusText { severity, text, part } => {
             let writer = Writer::new().u8(*severity).text::<STATUS_TEXT>(text);
             let writer = writer.extensions().u16(part.text_id).u8(part.index);
             (ids::STATUSTEXT, writer.finish(version))
@@ -300,17 +246,10 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
 fn write_parameter(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
     let written = match message {
         Message::ParamRequestList { target } => {
-            let data = PARAM_REQUEST_LIST_DATA {
-                target_system: target.system.0,
-                target_component: target.component.0,
-            };
+            let data = PARAM_REQUEST_LIST_DATA { target_system: target.system.0, target_component: target.component.0 };
             (ids::PARAM_REQUEST_LIST, Payload::of(version, &data))
         }
-        Message::ParamRequestRead {
-            target,
-            name,
-            index,
-        } => {
+        Message::ParamRequestRead { target, name, index } => {
             let data = PARAM_REQUEST_READ_DATA {
                 param_index: *index,
                 target_system: target.system.0,
@@ -320,37 +259,16 @@ fn write_parameter(version: WireVersion, message: &Message) -> Option<(u32, Payl
             (ids::PARAM_REQUEST_READ, Payload::of(version, &data))
         }
         Message::ParamSetUnsupported { target, name, kind } => {
-            let writer = Writer::new()
-                .f32(0.0)
-                .address(*target)
-                .text::<PARAM_NAME>(name)
-                .u8(*kind);
+            let writer = Writer::new().f32(0.0).address(*target).text::<PARAM_NAME>(name).u8(*kind);
             (ids::PARAM_SET, writer.finish(version))
         }
-        Message::ParamSet {
-            target,
-            name,
-            value,
-        } => {
-            let writer = Writer::new()
-                .f32(*value)
-                .address(*target)
-                .text::<PARAM_NAME>(name)
-                .u8(PARAM_TYPE_REAL32);
+        Message::ParamSet { target, name, value } => {
+            let writer = Writer::new().f32(*value).address(*target).text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32);
             (ids::PARAM_SET, writer.finish(version))
         }
-        Message::ParamValue {
-            name,
-            value,
-            count,
-            index,
-        } => {
-            let writer = Writer::new()
-                .f32(*value)
-                .u16(*count)
-                .u16(*index)
-                .text::<PARAM_NAME>(name)
-                .u8(PARAM_TYPE_REAL32);
+        Message::ParamValue { name, value, count, index } => {
+            let writer =
+                Writer::new().f32(*value).u16(*count).u16(*index).text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32);
             (ids::PARAM_VALUE, writer.finish(version))
         }
         _ => return None,

@@ -25,10 +25,7 @@ impl Encoder {
     /// An encoder that has sent nothing.
     #[must_use]
     pub fn new(version: WireVersion) -> Self {
-        Self {
-            version,
-            sequences: BTreeMap::new(),
-        }
+        Self { version, sequences: BTreeMap::new() }
     }
 
     /// Appends one whole frame, unsigned, to `out` and returns its length.
@@ -42,26 +39,14 @@ impl Encoder {
     /// Appends one whole frame with its signature to `out` and returns its length, signature included.
     ///
     /// Returns 0 and appends nothing for a MAVLink 1 encoder: those frames cannot be signed.
-    pub fn encode_signed(
-        &mut self,
-        from: Address,
-        message: &Message,
-        seal: &Seal<'_>,
-        out: &mut Vec<u8>,
-    ) -> usize {
+    pub fn encode_signed(&mut self, from: Address, message: &Message, seal: &Seal<'_>, out: &mut Vec<u8>) -> usize {
         match self.version {
             WireVersion::V1 => 0,
             WireVersion::V2 => self.write(from, message, Some(seal), out),
         }
     }
 
-    fn write(
-        &mut self,
-        from: Address,
-        message: &Message,
-        seal: Option<&Seal<'_>>,
-        out: &mut Vec<u8>,
-    ) -> usize {
+    fn write(&mut self, from: Address, message: &Message, seal: Option<&Seal<'_>>, out: &mut Vec<u8>) -> usize {
         let Some((message_id, payload)) = payload_of(self.version, message) else {
             return 0;
         };
@@ -104,12 +89,7 @@ impl Encoder {
         if layout.is_signed {
             return Err(RenumberError::Signed);
         }
-        let Layout {
-            source,
-            sequence_at,
-            end,
-            ..
-        } = layout;
+        let Layout { source, sequence_at, end, .. } = layout;
         let body = frame.get(1..end).ok_or(RenumberError::NoFrame)?;
         let sum = match frame.get(end..end + 2) {
             Some(&[low, high]) => u16::from_le_bytes([low, high]),
@@ -190,12 +170,8 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
         Message::WheelTicks(ticks) => (ids::PB_WHEEL_TICKS, own::write_ticks(version, ticks)),
         Message::Inertial(inertial) => (ids::PB_INERTIAL, own::write_inertial(version, inertial)),
         Message::PlanarPose(pose) => (ids::PB_PLANAR_POSE, own::write_pose(version, pose)),
-        Message::FusionHealth(health) => {
-            (ids::PB_FUSION_HEALTH, own::write_health(version, health))
-        }
-        Message::RobotDescription(robot) => {
-            (ids::PB_ROBOT_DESCRIPTION, own::write_robot(version, robot))
-        }
+        Message::FusionHealth(health) => (ids::PB_FUSION_HEALTH, own::write_health(version, health)),
+        Message::RobotDescription(robot) => (ids::PB_ROBOT_DESCRIPTION, own::write_robot(version, robot)),
         Message::AutopilotVersion(_)
         | Message::ProtocolVersion(_)
         | Message::ComponentInformation(_)

@@ -24,20 +24,8 @@ pub(super) struct Foreign {
     pub(super) name: &'static str,
 }
 
-const fn row(
-    id: u32,
-    crc_extra: u8,
-    max_len_v1: u8,
-    max_len_v2: u8,
-    name: &'static str,
-) -> Foreign {
-    Foreign {
-        id,
-        crc_extra,
-        max_len_v1,
-        max_len_v2,
-        name,
-    }
+const fn row(id: u32, crc_extra: u8, max_len_v1: u8, max_len_v2: u8, name: &'static str) -> Foreign {
+    Foreign { id, crc_extra, max_len_v1, max_len_v2, name }
 }
 
 /// By rising id: seed, length without and with extension fields, name.
@@ -188,13 +176,7 @@ pub(super) const FOREIGN: &[Foreign] = &[
     row(60010, 208, 33, 33, "STORM32_GIMBAL_MANAGER_INFORMATION"),
     row(60011, 183, 7, 7, "STORM32_GIMBAL_MANAGER_STATUS"),
     row(60012, 99, 36, 36, "STORM32_GIMBAL_MANAGER_CONTROL"),
-    row(
-        60013,
-        129,
-        24,
-        24,
-        "STORM32_GIMBAL_MANAGER_CONTROL_PITCHYAW",
-    ),
+    row(60013, 129, 24, 24, "STORM32_GIMBAL_MANAGER_CONTROL_PITCHYAW"),
     row(60014, 134, 8, 8, "STORM32_GIMBAL_MANAGER_CORRECT_ROLL"),
     row(60020, 202, 4, 4, "QSHOT_STATUS"),
     row(60040, 156, 245, 245, "FRSKY_PASSTHROUGH_ARRAY"),

@@ -13,10 +13,7 @@ mod component;
 mod conversation;
 mod encoder;
 mod foreign;
-#[expect(
-    warnings,
-    reason = "generated code, out of our hands; it is checked by golden bytes"
-)]
+#[expect(warnings, reason = "generated code, out of our hands; it is checked by golden bytes")]
 pub(crate) mod generated;
 pub mod ids;
 mod own;
@@ -160,12 +157,9 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
 pub fn stamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
     match frame.message_id {
         // The commonest without one need not be decoded for it.
-        ids::HEARTBEAT
-        | ids::TIMESYNC
-        | ids::COMMAND_INT
-        | ids::COMMAND_LONG
-        | ids::COMMAND_ACK
-        | ids::STATUSTEXT => None,
+        ids::HEARTBEAT | ids::TIMESYNC | ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | ids::STATUSTEXT => {
+            None
+        }
         // Neither need what is said most often.
         ids::PB_WHEEL_TICKS => Some(own::ticks_of(frame.payload).ok().flatten()?.stamp),
         ids::PB_INERTIAL => Some(own::inertial_of(frame.payload).ok()?.stamp),
@@ -175,13 +169,5 @@ pub fn stamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
 
 /// The value, if it is finite.
 fn finite(message_id: u32, field: &'static str, value: f64) -> Result<f64, PayloadError> {
-    if value.is_finite() {
-        Ok(value)
-    } else {
-        Err(PayloadError::NotFinite {
-            message_id,
-            field,
-            value,
-        })
-    }
+    if value.is_finite() { Ok(value) } else { Err(PayloadError::NotFinite { message_id, field, value }) }
 }

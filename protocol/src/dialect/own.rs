@@ -3,20 +3,17 @@
 //! They use our spaces and signs already, so nothing turns here.
 
 use posebridge_telemetry::{
-    EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians,
-    RadiansPerSecond, SensorId, Span,
+    EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians, RadiansPerSecond, SensorId,
+    Span,
 };
 
 use super::generated::posebridge::{
-    PB_FUSION_HEALTH_DATA, PB_INERTIAL_DATA, PB_PLANAR_POSE_DATA, PB_ROBOT_DESCRIPTION_DATA,
-    PB_WHEEL_TICKS_DATA,
+    PB_FUSION_HEALTH_DATA, PB_INERTIAL_DATA, PB_PLANAR_POSE_DATA, PB_ROBOT_DESCRIPTION_DATA, PB_WHEEL_TICKS_DATA,
 };
 use super::payload::{Payload, micros32, read, text_from, text_to};
 use super::{Decoded, PayloadError, finite, ids};
 use crate::framing::WireVersion;
-use crate::message::{
-    FusionHealth, Inertial, Message, PlanarPose, PoseFlags, RobotDescription, WheelTicks, WireStamp,
-};
+use crate::message::{FusionHealth, Inertial, Message, PlanarPose, PoseFlags, RobotDescription, WheelTicks, WireStamp};
 
 /// Unit of PB_INERTIAL.turn_rate.
 const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;
@@ -74,19 +71,13 @@ pub(super) fn inertial(payload: &[u8]) -> Decoded {
 pub(super) fn inertial_of(payload: &[u8]) -> Result<Inertial, PayloadError> {
     let data: PB_INERTIAL_DATA = read(payload)?;
     let has = |flag: u8| data.valid & flag != 0;
-    let acceleration =
-        |raw: i16| MetersPerSecondSquared(f64::from(raw) * ACCELERATION_UNIT_M_PER_S2);
+    let acceleration = |raw: i16| MetersPerSecondSquared(f64::from(raw) * ACCELERATION_UNIT_M_PER_S2);
     Ok(Inertial {
         stamp: WireStamp::Micros32(data.time_us),
-        turn_rate: has(TURN_RATE_VALID)
-            .then(|| RadiansPerSecond(f64::from(data.turn_rate) * TURN_RATE_UNIT_RAD_PER_S)),
+        turn_rate: has(TURN_RATE_VALID).then(|| RadiansPerSecond(f64::from(data.turn_rate) * TURN_RATE_UNIT_RAD_PER_S)),
         turn: has(TURN_VALID).then(|| Radians(f64::from(data.turn_urad) * TURN_UNIT_RAD)),
-        wheel_accelerations: has(ACCELERATIONS_VALID).then(|| {
-            (
-                acceleration(data.accel_left),
-                acceleration(data.accel_right),
-            )
-        }),
+        wheel_accelerations: has(ACCELERATIONS_VALID)
+            .then(|| (acceleration(data.accel_left), acceleration(data.accel_right))),
     })
 }
 

@@ -43,10 +43,7 @@ const fn mavlink_version(version: WireVersion) -> MavlinkVersion {
 
 /// Reads a generated message. Bytes that were cut off are zeros again; that holds for version 1 as well.
 pub(super) fn read<D: MessageData>(payload: &[u8]) -> Result<D, PayloadError> {
-    D::deser(MavlinkVersion::V2, payload).map_err(|source| PayloadError::Layout {
-        message_id: D::ID,
-        source,
-    })
+    D::deser(MavlinkVersion::V2, payload).map_err(|source| PayloadError::Layout { message_id: D::ID, source })
 }
 
 /// Reads fields one after the other; beyond the end there are zeros.
@@ -134,11 +131,7 @@ pub(super) struct Writer {
 
 impl Writer {
     pub(super) const fn new() -> Self {
-        Self {
-            bytes: [0; MAX_PAYLOAD],
-            len: 0,
-            base_len: None,
-        }
+        Self { bytes: [0; MAX_PAYLOAD], len: 0, base_len: None }
     }
 
     /// Appends raw bytes; the callers' layouts are constants of at most [`MAX_PAYLOAD`] bytes.
@@ -201,32 +194,21 @@ impl Writer {
     pub(super) fn finish(self, version: WireVersion) -> Payload {
         let len = match version {
             WireVersion::V1 => self.base_len.unwrap_or(self.len),
-            WireVersion::V2 => {
-                mavlink_core::utils::remove_trailing_zeroes(&self.bytes[..self.len.max(1)])
-            }
+            WireVersion::V2 => mavlink_core::utils::remove_trailing_zeroes(&self.bytes[..self.len.max(1)]),
         };
-        Payload {
-            bytes: self.bytes,
-            len,
-        }
+        Payload { bytes: self.bytes, len }
     }
 }
 
 /// Text up to the first NUL; what is not UTF-8 is replaced, never refused.
 pub(super) fn text_from(bytes: &[u8]) -> String {
-    let end = bytes
-        .iter()
-        .position(|&byte| byte == 0)
-        .unwrap_or(bytes.len());
+    let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     String::from_utf8_lossy(&bytes[..end]).into_owned()
 }
 
 /// As many whole characters of `text` as fit into N bytes, padded with NUL.
 pub(super) fn text_to<const N: usize>(text: &str) -> [u8; N] {
-    let end = (0..=text.len().min(N))
-        .rev()
-        .find(|&end| text.is_char_boundary(end))
-        .unwrap_or(0);
+    let end = (0..=text.len().min(N)).rev().find(|&end| text.is_char_boundary(end)).unwrap_or(0);
     let mut bytes = [0; N];
     bytes[..end].copy_from_slice(&text.as_bytes()[..end]);
     bytes
@@ -246,9 +228,7 @@ pub(super) const fn micros32(stamp: WireStamp) -> u32 {
 pub(super) const fn millis32(stamp: WireStamp) -> u32 {
     match stamp {
         WireStamp::Millis32(millis) => millis,
-        WireStamp::Micros32(_) | WireStamp::Micros64(_) | WireStamp::Asked { .. } => {
-            (micros64(stamp) / 1_000) as u32
-        }
+        WireStamp::Micros32(_) | WireStamp::Micros64(_) | WireStamp::Asked { .. } => (micros64(stamp) / 1_000) as u32,
     }
 }
 

@@ -7,21 +7,19 @@
 //! Source: MAVLink common.xml, MAV_FRAME and MAV_ESTIMATOR_TYPE, and their history.
 
 use mavlink::dialects::common::{
-    ATT_POS_MOCAP_DATA, ATTITUDE_DATA, ESTIMATOR_STATUS_DATA, EstimatorStatusFlags,
-    LOCAL_POSITION_NED_DATA, VISION_POSITION_ESTIMATE_DATA,
+    ATT_POS_MOCAP_DATA, ATTITUDE_DATA, ESTIMATOR_STATUS_DATA, EstimatorStatusFlags, LOCAL_POSITION_NED_DATA,
+    VISION_POSITION_ESTIMATE_DATA,
 };
 use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond};
 
 use super::payload::{Payload, Reader, Writer, micros64, millis32, read};
 use super::spaces::{
-    Planar, TRIANGLE, flip, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned,
-    turn_ned_covariance, yaw,
+    Planar, TRIANGLE, flip, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned, turn_ned_covariance,
+    yaw,
 };
 use super::{Decoded, PayloadError, finite, ids};
 use crate::framing::WireVersion;
-use crate::message::{
-    EstimatorStatus, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp,
-};
+use crate::message::{EstimatorStatus, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp};
 
 /// MAV_FRAME values of ODOMETRY.
 mod frame {
@@ -72,16 +70,12 @@ pub(super) fn local_position(payload: &[u8]) -> Decoded {
 
 pub(super) fn vision_position(payload: &[u8]) -> Decoded {
     let data: VISION_POSITION_ESTIMATE_DATA = read(payload)?;
-    let checked =
-        |field, value: f32| finite(ids::VISION_POSITION_ESTIMATE, field, f64::from(value));
+    let checked = |field, value: f32| finite(ids::VISION_POSITION_ESTIMATE, field, f64::from(value));
     Ok(Some(Message::VisionPosition(VisionFix {
         stamp: WireStamp::Micros64(data.usec),
         x: Meters(checked("y", data.y)?),
         y: Meters(checked("x", data.x)?),
-        heading: data
-            .yaw
-            .is_finite()
-            .then(|| heading_from_yaw(f64::from(data.yaw))),
+        heading: data.yaw.is_finite().then(|| heading_from_yaw(f64::from(data.yaw))),
         covariance: fix_covariance(&data.covariance),
         reset_counter: data.reset_counter,
     })))
@@ -95,9 +89,7 @@ fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
         z: 0.0,
         roll: 0.0,
         pitch: 0.0,
-        yaw: fix
-            .heading
-            .map_or(f32::NAN, |heading| yaw_from_heading(heading) as f32),
+        yaw: fix.heading.map_or(f32::NAN, |heading| yaw_from_heading(heading) as f32),
         covariance: fix_triangle(fix.covariance),
         reset_counter: fix.reset_counter,
     };
@@ -121,9 +113,7 @@ pub(super) fn mocap_position(payload: &[u8]) -> Decoded {
 fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
     let data = ATT_POS_MOCAP_DATA {
         time_usec: micros64(fix.stamp),
-        q: fix.heading.map_or([f32::NAN; 4], |heading| {
-            quaternion(yaw_from_heading(heading))
-        }),
+        q: fix.heading.map_or([f32::NAN; 4], |heading| quaternion(yaw_from_heading(heading))),
         x: fix.y.0 as f32,
         y: fix.x.0 as f32,
         z: 0.0,
@@ -180,11 +170,7 @@ pub(super) fn odometry(payload: &[u8]) -> Decoded {
 
 type PoseAndCovariance = (OdometryPose, Option<[f64; 6]>);
 
-fn odometry_pose(
-    frame: u8,
-    wire: Planar,
-    covariance: Option<[f64; 6]>,
-) -> Result<PoseAndCovariance, PayloadError> {
+fn odometry_pose(frame: u8, wire: Planar, covariance: Option<[f64; 6]>) -> Result<PoseAndCovariance, PayloadError> {
     let arena = |ours: Planar| OdometryPose::Arena(pose_from(ours));
     let odom = |ours: Planar| OdometryPose::Odom(pose_from(ours));
     Ok(match frame {
@@ -199,32 +185,21 @@ fn odometry_pose(
 }
 
 fn pose_from<S>(planar: Planar) -> Pose<S> {
-    Pose::new(
-        Meters(planar.x),
-        Meters(planar.y),
-        Heading::from_rad(planar.angle),
-    )
+    Pose::new(Meters(planar.x), Meters(planar.y), Heading::from_rad(planar.angle))
 }
 
 const fn unknown_frame(frame: u8) -> PayloadError {
-    PayloadError::Space {
-        message_id: ids::ODOMETRY,
-        frame,
-    }
+    PayloadError::Space { message_id: ids::ODOMETRY, frame }
 }
 
 fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
     let (frame, wire, covariance) = match odometry.pose {
-        OdometryPose::Arena(pose) => (
-            frame::LOCAL_NED,
-            turn_ned(planar_from(pose)),
-            odometry.covariance.map(turn_ned_covariance),
-        ),
-        OdometryPose::Odom(pose) => (
-            frame::LOCAL_FRD,
-            turn_frd(planar_from(pose)),
-            odometry.covariance.map(turn_frd_covariance),
-        ),
+        OdometryPose::Arena(pose) => {
+            (frame::LOCAL_NED, turn_ned(planar_from(pose)), odometry.covariance.map(turn_ned_covariance))
+        }
+        OdometryPose::Odom(pose) => {
+            (frame::LOCAL_FRD, turn_frd(planar_from(pose)), odometry.covariance.map(turn_frd_covariance))
+        }
     };
     Writer::new()
         .u64(micros64(odometry.stamp))
@@ -244,11 +219,7 @@ fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
 }
 
 fn planar_from<S>(pose: Pose<S>) -> Planar {
-    Planar {
-        x: pose.x.0,
-        y: pose.y.0,
-        angle: pose.heading.rad(),
-    }
+    Planar { x: pose.x.0, y: pose.y.0, angle: pose.heading.rad() }
 }
 
 pub(super) fn estimator_status(payload: &[u8]) -> Decoded {
@@ -274,22 +245,10 @@ pub(super) fn estimator_status(payload: &[u8]) -> Decoded {
 fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Payload {
     let valid = status.flags;
     let mut flags = EstimatorStatusFlags::empty();
-    flags.set(
-        EstimatorStatusFlags::ESTIMATOR_ATTITUDE,
-        valid.heading_valid,
-    );
-    flags.set(
-        EstimatorStatusFlags::ESTIMATOR_VELOCITY_HORIZ,
-        valid.speeds_valid,
-    );
-    flags.set(
-        EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_REL,
-        valid.position_valid,
-    );
-    flags.set(
-        EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS,
-        valid.position_valid && !valid.dead_reckoning,
-    );
+    flags.set(EstimatorStatusFlags::ESTIMATOR_ATTITUDE, valid.heading_valid);
+    flags.set(EstimatorStatusFlags::ESTIMATOR_VELOCITY_HORIZ, valid.speeds_valid);
+    flags.set(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_REL, valid.position_valid);
+    flags.set(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS, valid.position_valid && !valid.dead_reckoning);
     let data = ESTIMATOR_STATUS_DATA {
         time_usec: micros64(status.stamp),
         vel_ratio: 0.0,
@@ -315,17 +274,8 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
         Message::VisionPosition(fix) => (ids::VISION_POSITION_ESTIMATE, write_vision(version, fix)),
         Message::MocapPosition(fix) => (ids::ATT_POS_MOCAP, write_mocap(version, fix)),
         Message::Odometry(odometry) => (ids::ODOMETRY, write_odometry(version, odometry)),
-        Message::EstimatorStatus(status) => (
-            ids::ESTIMATOR_STATUS,
-            write_estimator_status(version, status),
-        ),
-        Message::LocalPosition {
-            stamp,
-            x,
-            y,
-            x_speed,
-            y_speed,
-        } => {
+        Message::EstimatorStatus(status) => (ids::ESTIMATOR_STATUS, write_estimator_status(version, status)),
+        Message::LocalPosition { stamp, x, y, x_speed, y_speed } => {
             let data = LOCAL_POSITION_NED_DATA {
                 time_boot_ms: millis32(*stamp),
                 x: y.0 as f32,
@@ -337,11 +287,7 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
             };
             (ids::LOCAL_POSITION_NED, Payload::of(version, &data))
         }
-        Message::Attitude {
-            stamp,
-            heading,
-            turn_rate,
-        } => {
+        Message::Attitude { stamp, heading, turn_rate } => {
             let data = ATTITUDE_DATA {
                 time_boot_ms: millis32(*stamp),
                 roll: 0.0,
@@ -359,11 +305,7 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
 }
 
 fn heading_from_yaw(yaw_rad: f64) -> Heading {
-    let pose = Planar {
-        x: 0.0,
-        y: 0.0,
-        angle: yaw_rad,
-    };
+    let pose = Planar { x: 0.0, y: 0.0, angle: yaw_rad };
     Heading::from_rad(turn_ned(pose).angle)
 }
 
@@ -461,11 +403,9 @@ mod tests {
 
     #[test]
     fn what_cannot_be_used_says_why() {
-        for (changes, said) in [
-            ([(FRAME, 5)], "MAV_FRAME 5"),
-            ([(FRAME, 18)], "MAV_FRAME 18"),
-            ([(QUALITY, 0xFF)], "it has failed"),
-        ] {
+        for (changes, said) in
+            [([(FRAME, 5)], "MAV_FRAME 5"), ([(FRAME, 18)], "MAV_FRAME 18"), ([(QUALITY, 0xFF)], "it has failed")]
+        {
             let error = decoded(&changes).unwrap_err().to_string();
             assert!(error.contains(said), "{error}");
         }

@@ -2,12 +2,8 @@
 //!
 //! Body rates come as forward-right-down and turn their sign here. Source: MAVLink common.xml.
 
-use mavlink::dialects::common::{
-    HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA,
-};
-use posebridge_telemetry::{
-    Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond,
-};
+use mavlink::dialects::common::{HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA};
+use posebridge_telemetry::{Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond};
 
 use super::payload::{Payload, Reader, Writer, micros64, millis32, read};
 use super::spaces::flip;
@@ -44,10 +40,7 @@ pub(super) fn wheel_distance(payload: &[u8]) -> Decoded {
     let data: WHEEL_DISTANCE_DATA = read(payload)?;
     let [left, right, ..] = data.distance;
     if data.count < 2 {
-        return Err(PayloadError::TooFewWheels {
-            message_id: ids::WHEEL_DISTANCE,
-            count: data.count,
-        });
+        return Err(PayloadError::TooFewWheels { message_id: ids::WHEEL_DISTANCE, count: data.count });
     }
     let checked = |value| finite(ids::WHEEL_DISTANCE, "distance", value);
     Ok(Some(Message::WheelDistance {
@@ -61,12 +54,8 @@ pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
     let data: SCALED_IMU_DATA = read(payload)?;
     Ok(Some(Message::ScaledImu(PlanarImu {
         stamp: WireStamp::Millis32(data.time_boot_ms),
-        turn_rate: Some(RadiansPerSecond(
-            flip(f64::from(data.zgyro)) * MILLI_RAD_PER_S,
-        )),
-        forward_acceleration: Some(MetersPerSecondSquared(
-            f64::from(data.xacc) * MILLI_GRAVITY_M_PER_S2,
-        )),
+        turn_rate: Some(RadiansPerSecond(flip(f64::from(data.zgyro)) * MILLI_RAD_PER_S)),
+        forward_acceleration: Some(MetersPerSecondSquared(f64::from(data.xacc) * MILLI_GRAVITY_M_PER_S2)),
     })))
 }
 
@@ -98,22 +87,15 @@ pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
     Ok(Some(Message::HighresImu(PlanarImu {
         stamp: WireStamp::Micros64(data.time_usec),
         turn_rate: has_turn_rate.then(|| RadiansPerSecond(flip(f64::from(data.zgyro)))),
-        forward_acceleration: has_acceleration
-            .then(|| MetersPerSecondSquared(f64::from(data.xacc))),
+        forward_acceleration: has_acceleration.then(|| MetersPerSecondSquared(f64::from(data.xacc))),
     })))
 }
 
 fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
     // Not the generated default: that is the first flag, not the empty set.
     let mut fields_updated = HighresImuUpdatedFlags::empty();
-    fields_updated.set(
-        HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO,
-        imu.turn_rate.is_some(),
-    );
-    fields_updated.set(
-        HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC,
-        imu.forward_acceleration.is_some(),
-    );
+    fields_updated.set(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO, imu.turn_rate.is_some());
+    fields_updated.set(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC, imu.forward_acceleration.is_some());
     let data = HIGHRES_IMU_DATA {
         time_usec: micros64(imu.stamp),
         xacc: imu.forward_acceleration.unwrap_or_default().0 as f32,
@@ -155,17 +137,11 @@ pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     Some(Message::DistanceSensor {
         stamp,
         range: Meters(f64::from(current_cm) * CENTIMETER_M),
-        sigma: (variance_cm2 != VARIANCE_UNKNOWN)
-            .then(|| Meters(f64::from(variance_cm2).sqrt() * CENTIMETER_M)),
+        sigma: (variance_cm2 != VARIANCE_UNKNOWN).then(|| Meters(f64::from(variance_cm2).sqrt() * CENTIMETER_M)),
     })
 }
 
-fn write_distance(
-    version: WireVersion,
-    stamp: WireStamp,
-    range: Meters,
-    sigma: Option<Meters>,
-) -> Payload {
+fn write_distance(version: WireVersion, stamp: WireStamp, range: Meters, sigma: Option<Meters>) -> Payload {
     let variance_cm2 = sigma.map_or(VARIANCE_UNKNOWN, |sigma| {
         let variance = (sigma.0 / CENTIMETER_M).powi(2).round();
         variance.clamp(0.0, f64::from(VARIANCE_UNKNOWN - 1)) as u8
@@ -195,10 +171,7 @@ pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
     Ok(Some(Message::Thermometer {
         stamp,
         channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
-        temperature: believable(
-            ids::SCALED_PRESSURE,
-            f64::from(temperature_cdeg_c) * CENTIDEGREE_C,
-        )?,
+        temperature: believable(ids::SCALED_PRESSURE, f64::from(temperature_cdeg_c) * CENTIDEGREE_C)?,
     }))
 }
 
@@ -210,28 +183,17 @@ pub(super) fn named_value(payload: &[u8]) -> Decoded {
     let name = reader.bytes::<NAME>();
     let channel = ChannelName::from_bytes(&name);
     if !name.starts_with(TEMPERATURE_NAME) {
-        return Ok(Some(Message::NamedValue(NamedValue {
-            stamp,
-            name: channel,
-            value,
-        })));
+        return Ok(Some(Message::NamedValue(NamedValue { stamp, name: channel, value })));
     }
     let degrees_c = finite(ids::NAMED_VALUE_FLOAT, "value", f64::from(value))?;
-    Ok(Some(Message::Thermometer {
-        stamp,
-        channel,
-        temperature: believable(ids::NAMED_VALUE_FLOAT, degrees_c)?,
-    }))
+    Ok(Some(Message::Thermometer { stamp, channel, temperature: believable(ids::NAMED_VALUE_FLOAT, degrees_c)? }))
 }
 
 fn believable(message_id: u32, degrees_c: f64) -> Result<Celsius, PayloadError> {
     if (COLDEST_C..=HOTTEST_C).contains(&degrees_c) {
         Ok(Celsius(degrees_c))
     } else {
-        Err(PayloadError::Temperature {
-            message_id,
-            degrees_c,
-        })
+        Err(PayloadError::Temperature { message_id, degrees_c })
     }
 }
 
@@ -253,10 +215,7 @@ fn write_thermometer(
             .finish(version);
         (ids::SCALED_PRESSURE, payload)
     } else {
-        let payload = writer
-            .f32(temperature.0 as f32)
-            .text::<NAME>(channel.as_str())
-            .finish(version);
+        let payload = writer.f32(temperature.0 as f32).text::<NAME>(channel.as_str()).finish(version);
         (ids::NAMED_VALUE_FLOAT, payload)
     }
 }
@@ -270,28 +229,17 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
     let written = match message {
         Message::ScaledImu(imu) => (ids::SCALED_IMU, write_scaled(version, imu)),
         Message::HighresImu(imu) => (ids::HIGHRES_IMU, write_highres(version, imu)),
-        Message::DistanceSensor {
-            stamp,
-            range,
-            sigma,
-        } => (
-            ids::DISTANCE_SENSOR,
-            write_distance(version, *stamp, *range, *sigma),
-        ),
-        Message::Thermometer {
-            stamp,
-            channel,
-            temperature,
-        } => write_thermometer(version, *stamp, channel, *temperature),
+        Message::DistanceSensor { stamp, range, sigma } => {
+            (ids::DISTANCE_SENSOR, write_distance(version, *stamp, *range, *sigma))
+        }
+        Message::Thermometer { stamp, channel, temperature } => {
+            write_thermometer(version, *stamp, channel, *temperature)
+        }
         Message::WheelDistance { stamp, left, right } => {
             let mut distance = [0.0; 16];
             distance[0] = left.0;
             distance[1] = right.0;
-            let data = WHEEL_DISTANCE_DATA {
-                time_usec: micros64(*stamp),
-                distance,
-                count: 2,
-            };
+            let data = WHEEL_DISTANCE_DATA { time_usec: micros64(*stamp), distance, count: 2 };
             (ids::WHEEL_DISTANCE, Payload::of(version, &data))
         }
         _ => return None,

@@ -42,11 +42,7 @@ pub(super) fn flip(value: f64) -> f64 {
 
 /// Arena to north-east-down and back.
 pub(crate) fn turn_ned(pose: Planar) -> Planar {
-    Planar {
-        x: pose.y,
-        y: pose.x,
-        angle: wrap_rad(FRAC_PI_2 - pose.angle),
-    }
+    Planar { x: pose.y, y: pose.x, angle: wrap_rad(FRAC_PI_2 - pose.angle) }
 }
 
 /// Covariance in the arena to north-east-down and back.
@@ -56,11 +52,7 @@ pub(super) fn turn_ned_covariance([xx, xy, xh, yy, yh, hh]: [f64; 6]) -> [f64; 6
 
 /// Forward-left to forward-right-down and back.
 pub(super) fn turn_frd(pose: Planar) -> Planar {
-    Planar {
-        x: pose.x,
-        y: flip(pose.y),
-        angle: wrap_rad(flip(pose.angle)),
-    }
+    Planar { x: pose.x, y: flip(pose.y), angle: wrap_rad(flip(pose.angle)) }
 }
 
 /// Covariance of a forward-left pose to forward-right-down and back.
@@ -113,18 +105,10 @@ mod tests {
 
     #[test]
     fn east_north_and_left_become_what_navigators_expect() {
-        let looking_north = Planar {
-            x: 3.0,
-            y: 4.0,
-            angle: FRAC_PI_2,
-        };
+        let looking_north = Planar { x: 3.0, y: 4.0, angle: FRAC_PI_2 };
         let ned = turn_ned(looking_north);
         assert_eq!((ned.x, ned.y, ned.angle), (4.0, 3.0, 0.0));
-        let turned_left = Planar {
-            x: 1.0,
-            y: 0.5,
-            angle: 0.25,
-        };
+        let turned_left = Planar { x: 1.0, y: 0.5, angle: 0.25 };
         let frd = turn_frd(turned_left);
         assert_eq!((frd.x, frd.y, frd.angle), (1.0, -0.5, -0.25));
     }
@@ -145,14 +129,8 @@ mod tests {
             assert_eq!(turned, expected.map(|(i, j)| element(i, j)));
         };
         let planar = [xx, xy, xh, yy, yh, hh];
-        check(
-            [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
-            turn_ned_covariance(planar),
-        );
-        check(
-            [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
-            turn_frd_covariance(planar),
-        );
+        check([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]], turn_ned_covariance(planar));
+        check([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], turn_frd_covariance(planar));
     }
 
     #[test]

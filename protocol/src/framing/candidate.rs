@@ -64,19 +64,12 @@ pub fn verify(raw: &[u8]) -> Verified<'_> {
     match judge(raw, &EVERYTHING) {
         Candidate::Known { header, crc_extra } if header.total == raw.len() => {
             let (covered, found) = header.covered(raw);
-            if checksum(covered, crc_extra) == found {
-                Verified::Frame(header.frame(raw))
-            } else {
-                Verified::Not
-            }
+            if checksum(covered, crc_extra) == found { Verified::Frame(header.frame(raw)) } else { Verified::Not }
         }
-        Candidate::Unknown { header } if header.total == raw.len() => {
-            Verified::Unknown(header.frame(raw))
+        Candidate::Unknown { header } if header.total == raw.len() => Verified::Unknown(header.frame(raw)),
+        Candidate::Known { .. } | Candidate::Unknown { .. } | Candidate::Incomplete | Candidate::Impossible { .. } => {
+            Verified::Not
         }
-        Candidate::Known { .. }
-        | Candidate::Unknown { .. }
-        | Candidate::Incomplete
-        | Candidate::Impossible { .. } => Verified::Not,
     }
 }
 
@@ -115,17 +108,12 @@ fn judge_v2(rest: &[u8], catalogue: &Catalogue) -> Candidate {
         && flags & !FLAG_SIGNED != 0
     {
         // With unknown flags the place of the id is unknown too.
-        return Candidate::Impossible {
-            message_id: 0,
-            length,
-        };
+        return Candidate::Impossible { message_id: 0, length };
     }
     let Some(header) = header_v2(rest) else {
         return Candidate::Incomplete;
     };
-    with_shape(header, catalogue, |shape| {
-        header.payload_len <= usize::from(shape.max_len_v2)
-    })
+    with_shape(header, catalogue, |shape| header.payload_len <= usize::from(shape.max_len_v2))
 }
 
 #[inline]
@@ -144,27 +132,11 @@ fn judge_v1(rest: &[u8], catalogue: &Catalogue) -> Candidate {
 /// What stands behind the start byte of version 2; `None` if it is not whole.
 #[inline]
 fn header_v2(rest: &[u8]) -> Option<Header> {
-    let [
-        length,
-        flags,
-        _,
-        sequence,
-        system,
-        component,
-        id0,
-        id1,
-        id2,
-        ..,
-    ] = *rest
-    else {
+    let [length, flags, _, sequence, system, component, id0, id1, id2, ..] = *rest else {
         return None;
     };
     let payload_len = usize::from(length);
-    let signature = if flags & FLAG_SIGNED == 0 {
-        0
-    } else {
-        SIGNATURE
-    };
+    let signature = if flags & FLAG_SIGNED == 0 { 0 } else { SIGNATURE };
     Some(Header {
         version: WireVersion::V2,
         message_id: u32::from_le_bytes([id0, id1, id2, 0]),
@@ -198,15 +170,9 @@ fn with_shape(header: Header, catalogue: &Catalogue, fits: impl Fn(&Shape) -> bo
         return Candidate::Unknown { header };
     };
     if !fits(&shape) {
-        return Candidate::Impossible {
-            message_id: header.message_id,
-            length: header.payload_len as u8,
-        };
+        return Candidate::Impossible { message_id: header.message_id, length: header.payload_len as u8 };
     }
-    Candidate::Known {
-        header,
-        crc_extra: shape.crc_extra,
-    }
+    Candidate::Known { header, crc_extra: shape.crc_extra }
 }
 
 impl Header {

@@ -24,11 +24,7 @@ const fn tables() -> [[u16; 256]; SLICES] {
         let mut remainder = byte as u16;
         let mut bit = 0;
         while bit < 8 {
-            remainder = if remainder & 1 == 1 {
-                (remainder >> 1) ^ POLYNOMIAL
-            } else {
-                remainder >> 1
-            };
+            remainder = if remainder & 1 == 1 { (remainder >> 1) ^ POLYNOMIAL } else { remainder >> 1 };
             bit += 1;
         }
         tables[0][byte] = remainder;
@@ -97,8 +93,7 @@ pub(super) fn sliced(mut crc: u16, bytes: &[u8]) -> u16 {
     let (chunks, rest) = bytes.as_chunks::<SLICES>();
     for chunk in chunks {
         let [low, high] = crc.to_le_bytes();
-        let mut next =
-            TABLES[15][usize::from(chunk[0] ^ low)] ^ TABLES[14][usize::from(chunk[1] ^ high)];
+        let mut next = TABLES[15][usize::from(chunk[0] ^ low)] ^ TABLES[14][usize::from(chunk[1] ^ high)];
         for (index, &byte) in chunk.iter().enumerate().skip(2) {
             next ^= TABLES[SLICES - 1 - index][usize::from(byte)];
         }
@@ -114,12 +109,9 @@ fn short(crc: u16, bytes: &[u8]) -> u16 {
         return bytewise(crc, bytes);
     };
     let [low, high] = crc.to_le_bytes();
-    let next = TABLES[behind.len() + 1][usize::from(first ^ low)]
-        ^ TABLES[behind.len()][usize::from(second ^ high)];
+    let next = TABLES[behind.len() + 1][usize::from(first ^ low)] ^ TABLES[behind.len()][usize::from(second ^ high)];
     let tables = TABLES[..behind.len()].iter().rev();
-    tables
-        .zip(behind)
-        .fold(next, |sum, (table, &byte)| sum ^ table[usize::from(byte)])
+    tables.zip(behind).fold(next, |sum, (table, &byte)| sum ^ table[usize::from(byte)])
 }
 
 #[inline]

@@ -12,10 +12,7 @@
 //! # Sources
 //! Gopal et al. (2009), "Fast CRC Computation for Generic Polynomials Using PCLMULQDQ Instruction", Intel.
 
-#![expect(
-    unsafe_code,
-    reason = "calling a function with target features needs unsafe; the processor is asked first"
-)]
+#![expect(unsafe_code, reason = "calling a function with target features needs unsafe; the processor is asked first")]
 
 use std::arch::x86_64::{
     __m128i, _mm_clmulepi64_si128, _mm_cvtsi128_si64, _mm_set_epi64x, _mm_srli_si128, _mm_xor_si128,
@@ -62,10 +59,7 @@ fn fold(crc: u16, bytes: &[u8]) -> Option<u16> {
     let start = _mm_set_epi64x(0, i64::from(crc));
     let mut sum = _mm_xor_si128(load(first), start);
     for block in blocks {
-        let ahead = _mm_xor_si128(
-            _mm_clmulepi64_si128(sum, factors, 0x00),
-            _mm_clmulepi64_si128(sum, factors, 0x11),
-        );
+        let ahead = _mm_xor_si128(_mm_clmulepi64_si128(sum, factors, 0x00), _mm_clmulepi64_si128(sum, factors, 0x11));
         sum = _mm_xor_si128(ahead, load(block));
     }
     Some(super::crc::sliced(super::crc::sliced(0, &store(sum)), rest))

@@ -68,11 +68,7 @@ impl Default for ScannerConfig {
     /// MAVLink 2 from a stream, with a gap of 50 ms: longer than the pauses of a Bluetooth serial link inside a frame,
     /// shorter than the period of the slowest telemetry that anybody steers by.
     fn default() -> Self {
-        Self {
-            accept_v1: false,
-            gap: Span::from_millis(50),
-            transport: Framing::Stream,
-        }
+        Self { accept_v1: false, gap: Span::from_millis(50), transport: Framing::Stream }
     }
 }
 

@@ -109,10 +109,7 @@ impl Scanner {
     /// because its peers may speak a newer version of theirs.
     #[must_use]
     pub fn of_every_dialect(config: ScannerConfig) -> Self {
-        Self {
-            catalogue: &EVERYTHING,
-            ..Self::new(config)
-        }
+        Self { catalogue: &EVERYTHING, ..Self::new(config) }
     }
 
     /// Takes one chunk, which arrived at `now`, and hands out what became certain by it, in the order of the bytes.
@@ -295,10 +292,7 @@ impl Pass<'_, '_, '_> {
                 }
                 Candidate::Impossible { message_id, length } => {
                     self.counters.impossible_headers += 1;
-                    (self.sink)(Scanned::Defect(Defect::ImpossibleHeader {
-                        message_id,
-                        length,
-                    }));
+                    (self.sink)(Scanned::Defect(Defect::ImpossibleHeader { message_id, length }));
                     self.progress.cursor += 1;
                 }
             }
@@ -317,11 +311,8 @@ impl Pass<'_, '_, '_> {
         if rest.first() == Some(&START_V2) {
             return true;
         }
-        let skipped = if self.accept_v1 {
-            memchr::memchr2(START_V2, START_V1, rest)
-        } else {
-            memchr::memchr(START_V2, rest)
-        };
+        let skipped =
+            if self.accept_v1 { memchr::memchr2(START_V2, START_V1, rest) } else { memchr::memchr(START_V2, rest) };
         self.progress.cursor += skipped.unwrap_or(rest.len());
         skipped.is_some()
     }
@@ -341,11 +332,7 @@ impl Pass<'_, '_, '_> {
             self.progress.frames_end = self.progress.cursor;
         } else {
             self.counters.checksum_errors += 1;
-            (self.sink)(Scanned::Defect(Defect::Checksum {
-                message_id: header.message_id(),
-                found,
-                expected,
-            }));
+            (self.sink)(Scanned::Defect(Defect::Checksum { message_id: header.message_id(), found, expected }));
             self.progress.cursor += 1;
         }
     }
@@ -403,9 +390,7 @@ impl Pass<'_, '_, '_> {
         let skipped = end - self.progress.settled;
         if skipped > 0 {
             self.counters.garbage_bytes += skipped as u64;
-            (self.sink)(Scanned::Defect(Defect::Garbage {
-                bytes: skipped as u32,
-            }));
+            (self.sink)(Scanned::Defect(Defect::Garbage { bytes: skipped as u32 }));
             self.progress.settled = end;
         }
     }

@@ -49,14 +49,7 @@ impl SequenceTracker {
     pub fn take(&mut self, frame: &FrameRef<'_>, arrival: Stamp<HostClock>) -> u32 {
         let sender = self.senders.entry(frame.source).or_default();
         match dialect::stamp_of(frame) {
-            Some(stamp) => sender.take_dated(
-                frame.sequence,
-                Dated {
-                    message_id: frame.message_id,
-                    stamp,
-                    arrival,
-                },
-            ),
+            Some(stamp) => sender.take_dated(frame.sequence, Dated { message_id: frame.message_id, stamp, arrival }),
             None => sender.take(frame.sequence),
         }
         sender.news()

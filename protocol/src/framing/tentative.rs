@@ -90,10 +90,7 @@ mod tests {
     fn a_chain_is_followed_back_to_its_first_claim() {
         let claims = claims(&[(3, 20), (7, 11), (20, 40), (25, 40)]);
         let chain = claims.chain_to(40);
-        assert_eq!(
-            chain,
-            [Claim { start: 3, end: 20 }, Claim { start: 20, end: 40 }]
-        );
+        assert_eq!(chain, [Claim { start: 3, end: 20 }, Claim { start: 20, end: 40 }]);
         assert!(claims.chain_to(41).is_empty());
     }
 
@@ -110,10 +107,7 @@ mod tests {
     fn the_oldest_claim_gives_way_when_there_are_too_many() {
         let mut many = Claims::default();
         for start in 0..=MOST {
-            many.push(Claim {
-                start,
-                end: start + 12,
-            });
+            many.push(Claim { start, end: start + 12 });
         }
         assert_eq!(many.first_start(), Some(1));
     }

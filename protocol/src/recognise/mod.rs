@@ -114,11 +114,7 @@ impl Tally {
     }
 
     const fn of(self, protocol: Protocol) -> Recognised {
-        Recognised {
-            protocol,
-            frames: self.frames,
-            frame_bytes: self.bytes,
-        }
+        Recognised { protocol, frames: self.frames, frame_bytes: self.bytes }
     }
 }
 
@@ -150,10 +146,7 @@ pub fn recognise(bytes: &[u8]) -> Recognised {
 
 /// Frames of MAVLink 1 and of MAVLink 2 whose checksum matches.
 fn mavlink(bytes: &[u8]) -> (Tally, Tally) {
-    let mut scanner = Scanner::new(ScannerConfig {
-        accept_v1: true,
-        ..ScannerConfig::default()
-    });
+    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
     let (mut v1, mut v2) = (Tally::default(), Tally::default());
     scanner.push(Stamp::ZERO, bytes, &mut |found| {
         if let Scanned::Frame(frame) = found {
@@ -180,9 +173,7 @@ fn nmea_sentences(bytes: &[u8]) -> Tally {
 /// The length of the sentence that ends the line, without the line end; noise may stand in front.
 fn nmea_length(line: &[u8]) -> Option<usize> {
     let line = line.strip_suffix(b"\r").unwrap_or(line);
-    let start = line
-        .iter()
-        .rposition(|byte| *byte == b'$' || *byte == b'!')?;
+    let start = line.iter().rposition(|byte| *byte == b'$' || *byte == b'!')?;
     let (text, digits) = line.get(start + 1..)?.split_last_chunk::<2>()?;
     let text = text.strip_suffix(b"*")?;
     let digits = std::str::from_utf8(digits).ok()?;
@@ -202,21 +193,13 @@ fn text_lines(bytes: &[u8]) -> Option<Tally> {
     let text_bytes = bytes.iter().filter(is_text).count();
     let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
     let whole = bytes.iter().rposition(|byte| *byte == end)? + 1;
-    (20 * text_bytes >= 19 * bytes.len()).then_some(Tally {
-        frames: memchr::memchr_iter(end, bytes).count(),
-        bytes: whole,
-    })
+    (20 * text_bytes >= 19 * bytes.len())
+        .then_some(Tally { frames: memchr::memchr_iter(end, bytes).count(), bytes: whole })
 }
 
 /// Text, or an EV3 that announces itself by UDP in lines of text (LEGO MINDSTORMS EV3 Communication Developer Kit, WiFi).
 fn text_protocol(bytes: &[u8]) -> Protocol {
     const ANNOUNCEMENT: &[u8] = b"Protocol: EV3";
-    let announces = bytes
-        .windows(ANNOUNCEMENT.len())
-        .any(|window| window == ANNOUNCEMENT);
-    if announces {
-        Protocol::Ev3
-    } else {
-        Protocol::Text
-    }
+    let announces = bytes.windows(ANNOUNCEMENT.len()).any(|window| window == ANNOUNCEMENT);
+    if announces { Protocol::Ev3 } else { Protocol::Text }
 }

@@ -67,9 +67,7 @@ fn is_of_nxt(telegram: &[u8]) -> bool {
     }
     match telegram {
         [0x02, opcode, status, ..] => is_nxt_opcode(*opcode) && is_nxt_status(*status),
-        [0x80, 0x09, inbox, size, message @ ..] => {
-            *inbox < 20 && usize::from(*size) == message.len()
-        }
+        [0x80, 0x09, inbox, size, message @ ..] => *inbox < 20 && usize::from(*size) == message.len(),
         _ => false,
     }
 }

@@ -52,22 +52,9 @@ pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> Key {
     let [id0, id1, id2, _] = frame.message_id.to_le_bytes();
     let [group0, group1] = group.to_le_bytes();
     let source = frame.source;
-    let head = [
-        group0,
-        group1,
-        source.system.0,
-        source.component.0,
-        id0,
-        id1,
-        id2,
-    ];
+    let head = [group0, group1, source.system.0, source.component.0, id0, id1, id2];
     // MAVLink 1 does not cut off trailing zeros.
-    let zeros = frame
-        .payload
-        .iter()
-        .rev()
-        .take_while(|byte| **byte == 0)
-        .count();
+    let zeros = frame.payload.iter().rev().take_while(|byte| **byte == 0).count();
     let payload = &frame.payload[..frame.payload.len() - zeros];
     Key::Content(hash(hash(BASIS, &head), payload))
 }
@@ -136,9 +123,7 @@ impl DuplicateGuard {
             return None;
         }
         let waiting = self.waiting.iter().rev().find(|(other, _)| *other == key);
-        let note = waiting
-            .map(|(_, note)| note)
-            .or_else(|| self.noted.get(&key))?;
+        let note = waiting.map(|(_, note)| note).or_else(|| self.noted.get(&key))?;
         (now - note.at < self.window).then_some(note.way)
     }
 
@@ -195,10 +180,7 @@ mod tests {
     }
 
     fn way(link: u16) -> Way {
-        Way {
-            link: LinkId(link),
-            peer: PeerId(0),
-        }
+        Way { link: LinkId(link), peer: PeerId(0) }
     }
 
     /// Vectors of the draft for 64 bits.

@@ -43,29 +43,16 @@ impl Limiter {
     /// A limiter with a full budget at `now`.
     #[must_use]
     pub fn new(limits: RateLimits, now: Stamp<HostClock>) -> Self {
-        let mut limiter = Self {
-            limits,
-            last: BTreeMap::new(),
-            budget: 0,
-            filled: now,
-        };
+        let mut limiter = Self { limits, last: BTreeMap::new(), budget: 0, filled: now };
         limiter.budget = limiter.most();
         limiter
     }
 
     /// Whether a frame of `bytes` bytes may leave at `now`; if so it has been paid for.
-    pub fn admits(
-        &mut self,
-        now: Stamp<HostClock>,
-        source: Address,
-        message_id: u32,
-        bytes: usize,
-    ) -> bool {
+    pub fn admits(&mut self, now: Stamp<HostClock>, source: Address, message_id: u32, bytes: usize) -> bool {
         let interval = self.limits.least_intervals.get(&message_id).copied();
         let key = (message_id, source);
-        let is_early = interval
-            .zip(self.last.get(&key))
-            .is_some_and(|(interval, last)| now - *last < interval);
+        let is_early = interval.zip(self.last.get(&key)).is_some_and(|(interval, last)| now - *last < interval);
         self.fill(now);
         if is_early || (self.limits.bytes_per_s.is_some() && self.budget <= 0) {
             return false;
@@ -97,9 +84,7 @@ impl Limiter {
         let rate = i64::from(self.limits.bytes_per_s.unwrap_or(0));
         let most = self.most();
         // Longer than this no bucket takes to fill, and the product stays within 64 bits.
-        let elapsed = (now - self.filled)
-            .max(Span::ZERO)
-            .min(Span::from_millis(2_000_000));
+        let elapsed = (now - self.filled).max(Span::ZERO).min(Span::from_millis(2_000_000));
         let gained = i128::from(elapsed.as_nanos()) * i128::from(rate);
         let filled = i128::from(self.budget) + gained;
         self.budget = i64::try_from(filled).unwrap_or(most).min(most);
@@ -124,16 +109,11 @@ mod tests {
 
     #[test]
     fn a_message_is_thinned_to_its_interval_for_each_sender() {
-        let limits = RateLimits {
-            least_intervals: BTreeMap::from([(30, Span::from_millis(100))]),
-            bytes_per_s: None,
-        };
+        let limits = RateLimits { least_intervals: BTreeMap::from([(30, Span::from_millis(100))]), bytes_per_s: None };
         let mut limiter = Limiter::new(limits, at(0));
         let mut passed = |source| {
             let times = (0..50).map(|k| at(k * 20));
-            times
-                .filter(|now| limiter.admits(*now, source, 30, 40))
-                .count()
+            times.filter(|now| limiter.admits(*now, source, 30, 40)).count()
         };
         assert_eq!(passed(ROBOT), 10);
         assert_eq!(passed(Address::new(2, 1)), 10);
@@ -143,10 +123,7 @@ mod tests {
     #[test]
     fn the_budget_holds_over_time_for_small_and_for_large_frames() {
         for (rate, size) in [(1_000, 30), (1_000, 280), (100, 280), (1_000_000, 280)] {
-            let limits = RateLimits {
-                least_intervals: BTreeMap::new(),
-                bytes_per_s: Some(rate),
-            };
+            let limits = RateLimits { least_intervals: BTreeMap::new(), bytes_per_s: Some(rate) };
             let mut limiter = Limiter::new(limits, at(0));
             let mut sent = 0;
             for k in 0..600_000 {
@@ -165,10 +142,7 @@ mod tests {
 
     #[test]
     fn commands_pay_but_a_flood_of_them_silences_the_rest_only_briefly() {
-        let limits = RateLimits {
-            least_intervals: BTreeMap::new(),
-            bytes_per_s: Some(1_000),
-        };
+        let limits = RateLimits { least_intervals: BTreeMap::new(), bytes_per_s: Some(1_000) };
         let mut limiter = Limiter::new(limits, at(0));
         for _ in 0..1_000 {
             limiter.charge(at(0), 45);

@@ -89,10 +89,7 @@ pub struct Sender {
 /// A sender on a link that others may share.
 impl From<Check> for Sender {
     fn from(check: Check) -> Self {
-        Self {
-            check,
-            sharing: Sharing::Shared,
-        }
+        Self { check, sharing: Sharing::Shared }
     }
 }
 
@@ -168,10 +165,7 @@ impl Router {
     /// Whether a link's inward filter lets a frame in: one that it does not is neither believed nor passed on.
     #[must_use]
     pub fn admits(&self, link: LinkId, frame: &FrameRef<'_>) -> bool {
-        self.config
-            .links
-            .get(&link)
-            .is_none_or(|rules| rules.inward.admits(frame.source, frame.message_id))
+        self.config.links.get(&link).is_none_or(|rules| rules.inward.admits(frame.source, frame.message_id))
     }
 
     /// Takes note of a frame that was let in at `now` and decides where it goes.
@@ -186,11 +180,7 @@ impl Router {
     ) -> Routed {
         let Sender { check, sharing } = sender.into();
         if frame.source == self.config.own {
-            let occurrence = if self.own_words.contain(frame.raw) {
-                Occurrence::Echo
-            } else {
-                Occurrence::Namesake
-            };
+            let occurrence = if self.own_words.contain(frame.raw) { Occurrence::Echo } else { Occurrence::Namesake };
             let to = Vec::new();
             return Routed { occurrence, to };
         }
@@ -201,10 +191,7 @@ impl Router {
         }
         let to = match occurrence {
             Occurrence::First => self.destinations(now, (from, sharing), frame),
-            Occurrence::Redundant
-            | Occurrence::Detour
-            | Occurrence::Echo
-            | Occurrence::Namesake => Vec::new(),
+            Occurrence::Redundant | Occurrence::Detour | Occurrence::Echo | Occurrence::Namesake => Vec::new(),
         };
         Routed { occurrence, to }
     }
@@ -260,18 +247,13 @@ impl Router {
         (from, sharing): (Way, Sharing),
         frame: &FrameRef<'_>,
     ) -> Vec<(LinkId, Audience)> {
-        let leaves = self
-            .config
-            .links
-            .get(&from.link)
-            .is_none_or(|rules| rules.forward != Forward::Nothing);
+        let leaves = self.config.links.get(&from.link).is_none_or(|rules| rules.forward != Forward::Nothing);
         if !leaves {
             return Vec::new();
         }
         let target = target_of(frame.message_id, frame.payload);
-        let may_leave = |link: LinkId| {
-            (sharing == Sharing::Shared || link != from.link) && self.may_leave(link, target, frame)
-        };
+        let may_leave =
+            |link: LinkId| (sharing == Sharing::Shared || link != from.link) && self.may_leave(link, target, frame);
         match target {
             // Nothing is collected before it is known that it leaves: of most links the frame has nowhere to go.
             Target::Everybody => {
@@ -296,12 +278,7 @@ impl Router {
         })
     }
 
-    fn heard_ways(
-        &self,
-        now: Stamp<HostClock>,
-        from: Way,
-        target: Target,
-    ) -> Vec<(LinkId, Audience)> {
+    fn heard_ways(&self, now: Stamp<HostClock>, from: Way, target: Target) -> Vec<(LinkId, Audience)> {
         let ways = match target {
             Target::Everybody => return Vec::new(),
             Target::System(system) => self.routes.to_system(now, system),
@@ -314,13 +291,8 @@ impl Router {
                 }
             }
         };
-        let is_other = |way: &Way| {
-            *way != from && (way.link == from.link || !self.lead_to_one(way.link, from.link))
-        };
-        ways.into_iter()
-            .filter(is_other)
-            .map(|way| (way.link, Audience::Peer(way.peer)))
-            .collect()
+        let is_other = |way: &Way| *way != from && (way.link == from.link || !self.lead_to_one(way.link, from.link));
+        ways.into_iter().filter(is_other).map(|way| (way.link, Audience::Peer(way.peer))).collect()
     }
 
     fn may_leave(&self, link: LinkId, target: Target, frame: &FrameRef<'_>) -> bool {
@@ -339,10 +311,8 @@ impl Router {
 /// What a frame of somebody else is worth on a slow link: commands to one and their answers are never dropped.
 #[must_use]
 pub fn priority_of(frame: &FrameRef<'_>) -> Priority {
-    let is_command = matches!(
-        frame.message_id,
-        ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL
-    );
+    let is_command =
+        matches!(frame.message_id, ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL);
     if is_command && target_of(frame.message_id, frame.payload) != Target::Everybody {
         Priority::Command
     } else {

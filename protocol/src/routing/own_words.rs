@@ -50,15 +50,11 @@ impl OwnWords {
 /// The mark of a whole frame; `None` of what is none.
 fn mark_of(frame: &[u8]) -> Option<u32> {
     let (beside, length, sequence, id) = match *frame {
-        [START_V2, length, _, _, sequence, _, _, id, ..] => {
-            (BESIDE_PAYLOAD_V2, length, sequence, id)
-        }
+        [START_V2, length, _, _, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V2, length, sequence, id),
         [START_V1, length, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V1, length, sequence, id),
         _ => return None,
     };
-    let (_, checksum) = frame
-        .get(..beside + usize::from(length))?
-        .split_last_chunk::<2>()?;
+    let (_, checksum) = frame.get(..beside + usize::from(length))?.split_last_chunk::<2>()?;
     Some(u32::from_le_bytes([checksum[0], checksum[1], sequence, id]))
 }
 
@@ -71,12 +67,7 @@ mod tests {
     use posebridge_telemetry::Address;
 
     fn heartbeat(system_status: u8) -> Message {
-        Message::Heartbeat(Heartbeat {
-            vehicle_type: 18,
-            autopilot: 8,
-            base_mode: 0,
-            system_status,
-        })
+        Message::Heartbeat(Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status })
     }
 
     #[test]
@@ -106,13 +97,7 @@ mod tests {
     #[test]
     fn what_is_no_frame_is_nobody_s_word_and_the_memory_is_bounded() {
         let mut words = OwnWords::default();
-        for torn in [
-            &[][..],
-            &[START_V2; 4],
-            &[START_V2; 20],
-            &[START_V1; 7],
-            &[0; 40],
-        ] {
+        for torn in [&[][..], &[START_V2; 4], &[START_V2; 20], &[START_V1; 7], &[0; 40]] {
             words.say(torn);
             assert!(!words.contain(torn), "{torn:?}");
         }

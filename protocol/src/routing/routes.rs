@@ -2,9 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_telemetry::{
-    Address, ComponentId, HostClock, LinkId, PeerId, Span, Stamp, SystemId,
-};
+use posebridge_telemetry::{Address, ComponentId, HostClock, LinkId, PeerId, Span, Stamp, SystemId};
 
 use super::Way;
 
@@ -36,10 +34,7 @@ impl Routes {
 
     /// The ways to any component of a system.
     pub(super) fn to_system(&self, now: Stamp<HostClock>, system: SystemId) -> BTreeSet<Way> {
-        let component = |number| Address {
-            system,
-            component: ComponentId(number),
-        };
+        let component = |number| Address { system, component: ComponentId(number) };
         self.between(now, component(0), component(u8::MAX))
     }
 
@@ -49,14 +44,8 @@ impl Routes {
     }
 
     fn between(&self, now: Stamp<HostClock>, first: Address, last: Address) -> BTreeSet<Way> {
-        let lowest = Way {
-            link: LinkId(0),
-            peer: PeerId(0),
-        };
-        let highest = Way {
-            link: LinkId(u16::MAX),
-            peer: PeerId(u32::MAX),
-        };
+        let lowest = Way { link: LinkId(0), peer: PeerId(0) };
+        let highest = Way { link: LinkId(u16::MAX), peer: PeerId(u32::MAX) };
         self.0
             .range((first, lowest)..=(last, highest))
             .filter(|(_, heard)| now - **heard <= LIFETIME)
@@ -106,10 +95,7 @@ mod tests {
     }
 
     fn way(link: u16, peer: u32) -> Way {
-        Way {
-            link: LinkId(link),
-            peer: PeerId(peer),
-        }
+        Way { link: LinkId(link), peer: PeerId(peer) }
     }
 
     #[test]
@@ -152,12 +138,7 @@ mod tests {
             routes.learn(at(1), sender(number + 512), way(1, 7));
             assert!(routes.0.len() <= MOST_ROUTES);
         }
-        assert!(
-            routes
-                .to_component(at(2), robot)
-                .into_iter()
-                .eq([way(0, 0), way(1, 0)])
-        );
+        assert!(routes.to_component(at(2), robot).into_iter().eq([way(0, 0), way(1, 0)]));
         assert!(routes.0.len() > MOST_ROUTES / 4);
         assert_eq!(routes.to_component(at(2), sender(60_511)).len(), 1);
     }

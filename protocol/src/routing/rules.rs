@@ -66,10 +66,7 @@ pub struct Choice<T> {
 
 impl<T> Default for Choice<T> {
     fn default() -> Self {
-        Self {
-            allow: Vec::new(),
-            block: Vec::new(),
-        }
+        Self { allow: Vec::new(), block: Vec::new() }
     }
 }
 
@@ -84,8 +81,7 @@ impl<T: PartialEq> Choice<T> {
 /// The id of the message with this name, in the standard dialect or ours. Case matters, as in the definitions.
 #[must_use]
 pub fn message_id_named(name: &str) -> Option<u32> {
-    common::MavMessage::message_id_from_name(name)
-        .or_else(|| posebridge::MavMessage::message_id_from_name(name))
+    common::MavMessage::message_id_from_name(name).or_else(|| posebridge::MavMessage::message_id_from_name(name))
 }
 
 #[cfg(test)]
@@ -105,18 +101,9 @@ mod tests {
     #[test]
     fn every_condition_of_a_filter_must_hold() {
         let filter = FrameFilter {
-            messages: Choice {
-                allow: vec![0, 30],
-                block: vec![],
-            },
-            systems: Choice {
-                allow: vec![SystemId(1)],
-                block: vec![],
-            },
-            components: Choice {
-                allow: vec![],
-                block: vec![ComponentId(9)],
-            },
+            messages: Choice { allow: vec![0, 30], block: vec![] },
+            systems: Choice { allow: vec![SystemId(1)], block: vec![] },
+            components: Choice { allow: vec![], block: vec![ComponentId(9)] },
         };
         assert!(filter.admits(Address::new(1, 1), 30));
         assert!(!filter.admits(Address::new(1, 1), 31));

@@ -66,23 +66,16 @@ mod tests {
         for id in standard {
             let message = common::MavMessage::default_message_from_id(*id).unwrap();
             let fields = format!("{message:?}");
-            let is_stamped = ["time_usec:", "time_boot_ms:", "usec:"]
-                .iter()
-                .any(|field| fields.contains(field));
+            let is_stamped = ["time_usec:", "time_boot_ms:", "usec:"].iter().any(|field| fields.contains(field));
             assert!(is_stamped, "{id}: {fields}");
         }
     }
 
     #[test]
     fn conversation_is_not_stamped() {
-        for id in [
-            ids::HEARTBEAT,
-            ids::COMMAND_LONG,
-            ids::COMMAND_ACK,
-            ids::TIMESYNC,
-            ids::STATUSTEXT,
-            ids::PARAM_VALUE,
-        ] {
+        for id in
+            [ids::HEARTBEAT, ids::COMMAND_LONG, ids::COMMAND_ACK, ids::TIMESYNC, ids::STATUSTEXT, ids::PARAM_VALUE]
+        {
             assert!(!is_stamped(id), "{id}");
         }
     }

@@ -57,17 +57,14 @@ pub fn target_of(message_id: u32, payload: &[u8]) -> Target {
     let Ok(index) = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id) else {
         return Target::Everybody;
     };
-    let Offsets {
-        system, component, ..
-    } = OFFSETS[index];
+    let Offsets { system, component, .. } = OFFSETS[index];
     let byte = |offset: u8| payload.get(usize::from(offset)).copied().unwrap_or(0);
     match (byte(system), component.map_or(0, byte)) {
         (0, _) => Target::Everybody,
         (system, 0) => Target::System(SystemId(system)),
-        (system, component) => Target::Component(Address {
-            system: SystemId(system),
-            component: ComponentId(component),
-        }),
+        (system, component) => {
+            Target::Component(Address { system: SystemId(system), component: ComponentId(component) })
+        }
     }
 }
 
@@ -106,10 +103,7 @@ mod tests {
         payload[30] = 7;
         assert_eq!(target_of(76, &payload[..31]), Target::System(SystemId(7)));
         payload[31] = 9;
-        assert_eq!(
-            target_of(76, &payload),
-            Target::Component(Address::new(7, 9))
-        );
+        assert_eq!(target_of(76, &payload), Target::Component(Address::new(7, 9)));
         assert_eq!(target_of(76, &[]), Target::Everybody);
     }
 

@@ -24,9 +24,7 @@ use self::parameters::Parameters;
 use self::peers::Peers;
 use self::time_requests::TimeRequests;
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
-use crate::message::{
-    CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync,
-};
+use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync};
 
 /// Shorter periods than this are taken as this, so that a zero in a configuration cannot spin.
 const SHORTEST_PERIOD: Span = Span::from_millis(1);
@@ -263,25 +261,16 @@ impl<C: Clock> Session<C> {
             self.next_heartbeat = next_after(self.next_heartbeat, period, now);
         }
         for (peer, silence) in self.peers.take_lost(now) {
-            self.outputs
-                .push_back(SessionOutput::PeerLost { peer, silence });
+            self.outputs.push_back(SessionOutput::PeerLost { peer, silence });
         }
         if let Some(request_nanos) = self.time_requests.due(now) {
-            self.send(Message::TimeSync(TimeSync {
-                answer_nanos: 0,
-                request_nanos,
-                target: None,
-            }));
+            self.send(Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, target: None }));
         }
         let listed = self.parameters.due(now);
         self.outputs.extend(listed.map(SessionOutput::Send));
         for (target, index) in self.peers.due_requests(now, self.config.wanted.len()) {
             let (message_id, interval) = self.config.wanted[index];
-            self.send(Message::SetMessageInterval(SetMessageInterval {
-                target,
-                message_id,
-                interval: Some(interval),
-            }));
+            self.send(Message::SetMessageInterval(SetMessageInterval { target, message_id, interval: Some(interval) }));
         }
     }
 
@@ -299,11 +288,7 @@ impl<C: Clock> Session<C> {
     /// When to call [`Session::tick`]. There is always a next heartbeat.
     #[must_use]
     pub fn deadline(&self) -> Option<Stamp<C>> {
-        let others = [
-            self.time_requests.deadline(),
-            self.peers.deadline(),
-            self.parameters.deadline(),
-        ];
+        let others = [self.time_requests.deadline(), self.peers.deadline(), self.parameters.deadline()];
         let others = others.into_iter().flatten();
         Some(others.fold(self.next_heartbeat, Stamp::min))
     }
@@ -318,11 +303,7 @@ impl<C: Clock> Session<C> {
 
     /// Tells who has sent a command what became of it.
     pub fn answer(&mut self, to: Address, command: u16, result: CommandResult) {
-        self.send(Message::CommandAck(CommandAck {
-            command,
-            result: result as u8,
-            target: Some(to),
-        }));
+        self.send(Message::CommandAck(CommandAck { command, result: result as u8, target: Some(to) }));
     }
 
     /// Sends a message of its owner's, behind what it has to say already.
@@ -337,10 +318,7 @@ impl<C: Clock> Session<C> {
     fn on_heartbeat(&mut self, now: Stamp<C>, from: Address, heartbeat: Heartbeat) {
         if self.peers.introduce(now, from, heartbeat) {
             self.time_requests.hurry(now);
-            self.outputs.push_back(SessionOutput::PeerSeen {
-                peer: from,
-                heartbeat,
-            });
+            self.outputs.push_back(SessionOutput::PeerSeen { peer: from, heartbeat });
         }
     }
 
@@ -389,17 +367,13 @@ impl<C: Clock> Session<C> {
             && self.served.contains(&command.command);
         // Only when meant for us alone: for a command to all components, another one may have the better answer.
         if command.target == self.config.own || is_for_our_system {
-            self.outputs
-                .push_back(SessionOutput::Commanded { by, command });
+            self.outputs.push_back(SessionOutput::Commanded { by, command });
         }
     }
 
     fn on_ack(&mut self, now: Stamp<C>, from: Address, ack: CommandAck) {
         let is_for_us = ack.target.is_none_or(|target| self.is_us_or_all(target));
-        let goes_on = [
-            CommandResult::TemporarilyRejected,
-            CommandResult::InProgress,
-        ];
+        let goes_on = [CommandResult::TemporarilyRejected, CommandResult::InProgress];
         let is_final = goes_on.iter().all(|result| *result as u8 != ack.result);
         if is_for_us && is_final && ack.command == COMMAND_SET_MESSAGE_INTERVAL {
             self.peers.request_answered(now, from);

@@ -52,12 +52,7 @@ pub(super) struct Parameters<C: Clock> {
 
 impl<C: Clock> Parameters<C> {
     pub(super) const fn none() -> Self {
-        Self {
-            offered: Vec::new(),
-            listing: None,
-            earliest: None,
-            is_asked: false,
-        }
+        Self { offered: Vec::new(), listing: None, earliest: None, is_asked: false }
     }
 
     /// Offers these, in this order. The order must not change afterwards: ground stations ask by index.
@@ -86,40 +81,24 @@ impl<C: Clock> Parameters<C> {
                 self.list(now);
                 None
             }
-            Message::ParamRequestRead {
-                target,
-                name,
-                index,
-            } if is_for(own, *target) => {
+            Message::ParamRequestRead { target, name, index } if is_for(own, *target) => {
                 self.is_asked = true;
                 match self.position(name, *index) {
                     Some(index) => self.value(index).map(SessionOutput::Send),
                     None => unknown(own, (by, *target), name, *index),
                 }
             }
-            Message::ParamSet {
-                target,
-                name,
-                value,
-            } if is_for(own, *target) => {
+            Message::ParamSet { target, name, value } if is_for(own, *target) => {
                 self.is_asked = true;
                 match self.position(name, -1) {
-                    Some(index) => Some(SessionOutput::ParameterWish {
-                        by,
-                        index,
-                        value: *value,
-                    }),
+                    Some(index) => Some(SessionOutput::ParameterWish { by, index, value: *value }),
                     None => unknown(own, (by, *target), name, -1),
                 }
             }
             Message::ParamSetUnsupported { target, name, kind } if is_for(own, *target) => {
                 self.is_asked = true;
                 match self.position(name, -1) {
-                    Some(index) => Some(SessionOutput::ParameterUnsupported {
-                        by,
-                        index,
-                        kind: *kind,
-                    }),
+                    Some(index) => Some(SessionOutput::ParameterUnsupported { by, index, kind: *kind }),
                     None => unknown(own, (by, *target), name, -1),
                 }
             }
@@ -163,14 +142,8 @@ impl<C: Clock> Parameters<C> {
     fn list(&mut self, now: Stamp<C>) {
         self.is_asked = true;
         let due = not_before(now, self.earliest);
-        let (next, due) = self
-            .listing
-            .map_or((0, due), |listing| (listing.next, listing.due));
-        self.listing = Some(Listing {
-            next,
-            left: self.offered.len(),
-            due,
-        });
+        let (next, due) = self.listing.map_or((0, due), |listing| (listing.next, listing.due));
+        self.listing = Some(Listing { next, left: self.offered.len(), due });
     }
 
     fn position(&self, name: &str, index: i16) -> Option<usize> {
@@ -196,8 +169,7 @@ impl<C: Clock> Parameters<C> {
 
 /// Ours, or for all components of our system; "everybody" is not answered for, lest a whole class starts to send.
 fn is_for(own: Address, target: Address) -> bool {
-    target.system == own.system
-        && (target.component == own.component || target.component == ComponentId(0))
+    target.system == own.system && (target.component == own.component || target.component == ComponentId(0))
 }
 
 /// Nobody answers for a parameter that he does not have; but who meant us alone should know why nothing comes.
@@ -207,10 +179,6 @@ fn unknown<C: Clock>(
     name: &str,
     index: i16,
 ) -> Option<SessionOutput<C>> {
-    let asked = if index == -1 {
-        name.to_owned()
-    } else {
-        index.to_string()
-    };
+    let asked = if index == -1 { name.to_owned() } else { index.to_string() };
     (target == own).then_some(SessionOutput::ParameterUnknown { by, asked })
 }

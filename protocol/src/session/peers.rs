@@ -30,19 +30,11 @@ struct Asking<C: Clock> {
 
 impl<C: Clock> Asking<C> {
     const fn from_the_start(now: Stamp<C>) -> Self {
-        Self {
-            index: 0,
-            attempts: 0,
-            next: now,
-        }
+        Self { index: 0, attempts: 0, next: now }
     }
 
     const fn after(index: usize, now: Stamp<C>) -> Self {
-        Self {
-            index: index + 1,
-            attempts: 0,
-            next: now,
-        }
+        Self { index: index + 1, attempts: 0, next: now }
     }
 }
 
@@ -62,10 +54,7 @@ pub(super) struct Peers<C: Clock> {
 
 impl<C: Clock> Peers<C> {
     pub(super) const fn new(timeout: Span) -> Self {
-        Self {
-            timeout,
-            peers: BTreeMap::new(),
-        }
+        Self { timeout, peers: BTreeMap::new() }
     }
 
     /// Any message keeps a known peer alive.
@@ -80,13 +69,8 @@ impl<C: Clock> Peers<C> {
         if self.peers.contains_key(&from) {
             return false;
         }
-        let is_robot =
-            heartbeat.autopilot != NOT_AN_AUTOPILOT && heartbeat.vehicle_type != GROUND_STATION;
-        let peer = Peer {
-            last_heard: now,
-            is_robot,
-            asking: is_robot.then(|| Asking::from_the_start(now)),
-        };
+        let is_robot = heartbeat.autopilot != NOT_AN_AUTOPILOT && heartbeat.vehicle_type != GROUND_STATION;
+        let peer = Peer { last_heard: now, is_robot, asking: is_robot.then(|| Asking::from_the_start(now)) };
         self.peers.insert(from, peer);
         true
     }
@@ -113,34 +97,20 @@ impl<C: Clock> Peers<C> {
 
     /// Whom to ask now for which of `wanted` messages.
     pub(super) fn due_requests(&mut self, now: Stamp<C>, wanted: usize) -> Vec<(Address, usize)> {
-        self.peers
-            .iter_mut()
-            .filter_map(|(&address, peer)| Some((address, peer.due_request(now, wanted)?)))
-            .collect()
+        self.peers.iter_mut().filter_map(|(&address, peer)| Some((address, peer.due_request(now, wanted)?))).collect()
     }
 
     /// The robot has answered the request that is open, whatever it said: on to the next one.
     pub(super) fn request_answered(&mut self, now: Stamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
-            peer.asking = peer.asking.map(|asking| {
-                if asking.attempts == 0 {
-                    asking
-                } else {
-                    Asking::after(asking.index, now)
-                }
-            });
+            peer.asking =
+                peer.asking.map(|asking| if asking.attempts == 0 { asking } else { Asking::after(asking.index, now) });
         }
     }
 
     pub(super) fn deadline(&self) -> Option<Stamp<C>> {
-        let lost = self
-            .peers
-            .values()
-            .map(|peer| peer.last_heard + self.timeout);
-        let asking = self
-            .peers
-            .values()
-            .filter_map(|peer| Some(peer.asking?.next));
+        let lost = self.peers.values().map(|peer| peer.last_heard + self.timeout);
+        let asking = self.peers.values().filter_map(|peer| Some(peer.asking?.next));
         lost.chain(asking).min()
     }
 

@@ -61,34 +61,19 @@ impl<C: Clock> TimeRequests<C> {
         self.forget_stale(now);
         let is_quick = self.quick_left > 0;
         self.quick_left = self.quick_left.saturating_sub(1);
-        let wait = if is_quick {
-            QUICK_PERIOD.min(period)
-        } else {
-            period
-        };
+        let wait = if is_quick { QUICK_PERIOD.min(period) } else { period };
         self.next = next_after(self.next, wait, now);
         if self.open.len() == MOST_OPEN {
             self.open.pop_front();
         }
-        self.open.push_back(Request {
-            sent: now,
-            answered_by: Vec::new(),
-        });
+        self.open.push_back(Request { sent: now, answered_by: Vec::new() });
         Some(now.as_nanos())
     }
 
     /// When we asked, if this is the first answer of `peer` to a request that is still open.
-    pub(super) fn answered(
-        &mut self,
-        now: Stamp<C>,
-        peer: Address,
-        echoed_nanos: i64,
-    ) -> Option<Stamp<C>> {
+    pub(super) fn answered(&mut self, now: Stamp<C>, peer: Address, echoed_nanos: i64) -> Option<Stamp<C>> {
         self.forget_stale(now);
-        let request = self
-            .open
-            .iter_mut()
-            .find(|request| request.sent.as_nanos() == echoed_nanos)?;
+        let request = self.open.iter_mut().find(|request| request.sent.as_nanos() == echoed_nanos)?;
         if request.answered_by.contains(&peer) {
             return None;
         }
@@ -107,11 +92,7 @@ impl<C: Clock> TimeRequests<C> {
     }
 
     fn forget_stale(&mut self, now: Stamp<C>) {
-        while self
-            .open
-            .front()
-            .is_some_and(|request| now - request.sent > STALE)
-        {
+        while self.open.front().is_some_and(|request| now - request.sent > STALE) {
             self.open.pop_front();
         }
     }

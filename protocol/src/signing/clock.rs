@@ -22,11 +22,7 @@ impl Timestamp {
     /// That many units; the last one there is for more than 48 bits.
     #[must_use]
     pub const fn from_units(units: u64) -> Self {
-        if units > LARGEST {
-            Self::MAX
-        } else {
-            Self(units)
-        }
+        if units > LARGEST { Self::MAX } else { Self(units) }
     }
 
     /// The instant that many microseconds after 1970 UTC; [`Self::ZERO`] for what lies before 2015.
@@ -81,14 +77,8 @@ mod tests {
     #[test]
     fn the_epoch_is_the_beginning_of_2015() {
         // `date -u -d 2015-01-01 +%s` says 1420070400.
-        assert_eq!(
-            Timestamp::from_unix_micros(1_420_070_400_000_000),
-            Timestamp::ZERO
-        );
-        assert_eq!(
-            Timestamp::from_unix_micros(1_420_070_401_000_019).units(),
-            100_001
-        );
+        assert_eq!(Timestamp::from_unix_micros(1_420_070_400_000_000), Timestamp::ZERO);
+        assert_eq!(Timestamp::from_unix_micros(1_420_070_401_000_019).units(), 100_001);
         assert_eq!(Timestamp::from_unix_micros(0), Timestamp::ZERO);
         assert_eq!(Timestamp::from_unix_micros(u64::MAX), Timestamp::MAX);
     }
@@ -99,10 +89,7 @@ mod tests {
         assert_eq!(start.later(Span::from_nanos(19_999)).units(), 8);
         assert_eq!(start.later(Span::from_millis(-1)), start);
         assert_eq!(Timestamp::MAX.later(Span::from_millis(1)), Timestamp::MAX);
-        assert_eq!(
-            Timestamp::from_units(107).since(start),
-            Span::from_millis(1)
-        );
+        assert_eq!(Timestamp::from_units(107).since(start), Span::from_millis(1));
         assert_eq!(start.since(Timestamp::MAX), Span::ZERO);
         assert_eq!(Timestamp::MAX.next(), None);
     }

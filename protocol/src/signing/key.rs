@@ -70,19 +70,13 @@ impl FromStr for Key {
         let text = text.trim();
         let digit = |(index, character): (usize, char)| {
             let value = character.to_digit(16);
-            value.ok_or(KeyError::Digit {
-                position: index + 1,
-            })
+            value.ok_or(KeyError::Digit { position: index + 1 })
         };
         let found = text.chars().count();
         if found != 2 * LENGTH {
             return Err(KeyError::Length { found });
         }
-        let digits: Vec<u32> = text
-            .chars()
-            .enumerate()
-            .map(digit)
-            .collect::<Result<_, _>>()?;
+        let digits: Vec<u32> = text.chars().enumerate().map(digit).collect::<Result<_, _>>()?;
         let mut bytes = [0; LENGTH];
         for (byte, pair) in bytes.iter_mut().zip(digits.chunks_exact(2)) {
             *byte = pair.iter().fold(0, |high, low| (high << 4) | *low as u8);
@@ -116,10 +110,7 @@ mod tests {
         bytes[31] = 0x0F;
         let text = format!(" aB{}0f\n", "00".repeat(30));
         assert_eq!(text.parse(), Ok(Key::from_bytes(bytes)));
-        assert_eq!(
-            Key::from_bytes(bytes).reveal_hex(),
-            text.trim().to_lowercase()
-        );
+        assert_eq!(Key::from_bytes(bytes).reveal_hex(), text.trim().to_lowercase());
         assert_eq!("".parse::<Key>(), Err(KeyError::Length { found: 0 }));
         let long = "0".repeat(65);
         assert_eq!(long.parse::<Key>(), Err(KeyError::Length { found: 65 }));
@@ -142,9 +133,6 @@ mod tests {
     fn keys_have_different_names() {
         // sha256sum of the prefix and 32 zero bytes begins so.
         assert_eq!(Key::from_bytes([0; LENGTH]).name(), "34b77e31");
-        assert_ne!(
-            Key::from_bytes([0; LENGTH]).name(),
-            Key::from_bytes([1; LENGTH]).name()
-        );
+        assert_ne!(Key::from_bytes([0; LENGTH]).name(), Key::from_bytes([1; LENGTH]).name());
     }
 }

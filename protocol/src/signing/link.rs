@@ -58,11 +58,7 @@ impl LinkSigning {
     /// is no later one.
     pub fn next_seal(&mut self, now: Stamp<HostClock>) -> Option<Seal<'_>> {
         self.own = self.clock(now).max(self.own.next()?);
-        Some(Seal {
-            key: &self.key,
-            link_id: self.link_id,
-            timestamp: self.own,
-        })
+        Some(Seal { key: &self.key, link_id: self.link_id, timestamp: self.own })
     }
 
     /// Judges a frame that came at `now`.

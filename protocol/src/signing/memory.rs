@@ -95,15 +95,10 @@ impl Memory {
 mod tests {
     use super::*;
 
-    const STREAM: StreamId = StreamId {
-        source: Address::new(1, 1),
-        link_id: 0,
-    };
+    const STREAM: StreamId = StreamId { source: Address::new(1, 1), link_id: 0 };
 
-    const HEARD: Heard = Heard {
-        timestamp: Timestamp::from_units(200 * 100_000),
-        date: Timestamp::from_units(997 * 100_000),
-    };
+    const HEARD: Heard =
+        Heard { timestamp: Timestamp::from_units(200 * 100_000), date: Timestamp::from_units(997 * 100_000) };
 
     fn at(secs: u64) -> Timestamp {
         Timestamp::from_units(secs * 100_000)
@@ -122,11 +117,7 @@ mod tests {
     #[test]
     fn a_closed_session_is_gone_on_with_as_it_stood() {
         let resumed = memory().resumed(at(1_500), Ending::Closed);
-        let expected = Memory {
-            written: at(1_500),
-            clock: at(1_500),
-            ..memory()
-        };
+        let expected = Memory { written: at(1_500), clock: at(1_500), ..memory() };
         assert_eq!(resumed, expected);
     }
 
@@ -137,10 +128,7 @@ mod tests {
             memory = memory.resumed(at(utc), Ending::Cut);
         }
         // The sender was at 200 s when it was 997 s, so at 302 s when it was 1099 s.
-        assert_eq!(
-            memory.streams[&STREAM].timestamp,
-            at(302).later(Span::from_millis(500))
-        );
+        assert_eq!(memory.streams[&STREAM].timestamp, at(302).later(Span::from_millis(500)));
     }
 
     #[test]

@@ -52,12 +52,7 @@ impl<'a> Signature<'a> {
         let (covered, mac) = frame.raw.split_last_chunk::<MAC>()?;
         let (_, said) = covered.split_last_chunk::<{ LENGTH - MAC }>()?;
         let [link_id, a, b, c, d, e, f] = *said;
-        Some(Self {
-            link_id,
-            timestamp: Timestamp::from_wire([a, b, c, d, e, f]),
-            mac: *mac,
-            covered,
-        })
+        Some(Self { link_id, timestamp: Timestamp::from_wire([a, b, c, d, e, f]), mac: *mac, covered })
     }
 
     /// Whether it was made with this key over these bytes.

@@ -34,17 +34,8 @@ pub(super) struct Verifier {
 }
 
 impl Verifier {
-    pub(super) const fn new(
-        unsigned: Unsigned,
-        streams: BTreeMap<StreamId, Heard>,
-        floor: Option<Timestamp>,
-    ) -> Self {
-        Self {
-            unsigned,
-            streams,
-            floor,
-            met: 0,
-        }
+    pub(super) const fn new(unsigned: Unsigned, streams: BTreeMap<StreamId, Heard>, floor: Option<Timestamp>) -> Self {
+        Self { unsigned, streams, floor, met: 0 }
     }
 
     /// The timestamp of a frame that is to be believed, `None` if it comes without; takes note of it. `clock` is the time of
@@ -66,10 +57,7 @@ impl Verifier {
             return Err(Refusal::WrongSignature);
         }
         let timestamp = signature.timestamp;
-        let stream = StreamId {
-            source: frame.source,
-            link_id: signature.link_id,
-        };
+        let stream = StreamId { source: frame.source, link_id: signature.link_id };
         if let Some(last) = self.streams.get_mut(&stream) {
             if timestamp <= last.timestamp {
                 return Err(Refusal::Replayed);

@@ -39,10 +39,7 @@ impl Bench {
     }
 
     pub(crate) fn of(protocol: &str, nxt: NxtSettings, brick: Brick) -> Self {
-        let settings = BrickSettings {
-            nxt,
-            ..BrickSettings::default()
-        };
+        let settings = BrickSettings { nxt, ..BrickSettings::default() };
         let protocol = brick_protocol(protocol).expect("the row is there");
         Self {
             codec: (protocol.open)(&settings),
@@ -69,18 +66,12 @@ impl Bench {
     pub(crate) fn run_to_with(&mut self, end_micros: i64, each: &mut dyn FnMut(i64, &mut Brick)) {
         loop {
             let deadline = self.codec.deadline().map(Stamp::as_micros);
-            let next = [deadline, self.brick.next_reply()]
-                .into_iter()
-                .flatten()
-                .min()
-                .unwrap_or(i64::MAX);
+            let next = [deadline, self.brick.next_reply()].into_iter().flatten().min().unwrap_or(i64::MAX);
             if next > end_micros {
                 break;
             }
             // A deadline between two microseconds is met at the later one.
-            self.now_micros = self
-                .now_micros
-                .max(next + i64::from(deadline == Some(next)));
+            self.now_micros = self.now_micros.max(next + i64::from(deadline == Some(next)));
             each(self.now_micros, &mut self.brick);
             if let Some(reply) = self.brick.say(self.now_micros) {
                 self.arrive(reply);
@@ -111,8 +102,7 @@ impl Bench {
     /// Bytes from the brick.
     pub(crate) fn push(&mut self, bytes: &[u8]) {
         let (now, heard, at) = (self.now(), &mut self.heard, self.now_micros);
-        self.codec
-            .push(now, bytes, &mut |item| note(heard, at, item));
+        self.codec.push(now, bytes, &mut |item| note(heard, at, item));
         self.deliver();
     }
 
@@ -173,9 +163,7 @@ pub(crate) fn asked_millis(stamp: WireStamp) -> (f64, f64) {
 fn note(heard: &mut Vec<(i64, Noted)>, at: i64, item: Heard<'_>) {
     let noted = match item {
         Heard::Message { message, .. } => Noted::Message(message),
-        Heard::Time {
-            sent, peer_nanos, ..
-        } => Noted::Time(sent.as_nanos(), peer_nanos),
+        Heard::Time { sent, peer_nanos, .. } => Noted::Time(sent.as_nanos(), peer_nanos),
         Heard::Note { text, .. } => Noted::Note(text),
         Heard::Defect(defect) => Noted::Defect(defect),
         Heard::Other(_) => return,

@@ -94,8 +94,7 @@ impl Brick {
 
     fn take(&mut self, now_micros: i64, telegram: &[u8]) {
         self.requests.push(telegram.to_vec());
-        self.replies
-            .retain(|(at, _)| *at > now_micros || *at == i64::MAX);
+        self.replies.retain(|(at, _)| *at > now_micros || *at == i64::MAX);
         // It looks at what it is asked in the middle of the turn-around.
         let start = now_micros.max(self.free_at);
         let values = self.execute(start + TURN_AROUND_MICROS / 2, telegram);
@@ -113,10 +112,7 @@ impl Brick {
     }
 
     fn pending(&self, now_micros: i64) -> usize {
-        self.replies
-            .iter()
-            .filter(|(at, _)| *at > now_micros)
-            .count()
+        self.replies.iter().filter(|(at, _)| *at > now_micros).count()
     }
 
     /// The next reply that has arrived.
@@ -268,13 +264,7 @@ impl Brick {
         if length > most || end > module.len() {
             return [&[0x91], &telegram[2..6], &[0x00, 0x00]].concat();
         }
-        [
-            &[0x00],
-            &telegram[2..6],
-            &telegram[8..10],
-            &module[offset..end],
-        ]
-        .concat()
+        [&[0x00], &telegram[2..6], &telegram[8..10], &module[offset..end]].concat()
     }
 
     fn command_module(&self, at_micros: i64) -> Vec<u8> {

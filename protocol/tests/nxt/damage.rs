@@ -13,12 +13,7 @@ const REPLIES: std::ops::Range<usize> = 0..18;
 
 fn settings() -> NxtSettings {
     NxtSettings {
-        sensors: [
-            NxtSensor::HtGyro,
-            NxtSensor::None,
-            NxtSensor::None,
-            NxtSensor::None,
-        ],
+        sensors: [NxtSensor::HtGyro, NxtSensor::None, NxtSensor::None, NxtSensor::None],
         gyro_rest: Some(600.0),
         ..NxtSettings::default()
     }
@@ -30,13 +25,8 @@ fn run(damaged: usize, chunk: usize, damage: fn(Vec<u8>, usize) -> Vec<u8>, at: 
     brick.ports[0].raw = 610;
     let mut bench = Bench::new(settings(), brick);
     bench.chunk = chunk;
-    bench.damage = Box::new(move |reply, bytes| {
-        if reply == damaged && at < bytes.len() {
-            damage(bytes, at)
-        } else {
-            bytes
-        }
-    });
+    bench.damage =
+        Box::new(move |reply, bytes| if reply == damaged && at < bytes.len() { damage(bytes, at) } else { bytes });
     bench.begin();
     bench.run_to(3 * SECOND);
     bench
@@ -50,11 +40,7 @@ fn assert_goes_on(bench: &Bench, what: &str) {
     });
     let last = last.last().unwrap_or_default();
     assert!(last > 2_850.0, "{what}: the last state is of {last} ms");
-    assert!(
-        bench.wheels().len() > 25,
-        "{what}: {}",
-        bench.wheels().len()
-    );
+    assert!(bench.wheels().len() > 25, "{what}: {}", bench.wheels().len());
 }
 
 fn lengths() -> Vec<usize> {
@@ -140,9 +126,7 @@ fn noise(seed: u64, length: usize) -> Vec<u8> {
     let mut state = seed;
     (0..length)
         .map(|_| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 56) as u8
         })
         .collect()
@@ -179,10 +163,7 @@ fn any_bytes_at_any_time_leave_the_codec_alive() {
                 sent += 1;
                 assert!(sent <= 2, "seed {seed}");
             }
-            assert!(
-                bench.codec.deadline().is_some_and(|due| due > now),
-                "seed {seed}"
-            );
+            assert!(bench.codec.deadline().is_some_and(|due| due > now), "seed {seed}");
         }
     }
 }

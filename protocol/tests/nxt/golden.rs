@@ -1,8 +1,8 @@
 //! Bytes of LEGO's developer kit and of the firmware's interface files, written by hand from their tables.
 
 use posebridge_protocol::bricks::nxt::{
-    Answer, MotorPort, NxtSensor, NxtSettings, OutputState, framed, message_write,
-    set_output_state, start_program, stop_program,
+    Answer, MotorPort, NxtSensor, NxtSettings, OutputState, framed, message_write, set_output_state, start_program,
+    stop_program,
 };
 use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
 use posebridge_protocol::message::Message;
@@ -11,28 +11,16 @@ use posebridge_telemetry::{EncoderTicks, Stamp};
 const VERSION_REQUEST: &[u8] = &[0x02, 0x00, 0x01, 0x88];
 /// Protocol 1.124, firmware 1.31.
 const VERSION_REPLY: &[u8] = &[0x07, 0x00, 0x02, 0x88, 0x00, 0x7C, 0x01, 0x1F, 0x01];
-const TICK_REQUEST: &[u8] = &[
-    0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x01, 0x00, 0x14, 0x00, 0x04, 0x00,
-];
+const TICK_REQUEST: &[u8] = &[0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x01, 0x00, 0x14, 0x00, 0x04, 0x00];
 /// 0x00012345 ms.
-const TICK_REPLY: &[u8] = &[
-    0x0D, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x01, 0x00, 0x04, 0x00, 0x45, 0x23, 0x01, 0x00,
-];
-const MOTORS_REQUEST: &[u8] = &[
-    0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x02, 0x00, 0x00, 0x00, 0x60, 0x00,
-];
-const INPUTS_REQUEST: &[u8] = &[
-    0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x03, 0x00, 0x00, 0x00, 0x50, 0x00,
-];
-const BUFFERS_REQUEST: &[u8] = &[
-    0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x0B, 0x00, 0x00, 0x00, 0x4C, 0x00,
-];
+const TICK_REPLY: &[u8] = &[0x0D, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x01, 0x00, 0x04, 0x00, 0x45, 0x23, 0x01, 0x00];
+const MOTORS_REQUEST: &[u8] = &[0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x02, 0x00, 0x00, 0x00, 0x60, 0x00];
+const INPUTS_REQUEST: &[u8] = &[0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x03, 0x00, 0x00, 0x00, 0x50, 0x00];
+const BUFFERS_REQUEST: &[u8] = &[0x0A, 0x00, 0x01, 0x94, 0x01, 0x00, 0x0B, 0x00, 0x00, 0x00, 0x4C, 0x00];
 
 /// B at 360 degrees, C at -2.
 fn motors_reply() -> Vec<u8> {
-    let mut reply = vec![
-        0x69, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x02, 0x00, 0x60, 0x00,
-    ];
+    let mut reply = vec![0x69, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x02, 0x00, 0x60, 0x00];
     let data = reply.len();
     reply.resize(data + 96, 0);
     reply[data + 32..data + 36].copy_from_slice(&[0x68, 0x01, 0x00, 0x00]);
@@ -42,9 +30,7 @@ fn motors_reply() -> Vec<u8> {
 
 /// Port 2 is a gyro of type 06 that reads 0x02A0, 672 counts; port 4 is on the bus, type 0B.
 fn inputs_reply() -> Vec<u8> {
-    let mut reply = vec![
-        0x59, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x03, 0x00, 0x50, 0x00,
-    ];
+    let mut reply = vec![0x59, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x03, 0x00, 0x50, 0x00];
     let data = reply.len();
     reply.resize(data + 80, 0);
     reply[data + 22..data + 24].copy_from_slice(&[0xA0, 0x02]);
@@ -55,9 +41,7 @@ fn inputs_reply() -> Vec<u8> {
 
 /// Port 4's compass has answered so many times, 2 * 100 + 1 degrees.
 fn buffers_reply(answers: u8) -> Vec<u8> {
-    let mut reply = vec![
-        0x55, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x0B, 0x00, 0x4C, 0x00,
-    ];
+    let mut reply = vec![0x55, 0x00, 0x02, 0x94, 0x00, 0x01, 0x00, 0x0B, 0x00, 0x4C, 0x00];
     let data = reply.len();
     reply.resize(data + 76, 0);
     for answer in 0..usize::from(answers) {
@@ -98,19 +82,11 @@ fn transcript() -> Vec<(Vec<&'static [u8]>, Vec<u8>)> {
 
 fn codec() -> Box<dyn BrickCodec> {
     let nxt = NxtSettings {
-        sensors: [
-            NxtSensor::None,
-            NxtSensor::HtGyro,
-            NxtSensor::None,
-            NxtSensor::HtCompass,
-        ],
+        sensors: [NxtSensor::None, NxtSensor::HtGyro, NxtSensor::None, NxtSensor::HtCompass],
         gyro_rest: Some(600.0),
         ..NxtSettings::default()
     };
-    let settings = BrickSettings {
-        nxt,
-        ..BrickSettings::default()
-    };
+    let settings = BrickSettings { nxt, ..BrickSettings::default() };
     (brick_protocol("nxt").expect("the row is there").open)(&settings)
 }
 
@@ -134,39 +110,26 @@ fn play(chunk: usize) -> Played {
         for part in reply.chunks(chunk) {
             codec.push(now, part, &mut |heard| match heard {
                 Heard::Message { message, .. } => messages.push(message),
-                Heard::Time {
-                    sent, peer_nanos, ..
-                } => times.push((sent.as_nanos(), peer_nanos)),
+                Heard::Time { sent, peer_nanos, .. } => times.push((sent.as_nanos(), peer_nanos)),
                 Heard::Note { .. } => {}
                 other => panic!("{other:?}"),
             });
         }
     }
-    Played {
-        asked,
-        messages,
-        times,
-    }
+    Played { asked, messages, times }
 }
 
 #[test]
 fn every_question_is_these_bytes_in_this_order() {
     let Played { asked, .. } = play(usize::MAX);
-    let expected: Vec<&[u8]> = transcript()
-        .into_iter()
-        .flat_map(|(asked, _)| asked)
-        .collect();
+    let expected: Vec<&[u8]> = transcript().into_iter().flat_map(|(asked, _)| asked).collect();
     assert_eq!(asked, expected);
 }
 
 #[test]
 fn every_answer_means_this_in_chunks_of_every_size() {
     for chunk in 1..=120 {
-        let Played {
-            asked,
-            messages,
-            times,
-        } = play(chunk);
+        let Played { asked, messages, times } = play(chunk);
         assert_eq!(asked.len(), 18, "chunk size {chunk}");
         assert_eq!(times.first(), Some(&(30_000_000, 0x12345 * 1_000_000)));
         assert_eq!(times.len(), 3);
@@ -186,23 +149,13 @@ fn every_answer_means_this_in_chunks_of_every_size() {
             })
             .collect();
         assert_eq!(rates.len(), 3, "chunk size {chunk}");
-        assert!(
-            rates
-                .iter()
-                .all(|rate| (rate.0.to_degrees() - 72.0).abs() < 1e-9)
-        );
+        assert!(rates.iter().all(|rate| (rate.0.to_degrees() - 72.0).abs() < 1e-9));
         let compass = messages.iter().find_map(|message| match message {
             Message::Compass { heading, .. } => Some(heading.rad().to_degrees()),
             _ => None,
         });
-        assert!(
-            (compass.unwrap() - 159.0).abs() < 1e-9,
-            "chunk size {chunk}"
-        );
-        let beats = messages
-            .iter()
-            .filter(|message| matches!(message, Message::Heartbeat(_)))
-            .count();
+        assert!((compass.unwrap() - 159.0).abs() < 1e-9, "chunk size {chunk}");
+        let beats = messages.iter().filter(|message| matches!(message, Message::Heartbeat(_))).count();
         assert_eq!(beats, 1);
     }
 }
@@ -210,14 +163,9 @@ fn every_answer_means_this_in_chunks_of_every_size() {
 #[test]
 fn commands_to_drive_are_these_bytes() {
     // Motor C at 75 per cent, regulated speed, for 360 degrees: layout of SETOUTPUTSTATE.
-    let state = OutputState {
-        tacho_limit: 360,
-        ..OutputState::run(MotorPort::C, 75)
-    };
+    let state = OutputState { tacho_limit: 360, ..OutputState::run(MotorPort::C, 75) };
     let bytes = framed(&set_output_state(&state, Answer::Unwanted));
-    let expected = [
-        0x0C, 0x00, 0x80, 0x04, 0x02, 0x4B, 0x07, 0x01, 0x00, 0x20, 0x68, 0x01, 0x00, 0x00,
-    ];
+    let expected = [0x0C, 0x00, 0x80, 0x04, 0x02, 0x4B, 0x07, 0x01, 0x00, 0x20, 0x68, 0x01, 0x00, 0x00];
     assert_eq!(bytes, expected);
 
     let back = OutputState::run(MotorPort::A, -100);
@@ -243,10 +191,7 @@ fn commands_to_programs_are_these_bytes() {
 
     let message = message_write(3, b"hi", Answer::Unwanted).unwrap();
     let bytes = framed(&message);
-    assert_eq!(
-        bytes,
-        [0x07, 0x00, 0x80, 0x09, 0x03, 0x03, b'h', b'i', 0x00]
-    );
+    assert_eq!(bytes, [0x07, 0x00, 0x80, 0x09, 0x03, 0x03, b'h', b'i', 0x00]);
     assert!(message_write(3, &[0; 58], Answer::Wanted).is_some());
     assert!(message_write(3, &[0; 59], Answer::Wanted).is_none());
 }

@@ -11,10 +11,7 @@ use crate::session::{SECOND, equipped, equipped_brick, moving_brick};
 fn gyro_alone() -> NxtSettings {
     let mut sensors = [NxtSensor::None; 4];
     sensors[0] = NxtSensor::HtGyro;
-    NxtSettings {
-        sensors,
-        ..NxtSettings::default()
-    }
+    NxtSettings { sensors, ..NxtSettings::default() }
 }
 
 #[test]
@@ -26,19 +23,11 @@ fn a_sensor_that_is_not_plugged_in_is_told_of_once_and_the_others_go_on() {
         let mut bench = Bench::new(equipped(), brick);
         bench.begin();
         bench.run_to(60 * SECOND);
-        let told: Vec<_> = bench
-            .notes()
-            .into_iter()
-            .filter(|text| text.contains("plugged in"))
-            .collect();
+        let told: Vec<_> = bench.notes().into_iter().filter(|text| text.contains("plugged in")).collect();
         assert!((1..=2).contains(&told.len()), "{maps:?} {told:?}");
         assert!(told[0].starts_with("sensor port 2"), "{told:?}");
         assert!(bench.wheels().len() > 120);
-        assert!(
-            bench
-                .messages()
-                .any(|message| matches!(message, Message::DistanceSensor { .. }))
-        );
+        assert!(bench.messages().any(|message| matches!(message, Message::DistanceSensor { .. })));
     }
 }
 
@@ -54,9 +43,7 @@ fn a_missing_sensor_takes_no_turn_of_the_wheels_with_single_commands() {
         bench.wheels().len()
     };
     let (with, without) = (wheels(true), wheels(false));
-    println!(
-        "wheels in 60 s by single commands: {with} with all sensors, {without} with one missing"
-    );
+    println!("wheels in 60 s by single commands: {with} with all sensors, {without} with one missing");
     assert!(10 * without >= 8 * with, "{without} of {with}");
 }
 
@@ -70,11 +57,7 @@ fn the_gyros_rest_is_learnt_before_the_robot_moves() {
     bench.run_to(4 * SECOND);
     bench.brick.ports[0].raw = 642;
     bench.run_to(6 * SECOND);
-    assert!(
-        bench
-            .notes()
-            .contains(&"the gyro at port 1 reads 597.0 at rest")
-    );
+    assert!(bench.notes().contains(&"the gyro at port 1 reads 597.0 at rest"));
     let rates: Vec<f64> = bench
         .messages()
         .filter_map(|message| match message {
@@ -106,10 +89,7 @@ fn a_gyro_that_is_unplugged_is_told_of_and_turns_nothing() {
     assert!(fastest_rad_per_s < 1e-9, "{fastest_rad_per_s}");
     let told = |bench: &Bench| {
         let texts = bench.notes();
-        texts
-            .iter()
-            .filter(|text| text.contains("reads as empty"))
-            .count()
+        texts.iter().filter(|text| text.contains("reads as empty")).count()
     };
     assert_eq!(told(&bench), 1);
     // Plugged in again and out again, it is told again.

@@ -9,8 +9,8 @@ use crate::brick::Brick;
 
 /// PB_WHEEL_TICKS of system 1, component 1, as pymavlink encodes it (`pb_wheel_ticks` of protocol/tests/data/golden.json).
 const FRAME: [u8; 25] = [
-    0xFD, 0x0D, 0x00, 0x00, 0x07, 0x01, 0x01, 0x74, 0xA4, 0x00, 0xFA, 0xFF, 0xFF, 0xFF, 0xC0, 0x1D,
-    0xFE, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F, 0x03, 0xF9, 0x7F,
+    0xFD, 0x0D, 0x00, 0x00, 0x07, 0x01, 0x01, 0x74, 0xA4, 0x00, 0xFA, 0xFF, 0xFF, 0xFF, 0xC0, 0x1D, 0xFE, 0xFF, 0xFF,
+    0xFF, 0xFF, 0x7F, 0x03, 0xF9, 0x7F,
 ];
 const SECOND: i64 = 1_000_000;
 
@@ -31,10 +31,7 @@ fn bench() -> Bench {
 }
 
 fn pushed(bench: &Bench) -> usize {
-    bench
-        .messages()
-        .filter(|message| **message == ticks())
-        .count()
+    bench.messages().filter(|message| **message == ticks()).count()
 }
 
 #[test]
@@ -52,11 +49,7 @@ fn a_programs_frames_are_heard_in_chunks_of_every_size_among_answers() {
         assert_eq!(pushed(&bench), 200, "chunks of {chunk}");
         assert_eq!(bench.codec.sources()[0].source, Address::new(1, 1));
         // The clock is asked all the while: three times at connect, then once a second.
-        let times = bench
-            .heard
-            .iter()
-            .filter(|(_, item)| matches!(item, Noted::Time(..)))
-            .count();
+        let times = bench.heard.iter().filter(|(_, item)| matches!(item, Noted::Time(..))).count();
         assert_eq!(times, 4, "chunks of {chunk}");
     }
 }
@@ -95,15 +88,10 @@ fn a_damaged_byte_costs_a_frame_or_two_of_a_program_that_never_rests() {
                 }
             }
             let lost = FRAMES as usize - pushed(&bench);
-            assert!(
-                (1..=2).contains(&lost),
-                "without byte {at}, chunks of {chunk}: {lost} lost"
-            );
+            assert!((1..=2).contains(&lost), "without byte {at}, chunks of {chunk}: {lost} lost");
             // The clock is asked again: the fence is answered, and a tick.
             let damaged_at = 50 * 20_000;
-            let is_time = |(when, item): &(i64, Noted)| {
-                *when > damaged_at + 100_000 && matches!(item, Noted::Time(..))
-            };
+            let is_time = |(when, item): &(i64, Noted)| *when > damaged_at + 100_000 && matches!(item, Noted::Time(..));
             assert!(bench.heard.iter().any(is_time), "without byte {at}");
         }
     }
@@ -121,14 +109,9 @@ fn frames_under_the_name_of_an_asked_brick_are_told_of_and_it_is_not_called_sile
             bench.push(&prefixed()[usize::from(step == 100)..]);
         }
         let notes = bench.notes();
-        let told = notes
-            .iter()
-            .filter(|text| text.contains("--brick nxt-push"));
+        let told = notes.iter().filter(|text| text.contains("--brick nxt-push"));
         assert_eq!(told.count(), 1, "{notes:?}");
-        assert!(
-            !notes.iter().any(|text| text.contains("not answered")),
-            "{notes:?}"
-        );
+        assert!(!notes.iter().any(|text| text.contains("not answered")), "{notes:?}");
         assert_eq!(pushed(&bench), 0);
         // 30 ms for each question, and the one byte costs a question or two.
         if is_answering {
@@ -152,9 +135,7 @@ fn a_program_that_writes_something_else_costs_no_question() {
         assert_eq!(bench.lost(), 0, "each {period_millis} ms");
         assert!(bench.wheels().len() > 280, "{}", bench.wheels().len());
         let notes = bench.notes();
-        let told = notes
-            .iter()
-            .filter(|text| text.contains("messages of its own"));
+        let told = notes.iter().filter(|text| text.contains("messages of its own"));
         assert_eq!(told.count(), 1, "{notes:?}");
     }
 }
@@ -164,16 +145,8 @@ fn sensors_are_the_programs_business() {
     let mut bench = bench();
     bench.begin();
     bench.run_to(10 * SECOND);
-    let asked: Vec<u8> = bench
-        .brick
-        .requests
-        .iter()
-        .map(|request| request[1])
-        .collect();
-    assert!(
-        asked.iter().all(|code| [0x88, 0x94, 0x0D].contains(code)),
-        "{asked:02x?}"
-    );
+    let asked: Vec<u8> = bench.brick.requests.iter().map(|request| request[1]).collect();
+    assert!(asked.iter().all(|code| [0x88, 0x94, 0x0D].contains(code)), "{asked:02x?}");
     assert!((12..=16).contains(&asked.len()), "{}", asked.len());
 }
 

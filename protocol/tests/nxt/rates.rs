@@ -15,12 +15,7 @@ const SECONDS: i64 = 20;
 /// States, wheels with the gyro of the same round, in a second.
 fn states_per_second(maps: Maps, outstanding: Outstanding) -> f64 {
     let settings = NxtSettings {
-        sensors: [
-            NxtSensor::HtGyro,
-            NxtSensor::None,
-            NxtSensor::None,
-            NxtSensor::None,
-        ],
+        sensors: [NxtSensor::HtGyro, NxtSensor::None, NxtSensor::None, NxtSensor::None],
         gyro_rest: Some(600.0),
         outstanding,
         ..NxtSettings::default()
@@ -36,9 +31,7 @@ fn states_per_second(maps: Maps, outstanding: Outstanding) -> f64 {
         bench
             .heard
             .iter()
-            .filter(|(at, item)| {
-                *at >= FROM && matches!(item, crate::bench::Noted::Message(message) if is(message))
-            })
+            .filter(|(at, item)| *at >= FROM && matches!(item, crate::bench::Noted::Message(message) if is(message)))
             .count()
     };
     let wheels = count(|message| matches!(message, Message::WheelTicks(_)));
@@ -76,10 +69,7 @@ fn io_maps_give_at_least_fourteen_states_a_second_and_three_times_single_command
     println!("  IO maps, 55 bytes      2 motors + 1 port   {short:5.2}");
     println!("  single commands        2 motors + 1 port   {single:5.2}");
     println!("  single commands        3 motors + 4 ports  {seven:5.2}");
-    println!(
-        "  IO maps over single commands, same content {:5.2}",
-        whole / seven
-    );
+    println!("  IO maps over single commands, same content {:5.2}", whole / seven);
     assert!(whole >= 14.0, "{whole}");
     assert!(whole >= 3.0 * seven, "{whole} {seven}");
     assert!(short > single && whole >= short, "{whole} {short} {single}");

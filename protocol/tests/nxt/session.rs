@@ -1,13 +1,10 @@
 //! From connect to disconnect: what is found out, what is told, what is survived.
 
 use posebridge_protocol::bricks::nxt::{
-    AccelerometerPlace, ForwardAxis, MotorPort, Mounting, NxtSensor, NxtSettings, Outstanding,
-    WheelMotor,
+    AccelerometerPlace, ForwardAxis, MotorPort, Mounting, NxtSensor, NxtSettings, Outstanding, WheelMotor,
 };
 use posebridge_protocol::message::{Message, PlanarPose, PoseFlags, WireStamp};
-use posebridge_telemetry::{
-    Address, Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Stamp,
-};
+use posebridge_telemetry::{Address, Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Stamp};
 
 use crate::bench::{Bench, Noted, asked_millis};
 use crate::brick::{Brick, Maps};
@@ -20,10 +17,7 @@ pub(crate) fn drive(at_micros: i64) -> [i32; 3] {
 }
 
 pub(crate) fn moving_brick() -> Brick {
-    Brick {
-        drive,
-        ..Brick::new()
-    }
+    Brick { drive, ..Brick::new() }
 }
 
 /// Each count was the motor's between question and answer; `base` is added to what the brick shows.
@@ -42,12 +36,7 @@ pub(crate) fn assert_true(bench: &Bench, base: (i64, i64)) {
 }
 
 fn every_sensor() -> [NxtSensor; 4] {
-    [
-        NxtSensor::HtGyro,
-        NxtSensor::HtCompass,
-        NxtSensor::Ultrasonic,
-        NxtSensor::Temperature,
-    ]
+    [NxtSensor::HtGyro, NxtSensor::HtCompass, NxtSensor::Ultrasonic, NxtSensor::Temperature]
 }
 
 pub(crate) fn equipped_brick() -> Brick {
@@ -63,12 +52,7 @@ pub(crate) fn equipped_brick() -> Brick {
 }
 
 pub(crate) fn equipped() -> NxtSettings {
-    NxtSettings {
-        sensors: every_sensor(),
-        gyro_rest: Some(600.0),
-        compass_zero_deg: 90.0,
-        ..NxtSettings::default()
-    }
+    NxtSettings { sensors: every_sensor(), gyro_rest: Some(600.0), compass_zero_deg: 90.0, ..NxtSettings::default() }
 }
 
 fn pose(micros: u32) -> Message {
@@ -87,9 +71,7 @@ fn pose(micros: u32) -> Message {
 fn encode(bench: &mut Bench, micros: u32) -> usize {
     let mut bytes = Vec::new();
     let now = bench.now();
-    let length = bench
-        .codec
-        .encode(now, Address::new(1, 197), &pose(micros), &mut bytes);
+    let length = bench.codec.encode(now, Address::new(1, 197), &pose(micros), &mut bytes);
     assert_eq!(length, bytes.len());
     bench.brick.hear(bench.now_micros, &bytes);
     length
@@ -113,11 +95,7 @@ fn assert_all_senses(bench: &Bench) {
                 range += 1;
                 assert_eq!(*found, Meters(1.5));
             }
-            Message::Thermometer {
-                channel,
-                temperature,
-                ..
-            } => {
+            Message::Thermometer { channel, temperature, .. } => {
                 warmth += 1;
                 assert_eq!((channel.as_str(), temperature.0), ("temp4", 23.5));
             }
@@ -125,10 +103,7 @@ fn assert_all_senses(bench: &Bench) {
         }
     }
     println!("in 5 s: gyro {gyro}, compass {compass}, range {range}, temperature {warmth}");
-    assert!(
-        gyro > 12 && compass > 12 && range > 12,
-        "{gyro} {compass} {range}"
-    );
+    assert!(gyro > 12 && compass > 12 && range > 12, "{gyro} {compass} {range}");
     assert!((3..=6).contains(&warmth), "{warmth}");
     assert!(bench.wheels().len() > 12);
 }
@@ -176,26 +151,16 @@ fn the_clock_is_asked_three_times_and_then_about_every_twentieth() {
     for (sent, peer) in &times {
         // The double looks at its clock in the middle of the turn-around, and shows whole milliseconds.
         let looked = sent + 15_000_000 + 5_000_000_000;
-        assert!(
-            (looked - 1_000_000..=looked).contains(peer),
-            "{sent} {peer}"
-        );
+        assert!((looked - 1_000_000..=looked).contains(peer), "{sent} {peer}");
     }
     assert_eq!(times[1].0 - times[0].0, 30_000_000);
     let asked = bench.brick.requests.len();
-    assert!(
-        (asked / 20..=asked / 16).contains(&times.len()),
-        "{} of {asked}",
-        times.len()
-    );
+    assert!((asked / 20..=asked / 16).contains(&times.len()), "{} of {asked}", times.len());
 }
 
 #[test]
 fn a_brick_without_a_clock_lives_by_the_stations() {
-    let brick = Brick {
-        maps: Maps::Unknown,
-        ..moving_brick()
-    };
+    let brick = Brick { maps: Maps::Unknown, ..moving_brick() };
     let mut bench = Bench::new(NxtSettings::default(), brick);
     bench.begin();
     bench.run_to(2 * SECOND);
@@ -215,21 +180,11 @@ fn a_brick_without_a_clock_lives_by_the_stations() {
 fn motors_may_sit_at_any_ports_and_either_way() {
     for maps in [Maps::UpTo(119), Maps::UpTo(55), Maps::Unknown] {
         let settings = NxtSettings {
-            left_motor: WheelMotor {
-                port: MotorPort::C,
-                mounting: Mounting::Backward,
-            },
-            right_motor: WheelMotor {
-                port: MotorPort::A,
-                mounting: Mounting::Forward,
-            },
+            left_motor: WheelMotor { port: MotorPort::C, mounting: Mounting::Backward },
+            right_motor: WheelMotor { port: MotorPort::A, mounting: Mounting::Forward },
             ..NxtSettings::default()
         };
-        let brick = Brick {
-            maps,
-            drive: |at| [(at / 10_000) as i32, 7, -(at / 5_000) as i32],
-            ..Brick::new()
-        };
+        let brick = Brick { maps, drive: |at| [(at / 10_000) as i32, 7, -(at / 5_000) as i32], ..Brick::new() };
         let mut bench = Bench::new(settings, brick);
         bench.begin();
         bench.run_to(3 * SECOND);
@@ -241,28 +196,14 @@ fn motors_may_sit_at_any_ports_and_either_way() {
 
 #[test]
 fn two_accelerometers_are_one_message() {
-    let place = |place| NxtSensor::HtAccelerometer {
-        forward: ForwardAxis::X,
-        place,
-    };
+    let place = |place| NxtSensor::HtAccelerometer { forward: ForwardAxis::X, place };
     let mut brick = Brick::new();
     for (port, high) in [(0, 0x32), (1, 0xCE)] {
         brick.ports[port].is_plugged = true;
         brick.ports[port].registers = [high, 0, 0, 0, 0, 0];
     }
-    let sensors = [
-        place(AccelerometerPlace::Left),
-        place(AccelerometerPlace::Right),
-        NxtSensor::None,
-        NxtSensor::None,
-    ];
-    let mut bench = Bench::new(
-        NxtSettings {
-            sensors,
-            ..NxtSettings::default()
-        },
-        brick,
-    );
+    let sensors = [place(AccelerometerPlace::Left), place(AccelerometerPlace::Right), NxtSensor::None, NxtSensor::None];
+    let mut bench = Bench::new(NxtSettings { sensors, ..NxtSettings::default() }, brick);
     bench.begin();
     bench.run_to(3 * SECOND);
     let found: Vec<_> = bench
@@ -289,10 +230,7 @@ fn the_start_of_a_program_is_no_motion_and_ports_are_set_up_again() {
     let wheels = bench.wheels();
     for pair in wheels.windows(2) {
         let (step, turn) = (pair[1].0 - pair[0].0, pair[1].1 - pair[0].1);
-        assert!(
-            (0..=150).contains(&step) && (-80..=0).contains(&turn),
-            "{pair:?}"
-        );
+        assert!((0..=150).contains(&step) && (-80..=0).contains(&turn), "{pair:?}");
     }
     // What the wheels turned in the one interval in which the counters fell is partly gone: less than two rounds' worth.
     let (left, _) = *wheels.last().unwrap();
@@ -304,15 +242,8 @@ fn the_start_of_a_program_is_no_motion_and_ports_are_set_up_again() {
             set_up[usize::from(request[2])] += 1;
         }
     }
-    assert!(
-        set_up.iter().all(|times| (1..=2).contains(times)),
-        "{set_up:?}"
-    );
-    let told = bench
-        .notes()
-        .iter()
-        .filter(|text| text.contains("began anew"))
-        .count();
+    assert!(set_up.iter().all(|times| (1..=2).contains(times)), "{set_up:?}");
+    let told = bench.notes().iter().filter(|text| text.contains("began anew")).count();
     assert_eq!(told, 1);
     assert_eq!(bench.lost(), 0);
 }
@@ -332,10 +263,7 @@ fn a_brick_that_was_switched_off_and_on_is_noticed_by_its_clock() {
     assert!(bench.notes().contains(&"the NXT was switched off and on"));
     // Its motors have turned for a second and a bit since: 500 to 650 counts, and none of the fall.
     let after = *bench.wheels().last().unwrap();
-    assert!(
-        (500..=650).contains(&(after.0 - before.0)),
-        "{before:?} {after:?}"
-    );
+    assert!((500..=650).contains(&(after.0 - before.0)), "{before:?} {after:?}");
 }
 
 #[test]
@@ -345,10 +273,7 @@ fn a_silent_brick_is_told_of_once_and_its_heart_stops() {
     bench.run_to(4 * SECOND);
     bench.is_cut = true;
     bench.run_to(20 * SECOND);
-    let beats = bench
-        .messages()
-        .filter(|message| matches!(message, Message::Heartbeat(_)))
-        .count();
+    let beats = bench.messages().filter(|message| matches!(message, Message::Heartbeat(_))).count();
     assert_eq!(beats, 4);
     bench.is_cut = false;
     bench.run_to(22 * SECOND);
@@ -387,12 +312,7 @@ fn answers_that_come_too_late_are_counted_and_never_used() {
     bench.run_to(44 * SECOND);
     assert_true(&bench, (0, 0));
     assert_eq!(bench.lost(), 20);
-    assert!(
-        bench
-            .notes()
-            .iter()
-            .any(|text| text.contains("came later than 500 ms"))
-    );
+    assert!(bench.notes().iter().any(|text| text.contains("came later than 500 ms")));
     // 27 states a second, but for the 20 stalls of 700 to 970 ms.
     assert!(bench.wheels().len() > 700, "{}", bench.wheels().len());
 }
@@ -411,17 +331,10 @@ fn a_stall_within_the_time_out_costs_nothing() {
 #[test]
 fn two_outstanding_are_used_only_where_both_are_answered() {
     let mut rates = Vec::new();
-    for (outstanding, most_replies) in [
-        (Outstanding::One, 2),
-        (Outstanding::Two, 2),
-        (Outstanding::Two, 1),
-    ] {
+    for (outstanding, most_replies) in [(Outstanding::One, 2), (Outstanding::Two, 2), (Outstanding::Two, 1)] {
         let mut brick = equipped_brick();
         brick.most_replies = most_replies;
-        let settings = NxtSettings {
-            outstanding,
-            ..equipped()
-        };
+        let settings = NxtSettings { outstanding, ..equipped() };
         let mut bench = Bench::new(settings, brick);
         bench.begin();
         bench.run_to(10 * SECOND);
@@ -444,9 +357,7 @@ fn the_estimate_goes_to_a_program_and_nowhere_without_one() {
     assert_eq!(encode(&mut bench, 6_000_000), 0);
     bench.run_to(2 * SECOND);
     assert_eq!(encode(&mut bench, 7_000_000), 0);
-    let nobody = bench
-        .notes()
-        .contains(&"the NXT takes no estimate: no program runs on the brick");
+    let nobody = bench.notes().contains(&"the NXT takes no estimate: no program runs on the brick");
     assert!(nobody, "{:?}", bench.notes());
 
     bench.brick.has_program = true;
@@ -469,12 +380,7 @@ fn the_estimate_goes_to_a_program_and_nowhere_without_one() {
     });
     let now = bench.now();
     let mut bytes = Vec::new();
-    assert_eq!(
-        bench
-            .codec
-            .encode(now, Address::new(1, 197), &other, &mut bytes),
-        0
-    );
+    assert_eq!(bench.codec.encode(now, Address::new(1, 197), &other, &mut bytes), 0);
 }
 
 #[test]

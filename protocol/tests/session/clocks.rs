@@ -11,13 +11,7 @@ fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
     let wrap = 1_i64 << 32;
     let micros = |total: i64| Stamp::<BrickClock>::from_micros(total % wrap);
     let start = wrap - 1_500_000;
-    let mut session = Session::new(
-        SessionConfig {
-            own: ROBOT,
-            ..quiet()
-        },
-        micros(start),
-    );
+    let mut session = Session::new(SessionConfig { own: ROBOT, ..quiet() }, micros(start));
     let mut beats = 0;
     for step in 0..400 {
         session.tick(micros(start + step * 10_000));
@@ -34,22 +28,12 @@ fn two_sessions_measure_each_other() {
     // A brick whose clock is 2 s behind, on a link that takes 5 ms each way.
     let offset = Span::from_millis(-2_000);
     let mut station = Session::<HostClock>::new(
-        SessionConfig {
-            timesync_period: Some(Span::from_millis(1_000)),
-            ..quiet()
-        },
+        SessionConfig { timesync_period: Some(Span::from_millis(1_000)), ..quiet() },
         at(3_000),
     );
-    let brick_time =
-        |host: Stamp<HostClock>| Stamp::<BrickClock>::from_nanos((host + offset).as_nanos());
-    let mut brick = Session::<BrickClock>::new(
-        SessionConfig {
-            own: ROBOT,
-            heartbeat: ROVER,
-            ..quiet()
-        },
-        brick_time(at(3_000)),
-    );
+    let brick_time = |host: Stamp<HostClock>| Stamp::<BrickClock>::from_nanos((host + offset).as_nanos());
+    let mut brick =
+        Session::<BrickClock>::new(SessionConfig { own: ROBOT, heartbeat: ROVER, ..quiet() }, brick_time(at(3_000)));
     station.tick(at(3_000));
     while let Some(output) = station.poll() {
         if let SessionOutput::Send(message) = output {
@@ -65,12 +49,8 @@ fn two_sessions_measure_each_other() {
     while let Some(output) = station.poll() {
         exchanges.push(output);
     }
-    let expected = Output::TimeExchanged {
-        peer: ROBOT,
-        sent: at(3_000),
-        received: at(3_010),
-        peer_nanos: 1_005_000_000,
-    };
+    let expected =
+        Output::TimeExchanged { peer: ROBOT, sent: at(3_000), received: at(3_010), peer_nanos: 1_005_000_000 };
     assert_eq!(exchanges, [expected]);
 }
 

@@ -47,11 +47,7 @@ pub(crate) fn curve(host_s: f64) -> [i32; 4] {
 
 impl Default for Ev3Double {
     fn default() -> Self {
-        let gyro = Plugged {
-            kind: 32,
-            mode: 0,
-            values: [12.0, 0.0],
-        };
+        let gyro = Plugged { kind: 32, mode: 0, values: [12.0, 0.0] };
         Self {
             start_micros: 7_000_000,
             skew: 0.0,
@@ -183,11 +179,7 @@ pub(crate) struct Way {
 
 impl Way {
     pub(crate) fn new(turn_around: Span) -> Self {
-        Self {
-            turn_around,
-            coming: VecDeque::new(),
-            stall: None,
-        }
+        Self { turn_around, coming: VecDeque::new(), stall: None }
     }
 
     /// A telegram of the station leaves.
@@ -198,10 +190,7 @@ impl Way {
             return;
         };
         let arrival = self.released(handled + half);
-        let arrival = self
-            .coming
-            .back()
-            .map_or(arrival, |last| last.0.max(arrival));
+        let arrival = self.coming.back().map_or(arrival, |last| last.0.max(arrival));
         self.coming.push_back((arrival, answer));
     }
 

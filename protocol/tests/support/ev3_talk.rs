@@ -13,10 +13,7 @@ pub(crate) const TURN_AROUND: Span = Span::from_millis(30);
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Item {
     Message(Message),
-    Time {
-        sent: Stamp<HostClock>,
-        peer_nanos: i64,
-    },
+    Time { sent: Stamp<HostClock>, peer_nanos: i64 },
     Note(String),
     Defect(Defect),
 }
@@ -27,9 +24,7 @@ pub(crate) fn item(heard: Heard<'_>) -> Item {
             assert_eq!(from, ONLY_BRICK);
             Item::Message(message)
         }
-        Heard::Time {
-            sent, peer_nanos, ..
-        } => Item::Time { sent, peer_nanos },
+        Heard::Time { sent, peer_nanos, .. } => Item::Time { sent, peer_nanos },
         Heard::Note { text, .. } => Item::Note(text),
         Heard::Defect(defect) => Item::Defect(defect),
         Heard::Other(frame) => panic!("an EV3 sends no {frame:?}"),
@@ -38,17 +33,11 @@ pub(crate) fn item(heard: Heard<'_>) -> Item {
 
 pub(crate) fn codec(settings: Ev3Settings) -> Box<dyn BrickCodec> {
     let protocol = brick_protocol("ev3").expect("there is a row");
-    (protocol.open)(&BrickSettings {
-        ev3: settings,
-        ..BrickSettings::default()
-    })
+    (protocol.open)(&BrickSettings { ev3: settings, ..BrickSettings::default() })
 }
 
 pub(crate) fn without_gyro() -> Ev3Settings {
-    Ev3Settings {
-        gyro: None,
-        ..Ev3Settings::default()
-    }
+    Ev3Settings { gyro: None, ..Ev3Settings::default() }
 }
 
 /// Damages one answer.
@@ -91,12 +80,7 @@ impl Talk {
     pub(crate) fn run_until(&mut self, until: Stamp<HostClock>, damage: Damage<'_>) {
         loop {
             let next = [self.way.next(), self.codec.deadline()];
-            let Some(next) = next
-                .into_iter()
-                .flatten()
-                .min()
-                .filter(|next| *next <= until)
-            else {
+            let Some(next) = next.into_iter().flatten().min().filter(|next| *next <= until) else {
                 self.now = until;
                 return;
             };
@@ -123,22 +107,16 @@ impl Talk {
 
     pub(crate) fn ticks(&self) -> impl Iterator<Item = (Stamp<HostClock>, &WheelTicks)> {
         self.heard.iter().filter_map(|(now, item)| {
-            if let Item::Message(Message::WheelTicks(ticks)) = item {
-                Some((*now, ticks))
-            } else {
-                None
-            }
+            if let Item::Message(Message::WheelTicks(ticks)) = item { Some((*now, ticks)) } else { None }
         })
     }
 
     pub(crate) fn notes(&self) -> Vec<&str> {
-        let notes = self.heard.iter().filter_map(|(_, item)| {
-            if let Item::Note(text) = item {
-                Some(text.as_str())
-            } else {
-                None
-            }
-        });
+        let notes = self.heard.iter().filter_map(
+            |(_, item)| {
+                if let Item::Note(text) = item { Some(text.as_str()) } else { None }
+            },
+        );
         notes.collect()
     }
 

@@ -24,11 +24,7 @@ pub(crate) fn owned(found: Scanned<'_>) -> Found {
 }
 
 /// Scans `bytes` in chunks at one instant, lets the gap pass, and ends.
-pub(crate) fn scan(
-    config: ScannerConfig,
-    bytes: &[u8],
-    chunk: usize,
-) -> (Vec<Found>, ScanCounters) {
+pub(crate) fn scan(config: ScannerConfig, bytes: &[u8], chunk: usize) -> (Vec<Found>, ScanCounters) {
     let mut scanner = Scanner::new(config);
     let mut found = Vec::new();
     for part in bytes.chunks(chunk) {
@@ -43,9 +39,5 @@ pub(crate) fn scan(
 
 /// The frames and unknown frames among what was found.
 pub(crate) fn frames(found: &[Found]) -> Vec<Found> {
-    found
-        .iter()
-        .filter(|item| !matches!(item, Found::Defect(_)))
-        .cloned()
-        .collect()
+    found.iter().filter(|item| !matches!(item, Found::Defect(_))).cloned().collect()
 }

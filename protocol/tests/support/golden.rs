@@ -11,10 +11,7 @@ use posebridge_telemetry::Stamp;
 pub(crate) fn golden() -> BTreeMap<String, Vec<u8>> {
     let text = include_str!("../data/golden.json");
     let cases: BTreeMap<String, String> = serde_json::from_str(text).expect("golden.json");
-    cases
-        .into_iter()
-        .map(|(name, hex)| (name, from_hex(&hex)))
-        .collect()
+    cases.into_iter().map(|(name, hex)| (name, from_hex(&hex))).collect()
 }
 
 fn from_hex(hex: &str) -> Vec<u8> {
@@ -29,10 +26,7 @@ fn from_hex(hex: &str) -> Vec<u8> {
 
 /// Scans the bytes, which must be exactly one verified frame, and looks at it.
 pub(crate) fn with_frame<T>(bytes: &[u8], look: impl Fn(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Scanner::new(ScannerConfig {
-        accept_v1: true,
-        ..ScannerConfig::default()
-    });
+    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
     let mut seen = Vec::new();
     scanner.push(Stamp::ZERO, bytes, &mut |found| {
         if let Scanned::Frame(frame) = found {

@@ -1,8 +1,8 @@
 //! A stream made by the `mavlink` crate's encoder, shared by tests and the benchmark.
 
 use mavlink::dialects::common::{
-    HEARTBEAT_DATA, MavAutopilot, MavEstimatorType, MavFrame, MavMessage, MavModeFlag, MavState,
-    MavType, ODOMETRY_DATA, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA,
+    HEARTBEAT_DATA, MavAutopilot, MavEstimatorType, MavFrame, MavMessage, MavModeFlag, MavState, MavType,
+    ODOMETRY_DATA, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA,
 };
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 
@@ -11,11 +11,7 @@ use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 pub(crate) fn four_message_mix(count: usize) -> Vec<Vec<u8>> {
     (0..count)
         .map(|index| {
-            let header = MavHeader {
-                system_id: 1,
-                component_id: 1,
-                sequence: index as u8,
-            };
+            let header = MavHeader { system_id: 1, component_id: 1, sequence: index as u8 };
             let mut raw = MAVLinkV2MessageRaw::new();
             raw.serialize_message(header, &mixed_message(index));
             raw.raw_bytes().to_vec()

@@ -7,9 +7,7 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{
-    Arena, BrickClock, Heading, Meters, Odom, Pose, Span, Stamp, Transform2,
-};
+use posebridge_telemetry::{Arena, BrickClock, Heading, Meters, Odom, Pose, Span, Stamp, Transform2};
 
 use crate::scenario::Steering;
 
@@ -43,25 +41,15 @@ impl Belief {
     /// Takes the odometry of this moment.
     pub(crate) fn record(&mut self, now: Stamp<BrickClock>, pose: Pose<Odom>) {
         self.history.push_back((now, pose));
-        while self
-            .history
-            .front()
-            .is_some_and(|(stamp, _)| now - *stamp > HISTORY)
-        {
+        while self.history.front().is_some_and(|(stamp, _)| now - *stamp > HISTORY) {
             self.history.pop_front();
         }
     }
 
     /// Takes an estimate of the instant `stamp`; one that is too old, too far ahead or
     /// overtaken changes nothing. A second one of the same instant is the station's better knowledge of it.
-    pub(crate) fn take(
-        &mut self,
-        now: Stamp<BrickClock>,
-        stamp: Stamp<BrickClock>,
-        pose: Pose<Arena>,
-    ) {
-        let is_finite =
-            pose.x.0.is_finite() && pose.y.0.is_finite() && pose.heading.rad().is_finite();
+    pub(crate) fn take(&mut self, now: Stamp<BrickClock>, stamp: Stamp<BrickClock>, pose: Pose<Arena>) {
+        let is_finite = pose.x.0.is_finite() && pose.y.0.is_finite() && pose.heading.rad().is_finite();
         let is_in_reach = now - stamp <= FRESH && stamp - now <= AHEAD;
         let is_in_order = self.last_estimate.is_none_or(|last| stamp >= last);
         if self.steering == Steering::Odometry || !is_finite || !is_in_reach || !is_in_order {
@@ -81,10 +69,7 @@ impl Belief {
 
     /// Where the brick believes to be.
     pub(crate) fn pose(&self) -> Pose<Arena> {
-        let odom = self
-            .history
-            .back()
-            .map_or_else(Pose::default, |(_, pose)| *pose);
+        let odom = self.history.back().map_or_else(Pose::default, |(_, pose)| *pose);
         self.arena_from_odom * odom
     }
 
@@ -154,11 +139,7 @@ mod tests {
     #[test]
     fn an_estimate_is_carried_forward_by_the_odometry_since() {
         let mut belief = driven(Steering::Estimate);
-        belief.take(
-            at(1_000),
-            at(905),
-            pose(0.5, 0.3, std::f64::consts::FRAC_PI_2),
-        );
+        belief.take(at(1_000), at(905), pose(0.5, 0.3, std::f64::consts::FRAC_PI_2));
         // 95 ms at 0.2 m/s, in the direction that the estimate says.
         assert!((belief.pose().x.0 - 0.5).abs() < 1e-9);
         assert!((belief.pose().y.0 - (0.3 + 0.019)).abs() < 1e-9);

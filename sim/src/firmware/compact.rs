@@ -17,12 +17,7 @@ const ACCELERATION_UNIT_M_PER_S2: f64 = 1e-3;
 
 /// Total counts, read at `time_us`; they wrap.
 pub(super) const fn wheel_ticks(time_us: u32, counts: Pair<i64>) -> WheelTicks {
-    WheelTicks {
-        time_us,
-        left: counts.left as i32,
-        right: counts.right as i32,
-        valid: Sides::BOTH,
-    }
+    WheelTicks { time_us, left: counts.left as i32, right: counts.right as i32, valid: Sides::BOTH }
 }
 
 /// A reading that ends at `time_us`. Rates saturate, the total turn wraps.
@@ -45,9 +40,7 @@ mod tests {
     use posebridge_protocol::dialect::Encoder;
     use posebridge_protocol::framing::WireVersion;
     use posebridge_protocol::message::{self, Message, WireStamp};
-    use posebridge_telemetry::{
-        Address, EncoderTicks, MetersPerSecondSquared, Radians, RadiansPerSecond,
-    };
+    use posebridge_telemetry::{Address, EncoderTicks, MetersPerSecondSquared, Radians, RadiansPerSecond};
 
     use super::*;
 
@@ -78,19 +71,13 @@ mod tests {
 
     #[test]
     fn readings_are_the_frames_that_the_station_would_make() {
-        for (rate, turn, acceleration) in [
-            (0.0, 0.0, 0.0),
-            (0.123_456, -7.654_321, 0.981),
-            (-20.0, 5_000.0, -40.0),
-            (20.0, -5_000.0, 40.0),
-        ] {
+        for (rate, turn, acceleration) in
+            [(0.0, 0.0, 0.0), (0.123_456, -7.654_321, 0.981), (-20.0, 5_000.0, -40.0), (20.0, -5_000.0, 40.0)]
+        {
             let reading = InertialReading {
                 turn_rate_rad_per_s: rate,
                 turn_rad: turn,
-                wheels_m_per_s2: Pair {
-                    left: acceleration,
-                    right: -acceleration,
-                },
+                wheels_m_per_s2: Pair { left: acceleration, right: -acceleration },
             };
             let message = Message::Inertial(message::Inertial {
                 stamp: WireStamp::Micros32(77),

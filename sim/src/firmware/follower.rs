@@ -129,11 +129,7 @@ impl Follower {
         let place = self.program.iter().position(|one| leg_of(one) == Some(leg));
         // A path without a stop has all of its laps on one leg: on in the lap in hand.
         let lap_m = self.path.lap_length_m();
-        let laps = if self.path.legs().len() == 1 {
-            (self.along_m / lap_m).floor()
-        } else {
-            0.0
-        };
+        let laps = if self.path.legs().len() == 1 { (self.along_m / lap_m).floor() } else { 0.0 };
         self.next = place.unwrap_or(self.next);
         self.begun = None;
         self.done_m = self.path.legs().iter().take(leg).map(Leg::length_m).sum();
@@ -195,22 +191,14 @@ impl Follower {
     /// Turns in place by what is left of a turn.
     fn turning(&self, error_rad: f64) -> Twist {
         let braking = (2.0 * BRAKING_RAD_PER_S2 * error_rad.abs()).sqrt();
-        let rate = braking
-            .min(self.settings.turn_rate_rad_per_s)
-            .max(CREEP_RAD_PER_S);
-        Twist {
-            forward_m_per_s: 0.0,
-            turn_rad_per_s: rate.copysign(error_rad),
-        }
+        let rate = braking.min(self.settings.turn_rate_rad_per_s).max(CREEP_RAD_PER_S);
+        Twist { forward_m_per_s: 0.0, turn_rad_per_s: rate.copysign(error_rad) }
     }
 
     fn drive(&mut self, leg: usize, believed: Pose<Arena>) -> Twist {
         let near_m = self.along_m;
-        let Some((length_m, here)) = self
-            .path
-            .legs()
-            .get(leg)
-            .map(|leg| (leg.length_m(), leg.project(believed.origin(), near_m)))
+        let Some((length_m, here)) =
+            self.path.legs().get(leg).map(|leg| (leg.length_m(), leg.project(believed.origin(), near_m)))
         else {
             self.advance();
             return Twist::default();
@@ -228,17 +216,12 @@ impl Follower {
             return self.turning(-heading_error_rad);
         }
         let braking = (2.0 * BRAKING_M_PER_S2 * remaining_m).sqrt();
-        let speed = braking
-            .min(self.settings.speed_m_per_s * heading_error_rad.cos().max(0.0))
-            .max(CREEP_M_PER_S);
+        let speed = braking.min(self.settings.speed_m_per_s * heading_error_rad.cos().max(0.0)).max(CREEP_M_PER_S);
         let steepest_per_m = HEADING_PER_M * STEEPEST_APPROACH_RAD;
         let lateral_per_m = (LATERAL_PER_M2 * here.left_m).clamp(-steepest_per_m, steepest_per_m);
         let bend_per_m = here.curvature_per_m - HEADING_PER_M * heading_error_rad - lateral_per_m;
         let limit = self.settings.turn_rate_rad_per_s;
-        Twist {
-            forward_m_per_s: speed,
-            turn_rad_per_s: (speed * bend_per_m).max(-limit).min(limit),
-        }
+        Twist { forward_m_per_s: speed, turn_rad_per_s: (speed * bend_per_m).max(-limit).min(limit) }
     }
 
     /// A path without a stop that is driven for ever: beyond its first lap the same place lies one lap back.
@@ -284,9 +267,7 @@ fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
     let legs = path.legs();
     for (index, _) in legs.iter().enumerate() {
         program.extend([Manoeuvre::Drive { leg: index }, pause]);
-        let next = legs
-            .get(index + 1)
-            .or(legs.first().filter(|_| path.is_closed()));
+        let next = legs.get(index + 1).or(legs.first().filter(|_| path.is_closed()));
         let turns = legs.len() > 1;
         if let Some(heading) = next.filter(|_| turns).map(|leg: &Leg| leg.start().heading) {
             program.extend([Manoeuvre::Turn(heading), pause]);
@@ -308,12 +289,8 @@ mod tests {
     use crate::scenario::{Course, Scenario};
 
     fn straight(length_m: f64) -> Follower {
-        let scenario = Scenario {
-            path: Course::Waypoints {
-                points_m: vec![[0.0, 0.0], [length_m, 0.0]],
-            },
-            ..Scenario::default()
-        };
+        let scenario =
+            Scenario { path: Course::Waypoints { points_m: vec![[0.0, 0.0], [length_m, 0.0]] }, ..Scenario::default() };
         Follower::new(scenario.drive, Path::new(&scenario))
     }
 
@@ -323,11 +300,7 @@ mod tests {
             let twist = follower.command(Stamp::from_millis(step * 10), pose);
             let turn_rad = twist.turn_rad_per_s * PERIOD_S;
             pose = pose
-                * Transform2::new(
-                    Meters(twist.forward_m_per_s * PERIOD_S),
-                    Meters(0.0),
-                    Heading::from_rad(turn_rad),
-                );
+                * Transform2::new(Meters(twist.forward_m_per_s * PERIOD_S), Meters(0.0), Heading::from_rad(turn_rad));
         }
         pose
     }

@@ -76,10 +76,7 @@ mod tests {
     #[test]
     fn zeroed_counters_are_no_motion() {
         let mut reckoning = DeadReckoning::new(&Scenario::default().drive_geometry());
-        let before = reckoning.update(Pair {
-            left: 100,
-            right: 100,
-        });
+        let before = reckoning.update(Pair { left: 100, right: 100 });
         reckoning.counters_zeroed();
         assert_eq!(reckoning.update(Pair::default()), before);
     }

@@ -44,10 +44,7 @@ impl Program {
             reckoning: DeadReckoning::new(&geometry),
             belief: Belief::new(scenario.steering, path.start()),
             follower: Follower::new(scenario.drive, path),
-            control: Pair {
-                left: control.clone(),
-                right: control.clone(),
-            },
+            control: Pair { left: control.clone(), right: control.clone() },
             control_due: now,
             duty: Pair::default(),
             fresh_control: control,
@@ -94,10 +91,7 @@ impl Program {
     /// odometry and its clock are kept.
     pub(crate) fn begin(&mut self, now: Stamp<BrickClock>, counts: Pair<i64>) {
         self.follower.clock_restarted();
-        self.control = Pair {
-            left: self.fresh_control.clone(),
-            right: self.fresh_control.clone(),
-        };
+        self.control = Pair { left: self.fresh_control.clone(), right: self.fresh_control.clone() };
         self.control_due = now;
         self.control_zero = counts;
         self.duty = Pair::default();
@@ -178,10 +172,8 @@ impl Program {
 fn wheel_speeds(twist: Twist, geometry: &DriveGeometry) -> Pair<f64> {
     let half_track_m = 0.5 * geometry.track_width.0;
     Pair {
-        left: (twist.forward_m_per_s - twist.turn_rad_per_s * half_track_m)
-            / geometry.left_wheel_radius.0,
-        right: (twist.forward_m_per_s + twist.turn_rad_per_s * half_track_m)
-            / geometry.right_wheel_radius.0,
+        left: (twist.forward_m_per_s - twist.turn_rad_per_s * half_track_m) / geometry.left_wheel_radius.0,
+        right: (twist.forward_m_per_s + twist.turn_rad_per_s * half_track_m) / geometry.right_wheel_radius.0,
     }
 }
 
@@ -209,26 +201,14 @@ mod tests {
     #[test]
     fn a_register_stamp_means_the_instant_next_to_now() {
         let now = Stamp::<BrickClock>::from_micros((1 << 32) + 40);
-        assert_eq!(
-            unwrap_near(WireStamp::Micros32(u32::MAX - 9), now),
-            now - Span::from_micros(50)
-        );
-        assert_eq!(
-            unwrap_near(WireStamp::Micros32(140), now),
-            now + Span::from_micros(100)
-        );
+        assert_eq!(unwrap_near(WireStamp::Micros32(u32::MAX - 9), now), now - Span::from_micros(50));
+        assert_eq!(unwrap_near(WireStamp::Micros32(140), now), now + Span::from_micros(100));
     }
 
     #[test]
     fn a_left_turn_runs_the_right_wheel_forward() {
         let geometry = Scenario::default().drive_geometry();
-        let speeds = wheel_speeds(
-            Twist {
-                forward_m_per_s: 0.0,
-                turn_rad_per_s: 1.0,
-            },
-            &geometry,
-        );
+        let speeds = wheel_speeds(Twist { forward_m_per_s: 0.0, turn_rad_per_s: 1.0 }, &geometry);
         assert!((speeds.right - 2.0).abs() < 1e-12 && (speeds.left + 2.0).abs() < 1e-12);
     }
 }

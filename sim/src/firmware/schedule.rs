@@ -51,29 +51,15 @@ impl Schedule {
             Wire::Compact => (ids::PB_WHEEL_TICKS, ids::PB_INERTIAL),
             Wire::Standard => (ids::WHEEL_DISTANCE, ids::SCALED_IMU),
         };
-        let slot = |topic, message_id, default| Slot {
-            topic,
-            message_id,
-            default,
-            interval: Some(default),
-            due: now,
-        };
+        let slot = |topic, message_id, default| Slot { topic, message_id, default, interval: Some(default), due: now };
         let thermometer = thermometer.map(|settings| {
-            let message_id = if settings.is_scaled_pressure() {
-                ids::SCALED_PRESSURE
-            } else {
-                ids::NAMED_VALUE_FLOAT
-            };
+            let message_id = if settings.is_scaled_pressure() { ids::SCALED_PRESSURE } else { ids::NAMED_VALUE_FLOAT };
             let period = Span::from_secs_f64(1.0 / settings.rate_hz);
             slot(Topic::Thermometer, message_id, period)
         });
         Self {
             slots: [
-                slot(
-                    Topic::Description,
-                    ids::PB_ROBOT_DESCRIPTION,
-                    DESCRIPTION_PERIOD,
-                ),
+                slot(Topic::Description, ids::PB_ROBOT_DESCRIPTION, DESCRIPTION_PERIOD),
                 slot(Topic::Wheels, wheels, telemetry),
                 slot(Topic::Inertial, inertial, telemetry),
             ]
@@ -140,10 +126,7 @@ mod tests {
     fn defaults_requests_and_stops_are_kept() {
         let mut schedule = Schedule::new(&BrickSettings::default(), None, Stamp::ZERO);
         assert_eq!(count(&mut schedule, Topic::Wheels, 0, 1_000), 20);
-        let ask = |interval| IntervalRequest {
-            message_id: ids::PB_WHEEL_TICKS,
-            interval,
-        };
+        let ask = |interval| IntervalRequest { message_id: ids::PB_WHEEL_TICKS, interval };
         schedule.follow(ask(Some(Span::from_millis(100))), Stamp::from_millis(1_000));
         assert_eq!(count(&mut schedule, Topic::Wheels, 1_000, 2_000), 10);
         schedule.follow(ask(None), Stamp::from_millis(2_000));
@@ -155,13 +138,7 @@ mod tests {
     #[test]
     fn a_request_for_a_foreign_message_changes_nothing() {
         let mut schedule = Schedule::new(&BrickSettings::default(), None, Stamp::ZERO);
-        schedule.follow(
-            IntervalRequest {
-                message_id: ids::HEARTBEAT,
-                interval: None,
-            },
-            Stamp::ZERO,
-        );
+        schedule.follow(IntervalRequest { message_id: ids::HEARTBEAT, interval: None }, Stamp::ZERO);
         assert_eq!(count(&mut schedule, Topic::Inertial, 0, 1_000), 20);
     }
 }

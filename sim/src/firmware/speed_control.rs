@@ -53,18 +53,16 @@ impl SpeedControl {
             return 0.0;
         }
         let speed_rad_per_s = moved as f64 * TICK_RAD / (WINDOW as f64 * PERIOD_S);
-        self.reference_rad = (self.reference_rad + wanted_rad_per_s * PERIOD_S)
-            .max(angle_rad - LEAD_RAD)
-            .min(angle_rad + LEAD_RAD);
-        let correction_rad_per_s = PROPORTIONAL * (wanted_rad_per_s - speed_rad_per_s)
-            + INTEGRAL_PER_S * (self.reference_rad - angle_rad);
+        self.reference_rad =
+            (self.reference_rad + wanted_rad_per_s * PERIOD_S).max(angle_rad - LEAD_RAD).min(angle_rad + LEAD_RAD);
+        let correction_rad_per_s =
+            PROPORTIONAL * (wanted_rad_per_s - speed_rad_per_s) + INTEGRAL_PER_S * (self.reference_rad - angle_rad);
         let friction_v = if wanted_rad_per_s == 0.0 {
             0.0
         } else {
             (self.motor.friction_n_m / self.motor.torque_n_m_per_v).copysign(wanted_rad_per_s)
         };
-        let volts = self.motor.back_emf_v_s_per_rad * (wanted_rad_per_s + correction_rad_per_s)
-            + friction_v;
+        let volts = self.motor.back_emf_v_s_per_rad * (wanted_rad_per_s + correction_rad_per_s) + friction_v;
         (volts / self.battery_v).clamp(-1.0, 1.0)
     }
 }

@@ -2,12 +2,10 @@
 //!
 //! It knows the brick's clock, the sensors and whatever the station sends. It never sees the world.
 
-use posebridge_protocol::message::{
-    Heartbeat, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp,
-};
+use posebridge_protocol::message::{Heartbeat, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp};
 use posebridge_telemetry::{
-    Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, Meters,
-    MetersPerSecondSquared, Pose, RadiansPerSecond, SensorNoise, Stamp,
+    Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, Meters, MetersPerSecondSquared, Pose,
+    RadiansPerSecond, SensorNoise, Stamp,
 };
 
 use super::compact;
@@ -21,12 +19,7 @@ use crate::wheels::Pair;
 /// The brick's address on the link.
 pub const BRICK: Address = Address::new(1, 1);
 /// MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, MAV_STATE_ACTIVE (minimal.xml).
-const HEARTBEAT: Heartbeat = Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-};
+const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
 /// The name in PB_ROBOT_DESCRIPTION.
 const NAME: &str = "simulated brick";
 
@@ -53,12 +46,7 @@ impl Talk {
             thermometer,
             geometry: scenario.drive_geometry(),
             noise: scenario.sensor_noise(),
-            node: Node::new(
-                BRICK,
-                HEARTBEAT,
-                shown(scenario.brick.wire, now),
-                &schedule.message_ids(),
-            ),
+            node: Node::new(BRICK, HEARTBEAT, shown(scenario.brick.wire, now), &schedule.message_ids()),
             schedule,
             zero: Pair::default(),
         }
@@ -99,12 +87,7 @@ impl Talk {
     /// A power cycle or a program begun anew: session and message intervals begin anew, and what is sent counts from `zero`.
     pub(crate) fn restart(&mut self, now: Stamp<BrickClock>, zero: Pair<i64>) {
         self.schedule = Schedule::new(&self.settings, self.thermometer.as_ref(), now);
-        self.node = Node::new(
-            BRICK,
-            HEARTBEAT,
-            self.shown(now),
-            &self.schedule.message_ids(),
-        );
+        self.node = Node::new(BRICK, HEARTBEAT, self.shown(now), &self.schedule.message_ids());
         self.zero = zero;
     }
 
@@ -127,12 +110,10 @@ impl Talk {
         match self.settings.wire {
             Wire::Compact => {
                 let ticks = compact::wheel_ticks(register_micros(now), counts);
-                self.node
-                    .send_by_sdk(|link, sink| link.wheel_ticks(&ticks, sink));
+                self.node.send_by_sdk(|link, sink| link.wheel_ticks(&ticks, sink));
             }
             Wire::Standard => {
-                let rolled =
-                    |radius: Meters, count: i64| radius * (self.geometry.tick.0 * count as f64);
+                let rolled = |radius: Meters, count: i64| radius * (self.geometry.tick.0 * count as f64);
                 self.node.send(&Message::WheelDistance {
                     stamp: WireStamp::Micros64(now.as_micros() as u64),
                     left: rolled(self.geometry.left_wheel_radius, counts.left),
@@ -147,17 +128,14 @@ impl Talk {
         match self.settings.wire {
             Wire::Compact => {
                 let inertial = compact::inertial(register_micros(now), &reading);
-                self.node
-                    .send_by_sdk(|link, sink| link.inertial(&inertial, sink));
+                self.node.send_by_sdk(|link, sink| link.inertial(&inertial, sink));
             }
             Wire::Standard => {
                 let wheels = reading.wheels_m_per_s2;
                 self.node.send(&Message::ScaledImu(PlanarImu {
                     stamp: WireStamp::Millis32((now.as_micros() / 1_000) as u32),
                     turn_rate: Some(RadiansPerSecond(reading.turn_rate_rad_per_s)),
-                    forward_acceleration: Some(MetersPerSecondSquared(
-                        0.5 * (wheels.left + wheels.right),
-                    )),
+                    forward_acceleration: Some(MetersPerSecondSquared(0.5 * (wheels.left + wheels.right))),
                 }));
             }
         }
@@ -200,9 +178,9 @@ fn usable_estimate(message: &Message) -> Option<(WireStamp, Pose<Arena>)> {
         reason = "a brick has no use for most messages, however many kinds there are"
     )]
     match message {
-        Message::PlanarPose(estimate) => (estimate.flags.position_valid
-            && estimate.flags.heading_valid)
-            .then_some((estimate.stamp, estimate.pose)),
+        Message::PlanarPose(estimate) => {
+            (estimate.flags.position_valid && estimate.flags.heading_valid).then_some((estimate.stamp, estimate.pose))
+        }
         Message::Odometry(estimate) => match estimate.pose {
             // Quality -1 means that the sender's estimator has failed.
             OdometryPose::Arena(pose) if estimate.quality >= 0 => Some((estimate.stamp, pose)),

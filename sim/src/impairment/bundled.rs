@@ -12,15 +12,7 @@ macro_rules! bundled {
     };
 }
 
-bundled![
-    "usb",
-    "bluetooth-spp",
-    "hc05-57600",
-    "sik-radio",
-    "wifi",
-    "ble",
-    "harsh",
-];
+bundled!["usb", "bluetooth-spp", "hc05-57600", "sik-radio", "wifi", "ble", "harsh",];
 
 /// The names that exist, joined by commas.
 pub(super) fn names() -> String {

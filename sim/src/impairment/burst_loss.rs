@@ -31,22 +31,13 @@ impl GilbertElliott {
     /// A link in a state drawn from the long-run shares of both.
     pub(super) fn new(settings: BurstLoss, mut states: Stream) -> Self {
         let share_bad = settings.mean_bad_s / (settings.mean_good_s + settings.mean_bad_s);
-        Self {
-            is_bad: states.happens(share_bad),
-            settings,
-            changes_at: None,
-            states,
-        }
+        Self { is_bad: states.happens(share_bad), settings, changes_at: None, states }
     }
 
     /// Whether what leaves at `at` is lost, with its luck on [0, 1). The instants must not fall.
     pub(super) fn takes(&mut self, at: Stamp<HostClock>, luck: f64) -> bool {
         self.pass_to(at);
-        let loss = if self.is_bad {
-            self.settings.loss_bad
-        } else {
-            self.settings.loss_good
-        };
+        let loss = if self.is_bad { self.settings.loss_bad } else { self.settings.loss_good };
         luck < loss
     }
 
@@ -65,11 +56,7 @@ impl GilbertElliott {
     }
 
     fn stay(&mut self) -> Span {
-        let mean_s = if self.is_bad {
-            self.settings.mean_bad_s
-        } else {
-            self.settings.mean_good_s
-        };
+        let mean_s = if self.is_bad { self.settings.mean_bad_s } else { self.settings.mean_good_s };
         exponential(&mut self.states, Span::from_secs_f64(mean_s)).max(Span::from_nanos(1))
     }
 }

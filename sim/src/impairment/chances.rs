@@ -43,11 +43,7 @@ pub(super) struct Chances {
 
 impl Chances {
     /// The chances of a direction; `stream` gives each stage its sequence.
-    pub(super) fn new(
-        profile: &DirectionProfile,
-        kind: LinkKind,
-        stream: impl Fn(&str) -> Stream,
-    ) -> Self {
+    pub(super) fn new(profile: &DirectionProfile, kind: LinkKind, stream: impl Fn(&str) -> Stream) -> Self {
         Self {
             kind,
             loss: profile.loss,

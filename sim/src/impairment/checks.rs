@@ -18,17 +18,11 @@ const LARGEST_BUFFER: u64 = 16 * 1024 * 1024;
 /// At this rate of errors nothing of a bit is left.
 const RANDOM_BIT: f64 = 0.5;
 
-fn whole_within<'de, D: Deserializer<'de>>(
-    deserializer: D,
-    low: u64,
-    high: u64,
-) -> Result<u32, D::Error> {
+fn whole_within<'de, D: Deserializer<'de>>(deserializer: D, low: u64, high: u64) -> Result<u32, D::Error> {
     let value = u64::deserialize(deserializer)?;
     match u32::try_from(value) {
         Ok(fits) if (low..=high).contains(&value) => Ok(fits),
-        _ => Err(D::Error::custom(format!(
-            "{value} is outside {low} to {high}; give a whole number in that range"
-        ))),
+        _ => Err(D::Error::custom(format!("{value} is outside {low} to {high}; give a whole number in that range"))),
     }
 }
 
@@ -43,9 +37,7 @@ pub(super) fn millis<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, 
 }
 
 /// Milliseconds between two slots.
-pub(super) fn slot_millis<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<f64>, D::Error> {
+pub(super) fn slot_millis<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     within(deserializer, 0.01, LONGEST_MS).map(Some)
 }
 

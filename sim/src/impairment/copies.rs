@@ -23,12 +23,7 @@ pub(super) struct Copies {
 
 impl Copies {
     pub(super) fn new(profile: &DirectionProfile, reordering: Stream, duplicating: Stream) -> Self {
-        Self {
-            reorder: profile.reorder,
-            duplicate: profile.duplicate,
-            reordering,
-            duplicating,
-        }
+        Self { reorder: profile.reorder, duplicate: profile.duplicate, reordering, duplicating }
     }
 
     /// How long the next datagram is held back, if it is.

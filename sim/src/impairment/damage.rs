@@ -20,11 +20,7 @@ pub(super) struct Gaps {
 
 impl Gaps {
     pub(super) const fn new(probability: f64, stream: Stream) -> Self {
-        Self {
-            probability,
-            until_next: None,
-            stream,
-        }
+        Self { probability, until_next: None, stream }
     }
 
     /// Which of the next `trials` are hit, counted from 0, in their order.

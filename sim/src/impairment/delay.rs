@@ -55,20 +55,13 @@ impl Delays {
         for stall in &self.stalls {
             // Both draws are always taken, so that a changed probability shifts nothing else.
             let happens = self.stalling.happens(stall.probability);
-            let length = uniform(
-                &mut self.stalling,
-                millis(stall.from_ms),
-                millis(stall.to_ms),
-            );
+            let length = uniform(&mut self.stalling, millis(stall.from_ms), millis(stall.to_ms));
             if happens {
                 stalled += length;
             }
         }
         let jitter = exponential(&mut self.jitter, self.jitter_mean);
-        Drawn {
-            delay: self.base + jitter + stalled,
-            stalled,
-        }
+        Drawn { delay: self.base + jitter + stalled, stalled }
     }
 
     /// When something arrives that does not pass what is before it.

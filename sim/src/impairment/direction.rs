@@ -89,16 +89,10 @@ impl Impairment {
             presence: Presence::Up,
             line: Line::new(profile.rate, kind),
             chances: Chances::new(profile, kind, stream),
-            burst_loss: profile
-                .burst_loss
-                .map(|settings| GilbertElliott::new(settings, stream("burst states"))),
+            burst_loss: profile.burst_loss.map(|settings| GilbertElliott::new(settings, stream("burst states"))),
             delays: Delays::new(profile, stream("jitter"), stream("stalls")),
-            slots: profile
-                .slot_ms
-                .map(|period| Slots::new(period, stream("slots"))),
-            fragments: profile
-                .fragment
-                .map(|settings| Fragments::new(settings, stream("fragments"))),
+            slots: profile.slot_ms.map(|period| Slots::new(period, stream("slots"))),
+            fragments: profile.fragment.map(|settings| Fragments::new(settings, stream("fragments"))),
             on_the_way: BTreeMap::new(),
             next_order: 0,
             arrived: VecDeque::new(),
@@ -135,11 +129,7 @@ impl Impairment {
             let by = delay.stalled;
             self.account.note(unit, 0..left, Fate::Stalled { by });
         }
-        let unit = Unit {
-            number: unit,
-            bytes,
-            drawn,
-        };
+        let unit = Unit { number: unit, bytes, drawn };
         for piece in sent {
             // A link that stalls holds up what comes behind, even if the unit of the stall is lost.
             let at = self.delays.arrival(piece.at, delay.delay);
@@ -234,11 +224,7 @@ impl Impairment {
     /// Notes the arrival of a piece and returns its bytes.
     fn arrive(&mut self, at: Stamp<HostClock>, piece: Piece) -> Vec<u8> {
         for run in piece.runs {
-            let fate = if piece.is_copy {
-                Fate::Repeated { at }
-            } else {
-                Fate::Delivered { at }
-            };
+            let fate = if piece.is_copy { Fate::Repeated { at } } else { Fate::Delivered { at } };
             self.account.note(piece.unit, run, fate);
         }
         piece.bytes
@@ -255,22 +241,13 @@ impl Impairment {
         let mut at = at;
         if let Some(by) = unit.drawn.held_back {
             at = at + by;
-            self.account
-                .note(unit.number, sent.bytes.clone(), Fate::HeldBack { by });
+            self.account.note(unit.number, sent.bytes.clone(), Fate::HeldBack { by });
         }
         if let Some(slots) = self.slots {
             at = slots.next(at);
         }
-        let piece = Piece {
-            unit: unit.number,
-            runs,
-            bytes,
-            is_copy: false,
-        };
-        let copy = unit.drawn.is_repeated.then(|| Piece {
-            is_copy: true,
-            ..piece.clone()
-        });
+        let piece = Piece { unit: unit.number, runs, bytes, is_copy: false };
+        let copy = unit.drawn.is_repeated.then(|| Piece { is_copy: true, ..piece.clone() });
         self.put(at, piece);
         if let Some(copy) = copy {
             self.put(at, copy);
@@ -318,8 +295,7 @@ impl Impairment {
             if let (Some(byte), Some(None)) = (data.get_mut(index), causes.get(index)) {
                 *byte ^= 1 << bit;
                 let place = sent.bytes.start + index;
-                self.account
-                    .note(unit.number, place..place + 1, Fate::Flipped { bit });
+                self.account.note(unit.number, place..place + 1, Fate::Flipped { bit });
             }
         }
         data

@@ -45,9 +45,7 @@ mod tests {
     #[test]
     fn gaps_between_rare_events_have_their_mean() {
         let mut stream = Stream::new(2, "draws");
-        let sum: u64 = (0..20_000)
-            .map(|_| failures_before_success(&mut stream, 0.01))
-            .sum();
+        let sum: u64 = (0..20_000).map(|_| failures_before_success(&mut stream, 0.01)).sum();
         // Mean (1 - p) / p = 99, sigma of the mean 0.7.
         let mean = sum as f64 / 20_000.0;
         assert!((mean - 99.0).abs() < 2.8, "{mean}");

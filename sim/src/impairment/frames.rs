@@ -162,9 +162,7 @@ impl FrameLedger {
                 Fate::Flipped { .. } => Kind::Changed,
                 Fate::Stalled { .. } | Fate::HeldBack { .. } => continue,
             };
-            let found = self
-                .units
-                .binary_search_by_key(&entry.unit, |unit| unit.number);
+            let found = self.units.binary_search_by_key(&entry.unit, |unit| unit.number);
             let Some(unit) = found.ok().and_then(|index| self.units.get(index)) else {
                 continue;
             };
@@ -203,15 +201,12 @@ impl FrameLedger {
     }
 
     fn apply(&mut self, verdict: &Verdict) {
-        let first = self
-            .frames
-            .partition_point(|frame| frame.place.end <= verdict.place.start);
+        let first = self.frames.partition_point(|frame| frame.place.end <= verdict.place.start);
         for frame in self.frames.range_mut(first..) {
             if frame.place.start >= verdict.place.end {
                 break;
             }
-            let shared =
-                frame.place.end.min(verdict.place.end) - frame.place.start.max(verdict.place.start);
+            let shared = frame.place.end.min(verdict.place.end) - frame.place.start.max(verdict.place.start);
             let account = self.accounts.entry(frame.source).or_default();
             match verdict.kind {
                 Kind::Changed => frame.is_hurt = true,
@@ -227,21 +222,12 @@ impl FrameLedger {
 
     /// Drops what nothing can be said of any more.
     fn forget(&mut self) {
-        while self.frames.len() > KEPT
-            && self
-                .frames
-                .front()
-                .is_some_and(|frame| frame.undecided == 0)
-        {
+        while self.frames.len() > KEPT && self.frames.front().is_some_and(|frame| frame.undecided == 0) {
             self.frames.pop_front();
         }
-        let oldest = self
-            .frames
-            .front()
-            .map_or(self.scanned, |frame| frame.place.start);
+        let oldest = self.frames.front().map_or(self.scanned, |frame| frame.place.start);
         // The unit in which the oldest frame begins is still spoken of.
-        while self.units.len() > KEPT && self.units.get(1).is_some_and(|next| next.start <= oldest)
-        {
+        while self.units.len() > KEPT && self.units.get(1).is_some_and(|next| next.start <= oldest) {
             self.units.pop_front();
         }
     }
@@ -281,9 +267,7 @@ mod tests {
     use crate::impairment::account::Cause;
 
     /// A heartbeat of a ground rover, 1/1, number 0.
-    const FRAME: [u8; 21] = [
-        0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 10, 0, 0, 4, 3, 0xDE, 0xEB,
-    ];
+    const FRAME: [u8; 21] = [0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 10, 0, 0, 4, 3, 0xDE, 0xEB];
     const AT: Stamp<HostClock> = Stamp::ZERO;
 
     fn entry(unit: u64, bytes: Range<usize>, fate: Fate) -> LogEntry {
@@ -311,11 +295,7 @@ mod tests {
         ledger.follow(&[arrived(1, 11..35)]);
         ledger.offer(AT, 2, &FRAME[3..]);
         ledger.follow(&[arrived(2, 0..18)]);
-        let expected = FrameCounts {
-            sent: 3,
-            whole: 3,
-            ..FrameCounts::default()
-        };
+        let expected = FrameCounts { sent: 3, whole: 3, ..FrameCounts::default() };
         assert_eq!(counts(&ledger), expected);
     }
 
@@ -336,13 +316,7 @@ mod tests {
             arrived(4, 0..21),
             entry(5, 0..21, Fate::Lost(Cause::LinkDown)),
         ]);
-        let expected = FrameCounts {
-            sent: 6,
-            whole: 2,
-            lost: 4,
-            missing_between: 3,
-            ..FrameCounts::default()
-        };
+        let expected = FrameCounts { sent: 6, whole: 2, lost: 4, missing_between: 3, ..FrameCounts::default() };
         assert_eq!(counts(&ledger), expected);
     }
 
@@ -350,10 +324,7 @@ mod tests {
     fn a_copy_is_not_a_second_frame() {
         let mut ledger = FrameLedger::new();
         ledger.offer(AT, 0, &FRAME);
-        ledger.follow(&[
-            arrived(0, 0..21),
-            entry(0, 0..21, Fate::Repeated { at: AT }),
-        ]);
+        ledger.follow(&[arrived(0, 0..21), entry(0, 0..21, Fate::Repeated { at: AT })]);
         assert_eq!((counts(&ledger).whole, counts(&ledger).repeated), (1, 1));
     }
 

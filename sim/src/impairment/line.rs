@@ -42,11 +42,7 @@ pub(super) struct Line {
 
 impl Line {
     pub(super) const fn new(rate: Option<Rate>, kind: LinkKind) -> Self {
-        Self {
-            rate,
-            kind,
-            sold_until: Stamp::from_nanos(i64::MIN / 2),
-        }
+        Self { rate, kind, sold_until: Stamp::from_nanos(i64::MIN / 2) }
     }
 
     /// What waited is gone and the line is free.
@@ -57,10 +53,7 @@ impl Line {
     /// Sends a unit of this length: the pieces that leave, in their order. What is missing at the end found the buffer full.
     pub(super) fn send(&mut self, now: Stamp<HostClock>, length: usize) -> Vec<Sent> {
         let Some(rate) = self.rate else {
-            return vec![Sent {
-                bytes: 0..length,
-                at: now,
-            }];
+            return vec![Sent { bytes: 0..length, at: now }];
         };
         let fits = self.room(now, rate, length);
         let most = match self.kind {
@@ -74,10 +67,7 @@ impl Line {
                 let bytes = start..fits.min(start + most);
                 let free = self.sold_until.max(now - burst);
                 self.sold_until = free + span_of(rate, bytes.len() as f64);
-                Sent {
-                    bytes,
-                    at: self.sold_until.max(now),
-                }
+                Sent { bytes, at: self.sold_until.max(now) }
             })
             .collect()
     }
@@ -104,11 +94,7 @@ fn span_of(rate: Rate, bytes: f64) -> Span {
 mod tests {
     use super::*;
 
-    const SLOW: Rate = Rate {
-        bytes_per_s: 1_000.0,
-        buffer_bytes: 100,
-        burst_bytes: 0,
-    };
+    const SLOW: Rate = Rate { bytes_per_s: 1_000.0, buffer_bytes: 100, burst_bytes: 0 };
 
     fn ms(millis: i64) -> Stamp<HostClock> {
         Stamp::from_millis(millis)
@@ -119,53 +105,23 @@ mod tests {
         let mut line = Line::new(Some(SLOW), LinkKind::Stream);
         let sent = line.send(ms(0), 130);
         assert_eq!(sent.len(), 7);
-        assert_eq!(
-            sent[0],
-            Sent {
-                bytes: 0..16,
-                at: ms(16)
-            }
-        );
-        assert_eq!(
-            sent[6],
-            Sent {
-                bytes: 96..100,
-                at: ms(100)
-            }
-        );
+        assert_eq!(sent[0], Sent { bytes: 0..16, at: ms(16) });
+        assert_eq!(sent[6], Sent { bytes: 96..100, at: ms(100) });
         assert_eq!(line.send(ms(50), 80).last().unwrap().at, ms(150));
     }
 
     #[test]
     fn a_datagram_waits_whole_or_is_dropped_whole() {
         let mut line = Line::new(Some(SLOW), LinkKind::Datagram);
-        assert_eq!(
-            line.send(ms(0), 60),
-            [Sent {
-                bytes: 0..60,
-                at: ms(60)
-            }]
-        );
+        assert_eq!(line.send(ms(0), 60), [Sent { bytes: 0..60, at: ms(60) }]);
         assert!(line.send(ms(0), 41).is_empty());
-        assert_eq!(
-            line.send(ms(0), 40),
-            [Sent {
-                bytes: 0..40,
-                at: ms(100)
-            }]
-        );
-        assert!(
-            line.send(ms(1_000), 101).is_empty(),
-            "larger than the buffer"
-        );
+        assert_eq!(line.send(ms(0), 40), [Sent { bytes: 0..40, at: ms(100) }]);
+        assert!(line.send(ms(1_000), 101).is_empty(), "larger than the buffer");
     }
 
     #[test]
     fn a_rested_line_passes_its_burst_at_once() {
-        let rate = Rate {
-            burst_bytes: 50,
-            ..SLOW
-        };
+        let rate = Rate { burst_bytes: 50, ..SLOW };
         let mut line = Line::new(Some(rate), LinkKind::Datagram);
         assert_eq!(line.send(ms(0), 50)[0].at, ms(0));
         assert_eq!(line.send(ms(0), 10)[0].at, ms(10));

@@ -119,20 +119,12 @@ impl ImpairedLink {
 
     /// What happens next, and when. What arrives at the very instant of an outage has arrived.
     fn next(&self) -> Option<(Stamp<HostClock>, Next)> {
-        let arrival =
-            |end, deadline: Option<Stamp<HostClock>>| deadline.map(|at| (at, Next::Arrival(end)));
-        let outage = self
-            .outages
-            .as_ref()
-            .map(|outages| (outages.changes_at(), Next::Outage));
-        [
-            arrival(End::Station, self.to_station.deadline()),
-            arrival(End::Brick, self.to_brick.deadline()),
-            outage,
-        ]
-        .into_iter()
-        .flatten()
-        .min_by_key(|(at, _)| *at)
+        let arrival = |end, deadline: Option<Stamp<HostClock>>| deadline.map(|at| (at, Next::Arrival(end)));
+        let outage = self.outages.as_ref().map(|outages| (outages.changes_at(), Next::Outage));
+        [arrival(End::Station, self.to_station.deadline()), arrival(End::Brick, self.to_brick.deadline()), outage]
+            .into_iter()
+            .flatten()
+            .min_by_key(|(at, _)| *at)
     }
 
     fn pass_to(&mut self, now: Stamp<HostClock>) {

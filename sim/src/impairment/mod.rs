@@ -44,6 +44,5 @@ pub use frames::{FrameCounts, FrameLedger};
 pub use link::{End, ImpairedLink, LinkEvent};
 pub use profile::{LinkProfile, ProfileError};
 pub use settings::{
-    BurstLoss, Delay, DirectionProfile, Disconnects, Fragment, LinkKind, PieceSizes, Rate, Reorder,
-    Stall,
+    BurstLoss, Delay, DirectionProfile, Disconnects, Fragment, LinkKind, PieceSizes, Rate, Reorder, Stall,
 };

@@ -30,12 +30,7 @@ pub(super) struct Outages {
 impl Outages {
     /// A link that is up at `now`.
     pub(super) fn new(settings: Disconnects, stream: Stream, now: Stamp<HostClock>) -> Self {
-        let mut outages = Self {
-            settings,
-            stream,
-            presence: Presence::Up,
-            changes_at: now,
-        };
+        let mut outages = Self { settings, stream, presence: Presence::Up, changes_at: now };
         outages.changes_at = now + outages.stay();
         outages
     }

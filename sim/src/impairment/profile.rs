@@ -70,11 +70,7 @@ impl LinkProfile {
     pub fn from_toml(text: &str) -> Result<Self, ProfileError> {
         let read: ProfileText = toml::from_str(text).map_err(ProfileError::Toml)?;
         if let Some((path, reason)) = fault(&read) {
-            return Err(ProfileError::Misplaced {
-                line: line_of(text, &path),
-                key: path.join("."),
-                reason,
-            });
+            return Err(ProfileError::Misplaced { line: line_of(text, &path), key: path.join("."), reason });
         }
         let both = read.both.unwrap_or_default();
         Ok(Self {
@@ -96,10 +92,7 @@ impl LinkProfile {
         let (_, text) = PROFILES
             .iter()
             .find(|(known, _)| *known == name)
-            .ok_or_else(|| ProfileError::UnknownName {
-                name: name.to_owned(),
-                known: bundled::names(),
-            })?;
+            .ok_or_else(|| ProfileError::UnknownName { name: name.to_owned(), known: bundled::names() })?;
         Self::from_toml(text)
     }
 
@@ -118,39 +111,24 @@ impl LinkProfile {
 }
 
 fn within(value: f64, most: f64) -> f64 {
-    if value.is_finite() {
-        value.clamp(0.0, most)
-    } else {
-        0.0
-    }
+    if value.is_finite() { value.clamp(0.0, most) } else { 0.0 }
 }
 
 /// The first key that does not go together with the others, and why.
 fn fault(read: &ProfileText) -> Option<(Vec<&'static str>, &'static str)> {
-    let directions = [
-        ("both", &read.both),
-        ("to_station", &read.to_station),
-        ("to_brick", &read.to_brick),
-    ];
+    let directions = [("both", &read.both), ("to_station", &read.to_station), ("to_brick", &read.to_brick)];
     if read.both.is_some() && (read.to_station.is_some() || read.to_brick.is_some()) {
-        return Some((
-            vec!["both"],
-            "says what to_station or to_brick says too; remove one of them",
-        ));
+        return Some((vec!["both"], "says what to_station or to_brick says too; remove one of them"));
     }
     for (name, direction) in directions {
-        let found = direction
-            .as_ref()
-            .and_then(|direction| fault_of(read.kind, direction));
+        let found = direction.as_ref().and_then(|direction| fault_of(read.kind, direction));
         if let Some((key, reason)) = found {
             return Some((vec![name, key], reason));
         }
     }
     let is_reversed = |disconnects: &Disconnects| disconnects.down_from_s > disconnects.down_to_s;
-    (read.disconnects.as_ref().is_some_and(is_reversed)).then_some((
-        vec!["disconnects", "down_from_s"],
-        "is more than down_to_s; exchange them",
-    ))
+    (read.disconnects.as_ref().is_some_and(is_reversed))
+        .then_some((vec!["disconnects", "down_from_s"], "is more than down_to_s; exchange them"))
 }
 
 fn fault_of(kind: LinkKind, direction: &DirectionProfile) -> Option<(&'static str, &'static str)> {
@@ -161,38 +139,13 @@ fn fault_of(kind: LinkKind, direction: &DirectionProfile) -> Option<(&'static st
     let reordered = direction.reorder.as_ref();
     let faults = [
         (is_stream && reordered.is_some(), "reorder", FOR_DATAGRAMS),
-        (
-            is_stream && direction.duplicate > 0.0,
-            "duplicate",
-            FOR_DATAGRAMS,
-        ),
-        (
-            !is_stream && direction.fragment.is_some(),
-            "fragment",
-            FOR_STREAMS,
-        ),
-        (
-            !is_stream && direction.byte_loss > 0.0,
-            "byte_loss",
-            FOR_STREAMS,
-        ),
-        (
-            direction
-                .stalls
-                .iter()
-                .any(|stall| stall.from_ms > stall.to_ms),
-            "stalls",
-            REVERSED,
-        ),
-        (
-            reordered.is_some_and(|reorder| reorder.from_ms > reorder.to_ms),
-            "reorder",
-            REVERSED,
-        ),
+        (is_stream && direction.duplicate > 0.0, "duplicate", FOR_DATAGRAMS),
+        (!is_stream && direction.fragment.is_some(), "fragment", FOR_STREAMS),
+        (!is_stream && direction.byte_loss > 0.0, "byte_loss", FOR_STREAMS),
+        (direction.stalls.iter().any(|stall| stall.from_ms > stall.to_ms), "stalls", REVERSED),
+        (reordered.is_some_and(|reorder| reorder.from_ms > reorder.to_ms), "reorder", REVERSED),
     ];
-    faults
-        .into_iter()
-        .find_map(|(is_wrong, key, reason)| is_wrong.then_some((key, reason)))
+    faults.into_iter().find_map(|(is_wrong, key, reason)| is_wrong.then_some((key, reason)))
 }
 
 /// The line in which the value of a key begins.
@@ -224,21 +177,13 @@ mod tests {
             assert_ne!(profile.to_station, clean, "{name}");
             assert_ne!(profile.to_brick, clean, "{name}");
         }
-        assert_eq!(
-            LinkProfile::bundled("none").unwrap(),
-            LinkProfile::default()
-        );
+        assert_eq!(LinkProfile::bundled("none").unwrap(), LinkProfile::default());
     }
 
     #[test]
     fn an_unknown_name_lists_the_known_ones() {
-        let said = LinkProfile::bundled("carrier-pigeon")
-            .unwrap_err()
-            .to_string();
-        assert!(
-            said.contains("carrier-pigeon") && said.contains("none, usb,"),
-            "{said}"
-        );
+        let said = LinkProfile::bundled("carrier-pigeon").unwrap_err().to_string();
+        assert!(said.contains("carrier-pigeon") && said.contains("none, usb,"), "{said}");
     }
 
     #[test]
@@ -248,21 +193,9 @@ mod tests {
             ("[both]\n", "line 1", "kind"),
             ("kind = \"stream\"\n[both]\nloss = 1.5\n", "line 3", "loss"),
             ("kind = \"stream\"\n[both]\nloss = nan\n", "line 3", "loss"),
-            (
-                "kind = \"stream\"\n[both.delay]\nbase = 3\n",
-                "line 3",
-                "base",
-            ),
-            (
-                "kind = \"stream\"\n\n[both]\nduplicate = 0.1\n",
-                "line 4",
-                "both.duplicate",
-            ),
-            (
-                "kind = \"datagram\"\n[to_brick]\nbyte_loss = 0.1\n",
-                "line 3",
-                "to_brick.byte_loss",
-            ),
+            ("kind = \"stream\"\n[both.delay]\nbase = 3\n", "line 3", "base"),
+            ("kind = \"stream\"\n\n[both]\nduplicate = 0.1\n", "line 4", "both.duplicate"),
+            ("kind = \"datagram\"\n[to_brick]\nbyte_loss = 0.1\n", "line 3", "to_brick.byte_loss"),
             (
                 "kind = \"stream\"\n[both]\nstalls = [\n{ probability = 0.1, from_ms = 2, to_ms = 1 }]\n",
                 "line 3",
@@ -274,11 +207,7 @@ mod tests {
                 "line 4",
                 "disconnects.down_from_s",
             ),
-            (
-                "kind = \"datagram\"\n[both]\nfragment = { most_bytes = 20 }\n",
-                "line 3",
-                "both.fragment",
-            ),
+            ("kind = \"datagram\"\n[both]\nfragment = { most_bytes = 20 }\n", "line 3", "both.fragment"),
         ];
         for (text, line, key) in cases {
             let said = LinkProfile::from_toml(text).unwrap_err().to_string();

@@ -21,21 +21,14 @@ pub(super) struct Slots {
 impl Slots {
     pub(super) fn new(period_ms: f64, mut stream: Stream) -> Self {
         let period = millis(period_ms);
-        Self {
-            period,
-            phase: uniform(&mut stream, Span::ZERO, period),
-        }
+        Self { period, phase: uniform(&mut stream, Span::ZERO, period) }
     }
 
     /// The next slot at or after `at`.
     pub(super) fn next(self, at: Stamp<HostClock>) -> Stamp<HostClock> {
         let period = self.period.as_nanos().max(1);
         let past = (at - self.phase).as_nanos().rem_euclid(period);
-        if past == 0 {
-            at
-        } else {
-            at + Span::from_nanos(period - past)
-        }
+        if past == 0 { at } else { at + Span::from_nanos(period - past) }
     }
 }
 

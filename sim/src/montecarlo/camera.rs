@@ -62,11 +62,7 @@ impl CameraSensor {
             tag_in_body: Point2::ORIGIN,
             reset_counter: 0,
         };
-        self.under_way.push(UnderWay {
-            taken: step,
-            observed: Observed::Fix(fix),
-            due,
-        });
+        self.under_way.push(UnderWay { taken: step, observed: Observed::Fix(fix), due });
     }
 
     /// The fix that arrives at this step, if any.
@@ -78,10 +74,8 @@ impl CameraSensor {
     /// The error of a fix: x and y in metres, heading in radians. Always the same number of draws.
     fn error(&mut self) -> [f64; 3] {
         let position_m = self.camera.true_noise_factor * self.camera.position_sigma_m;
-        let heading_rad =
-            self.camera.true_noise_factor * self.camera.heading_sigma_deg.to_radians();
-        let mut error =
-            [position_m, position_m, heading_rad].map(|sigma| sigma * self.noise.normal());
+        let heading_rad = self.camera.true_noise_factor * self.camera.heading_sigma_deg.to_radians();
+        let mut error = [position_m, position_m, heading_rad].map(|sigma| sigma * self.noise.normal());
         if let Some(outliers) = self.camera.outliers {
             let is_outlier = self.outliers.happens(outliers.probability);
             for value in &mut error {

@@ -1,8 +1,8 @@
 //! One run: the truth at each step, the observations in the order of arrival, and what a filter is told.
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, DriveGeometry, Heading, Known, Meters, Observation, Observed,
-    Pose, Radians, SensorId, SensorNoise, Span, Stamp,
+    Arena, BrickClock, Calibration, DriveGeometry, Heading, Known, Meters, Observation, Observed, Pose, Radians,
+    SensorId, SensorNoise, Span, Stamp,
 };
 
 use super::camera::CameraSensor;
@@ -115,12 +115,8 @@ pub(super) fn draw(scenario: &Scenario, run: u32) -> Drive {
     };
     let mut robot = Robot::new(scenario, true_geometry, plan.start, seed);
     let mut gyro = GyroSensor::new(scenario.gyro, step_s, seed);
-    let mut accelerometers = scenario
-        .accelerometer
-        .map(|settings| Accelerometers::new(settings, step_s, seed));
-    let mut camera = scenario
-        .camera
-        .map(|camera| CameraSensor::new(camera, step_s, seed));
+    let mut accelerometers = scenario.accelerometer.map(|settings| Accelerometers::new(settings, step_s, seed));
+    let mut camera = scenario.camera.map(|camera| CameraSensor::new(camera, step_s, seed));
     // The counters are zeroed at the start, and the filter hears of it: motion may begin with the first step.
     log.arrive(0, 0, SensorId::WHEELS, robot.wheel_angles());
     for (index, command) in plan.commands.iter().enumerate() {
@@ -163,12 +159,7 @@ impl Log {
     fn arrive(&mut self, step: usize, taken: usize, sensor: SensorId, observed: Observed) {
         self.arrivals.push(Arrival {
             step,
-            observation: Observation {
-                sensor,
-                stamp: stamp(self.step, taken),
-                stamp_sigma: Span::ZERO,
-                observed,
-            },
+            observation: Observation { sensor, stamp: stamp(self.step, taken), stamp_sigma: Span::ZERO, observed },
         });
     }
 }
@@ -177,12 +168,7 @@ fn pose((x_m, y_m, heading_rad): (f64, f64, f64)) -> Pose<Arena> {
     Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad))
 }
 
-fn told(
-    scenario: &Scenario,
-    start: (f64, f64, f64),
-    true_geometry: DriveGeometry,
-    seed: u64,
-) -> Told {
+fn told(scenario: &Scenario, start: (f64, f64, f64), true_geometry: DriveGeometry, seed: u64) -> Told {
     let prior = &scenario.told;
     let off = Stream::new(seed, "start").uniform(-1.0, 1.0);
     let off_rad = off * prior.start_heading_off_deg.to_radians();
@@ -222,14 +208,10 @@ fn told_noise(scenario: &Scenario) -> SensorNoise {
         gyro_bias_rad_per_s: gyro.bias_sigma_deg_per_s.to_radians(),
         gyro_bias_walk_rad_per_s_sqrt_s: gyro.bias_walk_deg_per_s_sqrt_s.to_radians(),
         fix_position_m: camera.map_or(USUAL_FIX_M, |camera| camera.position_sigma_m),
-        fix_heading_rad: camera
-            .map_or(USUAL_FIX_DEG, |camera| camera.heading_sigma_deg)
-            .to_radians(),
+        fix_heading_rad: camera.map_or(USUAL_FIX_DEG, |camera| camera.heading_sigma_deg).to_radians(),
         accelerometer_m_per_s2: scenario
             .accelerometer
-            .map_or(USUAL_ACCELEROMETER_M_PER_S2, |settings| {
-                settings.sigma_m_per_s2
-            }),
+            .map_or(USUAL_ACCELEROMETER_M_PER_S2, |settings| settings.sigma_m_per_s2),
         ..SensorNoise::EXACT
     }
 }

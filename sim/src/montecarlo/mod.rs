@@ -30,6 +30,6 @@ mod spline;
 pub use bundled::SCENARIOS;
 pub use drive::{Arrival, Drive, Told, WheelTurn};
 pub use scenario::{
-    Accelerometer, Blackout, Camera, CameraSees, Course, Errors, Gyro, Kicks, Laps, MAX_RUNS,
-    Motion, Nominal, Outliers, Prior, Scenario, ScenarioError, Spline, ToldGeometry, Weave,
+    Accelerometer, Blackout, Camera, CameraSees, Course, Errors, Gyro, Kicks, Laps, MAX_RUNS, Motion, Nominal,
+    Outliers, Prior, Scenario, ScenarioError, Spline, ToldGeometry, Weave,
 };

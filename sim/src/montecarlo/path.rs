@@ -33,8 +33,8 @@ impl Side {
     pub(super) fn correction_rad(&self, (x_m, y_m, heading_rad): (f64, f64, f64)) -> f64 {
         let (sin, cos) = self.heading_rad.sin_cos();
         let left_of_line_m = cos * (y_m - self.from_m.1) - sin * (x_m - self.from_m.0);
-        let wanted_rad = self.heading_gain * wrap_rad(self.heading_rad - heading_rad)
-            - self.lateral_gain_rad_per_m * left_of_line_m;
+        let wanted_rad =
+            self.heading_gain * wrap_rad(self.heading_rad - heading_rad) - self.lateral_gain_rad_per_m * left_of_line_m;
         wanted_rad.clamp(-self.most_turn_rad, self.most_turn_rad)
     }
 }
@@ -57,13 +57,7 @@ impl Plan {
     }
 
     fn of_laps(laps: &Laps, step_s: f64) -> Self {
-        let mut route = Route {
-            laps: *laps,
-            step_s,
-            at_m: (0.0, 0.0),
-            heading_rad: 0.0,
-            commands: Vec::new(),
-        };
+        let mut route = Route { laps: *laps, step_s, at_m: (0.0, 0.0), heading_rad: 0.0, commands: Vec::new() };
         route.rest(laps.rest_s);
         for lap in 0..laps.laps {
             // Left and right in turn, so that a wrong track width and unequal wheels do not look alike.
@@ -77,10 +71,7 @@ impl Plan {
             route.turn(left * FRAC_PI_2);
             route.rest(laps.rest_after_lap_s);
         }
-        Self {
-            start: (0.0, 0.0, 0.0),
-            commands: route.commands,
-        }
+        Self { start: (0.0, 0.0, 0.0), commands: route.commands }
     }
 
     fn of_weave(weave: &Weave, step_s: f64) -> Self {
@@ -94,10 +85,7 @@ impl Plan {
                 side: None,
             }
         });
-        Self {
-            start: (0.0, 0.0, 0.0),
-            commands: commands.collect(),
-        }
+        Self { start: (0.0, 0.0, 0.0), commands: commands.collect() }
     }
 }
 
@@ -113,8 +101,7 @@ struct Route {
 impl Route {
     fn rest(&mut self, rest_s: f64) {
         let steps = (rest_s / self.step_s).round() as usize;
-        self.commands
-            .extend(std::iter::repeat_n(Command::default(), steps));
+        self.commands.extend(std::iter::repeat_n(Command::default(), steps));
     }
 
     fn side(&mut self) {
@@ -126,28 +113,15 @@ impl Route {
             lateral_gain_rad_per_m: laps.lateral_gain_rad_per_m,
             most_turn_rad: laps.most_turn_rad,
         };
-        let parts = ramped(
-            laps.side_m,
-            laps.speed_m_per_s * self.step_s,
-            laps.ramp_steps,
-        );
-        self.commands
-            .extend(parts.into_iter().map(|forward_m| Command {
-                forward_m,
-                turn_rad: 0.0,
-                side: Some(side),
-            }));
+        let parts = ramped(laps.side_m, laps.speed_m_per_s * self.step_s, laps.ramp_steps);
+        self.commands.extend(parts.into_iter().map(|forward_m| Command { forward_m, turn_rad: 0.0, side: Some(side) }));
         let (sin, cos) = self.heading_rad.sin_cos();
         self.at_m.0 += laps.side_m * cos;
         self.at_m.1 += laps.side_m * sin;
     }
 
     fn turn(&mut self, turn_rad: f64) {
-        let parts = ramped(
-            turn_rad.abs(),
-            self.laps.turn_rate_rad_per_s * self.step_s,
-            self.laps.ramp_steps,
-        );
+        let parts = ramped(turn_rad.abs(), self.laps.turn_rate_rad_per_s * self.step_s, self.laps.ramp_steps);
         let sign = turn_rad.signum();
         self.commands.extend(parts.into_iter().map(|part| Command {
             forward_m: 0.0,
@@ -164,9 +138,7 @@ fn ramped(amount: f64, per_step: f64, ramp_steps: u32) -> Vec<f64> {
     let total = ((amount / per_step).round() as usize).max(1) + ramp;
     let share = |step: usize| ((step + 1).min(total - step) as f64 / (ramp + 1) as f64).min(1.0);
     let whole: f64 = (0..total).map(share).sum();
-    (0..total)
-        .map(|step| share(step) * amount / whole)
-        .collect()
+    (0..total).map(|step| share(step) * amount / whole).collect()
 }
 
 /// About how many steps a course takes, to be checked before anything is drawn.
@@ -176,8 +148,7 @@ pub(super) fn steps_estimate(course: &Course, step_s: f64) -> f64 {
             let ramp_s = f64::from(laps.ramp_steps) * step_s;
             let side_s = laps.side_m / laps.speed_m_per_s + ramp_s + laps.rest_after_side_s;
             let turn_s = FRAC_PI_2 / laps.turn_rate_rad_per_s + ramp_s;
-            let lap_s =
-                4.0 * (side_s + turn_s + laps.rest_after_turn_s) + turn_s + laps.rest_after_lap_s;
+            let lap_s = 4.0 * (side_s + turn_s + laps.rest_after_turn_s) + turn_s + laps.rest_after_lap_s;
             (laps.rest_s + f64::from(laps.laps) * lap_s) / step_s
         }
         Course::Weave(weave) => weave.duration_s / step_s,

@@ -1,8 +1,7 @@
 //! The true robot of one run: its geometry, its motion and the sensors on board.
 
 use posebridge_telemetry::{
-    DriveGeometry, Meters, MetersPerSecondSquared, Observed, Radians, RadiansPerSecond,
-    quantities::wrap_rad,
+    DriveGeometry, Meters, MetersPerSecondSquared, Observed, Radians, RadiansPerSecond, quantities::wrap_rad,
 };
 
 use super::drive::WheelTurn;
@@ -62,21 +61,14 @@ pub(super) struct Moved {
 }
 
 impl Robot {
-    pub(super) fn new(
-        scenario: &Scenario,
-        geometry: DriveGeometry,
-        start: (f64, f64, f64),
-        seed: u64,
-    ) -> Self {
+    pub(super) fn new(scenario: &Scenario, geometry: DriveGeometry, start: (f64, f64, f64), seed: u64) -> Self {
         Self {
             geometry,
             motion: scenario.motion,
             pose: start,
             left_rad: 0.0,
             right_rad: 0.0,
-            kicker: scenario
-                .kicks
-                .map(|kicks| Kicker::new(kicks, scenario.step_s, seed)),
+            kicker: scenario.kicks.map(|kicks| Kicker::new(kicks, scenario.step_s, seed)),
             slip: Stream::new(seed, "slip"),
         }
     }
@@ -84,8 +76,7 @@ impl Robot {
     /// Obeys a command for one step.
     pub(super) fn advance(&mut self, command: &Command) -> Moved {
         let side = command.side.as_ref();
-        let commanded_rad =
-            command.turn_rad + side.map_or(0.0, |side| side.correction_rad(self.pose));
+        let commanded_rad = command.turn_rad + side.map_or(0.0, |side| side.correction_rad(self.pose));
         let track_m = self.geometry.track_width.0;
         let left_m = command.forward_m - 0.5 * commanded_rad * track_m;
         let right_m = command.forward_m + 0.5 * commanded_rad * track_m;
@@ -99,17 +90,8 @@ impl Robot {
         let right_m = self.slipped(right_m);
         let rolled_rad = (right_m - left_m) / track_m;
         let noise_rad = self.motion.turn_rad_per_sqrt_rad * rolled_rad.abs().sqrt();
-        let kick_rad = self
-            .kicker
-            .as_mut()
-            .filter(|_| side.is_some())
-            .map_or(0.0, Kicker::next_rad);
-        let moved = Moved {
-            turn_rad: rolled_rad + noise_rad * self.slip.normal() + kick_rad,
-            left_m,
-            right_m,
-            wheels,
-        };
+        let kick_rad = self.kicker.as_mut().filter(|_| side.is_some()).map_or(0.0, Kicker::next_rad);
+        let moved = Moved { turn_rad: rolled_rad + noise_rad * self.slip.normal() + kick_rad, left_m, right_m, wheels };
         self.displace(&moved);
         moved
     }
@@ -122,11 +104,7 @@ impl Robot {
     fn displace(&mut self, moved: &Moved) {
         let half_rad = 0.5 * moved.turn_rad;
         // sin(x)/x; its series below a turn at which the quotient would lose digits.
-        let chord = if half_rad.abs() < 1e-4 {
-            1.0 - half_rad * half_rad / 6.0
-        } else {
-            half_rad.sin() / half_rad
-        };
+        let chord = if half_rad.abs() < 1e-4 { 1.0 - half_rad * half_rad / 6.0 } else { half_rad.sin() / half_rad };
         let forward_m = chord * 0.5 * (moved.left_m + moved.right_m);
         let (sin, cos) = (self.pose.2 + half_rad).sin_cos();
         self.pose.0 += forward_m * cos;
@@ -138,10 +116,7 @@ impl Robot {
     pub(super) fn wheel_angles(&self) -> Observed {
         let tick_rad = self.geometry.tick.0;
         let floored = |angle_rad: f64| Radians((angle_rad / tick_rad).floor() * tick_rad);
-        Observed::WheelAngles {
-            left: floored(self.left_rad),
-            right: floored(self.right_rad),
-        }
+        Observed::WheelAngles { left: floored(self.left_rad), right: floored(self.right_rad) }
     }
 }
 
@@ -171,9 +146,7 @@ impl Kicker {
             if !self.stream.happens(self.per_step) {
                 return 0.0;
             }
-            let size_deg = self
-                .stream
-                .uniform(self.kicks.least_deg, self.kicks.most_deg);
+            let size_deg = self.stream.uniform(self.kicks.least_deg, self.kicks.most_deg);
             self.left_over = self.kicks.spread_steps;
             self.part_rad = self.stream.sign() * size_deg.to_radians() / f64::from(self.left_over);
         }
@@ -205,17 +178,12 @@ impl GyroSensor {
 
     /// What it says of a step with this true turn.
     pub(super) fn observe(&mut self, turn_rad: f64) -> Observed {
-        let rate_deg_per_s = turn_rad.to_degrees() / self.step_s
-            + self.bias_deg_per_s
-            + self.gyro.sigma_deg_per_s * self.noise.normal();
-        self.bias_deg_per_s +=
-            self.gyro.bias_walk_deg_per_s_sqrt_s * self.step_s.sqrt() * self.walk.normal();
+        let rate_deg_per_s =
+            turn_rad.to_degrees() / self.step_s + self.bias_deg_per_s + self.gyro.sigma_deg_per_s * self.noise.normal();
+        self.bias_deg_per_s += self.gyro.bias_walk_deg_per_s_sqrt_s * self.step_s.sqrt() * self.walk.normal();
         let resolution = self.gyro.resolution_deg_per_s;
-        let rounded = if resolution > 0.0 {
-            (rate_deg_per_s / resolution).round() * resolution
-        } else {
-            rate_deg_per_s
-        };
+        let rounded =
+            if resolution > 0.0 { (rate_deg_per_s / resolution).round() * resolution } else { rate_deg_per_s };
         Observed::TurnRate(RadiansPerSecond(rounded.to_radians()))
     }
 }

@@ -349,10 +349,8 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError::UnknownName`] lists the names that exist.
     pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
-        let text = text_of(SCENARIOS, name).map_err(|known| ScenarioError::UnknownName {
-            name: name.to_owned(),
-            known,
-        })?;
+        let text =
+            text_of(SCENARIOS, name).map_err(|known| ScenarioError::UnknownName { name: name.to_owned(), known })?;
         Self::from_toml(text)
     }
 
@@ -373,9 +371,7 @@ impl Scenario {
         if let Course::Spline(spline) = &self.path {
             let is_bearable = |value: &f64| value.abs() <= checks::LARGEST;
             if !spline.poses_m_deg.iter().flatten().all(is_bearable) {
-                return Err(impossible(
-                    "poses_m_deg holds a number that is not finite or too large".to_owned(),
-                ));
+                return Err(impossible("poses_m_deg holds a number that is not finite or too large".to_owned()));
             }
             if let Some(leg) = spline::leg_without_length(spline) {
                 return Err(impossible(format!(
@@ -463,18 +459,12 @@ fn ramp_steps<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, 
     whole(deserializer, 0, 1_000)
 }
 
-fn whole<'de, D: serde::Deserializer<'de>>(
-    deserializer: D,
-    low: u32,
-    high: u32,
-) -> Result<u32, D::Error> {
+fn whole<'de, D: serde::Deserializer<'de>>(deserializer: D, low: u32, high: u32) -> Result<u32, D::Error> {
     let value = u32::deserialize(deserializer)?;
     if (low..=high).contains(&value) {
         Ok(value)
     } else {
-        Err(serde::de::Error::custom(format!(
-            "{value} is outside {low} to {high}"
-        )))
+        Err(serde::de::Error::custom(format!("{value} is outside {low} to {high}")))
     }
 }
 
@@ -496,10 +486,7 @@ mod tests {
         for file in files {
             let path = file.unwrap().path();
             let name = path.file_stem().unwrap().to_str().unwrap();
-            assert!(
-                SCENARIOS.iter().any(|(known, _)| *known == name),
-                "{name} is not bundled"
-            );
+            assert!(SCENARIOS.iter().any(|(known, _)| *known == name), "{name} is not bundled");
         }
     }
 
@@ -509,18 +496,10 @@ mod tests {
             ("step_s = 0.05", "step_s = 0", "step_s"),
             ("laps = 4", "lapse = 4", "lapse"),
             ("speed_m_per_s = 0.2", "speed_m_per_s = 1e-5", "steps"),
-            (
-                "delay_spread_steps = 1",
-                "delay_spread_steps = 7",
-                "before it is made",
-            ),
+            ("delay_spread_steps = 1", "delay_spread_steps = 7", "before it is made"),
             ("runs = 40", "runs = 0", "runs"),
             ("from_s = 0.0 ", "from_s = 400.0 ", "score_from_s"),
-            (
-                "wheel_radius_m = 0.028",
-                "wheel_radius_m = nan",
-                "wheel_radius_m",
-            ),
+            ("wheel_radius_m = 0.028", "wheel_radius_m = nan", "wheel_radius_m"),
         ];
         for (from, to, reason) in cases {
             let message = changed("camera-10hz", from, to).unwrap_err().to_string();

@@ -36,20 +36,13 @@ pub(super) fn plan(spline: &Spline, step_s: f64) -> Plan {
     let commands = (1..=steps).map(|step| {
         let along_m = profile.along_m(step as f64 * step_s);
         let after = (along_m, heading_at(&way, along_m));
-        let command = Command {
-            forward_m: after.0 - before.0,
-            turn_rad: after.1 - before.1,
-            side: None,
-        };
+        let command = Command { forward_m: after.0 - before.0, turn_rad: after.1 - before.1, side: None };
         before = after;
         command
     });
     let commands = commands.collect();
     let [x_m, y_m, heading_deg] = spline.poses_m_deg[0];
-    Plan {
-        start: (x_m, y_m, wrap_rad(heading_deg.to_radians())),
-        commands,
-    }
+    Plan { start: (x_m, y_m, wrap_rad(heading_deg.to_radians())), commands }
 }
 
 /// About how long it takes, from the straight distances and the lengths of the tangents, in seconds.
@@ -75,10 +68,7 @@ fn distance_m(from: [f64; 3], to: [f64; 3]) -> f64 {
 
 fn way(spline: &Spline) -> Vec<Waypoint> {
     let first_rad = spline.poses_m_deg[0][2].to_radians();
-    let mut way = vec![Waypoint {
-        along_m: 0.0,
-        heading_rad: wrap_rad(first_rad),
-    }];
+    let mut way = vec![Waypoint { along_m: 0.0, heading_rad: wrap_rad(first_rad) }];
     for (from, to) in legs(spline) {
         let tangent_m = spline.tangent_scale * distance_m(from, to);
         let mut last_m = (from[0], from[1]);
@@ -203,11 +193,7 @@ mod tests {
 
     #[test]
     fn a_trapezoid_covers_its_length_in_its_time() {
-        let profile = Profile {
-            length_m: 10.0,
-            speed_m_per_s: 2.0,
-            acceleration_m_per_s2: 2.0,
-        };
+        let profile = Profile { length_m: 10.0, speed_m_per_s: 2.0, acceleration_m_per_s2: 2.0 };
         // 1 s and 1 m for each ramp, 8 m at 2 m/s between them.
         assert!((profile.duration_s() - 6.0).abs() < 1e-12);
         assert!((profile.along_m(1.0) - 1.0).abs() < 1e-12);

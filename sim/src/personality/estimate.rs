@@ -43,10 +43,8 @@ mod tests {
     use super::*;
 
     /// Written by hand: 1000 ms, 1.5 m, -0.5 m, 0.25 rad, sigma 0.0078125 m, flags 3, resets 7, sequence 258, and the mailbox's zero.
-    const MESSAGE: [u8; 25] = [
-        0xe8, 0x03, 0, 0, 0, 0, 0xc0, 0x3f, 0, 0, 0, 0xbf, 0, 0, 0x80, 0x3e, 0, 0, 0, 0x3c, 3, 7,
-        2, 1, 0,
-    ];
+    const MESSAGE: [u8; 25] =
+        [0xe8, 0x03, 0, 0, 0, 0, 0xc0, 0x3f, 0, 0, 0, 0xbf, 0, 0, 0x80, 0x3e, 0, 0, 0, 0x3c, 3, 7, 2, 1, 0];
 
     #[test]
     fn an_estimate_is_read_with_or_without_the_zero_at_its_end() {

@@ -83,9 +83,7 @@ impl Brick {
     pub(crate) fn new(scenario: &Scenario, path: Path, now: Stamp<BrickClock>) -> Self {
         let voice = match scenario.brick.personality {
             Personality::Mavlink => Voice::Mavlink(Box::new(Talk::new(scenario, now))),
-            Personality::Nxt | Personality::NxtPush => {
-                Voice::Nxt(Box::new(Nxt::new(scenario, now)))
-            }
+            Personality::Nxt | Personality::NxtPush => Voice::Nxt(Box::new(Nxt::new(scenario, now))),
             Personality::Ev3 => Voice::Ev3(Box::new(Ev3::new(scenario))),
         };
         Self {
@@ -107,8 +105,7 @@ impl Brick {
             talk.step(when.now, board);
             return self.duty;
         }
-        self.senses
-            .step(body, 0.5 * (self.duty.left + self.duty.right));
+        self.senses.step(body, 0.5 * (self.duty.left + self.duty.right));
         let mut moment = Moment {
             world: when.world,
             now: when.now,

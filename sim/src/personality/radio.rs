@@ -43,12 +43,7 @@ pub(super) struct Radio {
 impl Radio {
     /// A radio that receives.
     pub(super) const fn new(settings: RadioSettings) -> Self {
-        Self {
-            settings,
-            must_turn: true,
-            on_air: None,
-            queued: VecDeque::new(),
-        }
+        Self { settings, must_turn: true, on_air: None, queued: VecDeque::new() }
     }
 
     /// As it was in the beginning.
@@ -78,11 +73,7 @@ impl Radio {
         if self.on_air.is_none()
             && let Some(bytes) = self.queued.pop_front()
         {
-            let turn = if std::mem::take(&mut self.must_turn) {
-                self.settings.turn_around
-            } else {
-                Span::ZERO
-            };
+            let turn = if std::mem::take(&mut self.must_turn) { self.settings.turn_around } else { Span::ZERO };
             let sending = Span::from_secs_f64(bytes.len() as f64 * self.settings.byte_s);
             let done = now + turn + sending;
             self.on_air = Some(OnAir { bytes, done });
@@ -98,11 +89,7 @@ mod tests {
 
     #[test]
     fn the_first_telegram_waits_for_the_turn_the_second_does_not_and_the_third_is_lost() {
-        let mut radio = Radio::new(RadioSettings {
-            turn_around: Span::from_millis(30),
-            byte_s: 1e-3,
-            buffers: 2,
-        });
+        let mut radio = Radio::new(RadioSettings { turn_around: Span::from_millis(30), byte_s: 1e-3, buffers: 2 });
         let sent_at = |radio: &mut Radio| -> Vec<(i64, Vec<u8>)> {
             let pass = |at: i64| Some((at, radio.step(Span::from_millis(at))?));
             (0..100).filter_map(pass).collect()

@@ -56,10 +56,7 @@ impl Senses {
         let stream = |name| Stream::new(scenario.seed, name);
         Self {
             gyro: Gyro::new(scenario.gyro, stream("plugged gyro")),
-            accelerometer: Accelerometer::new(
-                scenario.accelerometer,
-                stream("plugged accelerometer"),
-            ),
+            accelerometer: Accelerometer::new(scenario.accelerometer, stream("plugged accelerometer")),
             needle: stream("compass"),
             echo: stream("ultrasonic"),
             wall_x_m: scenario.brick.wall_x_m,
@@ -77,8 +74,7 @@ impl Senses {
         if self.steps.is_multiple_of(SLOW_STEPS) {
             self.accelerometer.sense(body);
             let north_deg = 90.0 - body.pose().heading.rad().to_degrees();
-            let shown_deg =
-                north_deg + COMPASS_SIGMA_DEG * self.needle.normal() + COMPASS_BENT_DEG * power;
+            let shown_deg = north_deg + COMPASS_SIGMA_DEG * self.needle.normal() + COMPASS_BENT_DEG * power;
             self.compass_deg = shown_deg.round().rem_euclid(360.0) as u16;
             self.range_cm = self.echo(body);
         }
@@ -128,11 +124,7 @@ impl Senses {
         };
         let distance_cm = ahead_m / pose.heading.rad().cos() * 100.0 + noise_cm;
         let is_square = pose.heading.rad().cos() * ahead_m.signum() > STEEPEST_RAD.cos();
-        if is_square && (0.0..FARTHEST_CM).contains(&distance_cm) {
-            distance_cm.round() as u8
-        } else {
-            NO_ECHO
-        }
+        if is_square && (0.0..FARTHEST_CM).contains(&distance_cm) { distance_cm.round() as u8 } else { NO_ECHO }
     }
 }
 
@@ -148,14 +140,8 @@ struct Gyro {
 
 impl Gyro {
     fn new(settings: GyroSettings, stream: Stream) -> Self {
-        let mut gyro = Self {
-            settings,
-            stream,
-            bias_deg_per_s: 0.0,
-            turned_rad: 0.0,
-            rate_deg_per_s: 0.0,
-            angle_deg: 0.0,
-        };
+        let mut gyro =
+            Self { settings, stream, bias_deg_per_s: 0.0, turned_rad: 0.0, rate_deg_per_s: 0.0, angle_deg: 0.0 };
         gyro.power_up();
         gyro
     }
@@ -190,13 +176,7 @@ struct Accelerometer {
 impl Accelerometer {
     fn new(settings: AccelerometerSettings, mut stream: Stream) -> Self {
         let tilt_m_per_s2 = [(); 2].map(|()| settings.bias_sigma_m_per_s2 * stream.normal());
-        Self {
-            settings,
-            stream,
-            tilt_m_per_s2,
-            speed_m_per_s: 0.0,
-            counts: [0, 0, COUNTS_PER_G as i16],
-        }
+        Self { settings, stream, tilt_m_per_s2, speed_m_per_s: 0.0, counts: [0, 0, COUNTS_PER_G as i16] }
     }
 
     fn sense(&mut self, body: &Body) {
@@ -242,11 +222,7 @@ mod tests {
         scenario
     }
 
-    fn felt(
-        scenario: &Scenario,
-        start: Pose<posebridge_telemetry::Arena>,
-        duty: Pair<f64>,
-    ) -> Senses {
+    fn felt(scenario: &Scenario, start: Pose<posebridge_telemetry::Arena>, duty: Pair<f64>) -> Senses {
         let mut body = Body::new(scenario, start);
         let mut senses = Senses::new(scenario);
         for _ in 0..1_000 {
@@ -258,10 +234,7 @@ mod tests {
 
     #[test]
     fn a_left_turn_is_positive_for_gyro_and_accelerometer_and_negative_for_the_compass() {
-        let duty = Pair {
-            left: 0.2,
-            right: 0.4,
-        };
+        let duty = Pair { left: 0.2, right: 0.4 };
         let senses = felt(&exact(), Pose::default(), duty);
         // 1.6 V between the wheels is 3.3 rad/s of rotation: 28 mm / 112 mm of that turns the body.
         assert!((senses.rate_deg_per_s() - 47.0).abs() < 1.5, "{senses:?}");

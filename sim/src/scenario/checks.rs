@@ -53,10 +53,7 @@ pub(crate) fn laps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D:
     if (1..=super::course::MAX_LAPS).contains(&laps) {
         Ok(laps)
     } else {
-        Err(D::Error::custom(format!(
-            "{laps} laps are outside 1 to {}",
-            super::course::MAX_LAPS
-        )))
+        Err(D::Error::custom(format!("{laps} laps are outside 1 to {}", super::course::MAX_LAPS)))
     }
 }
 
@@ -66,9 +63,7 @@ pub(super) fn clock_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result
     if micros < 1 << 48 {
         Ok(micros)
     } else {
-        Err(D::Error::custom(format!(
-            "a clock that starts at {micros} microseconds is not supported; stay below 2^48"
-        )))
+        Err(D::Error::custom(format!("a clock that starts at {micros} microseconds is not supported; stay below 2^48")))
     }
 }
 
@@ -78,51 +73,37 @@ pub(super) fn tick_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
     if (1..=1_000_000).contains(&micros) {
         Ok(micros)
     } else {
-        Err(D::Error::custom(format!(
-            "a tick of {micros} microseconds is outside 1 to 1000000"
-        )))
+        Err(D::Error::custom(format!("a tick of {micros} microseconds is outside 1 to 1000000")))
     }
 }
 
 /// A time of up to 10 seconds, in milliseconds.
-pub(super) fn optional_millis<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<f64>, D::Error> {
+pub(super) fn optional_millis<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     within(deserializer, 0.0, 1e4).map(Some)
 }
 
 /// A time from a tenth of a second to an hour, in seconds.
-pub(super) fn optional_seconds<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<f64>, D::Error> {
+pub(super) fn optional_seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     within(deserializer, 0.1, 3_600.0).map(Some)
 }
 
 /// Anything finite.
-pub(super) fn optional_finite<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<f64>, D::Error> {
+pub(super) fn optional_finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     finite(deserializer).map(Some)
 }
 
 /// The buffer of an NXT's firmware: large enough for every telegram that is documented, no larger than any that was made.
-pub(super) fn telegram_bytes<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<usize, D::Error> {
+pub(super) fn telegram_bytes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
     let bytes = usize::deserialize(deserializer)?;
     if (64..=128).contains(&bytes) {
         Ok(bytes)
     } else {
-        Err(D::Error::custom(format!(
-            "telegrams of {bytes} bytes are outside 64 to 128"
-        )))
+        Err(D::Error::custom(format!("telegrams of {bytes} bytes are outside 64 to 128")))
     }
 }
 
 /// A list of way-points.
-pub(super) fn waypoints<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Vec<[f64; 2]>, D::Error> {
+pub(super) fn waypoints<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
     let points = Vec::<[f64; 2]>::deserialize(deserializer)?;
     match super::waypoints::fault(&points) {
         None => Ok(points),

@@ -47,10 +47,7 @@ pub enum Course {
 
 impl Default for Course {
     fn default() -> Self {
-        Self::Square {
-            side_m: default_side(),
-            direction: Direction::default(),
-        }
+        Self::Square { side_m: default_side(), direction: Direction::default() }
     }
 }
 
@@ -101,11 +98,7 @@ pub struct StartPose {
 impl StartPose {
     /// The same as a pose.
     pub(crate) fn pose(self) -> Pose<Arena> {
-        Pose::new(
-            Meters(self.x_m),
-            Meters(self.y_m),
-            Heading::from_rad(self.heading_deg.to_radians()),
-        )
+        Pose::new(Meters(self.x_m), Meters(self.y_m), Heading::from_rad(self.heading_deg.to_radians()))
     }
 }
 

@@ -22,9 +22,7 @@ use crate::bundled::text_of;
 
 pub use bundled::BUNDLED;
 pub use course::{Course, Direction, DriveEnd, DriveSettings, StartPose};
-pub use observers::{
-    AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings,
-};
+pub use observers::{AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings};
 pub use personality::{BrickProgram, Personality, PortSensor};
 pub use robot::{BrickSettings, ErrorSettings, MissingSensor, MotorSettings, RobotSettings, Wire};
 pub use thermometer::ThermometerSettings;
@@ -99,10 +97,8 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError::UnknownName`] lists the names that exist.
     pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
-        let text = text_of(BUNDLED, name).map_err(|known| ScenarioError::UnknownName {
-            name: name.to_owned(),
-            known,
-        })?;
+        let text =
+            text_of(BUNDLED, name).map_err(|known| ScenarioError::UnknownName { name: name.to_owned(), known })?;
         Self::from_toml(text)
     }
 
@@ -176,8 +172,7 @@ impl Scenario {
 pub(crate) const TICK_RAD: f64 = std::f64::consts::PI / 180.0;
 
 /// Why a scenario without files beside it cannot have one.
-const TEXT_ALONE: &str =
-    "this scenario is read without files beside it; write the points into points_m";
+const TEXT_ALONE: &str = "this scenario is read without files beside it; write the points into points_m";
 
 /// Why a scenario cannot be had. Lines count from 1.
 #[derive(Debug, thiserror::Error)]
@@ -230,10 +225,7 @@ mod tests {
 
     #[test]
     fn an_empty_text_is_the_default_scenario() {
-        assert_eq!(
-            Scenario::from_toml("").expect("defaults"),
-            Scenario::default()
-        );
+        assert_eq!(Scenario::from_toml("").expect("defaults"), Scenario::default());
     }
 
     #[test]
@@ -246,37 +238,22 @@ mod tests {
 
     #[test]
     fn an_unknown_bundled_name_lists_the_known_ones() {
-        let message = Scenario::bundled("triangle")
-            .expect_err("there is no triangle")
-            .to_string();
-        assert!(
-            message.contains("triangle") && message.contains("figure-eight"),
-            "{message}"
-        );
+        let message = Scenario::bundled("triangle").expect_err("there is no triangle").to_string();
+        assert!(message.contains("triangle") && message.contains("figure-eight"), "{message}");
     }
 
     #[test]
     fn errors_name_the_line_and_the_key() {
         let cases = [
             ("seed = 1\nspeling = 3\n", "line 2", "speling"),
-            (
-                "[robot]\n\ntrack_width_m = -0.1\n",
-                "line 3",
-                "track_width_m",
-            ),
+            ("[robot]\n\ntrack_width_m = -0.1\n", "line 3", "track_width_m"),
             ("[camera]\nrate_hz = \"fast\"\n", "line 2", "rate_hz"),
             ("[path.square]\nside_m = nan\n", "line 2", "side_m"),
-            (
-                "[path.waypoints]\npoints_m = [[0, 0]]\n",
-                "line 2",
-                "points_m",
-            ),
+            ("[path.waypoints]\npoints_m = [[0, 0]]\n", "line 2", "points_m"),
             ("[path.spiral]\n", "line 1", "spiral"),
         ];
         for (text, line, key) in cases {
-            let message = Scenario::from_toml(text)
-                .expect_err("the text is wrong")
-                .to_string();
+            let message = Scenario::from_toml(text).expect_err("the text is wrong").to_string();
             assert!(message.contains(line), "{message} lacks {line}");
             assert!(message.contains(key), "{message} lacks {key}");
         }

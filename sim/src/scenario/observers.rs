@@ -55,11 +55,7 @@ pub struct AccelerometerSettings {
 
 impl Default for AccelerometerSettings {
     fn default() -> Self {
-        Self {
-            sigma_m_per_s2: 0.075,
-            quantum_m_per_s2: 0.049,
-            bias_sigma_m_per_s2: 0.1,
-        }
+        Self { sigma_m_per_s2: 0.075, quantum_m_per_s2: 0.049, bias_sigma_m_per_s2: 0.1 }
     }
 }
 
@@ -183,10 +179,6 @@ impl Default for CameraSettings {
 impl CameraSettings {
     /// The camera's clock, which resolves microseconds.
     pub(crate) const fn clock(&self) -> ClockSettings {
-        ClockSettings {
-            start_micros: self.clock_start_micros,
-            skew_ppm: self.clock_skew_ppm,
-            tick_micros: 1,
-        }
+        ClockSettings { start_micros: self.clock_start_micros, skew_ppm: self.clock_skew_ppm, tick_micros: 1 }
     }
 }

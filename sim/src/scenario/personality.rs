@@ -68,10 +68,5 @@ pub enum PortSensor {
 
 impl PortSensor {
     /// What is plugged in unless the scenario says otherwise.
-    pub(crate) const USUAL: [Self; 4] = [
-        Self::Gyro,
-        Self::Accelerometer,
-        Self::Compass,
-        Self::Ultrasonic,
-    ];
+    pub(crate) const USUAL: [Self; 4] = [Self::Gyro, Self::Accelerometer, Self::Compass, Self::Ultrasonic];
 }

@@ -69,12 +69,7 @@ pub struct MotorSettings {
 
 impl Default for MotorSettings {
     fn default() -> Self {
-        Self {
-            torque_n_m_per_v: 0.0618,
-            back_emf_v_s_per_rad: 0.487,
-            inertia_kg_m2: 3.07e-3,
-            friction_n_m: 0.0204,
-        }
+        Self { torque_n_m_per_v: 0.0618, back_emf_v_s_per_rad: 0.487, inertia_kg_m2: 3.07e-3, friction_n_m: 0.0204 }
     }
 }
 

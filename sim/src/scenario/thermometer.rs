@@ -106,24 +106,18 @@ fn shares<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Err
     if (sum - 1.0).abs() < 1e-9 {
         Ok(shares)
     } else {
-        Err(D::Error::custom(format!(
-            "the shares {shares:?} sum up to {sum}; they must sum up to 1"
-        )))
+        Err(D::Error::custom(format!("the shares {shares:?} sum up to {sum}; they must sum up to 1")))
     }
 }
 
 /// A thermometer with a share for each lag.
-pub(super) fn checked<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<ThermometerSettings>, D::Error> {
+pub(super) fn checked<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ThermometerSettings>, D::Error> {
     let settings = ThermometerSettings::deserialize(deserializer)?;
     let (lags, shares) = (settings.lags_s.len(), settings.shares.len());
     if lags == shares {
         Ok(Some(settings))
     } else {
-        Err(D::Error::custom(format!(
-            "there are {lags} lags_s and {shares} shares; give one share for each lag"
-        )))
+        Err(D::Error::custom(format!("there are {lags} lags_s and {shares} shares; give one share for each lag")))
     }
 }
 
@@ -153,10 +147,7 @@ mod tests {
         ] {
             let refused = Scenario::from_toml(&format!("[thermometer]\n{line}\n"));
             let said = refused.unwrap_err().to_string();
-            assert!(
-                said.contains(key) && said.contains("line "),
-                "{line}: {said}"
-            );
+            assert!(said.contains(key) && said.contains("line "), "{line}: {said}");
         }
     }
 }

@@ -48,9 +48,7 @@ pub(super) fn scenario_from(
 }
 
 /// The table `[path.waypoints]` and where it stands in the text.
-fn waypoints_in<'a, 'i>(
-    scenario: &'a mut DeTable<'i>,
-) -> Option<(Range<usize>, &'a mut DeTable<'i>)> {
+fn waypoints_in<'a, 'i>(scenario: &'a mut DeTable<'i>) -> Option<(Range<usize>, &'a mut DeTable<'i>)> {
     let DeValue::Table(path) = scenario.get_mut("path")?.get_mut() else {
         return None;
     };
@@ -63,10 +61,7 @@ fn waypoints_in<'a, 'i>(
 }
 
 /// The file that holds the way-points, if the scenario names one, and the line in which it does.
-fn named_file(
-    text: &str,
-    scenario: &mut DeTable<'_>,
-) -> Result<Option<(PathBuf, usize)>, ScenarioError> {
+fn named_file(text: &str, scenario: &mut DeTable<'_>) -> Result<Option<(PathBuf, usize)>, ScenarioError> {
     let refused = |span: Range<usize>, reason| {
         let line = line_of(text, span.start);
         Err(ScenarioError::Waypoints { line, reason })
@@ -78,10 +73,7 @@ fn named_file(
     match waypoints.get("file") {
         None if has_points => Ok(None),
         None => refused(span, "way-points need points_m or file; give one of them"),
-        Some(file) if has_points => refused(
-            file.span(),
-            "way-points have both points_m and file; remove one of them",
-        ),
+        Some(file) if has_points => refused(file.span(), "way-points have both points_m and file; remove one of them"),
         Some(file) => match file.get_ref().as_str() {
             Some(name) => Ok(Some((name.into(), line_of(text, file.span().start)))),
             None => refused(file.span(), "file is no text; write its name in quotes"),
@@ -100,11 +92,7 @@ fn read_points(
     read: &mut dyn FnMut(&Path) -> io::Result<String>,
 ) -> Result<Vec<[f64; 2]>, ScenarioError> {
     match read(&file) {
-        Ok(text) => from_csv(&text).map_err(|(line, reason)| ScenarioError::WaypointsFile {
-            file,
-            line,
-            reason,
-        }),
+        Ok(text) => from_csv(&text).map_err(|(line, reason)| ScenarioError::WaypointsFile { file, line, reason }),
         Err(source) => Err(ScenarioError::WaypointsUnread { line, file, source }),
     }
 }
@@ -143,18 +131,14 @@ fn from_csv(text: &str) -> Result<Vec<[f64; 2]>, (usize, String)> {
 fn point(content: &str) -> Result<[f64; 2], String> {
     let mut fields = content.split(',').map(str::trim);
     let (Some(x), Some(y), None) = (fields.next(), fields.next(), fields.next()) else {
-        return Err(format!(
-            "{content:?} is no way-point; write x_m,y_m with a comma between them"
-        ));
+        return Err(format!("{content:?} is no way-point; write x_m,y_m with a comma between them"));
     };
     Ok([number(x)?, number(y)?])
 }
 
 fn number(field: &str) -> Result<f64, String> {
     let expected = "write metres with a decimal point, such as 1.25";
-    field
-        .parse()
-        .map_err(|_error| format!("{field:?} is no number; {expected}"))
+    field.parse().map_err(|_error| format!("{field:?} is no number; {expected}"))
 }
 
 /// What is wrong with a list of way-points: the index of the first bad one, or the length if one is missing, and why.
@@ -177,9 +161,7 @@ pub(super) fn fault(points: &[[f64; 2]]) -> Option<(usize, String)> {
         }
         let [last_x_m, last_y_m] = *points.get(index.checked_sub(1)?)?;
         let is_close = (x_m - last_x_m).hypot(y_m - last_y_m) < CLOSEST_M;
-        let reason = || {
-            format!("way-point ({x_m}, {y_m}) is less than 1 mm from the one before; remove one")
-        };
+        let reason = || format!("way-point ({x_m}, {y_m}) is less than 1 mm from the one before; remove one");
         is_close.then(|| (index, reason()))
     })
 }
@@ -204,10 +186,9 @@ mod tests {
 
     #[test]
     fn a_scenario_with_a_file_equals_the_one_with_its_points() {
-        let written = Scenario::from_toml(
-            "seed = 3\n[path.waypoints]\npoints_m = [[0, 0], [1.25, -0.5], [1e-7, 0.1]]\n",
-        )
-        .unwrap();
+        let written =
+            Scenario::from_toml("seed = 3\n[path.waypoints]\npoints_m = [[0, 0], [1.25, -0.5], [1e-7, 0.1]]\n")
+                .unwrap();
         for file in [
             "0,0\n1.25,-0.5\n1e-7,0.1\n",
             "x_m,y_m\r\n0,0\r\n1.25,-0.5\r\n1e-7,0.1",
@@ -249,11 +230,7 @@ mod tests {
     fn a_wrong_key_is_refused_with_its_line_before_any_file_is_read() {
         for (text, line, reason) in [
             ("[path.waypoints]\n", "line 1", "points_m or file"),
-            (
-                "[path.waypoints]\npoints_m = [[0, 0], [1, 0]]\nfile = \"a.csv\"\n",
-                "line 3",
-                "both",
-            ),
+            ("[path.waypoints]\npoints_m = [[0, 0], [1, 0]]\nfile = \"a.csv\"\n", "line 3", "both"),
             ("\n[path.waypoints]\nfile = 3\n", "line 3", "in quotes"),
             ("[path.square]\nfile = \"a.csv\"\n", "line 2", "file"),
             ("path = 3\n", "line 1", "path"),
@@ -276,9 +253,8 @@ mod tests {
 
     #[test]
     fn a_file_that_cannot_be_read_is_named_with_the_line_that_names_it() {
-        let read = Scenario::from_toml_with(SCENARIO, &mut |_| {
-            Err(io::Error::new(io::ErrorKind::NotFound, "no such file"))
-        });
+        let read =
+            Scenario::from_toml_with(SCENARIO, &mut |_| Err(io::Error::new(io::ErrorKind::NotFound, "no such file")));
         let message = refusal(read);
         for part in ["line 3", "lap/points.csv", "no such file"] {
             assert!(message.contains(part), "{message} lacks {part}");

@@ -22,20 +22,10 @@ impl Simulation {
     /// The same commands before the same steps give the same bytes.
     pub fn carry_out(&mut self, command: &SimulatorCommand) -> Doer {
         match *command {
-            SimulatorCommand::Kidnap {
-                forward_m,
-                left_m,
-                turn_rad,
-            } => self.body.lift(Displacement {
-                forward_m,
-                left_m,
-                turn_rad,
-            }),
-            SimulatorCommand::Slip {
-                wheel,
-                factor,
-                duration,
-            } => self.body.take_grip(wheel, factor, duration),
+            SimulatorCommand::Kidnap { forward_m, left_m, turn_rad } => {
+                self.body.lift(Displacement { forward_m, left_m, turn_rad })
+            }
+            SimulatorCommand::Slip { wheel, factor, duration } => self.body.take_grip(wheel, factor, duration),
             SimulatorCommand::Camera(to) => {
                 if let Some(camera) = &mut self.camera {
                     camera.switch(to);
@@ -56,15 +46,9 @@ impl Simulation {
                     SteeringSource::Estimate => Steering::Estimate,
                 });
             }
-            SimulatorCommand::Drive {
-                forward_m_per_s,
-                turn_rad_per_s,
-            } => {
+            SimulatorCommand::Drive { forward_m_per_s, turn_rad_per_s } => {
                 let now = self.brick_clock.reading(self.world);
-                let wanted = Twist {
-                    forward_m_per_s,
-                    turn_rad_per_s,
-                };
+                let wanted = Twist { forward_m_per_s, turn_rad_per_s };
                 self.brick.program_mut().drive_by_hand(now, wanted);
             }
             SimulatorCommand::Path => self.brick.program_mut().rejoin(),

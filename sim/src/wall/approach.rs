@@ -128,10 +128,7 @@ pub(super) fn drive(scene: &WallScene, task: &Task, brain: &mut dyn Brain) -> Ap
         });
         has_driven |= car.towards_m_per_s > 2.0 * settings.still_m_per_s;
         if has_driven && car.towards_m_per_s <= settings.still_m_per_s {
-            left.stop = Some(Stop {
-                at_s,
-                distance_m: car.distance_m,
-            });
+            left.stop = Some(Stop { at_s, distance_m: car.distance_m });
         }
         dt_s = ticks.next_s();
         car.drive(pwm, dt_s);
@@ -155,23 +152,12 @@ mod tests {
         }
         fn command(&mut self, _: f64, _: f64) {}
         fn believed(&mut self, _: f64) -> Option<Believed> {
-            self.0.map(|distance_m| Believed {
-                distance_m,
-                towards_m_per_s: 0.0,
-            })
+            self.0.map(|distance_m| Believed { distance_m, towards_m_per_s: 0.0 })
         }
     }
 
     fn task(kp_pwm_per_m: f64) -> Task {
-        Task {
-            gains: Gains {
-                kp_pwm_per_m,
-                ki_pwm_per_m_s: 0.0,
-                kd_pwm_s_per_m: 0.0,
-            },
-            most_pwm: 80.0,
-            run: 3,
-        }
+        Task { gains: Gains { kp_pwm_per_m, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: 0.0 }, most_pwm: 80.0, run: 3 }
     }
 
     #[test]
@@ -193,10 +179,6 @@ mod tests {
         scene.approach.longest_s = 1.0;
         let left = approach(&scene, &task(20.0), &mut Last::default());
         assert_eq!(left.stop, None);
-        assert!(
-            left.moments
-                .iter()
-                .all(|moment| moment.pwm == 0.0 && moment.distance_m == 3.0)
-        );
+        assert!(left.moments.iter().all(|moment| moment.pwm == 0.0 && moment.distance_m == 3.0));
     }
 }

@@ -46,10 +46,7 @@ pub(super) struct Ticks {
 
 impl Ticks {
     pub(super) fn new(settings: ControlSettings, seed: u64, run: u32) -> Self {
-        Self {
-            settings,
-            stream: Stream::new(seed, &format!("wall control {run}")),
-        }
+        Self { settings, stream: Stream::new(seed, &format!("wall control {run}")) }
     }
 
     pub(super) fn next_s(&mut self) -> f64 {
@@ -62,11 +59,7 @@ impl Ticks {
 mod tests {
     use super::*;
 
-    const PAPER: CarSettings = CarSettings {
-        reference_pwm: 80.0,
-        steady_m_per_s: 1.225,
-        rise_90_s: 0.997,
-    };
+    const PAPER: CarSettings = CarSettings { reference_pwm: 80.0, steady_m_per_s: 1.225, rise_90_s: 0.997 };
 
     #[test]
     fn ninety_per_cent_of_the_speed_are_there_at_the_stated_time_however_it_is_cut() {
@@ -78,11 +71,7 @@ mod tests {
         assert!((whole.towards_m_per_s - 0.9 * 1.225).abs() < 1e-12);
         assert!((whole.distance_m - cut.distance_m).abs() < 1e-9);
         // By hand: 5 - 1.225 (0.997 - 0.9 tau), tau = 0.997 / 2.302585 = 0.432992.
-        assert!(
-            (whole.distance_m - 4.256_04).abs() < 1e-4,
-            "{}",
-            whole.distance_m
-        );
+        assert!((whole.distance_m - 4.256_04).abs() < 1e-4, "{}", whole.distance_m);
     }
 
     #[test]

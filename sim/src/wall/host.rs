@@ -99,10 +99,7 @@ impl Remote<'_> {
             };
             // Of two estimates of one instant the later one knows more.
             if self.heard.is_none_or(|(newest_s, _)| newest_s <= of_s) {
-                let believed = Believed {
-                    distance_m,
-                    towards_m_per_s,
-                };
+                let believed = Believed { distance_m, towards_m_per_s };
                 self.heard = Some((of_s, believed));
             }
         }
@@ -122,10 +119,8 @@ impl Brain for Remote<'_> {
         }
         let (of_s, believed) = self.heard?;
         let age_s = at_s - of_s;
-        (age_s <= self.settings.stale_after_s).then_some(Believed {
-            distance_m: believed.distance_m - believed.towards_m_per_s * age_s,
-            ..believed
-        })
+        (age_s <= self.settings.stale_after_s)
+            .then_some(Believed { distance_m: believed.distance_m - believed.towards_m_per_s * age_s, ..believed })
     }
 
     fn steered(&mut self, at_s: f64, pwm: f64) {
@@ -162,28 +157,18 @@ mod tests {
             self.commands += 1;
         }
         fn believed(&mut self, _: f64) -> Option<Believed> {
-            self.range_m.map(|distance_m| Believed {
-                distance_m,
-                towards_m_per_s: 0.0,
-            })
+            self.range_m.map(|distance_m| Believed { distance_m, towards_m_per_s: 0.0 })
         }
     }
 
     fn driven(profile: &str) -> (Approach, Last) {
         let scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
         let task = Task {
-            gains: Gains {
-                kp_pwm_per_m: 20.0,
-                ki_pwm_per_m_s: 0.0,
-                kd_pwm_s_per_m: 0.0,
-            },
+            gains: Gains { kp_pwm_per_m: 20.0, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: 0.0 },
             most_pwm: 80.0,
             run: 1,
         };
-        let link = HostLink {
-            profile: LinkProfile::bundled(profile).unwrap(),
-            seed: 5,
-        };
+        let link = HostLink { profile: LinkProfile::bundled(profile).unwrap(), seed: 5 };
         let mut host = Last::default();
         let left = approach_over_link(&scene, &task, &link, &mut host);
         (left, host)

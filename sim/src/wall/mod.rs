@@ -33,7 +33,7 @@ pub use host::{HostLink, approach_over_link};
 pub use pid::Gains;
 pub use ranger::Reading;
 pub use scene::{
-    ApproachSettings, CarSettings, ControlSettings, DEFAULT_SCENE, HostSettings, RangerSettings,
-    SceneError, StepSettings, WallScene,
+    ApproachSettings, CarSettings, ControlSettings, DEFAULT_SCENE, HostSettings, RangerSettings, SceneError,
+    StepSettings, WallScene,
 };
 pub use step::{CommandFrom, StepRun, step};

@@ -49,20 +49,13 @@ mod tests {
     #[test]
     fn error_sum_and_rate_add_up_and_the_limits_hold() {
         let mut pid = Pid {
-            gains: Gains {
-                kp_pwm_per_m: 20.0,
-                ki_pwm_per_m_s: 5.0,
-                kd_pwm_s_per_m: 8.0,
-            },
+            gains: Gains { kp_pwm_per_m: 20.0, ki_pwm_per_m_s: 5.0, kd_pwm_s_per_m: 8.0 },
             target_m: 0.3,
             most_pwm: 80.0,
             integral_most_m_s: 0.5,
             integral_m_s: 0.0,
         };
-        let believed = |distance_m, towards_m_per_s| Believed {
-            distance_m,
-            towards_m_per_s,
-        };
+        let believed = |distance_m, towards_m_per_s| Believed { distance_m, towards_m_per_s };
         // 20 x 1 + 5 x 0.1 - 8 x 0.5
         assert!((pid.steer(believed(1.3, 0.5), 0.1) - 16.5).abs() < 1e-12);
         assert_eq!(pid.steer(believed(9.0, 0.0), 1.0), 80.0);

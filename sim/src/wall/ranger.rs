@@ -62,18 +62,10 @@ mod tests {
             miss_probability: 0.25,
         };
         let mut ranger = Ranger::new(settings, 4, 0);
-        let readings: Vec<Reading> = (0..100_000)
-            .filter_map(|turn| ranger.read(0.01 * f64::from(turn), 2.0))
-            .collect();
+        let readings: Vec<Reading> = (0..100_000).filter_map(|turn| ranger.read(0.01 * f64::from(turn), 2.0)).collect();
         // 10 000 due; binomial with sigma 43.
-        assert!(
-            (7_330..=7_670).contains(&readings.len()),
-            "{}",
-            readings.len()
-        );
-        let squares = readings
-            .iter()
-            .map(|reading| (reading.range_m - 2.0).powi(2));
+        assert!((7_330..=7_670).contains(&readings.len()), "{}", readings.len());
+        let squares = readings.iter().map(|reading| (reading.range_m - 2.0).powi(2));
         let sigma_m = (squares.sum::<f64>() / readings.len() as f64).sqrt();
         // 25 mm, known to 0.8 %.
         assert!((sigma_m / 0.025 - 1.0).abs() < 0.03, "{sigma_m}");

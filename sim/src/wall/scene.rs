@@ -166,12 +166,7 @@ impl WallScene {
         let (step, approach) = (&self.step, &self.approach);
         for (start, start_m, end, end_m) in [
             ("[step] start_m", step.start_m, "cutoff_m", step.cutoff_m),
-            (
-                "[approach] start_m",
-                approach.start_m,
-                "target_m",
-                approach.target_m,
-            ),
+            ("[approach] start_m", approach.start_m, "target_m", approach.target_m),
         ] {
             if start_m <= end_m {
                 return Err(impossible(format!(
@@ -219,9 +214,7 @@ fn turns<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Er
     if (1..=1_000).contains(&turns) {
         Ok(turns)
     } else {
-        Err(serde::de::Error::custom(format!(
-            "{turns} is outside 1 to 1000; give a number in that range"
-        )))
+        Err(serde::de::Error::custom(format!("{turns} is outside 1 to 1000; give a number in that range")))
     }
 }
 
@@ -239,10 +232,7 @@ mod tests {
     fn the_default_scene_reads_and_mistakes_are_named() {
         assert!(WallScene::from_toml(DEFAULT_SCENE).is_ok());
         let message = said("period_spread = 0.2", "period_spread = 0.7");
-        assert!(
-            message.contains("period_spread") && message.contains("0.5"),
-            "{message}"
-        );
+        assert!(message.contains("period_spread") && message.contains("0.5"), "{message}");
         let message = said("cutoff_m = 0.5", "cutoff_m = 3");
         assert!(message.contains("start further"), "{message}");
         let message = said("longest_s = 15.0", "longest_s = 1e5");

@@ -36,11 +36,7 @@ pub fn step(scene: &WallScene, run: u32) -> StepRun {
     let mut left = StepRun::default();
     let mut at_s = 0.0;
     while at_s < scene.step.rest_s + LONGEST_S {
-        let pwm = if at_s < scene.step.rest_s {
-            0.0
-        } else {
-            scene.step.pwm
-        };
+        let pwm = if at_s < scene.step.rest_s { 0.0 } else { scene.step.pwm };
         left.commands.push(CommandFrom { at_s, pwm });
         left.towards_m_per_s.push(car.towards_m_per_s);
         if let Some(reading) = ranger.read(at_s, car.distance_m) {
@@ -65,19 +61,12 @@ mod tests {
     fn a_step_has_the_readings_of_the_text_and_repeats_by_its_number() {
         let scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
         let first = step(&scene, 0);
-        let on_the_way = first
-            .readings
-            .iter()
-            .filter(|reading| reading.at_s >= 0.241);
+        let on_the_way = first.readings.iter().filter(|reading| reading.at_s >= 0.241);
         let on_the_way = on_the_way.count();
         assert!((17..=22).contains(&on_the_way), "{on_the_way}");
         let (last, others) = first.readings.split_last().unwrap();
         assert!(last.range_m < 0.5 && others.iter().all(|reading| reading.range_m >= 0.5));
-        let first_drive = first
-            .commands
-            .iter()
-            .find(|command| command.pwm > 0.0)
-            .unwrap();
+        let first_drive = first.commands.iter().find(|command| command.pwm > 0.0).unwrap();
         assert!((0.241..0.252).contains(&first_drive.at_s));
         assert_eq!(first, step(&scene, 0));
         assert_ne!(first.readings, step(&scene, 1).readings);

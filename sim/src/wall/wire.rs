@@ -94,11 +94,7 @@ mod tests {
 
     #[test]
     fn frames_are_found_in_any_pieces_and_between_garbage() {
-        let frames = [
-            Frame::Reading(1.25, 0.304),
-            Frame::Command(2.5, -80.0),
-            Frame::Estimate(-3.0, 1e-9, 7.0),
-        ];
+        let frames = [Frame::Reading(1.25, 0.304), Frame::Command(2.5, -80.0), Frame::Estimate(-3.0, 1e-9, 7.0)];
         let mut bytes = vec![START, 1, 2];
         for frame in frames {
             bytes.extend(frame.bytes());
@@ -106,10 +102,7 @@ mod tests {
         }
         for piece in 1..40 {
             let mut scanner = Frames::default();
-            let mut found: Vec<Frame> = bytes
-                .chunks(piece)
-                .flat_map(|chunk| scanner.push(chunk))
-                .collect();
+            let mut found: Vec<Frame> = bytes.chunks(piece).flat_map(|chunk| scanner.push(chunk)).collect();
             found.extend(scanner.push(&[0; LENGTH]));
             assert_eq!(found, frames, "{piece}");
         }

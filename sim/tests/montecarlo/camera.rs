@@ -12,14 +12,8 @@ fn the_camera_has_the_files_rate_noise_and_delay() {
         let fixes = fixes(&drive);
         let steps = drive.truth.len() - 1;
         assert!(steps / 2 - fixes.len() <= 3, "all but the last ones arrive");
-        assert!(
-            fixes.windows(2).all(|pair| pair[0].0 < pair[1].0),
-            "one per step"
-        );
-        overtaken += fixes
-            .windows(2)
-            .filter(|pair| pair[1].1 < pair[0].1)
-            .count();
+        assert!(fixes.windows(2).all(|pair| pair[0].0 < pair[1].0), "one per step");
+        overtaken += fixes.windows(2).filter(|pair| pair[1].1 < pair[0].1).count();
         for (arrived, taken, _) in &fixes {
             assert!(taken.is_multiple_of(2));
             late[arrived - taken] += 1;
@@ -34,16 +28,8 @@ fn the_camera_has_the_files_rate_noise_and_delay() {
     // Two, three or four steps, equally likely; one in nine waits because a newer fix went first.
     assert_eq!(late[0] + late[1] + late[6] + late[7], 0, "{late:?}");
     let share = |steps: usize| late[steps] as f64 / count as f64;
-    for (steps, expected) in [
-        (2, 3.0 / 9.0),
-        (3, 3.0 / 9.0),
-        (4, 2.0 / 9.0),
-        (5, 1.0 / 9.0),
-    ] {
-        assert!(
-            (share(steps) - expected).abs() < 0.02,
-            "{late:?} of {count}"
-        );
+    for (steps, expected) in [(2, 3.0 / 9.0), (3, 3.0 / 9.0), (4, 2.0 / 9.0), (5, 1.0 / 9.0)] {
+        assert!((share(steps) - expected).abs() < 0.02, "{late:?} of {count}");
     }
     assert_eq!(late[5], overtaken, "a fix is overtaken where it waits");
 }
@@ -54,11 +40,7 @@ fn the_slow_camera_is_later() {
         let mut late = Vec::new();
         for run in 0..10 {
             let drive = bundled(name).drive(run);
-            late.extend(
-                fixes(&drive)
-                    .iter()
-                    .map(|(arrived, taken, _)| arrived - taken),
-            );
+            late.extend(fixes(&drive).iter().map(|(arrived, taken, _)| arrived - taken));
         }
         assert_eq!(late.iter().min(), Some(&least), "{name}");
         assert_eq!(late.iter().max(), Some(&most), "{name}");
@@ -88,10 +70,7 @@ fn outliers_have_their_share_and_size() {
         // Variance: that of the camera and that of the outliers' share.
         let expected = (0.005_f64.powi(2) + share * sigma * sigma).sqrt();
         let found = rms(errors.iter().map(|error| error.0));
-        assert!(
-            (found / expected - 1.0).abs() < 0.15,
-            "{name}: {found} against {expected}"
-        );
+        assert!((found / expected - 1.0).abs() < 0.15, "{name}: {found} against {expected}");
         // Far off is beyond six sigma of the camera; with 0.5 m nearly every outlier is.
         let far = errors.iter().filter(|error| error.0.abs() > 0.03).count();
         let beyond = if sigma > 0.1 { 0.952 } else { 0.457 };
@@ -106,10 +85,7 @@ fn outliers_have_their_share_and_size() {
 #[test]
 fn a_blackout_has_no_fix_and_the_rest_does() {
     let drive = bundled("blackout").drive(0);
-    let stamps: Vec<f64> = fixes(&drive)
-        .iter()
-        .map(|(_, taken, _)| *taken as f64 * 0.05)
-        .collect();
+    let stamps: Vec<f64> = fixes(&drive).iter().map(|(_, taken, _)| *taken as f64 * 0.05).collect();
     assert!(stamps.iter().all(|at| !(60.0..=240.0).contains(at)));
     assert!(stamps.iter().any(|at| *at > 59.8 && *at < 60.0));
     assert!(stamps.iter().any(|at| *at > 240.0 && *at < 240.2));

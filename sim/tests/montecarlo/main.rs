@@ -26,10 +26,7 @@ fn every_bundled_scenario_reads_and_its_first_drive_is_finite_and_in_order() {
                 "{name}: an observation arrives before it is made"
             );
         }
-        let wheels = drive
-            .arrivals
-            .iter()
-            .filter(|arrival| arrival.observation.sensor == SensorId::WHEELS);
+        let wheels = drive.arrivals.iter().filter(|arrival| arrival.observation.sensor == SensorId::WHEELS);
         assert_eq!(wheels.count(), drive.truth.len(), "{name}");
     }
 }

@@ -1,21 +1,13 @@
 //! The robot's wheels, encoders, gyro and accelerometers: what they told against what was driven.
 
-use crate::support::{
-    DEGREE, accelerations, assert_sigma, bundled, changed, rates, rms, true_turn_rad, wheel_angles,
-};
+use crate::support::{DEGREE, accelerations, assert_sigma, bundled, changed, rates, rms, true_turn_rad, wheel_angles};
 use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::quantities::wrap_rad;
 
 /// Wheels that do not slip along their way.
-const NO_TRAVEL_NOISE: (&str, &str) = (
-    "wheel_travel_m_per_sqrt_m = 0.0008",
-    "wheel_travel_m_per_sqrt_m = 0.0",
-);
+const NO_TRAVEL_NOISE: (&str, &str) = ("wheel_travel_m_per_sqrt_m = 0.0008", "wheel_travel_m_per_sqrt_m = 0.0");
 /// And not in turns either.
-const NO_TURN_NOISE: (&str, &str) = (
-    "turn_rad_per_sqrt_rad = 0.004",
-    "turn_rad_per_sqrt_rad = 0.0",
-);
+const NO_TURN_NOISE: (&str, &str) = ("turn_rad_per_sqrt_rad = 0.004", "turn_rad_per_sqrt_rad = 0.0");
 
 #[test]
 fn without_noise_the_wheels_tell_the_way_by_the_true_geometry() {
@@ -52,19 +44,11 @@ fn geometry_slip_and_bias_have_the_files_spread() {
             found / nominal - 1.0
         }))
     };
-    let track = relative(|drive| {
-        (
-            drive.true_geometry.track_width.0,
-            drive.told.geometry.track_width.0,
-        )
-    });
+    let track = relative(|drive| (drive.true_geometry.track_width.0, drive.told.geometry.track_width.0));
     assert_sigma(track, 0.03, count, "track");
     let mean = relative(|drive| {
         let geometry = &drive.true_geometry;
-        (
-            geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0,
-            0.056,
-        )
+        (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0, 0.056)
     });
     assert_sigma(mean, 0.005, count, "mean radius");
     let difference = rms(drives.iter().map(|drive| {
@@ -74,11 +58,7 @@ fn geometry_slip_and_bias_have_the_files_spread() {
     assert_sigma(difference, 0.005, count, "difference of radii");
     // At rest for two seconds the gyro says its bias: the mean of 40 roundings and noises adds 0.1 deg/s.
     let bias = rms(drives.iter().map(|drive| {
-        let rest: Vec<f64> = rates(drive)
-            .iter()
-            .take(40)
-            .map(|(_, rate)| *rate)
-            .collect();
+        let rest: Vec<f64> = rates(drive).iter().take(40).map(|(_, rate)| *rate).collect();
         rest.iter().sum::<f64>() / 40.0 / DEGREE
     }));
     assert_sigma(bias, 1.0_f64.hypot(0.66 / 40.0_f64.sqrt()), count, "bias");
@@ -94,9 +74,7 @@ fn geometry_slip_and_bias_have_the_files_spread() {
     // The first side: the mean of two wheels that slip for themselves over 3 m.
     let short_m = rms(drives.iter().map(|drive| {
         let parts = drive.truth[40..347].windows(2);
-        let driven_m: f64 = parts
-            .map(|pair| pair[0].origin().distance(pair[1].origin()).0)
-            .sum();
+        let driven_m: f64 = parts.map(|pair| pair[0].origin().distance(pair[1].origin()).0).sum();
         driven_m - 3.0
     }));
     assert_sigma(short_m, 0.0008 * 1.5_f64.sqrt(), count, "slip of a side");
@@ -135,60 +113,36 @@ fn encoders_are_floored_and_not_rounded() {
 #[test]
 fn the_gyro_errs_by_noise_and_rounding() {
     let drive = bundled("camera-10hz").drive(0);
-    let errors: Vec<f64> = rates(&drive)
-        .iter()
-        .map(|(step, rate)| rate - true_turn_rad(&drive, *step) / 0.05)
-        .collect();
+    let errors: Vec<f64> =
+        rates(&drive).iter().map(|(step, rate)| rate - true_turn_rad(&drive, *step) / 0.05).collect();
     // Differences of neighbours have no bias; they hold twice the variance of noise and rounding.
-    let white = rms(errors
-        .windows(2)
-        .map(|pair| (pair[1] - pair[0]) / DEGREE / 2.0_f64.sqrt()));
+    let white = rms(errors.windows(2).map(|pair| (pair[1] - pair[0]) / DEGREE / 2.0_f64.sqrt()));
     let expected = (0.36_f64 + 1.0 / 12.0).sqrt();
-    assert!(
-        (white / expected - 1.0).abs() < 0.05,
-        "{white} against {expected}"
-    );
+    assert!((white / expected - 1.0).abs() < 0.05, "{white} against {expected}");
 }
 
 #[test]
 fn the_gyros_bias_walks_as_far_as_the_file_says() {
-    let scenario = changed(
-        "no-camera",
-        &[
-            ("s_sqrt_s = 0.01", "s_sqrt_s = 0.1"),
-            ("laps = 4", "laps = 1"),
-        ],
-    );
+    let scenario = changed("no-camera", &[("s_sqrt_s = 0.01", "s_sqrt_s = 0.1"), ("laps = 4", "laps = 1")]);
 
     let walked = (0..200).map(|run| {
         let drive = scenario.drive(run);
-        let errors: Vec<f64> = rates(&drive)
-            .iter()
-            .map(|(step, rate)| (rate - true_turn_rad(&drive, *step) / 0.05) / DEGREE)
-            .collect();
+        let errors: Vec<f64> =
+            rates(&drive).iter().map(|(step, rate)| (rate - true_turn_rad(&drive, *step) / 0.05) / DEGREE).collect();
         let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
         mean(&errors[errors.len() - 200..]) - mean(&errors[..200])
     });
     // Means over 10 s at either end of 79.45 s: a random walk over what lies between, a third of each end, and their noise.
     let between_s = 1589.0_f64 * 0.05 - 20.0 + 20.0 / 3.0;
     let noise = 0.66 * (2.0_f64 / 200.0).sqrt();
-    assert_sigma(
-        rms(walked),
-        (0.1 * between_s.sqrt()).hypot(noise),
-        200,
-        "walk",
-    );
+    assert_sigma(rms(walked), (0.1 * between_s.sqrt()).hypot(noise), 200, "walk");
 }
 
 #[test]
 fn accelerometers_tell_the_change_of_the_wheels_speeds() {
     let drive = bundled("paper-square").drive(0);
     let accelerations = accelerations(&drive);
-    let rest: Vec<f64> = accelerations
-        .iter()
-        .take(40)
-        .flat_map(|(_, left, right)| [*left, *right])
-        .collect();
+    let rest: Vec<f64> = accelerations.iter().take(40).flat_map(|(_, left, right)| [*left, *right]).collect();
     assert_sigma(rms(rest.iter().copied()), 0.05, rest.len(), "noise at rest");
     let speed: f64 = accelerations
         .iter()

@@ -86,17 +86,12 @@ pub(crate) fn true_turn_rad(drive: &Drive, step: usize) -> f64 {
 }
 
 pub(crate) fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
-    let (sum, count) = values.into_iter().fold((0.0, 0.0), |(sum, count), value| {
-        (sum + value * value, count + 1.0)
-    });
+    let (sum, count) = values.into_iter().fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
     f64::sqrt(sum / count)
 }
 
 /// Whether a root mean square over `count` draws fits `expected` within four standard deviations.
 pub(crate) fn assert_sigma(found: f64, expected: f64, count: usize, what: &str) {
     let allowed = 4.0 * expected / (2.0 * count as f64).sqrt();
-    assert!(
-        (found - expected).abs() < allowed,
-        "{what}: {found} instead of {expected} +- {allowed}"
-    );
+    assert!((found - expected).abs() < allowed, "{what}: {found} instead of {expected} +- {allowed}");
 }

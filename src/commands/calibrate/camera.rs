@@ -5,9 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use posebridge_analysis::calibration::camera::{
-    CameraFit, KnownPoint, Similarity, homography, similarity,
-};
+use posebridge_analysis::calibration::camera::{CameraFit, KnownPoint, Similarity, homography, similarity};
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape, plot};
 use posebridge_analysis::report::Table;
 use posebridge_analysis::report::page::{Page, Part};
@@ -50,15 +48,10 @@ pub(super) fn execute(args: &CameraArgs) -> Result<(), Failure> {
         (metric_outcome(&name, &found), metric_toml(&name, &found))
     } else {
         let found = homography(&points).with_context(context).while_running()?;
-        (
-            outcome(&name, &points, &found),
-            toml_of(&name, &points, &found),
-        )
+        (outcome(&name, &points, &found), toml_of(&name, &points, &found))
     };
     if let Some(path) = &args.save {
-        std::fs::write(path, numbers)
-            .with_context(|| format!("writing `{}`", path.display()))
-            .while_running()?;
+        std::fs::write(path, numbers).with_context(|| format!("writing `{}`", path.display())).while_running()?;
     }
     args.output.deliver(&folder, &outcome)
 }
@@ -66,10 +59,7 @@ pub(super) fn execute(args: &CameraArgs) -> Result<(), Failure> {
 fn read(path: &Path) -> Result<Vec<KnownPoint>> {
     let listing = Listing::read(path)?;
     let points = listing.rows().map(|row| {
-        Ok(KnownPoint {
-            seen: [row.number("u")?, row.number("v")?],
-            floor_m: [row.number("x_m")?, row.number("y_m")?],
-        })
+        Ok(KnownPoint { seen: [row.number("u")?, row.number("v")?], floor_m: [row.number("x_m")?, row.number("y_m")?] })
     });
     points.collect()
 }
@@ -123,10 +113,7 @@ fn table(points: &[KnownPoint], found: &CameraFit) -> String {
 
 fn outcome(name: &str, points: &[KnownPoint], found: &CameraFit) -> Outcome {
     let table = table(points, found);
-    let mut text = format!(
-        "camera by {name}\n\n{table}\nresiduals {:.2} mm rms\n",
-        1e3 * found.rms_m
-    );
+    let mut text = format!("camera by {name}\n\n{table}\nresiduals {:.2} mm rms\n", 1e3 * found.rms_m);
     if points.len() == 4 {
         text += "four points always fit: measure a fifth and a sixth to see how good they are\n";
     }
@@ -164,18 +151,12 @@ fn outcome(name: &str, points: &[KnownPoint], found: &CameraFit) -> Outcome {
 }
 
 fn picture(name: &str, points: &[KnownPoint], found: &CameraFit) -> String {
-    let floor = points
-        .iter()
-        .map(|p| (p.floor_m[0], p.floor_m[1]))
-        .collect();
+    let floor = points.iter().map(|p| (p.floor_m[0], p.floor_m[1])).collect();
     let seen = points.iter().map(|p| {
         let [x, y] = found.homography.floor(p.seen);
         (x, y)
     });
-    let curve = |name: &str, points: Vec<(f64, f64)>| Curve {
-        name: name.to_owned(),
-        shape: Shape::Dots(points),
-    };
+    let curve = |name: &str, points: Vec<(f64, f64)>| Curve { name: name.to_owned(), shape: Shape::Dots(points) };
     plot(&Plot {
         title: format!("Camera by {name}"),
         key_figures: format!("residuals {:.2} mm rms", 1e3 * found.rms_m),
@@ -184,10 +165,7 @@ fn picture(name: &str, points: &[KnownPoint], found: &CameraFit) -> String {
             y_name: "y [m]".to_owned(),
             height_px: 420.0,
             is_map: true,
-            curves: vec![
-                curve("by the tape", floor),
-                curve("by the camera", seen.collect()),
-            ],
+            curves: vec![curve("by the tape", floor), curve("by the camera", seen.collect())],
         }],
     })
 }
@@ -203,10 +181,7 @@ fn metric_outcome(name: &str, found: &Similarity) -> Outcome {
     );
     Outcome {
         name: "calibrate-camera",
-        page: Page {
-            title: format!("Camera by {name}"),
-            parts: vec![Part::Lines(text.clone())],
-        },
+        page: Page { title: format!("Camera by {name}"), parts: vec![Part::Lines(text.clone())] },
         json: metric_json(found),
         text,
     }

@@ -27,20 +27,13 @@ impl Listing {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading `{name}`"))?;
         let text = text.trim_start_matches('\u{feff}');
-        let cells = |line: &str| -> Vec<String> {
-            line.split(',').map(|cell| cell.trim().to_owned()).collect()
-        };
-        let mut lines = text
-            .lines()
-            .enumerate()
-            .filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+        let cells = |line: &str| -> Vec<String> { line.split(',').map(|cell| cell.trim().to_owned()).collect() };
+        let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
         let Some((_, header)) = lines.next() else {
             bail!("`{name}` is empty: its first line has to name the columns")
         };
         let columns = cells(header);
-        let rows: Vec<(usize, Vec<String>)> = lines
-            .map(|(index, line)| (index + 1, cells(line)))
-            .collect();
+        let rows: Vec<(usize, Vec<String>)> = lines.map(|(index, line)| (index + 1, cells(line))).collect();
         for (line, cells) in &rows {
             // A spreadsheet may end its lines with commas.
             let beyond = cells.iter().skip(columns.len());
@@ -51,11 +44,7 @@ impl Listing {
                 columns.len()
             );
         }
-        Ok(Self {
-            name,
-            columns,
-            rows,
-        })
+        Ok(Self { name, columns, rows })
     }
 
     /// Whether there is such a column.
@@ -70,11 +59,7 @@ impl Listing {
 
     /// The rows in their order.
     pub(crate) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
-        self.rows.iter().map(|(line, cells)| Row {
-            listing: self,
-            line: *line,
-            cells,
-        })
+        self.rows.iter().map(|(line, cells)| Row { listing: self, line: *line, cells })
     }
 }
 
@@ -83,10 +68,7 @@ impl Row<'_> {
     pub(crate) fn text(&self, column: &str) -> Result<&str> {
         let Listing { name, columns, .. } = self.listing;
         let Some(place) = columns.iter().position(|known| known == column) else {
-            bail!(
-                "`{name}` has no column `{column}`; it has: {}. Name it in the first line",
-                columns.join(", ")
-            )
+            bail!("`{name}` has no column `{column}`; it has: {}. Name it in the first line", columns.join(", "))
         };
         match self.cells.get(place) {
             Some(text) if !text.is_empty() => Ok(text),
@@ -99,11 +81,7 @@ impl Row<'_> {
         let text = self.text(column)?;
         match text.parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(number),
-            _ => bail!(
-                "`{}` line {}: `{text}` in column `{column}` is no number",
-                self.listing.name,
-                self.line
-            ),
+            _ => bail!("`{}` line {}: `{text}` in column `{column}` is no number", self.listing.name, self.line),
         }
     }
 
@@ -129,13 +107,7 @@ mod tests {
         let listing = listing("\u{feff}way, x_mm\n# measured twice\n\ncw , 12.5\n").unwrap();
         let rows: Vec<Row<'_>> = listing.rows().collect();
         assert_eq!(rows.len(), 1);
-        assert_eq!(
-            (
-                rows[0].text("way").unwrap(),
-                rows[0].number("x_mm").unwrap()
-            ),
-            ("cw", 12.5)
-        );
+        assert_eq!((rows[0].text("way").unwrap(), rows[0].number("x_mm").unwrap()), ("cw", 12.5));
         assert!(listing.has("way") && !listing.has("y_mm"));
     }
 
@@ -144,9 +116,7 @@ mod tests {
         let said = listing("way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n").err();
         let said = said.unwrap().to_string();
         assert!(
-            said.ends_with(
-                "t.csv` line 3 has 5 cells under 3 columns; write decimal points, not commas: -12.5"
-            ),
+            said.ends_with("t.csv` line 3 has 5 cells under 3 columns; write decimal points, not commas: -12.5"),
             "{said}"
         );
         let listing = listing("way,x_mm\ncw,-12.5,,\n").unwrap();

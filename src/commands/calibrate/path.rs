@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use posebridge_analysis::calibration::free_path::{
-    AS_GIVEN, Entry, FreePath, PathCalibration, ReckonedError, Reckoning, UNKNOWNS, Unknown,
-    calibrate_path, reckon, starting_heading,
+    AS_GIVEN, Entry, FreePath, PathCalibration, ReckonedError, Reckoning, UNKNOWNS, Unknown, calibrate_path, reckon,
+    starting_heading,
 };
 use posebridge_estimator::FilterConfig;
 use posebridge_link::HostTimer;
@@ -31,8 +31,7 @@ const TRUTH_SIGMA_M: f64 = 0.005;
 const TAPE_SIGMA_M: f64 = 0.01;
 
 /// What a person with a live robot is told to do.
-const TASK: &str =
-    "drive about in the camera's sight, for a minute or two, with turns in both directions";
+const TASK: &str = "drive about in the camera's sight, for a minute or two, with turns in both directions";
 
 /// Flags of `calibrate path`.
 #[derive(Args, Clone, Debug)]
@@ -100,14 +99,11 @@ pub enum Number {
 
 fn freed(text: &str) -> Result<(Number, f64), String> {
     use clap::ValueEnum as _;
-    let (name, sigma) = text
-        .split_once('=')
-        .ok_or("must be NUMBER=SIGMA, e.g. tag-forward=0.02")?;
+    let (name, sigma) = text.split_once('=').ok_or("must be NUMBER=SIGMA, e.g. tag-forward=0.02")?;
     let number = Number::from_str(name, false).map_err(|_unknown| {
         let known = Number::value_variants().iter();
-        let known: Vec<String> = known
-            .filter_map(|number| Some(number.to_possible_value()?.get_name().to_owned()))
-            .collect();
+        let known: Vec<String> =
+            known.filter_map(|number| Some(number.to_possible_value()?.get_name().to_owned())).collect();
         format!("`{name}` is none of {}", known.join(", "))
     })?;
     match sigma.parse::<f64>() {
@@ -200,11 +196,7 @@ impl Material {
     }
 
     fn of_drives(args: &PathArgs, mut drives: Drives, others: &[Drive]) -> Result<Self> {
-        ensure!(
-            !drives.drives.is_empty(),
-            "`{}` holds no run",
-            drives.recording
-        );
+        ensure!(!drives.drives.is_empty(), "`{}` holds no run", drives.recording);
         let is_other = |drive: &Drive| others.iter().any(|other| other.name == drive.name);
         drives.drives.retain(|drive| !is_other(drive));
         let Some(first) = drives.drives.first() else {
@@ -245,10 +237,7 @@ fn watch(args: &PathArgs) -> Result<Watch> {
         truth_sigma_m > 0.0 && truth_sigma_m.is_finite(),
         "--truth-sigma-m is {truth_sigma_m}, must be more than zero"
     );
-    Ok(Watch {
-        against: args.against,
-        truth_sigma_m,
-    })
+    Ok(Watch { against: args.against, truth_sigma_m })
 }
 
 fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<Drives, Failure> {
@@ -264,17 +253,10 @@ fn others(args: &PathArgs) -> Result<Vec<Drive>, Failure> {
     if let (Some(path), false) = (&args.recording, args.try_on.is_empty())
         && own_recording::is_own(path)
     {
-        return Err(anyhow!(
-            "--try-on chooses from a descriptor's runs; `{}` is one drive",
-            path.display()
-        ))
-        .at_start();
+        return Err(anyhow!("--try-on chooses from a descriptor's runs; `{}` is one drive", path.display())).at_start();
     }
     for prefix in &args.try_on {
-        let flags = DataFlags {
-            run: Some(prefix.clone()),
-            ..args.data.clone()
-        };
+        let flags = DataFlags { run: Some(prefix.clone()), ..args.data.clone() };
         for drive in load_drives(args, &flags)?.drives {
             if others.iter().all(|known| known.name != drive.name) {
                 others.push(drive);
@@ -292,8 +274,7 @@ fn paths_of(args: &PathArgs, drives: &[Drive]) -> Result<Vec<FreePath>> {
             "run `{}` has no {}: nothing says where the robot was",
             drive.name,
             match drive.against {
-                Against::Fixes if is_ours =>
-                    "fixes (record it again where its camera sees it; docs/lab/calibrate.md)",
+                Against::Fixes if is_ours => "fixes (record it again where its camera sees it; docs/lab/calibrate.md)",
                 Against::Fixes => "fixes (try --against truth)",
                 Against::Truth => "truth (try --against fixes)",
             }
@@ -303,12 +284,7 @@ fn paths_of(args: &PathArgs, drives: &[Drive]) -> Result<Vec<FreePath>> {
             config.start = None;
         }
         let sights = drive.sights.iter().copied();
-        Ok(FreePath::new(
-            &drive.name,
-            &config,
-            &drive.observations,
-            sights,
-        ))
+        Ok(FreePath::new(&drive.name, &config, &drive.observations, sights))
     });
     paths.collect()
 }
@@ -321,28 +297,19 @@ fn of_segments(args: &PathArgs, file: &std::path::Path) -> Result<Material> {
     let mut robot = with_flags(args, &robot)?;
     // A robot that is measured with a tape is one of which little is known.
     let wide = &mut robot.calibration;
-    for (entry, sigma) in [
-        (&mut wide.radius_scale, 0.2),
-        (&mut wide.radius_difference, 0.05),
-        (&mut wide.track_scale, 0.5),
-    ] {
+    for (entry, sigma) in
+        [(&mut wide.radius_scale, 0.2), (&mut wide.radius_difference, 0.05), (&mut wide.track_scale, 0.5)]
+    {
         if entry.sigma > 0.0 {
             entry.sigma = sigma;
         }
     }
     let sigma_m = args.truth_sigma_m.unwrap_or(TAPE_SIGMA_M);
-    ensure!(
-        sigma_m > 0.0 && sigma_m.is_finite(),
-        "--truth-sigma-m is {sigma_m}, must be more than zero"
-    );
+    ensure!(sigma_m > 0.0 && sigma_m.is_finite(), "--truth-sigma-m is {sigma_m}, must be more than zero");
     Ok(Material {
         recording: file.display().to_string(),
         against: "tape",
-        config: filter_config(
-            &robot,
-            &FilterSection::default(),
-            posebridge_telemetry::World::default(),
-        )?,
+        config: filter_config(&robot, &FilterSection::default(), posebridge_telemetry::World::default())?,
         paths: segments::read(file, sigma_m)?,
         others: Vec::new(),
         robot,
@@ -382,11 +349,7 @@ fn told(material: &Material, found: PathCalibration) -> Result<CalibratedPath, F
         let undone = path.under(&hypothesis);
         let after = heading_rad.unwrap_or(starting_heading(config, &found.after, &undone));
         // Where the heading is found it is no merit of the robot's new numbers.
-        let before = if hypothesis == AS_GIVEN {
-            heading_rad.unwrap_or(before)
-        } else {
-            before
-        };
+        let before = if hypothesis == AS_GIVEN { heading_rad.unwrap_or(before) } else { before };
         TriedRun {
             before: reckon(config, &found.before, path, before),
             after: reckon(config, &found.after, &undone, after),
@@ -394,9 +357,7 @@ fn told(material: &Material, found: PathCalibration) -> Result<CalibratedPath, F
         }
     };
     let runs = material.paths.iter().zip(&found.headings_rad);
-    let runs = runs
-        .map(|(path, heading)| try_on(path, Some(*heading)))
-        .collect();
+    let runs = runs.map(|(path, heading)| try_on(path, Some(*heading))).collect();
     let others = material.others.iter();
     let tried = others.map(|path| try_on(path, None)).collect();
     Ok(CalibratedPath {

@@ -27,10 +27,7 @@ pub(super) fn execute(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure>
     let Some(recording) = &args.recording else {
         return Err(anyhow::anyhow!("--online needs a recording")).at_start();
     };
-    let watch = Watch {
-        against: Some(source::Against::Fixes),
-        truth_sigma_m: 1.0,
-    };
+    let watch = Watch { against: Some(source::Against::Fixes), truth_sigma_m: 1.0 };
     let drives = source::load(recording, &args.data, watch)?;
     let drive = only(&drives.drives).at_start()?;
     let learned = learn(drive).while_running()?;
@@ -45,17 +42,13 @@ pub(super) fn execute(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure>
         };
         calibrated.save(path, timer.utc_start()).while_running()?;
     }
-    args.output
-        .deliver(&folder, &outcome(&drives.recording, &learned))
+    args.output.deliver(&folder, &outcome(&drives.recording, &learned))
 }
 
 fn only(drives: &[Drive]) -> Result<&Drive> {
     match drives {
         [drive] => Ok(drive),
-        _ => bail!(
-            "--online takes what one run has taught, but {} are selected: choose one with --run",
-            drives.len()
-        ),
+        _ => bail!("--online takes what one run has taught, but {} are selected: choose one with --run", drives.len()),
     }
 }
 
@@ -66,44 +59,27 @@ fn learn(drive: &Drive) -> Result<Learned> {
         "run `{}` has no fixes: on line the filter learns from them alone",
         drive.name
     );
-    let Some(entry) = filter_named(FILTER) else {
-        bail!("there is no filter `{FILTER}`")
-    };
+    let Some(entry) = filter_named(FILTER) else { bail!("there is no filter `{FILTER}`") };
     let mut filter = (entry.build)(&drive.config);
     for observation in &drive.observations {
         filter.observe(observation);
     }
-    let Some(calibration) = filter.calibration() else {
-        bail!("the filter `{FILTER}` has learned nothing")
-    };
-    Ok(Learned {
-        run: drive.name.clone(),
-        robot: drive.robot.clone(),
-        prior: drive.config.calibration,
-        calibration,
-    })
+    let Some(calibration) = filter.calibration() else { bail!("the filter `{FILTER}` has learned nothing") };
+    Ok(Learned { run: drive.name.clone(), robot: drive.robot.clone(), prior: drive.config.calibration, calibration })
 }
 
 fn outcome(recording: &str, learned: &Learned) -> Outcome {
-    let text = format!(
-        "{recording}, on line\n\n{}",
-        learned_table(std::slice::from_ref(learned))
-    );
+    let text = format!("{recording}, on line\n\n{}", learned_table(std::slice::from_ref(learned)));
     let entries = CALIBRATION_KEYS.iter().map(|entry| {
         let Known { value, sigma } = (entry.read)(&learned.calibration);
-        (
-            entry.key.to_owned(),
-            json!({ "value": value, "sigma": sigma }),
-        )
+        (entry.key.to_owned(), json!({ "value": value, "sigma": sigma }))
     });
     Outcome {
         name: "calibrate-path",
         page: Page {
             title: format!("What the filter has learned: {recording}"),
             parts: vec![
-                Part::Text(
-                    "The calibration states of the filter `pose` at the end of the run.".to_owned(),
-                ),
+                Part::Text("The calibration states of the filter `pose` at the end of the run.".to_owned()),
                 Part::Lines(text.clone()),
             ],
         },

@@ -2,9 +2,7 @@
 
 use std::fmt::Write as _;
 
-use posebridge_analysis::calibration::free_path::{
-    Entry, ReckonedError, Standing, Wiring, mean_error,
-};
+use posebridge_analysis::calibration::free_path::{Entry, ReckonedError, Standing, Wiring, mean_error};
 use posebridge_analysis::figures::plot::{Axes, Curve, Plot, Shape, plot};
 use posebridge_analysis::report::Table;
 use posebridge_analysis::report::page::{Page, Part};
@@ -93,11 +91,7 @@ impl<'a> Report<'a> {
         let mut remarks = self.findings();
         remarks.extend(self.told.found.entries.iter().map(|entry| {
             let Known { value, sigma } = entry.after;
-            format!(
-                "{} {value:+.5} +- {sigma:.5}: {}",
-                entry.unknown.key(),
-                standing_words(entry.standing)
-            )
+            format!("{} {value:+.5} +- {sigma:.5}: {}", entry.unknown.key(), standing_words(entry.standing))
         }));
         for (what, runs) in self.groups() {
             let [before, after] = mean_errors(runs);
@@ -112,40 +106,22 @@ impl<'a> Report<'a> {
 
     /// Page, tables and object.
     pub(super) fn outcome(&self) -> Outcome {
-        Outcome {
-            name: "calibrate-path",
-            page: self.page(),
-            text: self.text(),
-            json: self.json(),
-        }
+        Outcome { name: "calibrate-path", page: self.page(), text: self.text(), json: self.json() }
     }
 
     fn groups(&self) -> Vec<(&'static str, &'a [TriedRun])> {
         let told = self.told;
-        let all = [
-            ("the runs it was found on", told.runs.as_slice()),
-            ("other runs", told.tried.as_slice()),
-        ];
-        all.into_iter()
-            .filter(|(_, runs)| !runs.is_empty())
-            .collect()
+        let all = [("the runs it was found on", told.runs.as_slice()), ("other runs", told.tried.as_slice())];
+        all.into_iter().filter(|(_, runs)| !runs.is_empty()).collect()
     }
 
     fn text(&self) -> String {
         let told = self.told;
-        let mut text = format!(
-            "{}: {} run(s) against {}\n\n",
-            told.recording,
-            told.runs.len(),
-            told.against
-        );
+        let mut text = format!("{}: {} run(s) against {}\n\n", told.recording, told.runs.len(), told.against);
         text += &self.numbers();
         let _ = writeln!(text, "\n{}", self.geometry());
         if let Some(windows) = told.found.length_windows {
-            let _ = writeln!(
-                text,
-                "wheel radius from the length of the way over {windows} windows"
-            );
+            let _ = writeln!(text, "wheel radius from the length of the way over {windows} windows");
         }
         let _ = writeln!(
             text,
@@ -168,13 +144,7 @@ impl<'a> Report<'a> {
 
     fn numbers(&self) -> String {
         let mut table = Table::new(["number", "before", "found", "sigma", "standing"]);
-        for Entry {
-            unknown,
-            before,
-            after,
-            standing,
-        } in &self.told.found.entries
-        {
+        for Entry { unknown, before, after, standing } in &self.told.found.entries {
             table.push([
                 unknown.key().to_owned(),
                 format!("{:+.5}", before.value),
@@ -197,10 +167,7 @@ impl<'a> Report<'a> {
             1e3 * after.right_wheel_radius_m,
             1e3 * before.track_width_m,
             1e3 * after.track_width_m,
-            count_mm(
-                f64::midpoint(after.left_wheel_radius_m, after.right_wheel_radius_m),
-                after.ticks_per_turn
-            )
+            count_mm(f64::midpoint(after.left_wheel_radius_m, after.right_wheel_radius_m), after.ticks_per_turn)
         )
     }
 
@@ -228,16 +195,10 @@ impl<'a> Report<'a> {
         for run in told.runs.iter().chain(&told.tried).take(DRAWN) {
             parts.push(Part::Figure {
                 svg: picture(run),
-                caption: format!(
-                    "{}: where it was seen, and dead reckoning alone before and after.",
-                    run.path.name
-                ),
+                caption: format!("{}: where it was seen, and dead reckoning alone before and after.", run.path.name),
             });
         }
-        Page {
-            title: format!("Calibration by a watched drive: {}", told.recording),
-            parts,
-        }
+        Page { title: format!("Calibration by a watched drive: {}", told.recording), parts }
     }
 
     fn json(&self) -> Value {
@@ -336,9 +297,7 @@ fn mean_errors(runs: &[TriedRun]) -> [ReckonedError; 2] {
 }
 
 fn errors_table(runs: &[TriedRun]) -> String {
-    let mut table = Table::new([
-        "run", "rms mm", "max mm", "end mm", "rms mm", "max mm", "end mm",
-    ]);
+    let mut table = Table::new(["run", "rms mm", "max mm", "end mm", "rms mm", "max mm", "end mm"]);
     let mut push = |name: &str, [before, after]: [ReckonedError; 2]| {
         let cell = |metres: f64| format!("{:.1}", 1e3 * metres);
         table.push([
@@ -359,18 +318,14 @@ fn errors_table(runs: &[TriedRun]) -> String {
 }
 
 fn run_json(run: &TriedRun) -> Value {
-    let [before, after] = run
-        .errors()
-        .map(|error| json!({ "rms_m": error.rms_m, "max_m": error.max_m, "end_m": error.end_m }));
+    let [before, after] =
+        run.errors().map(|error| json!({ "rms_m": error.rms_m, "max_m": error.max_m, "end_m": error.end_m }));
     json!({ "run": run.path.name, "before": before, "after": after })
 }
 
 fn picture(run: &TriedRun) -> String {
     let points = |places: &[[f64; 2]]| places.iter().map(|[x, y]| (*x, *y)).collect();
-    let line = |name: &str, places: &[[f64; 2]]| Curve {
-        name: name.to_owned(),
-        shape: Shape::Line(points(places)),
-    };
+    let line = |name: &str, places: &[[f64; 2]]| Curve { name: name.to_owned(), shape: Shape::Line(points(places)) };
     let seen: Vec<[f64; 2]> = run.path.sights.iter().map(|sight| sight.place_m).collect();
     let off = |places: &[[f64; 2]]| {
         let sights = run.path.sights.iter().zip(places);
@@ -383,11 +338,7 @@ fn picture(run: &TriedRun) -> String {
     let [before, after] = run.errors();
     plot(&Plot {
         title: run.path.name.clone(),
-        key_figures: format!(
-            "rms {:.1} mm before, {:.1} mm after",
-            1e3 * before.rms_m,
-            1e3 * after.rms_m
-        ),
+        key_figures: format!("rms {:.1} mm before, {:.1} mm after", 1e3 * before.rms_m, 1e3 * after.rms_m),
         axes: vec![
             Axes {
                 x_name: "x [m]".to_owned(),
@@ -406,18 +357,9 @@ fn picture(run: &TriedRun) -> String {
                 height_px: 200.0,
                 is_map: false,
                 curves: vec![
-                    Curve {
-                        name: "seen".to_owned(),
-                        shape: Shape::Level(0.0),
-                    },
-                    Curve {
-                        name: "before".to_owned(),
-                        shape: off(&run.before.places_m),
-                    },
-                    Curve {
-                        name: "after".to_owned(),
-                        shape: off(&run.after.places_m),
-                    },
+                    Curve { name: "seen".to_owned(), shape: Shape::Level(0.0) },
+                    Curve { name: "before".to_owned(), shape: off(&run.before.places_m) },
+                    Curve { name: "after".to_owned(), shape: off(&run.after.places_m) },
                 ],
             },
         ],
@@ -435,10 +377,7 @@ mod tests {
                 continue;
             }
             let words = wiring_words(wiring).unwrap();
-            assert!(
-                words.contains("scale = -1") || words.contains("exchange"),
-                "{words}"
-            );
+            assert!(words.contains("scale = -1") || words.contains("exchange"), "{words}");
         }
         assert_eq!(wiring_words(Wiring::AsGiven), None);
     }

@@ -28,11 +28,7 @@ impl Calibrated {
         let calibrated = CalibratedRobot {
             robot: self.robot.clone(),
             learned: self.calibration,
-            provenance: Provenance {
-                utc_micros,
-                source: self.source.clone(),
-                filter: self.by.to_owned(),
-            },
+            provenance: Provenance { utc_micros, source: self.source.clone(), filter: self.by.to_owned() },
         };
         let mut text = String::new();
         for remark in &self.remarks {
@@ -41,9 +37,7 @@ impl Calibrated {
                 let _ = writeln!(text, "# {line}");
             }
         }
-        text.push_str(
-            "# For a recording of the same robot: `posebridge replay RECORDING --robot FILE`.\n",
-        );
+        text.push_str("# For a recording of the same robot: `posebridge replay RECORDING --robot FILE`.\n");
         Ok(text + &calibrated.to_toml()?)
     }
 
@@ -61,10 +55,8 @@ impl Calibrated {
 pub(super) fn folded(robot: &RobotFile, found: Calibration) -> Result<(RobotFile, Calibration)> {
     let (scale, difference) = (found.radius_scale, found.radius_difference);
     let robot = RobotFile {
-        left_wheel_radius_m: robot.left_wheel_radius_m
-            * (1.0 + scale.value - 0.5 * difference.value),
-        right_wheel_radius_m: robot.right_wheel_radius_m
-            * (1.0 + scale.value + 0.5 * difference.value),
+        left_wheel_radius_m: robot.left_wheel_radius_m * (1.0 + scale.value - 0.5 * difference.value),
+        right_wheel_radius_m: robot.right_wheel_radius_m * (1.0 + scale.value + 0.5 * difference.value),
         track_width_m: robot.track_width_m * (1.0 + found.track_scale.value),
         ..robot.clone()
     };
@@ -72,16 +64,11 @@ pub(super) fn folded(robot: &RobotFile, found: Calibration) -> Result<(RobotFile
         bail!("what was found is no robot: {error}");
     }
     // Relative to the new geometry a sigma is as much smaller as the geometry is larger.
-    let about_zero = |known: Known| Known {
-        value: 0.0,
-        sigma: known.sigma / (1.0 + known.value).max(f64::MIN_POSITIVE),
-    };
+    let about_zero =
+        |known: Known| Known { value: 0.0, sigma: known.sigma / (1.0 + known.value).max(f64::MIN_POSITIVE) };
     let left = Calibration {
         radius_scale: about_zero(scale),
-        radius_difference: Known {
-            value: 0.0,
-            ..difference
-        },
+        radius_difference: Known { value: 0.0, ..difference },
         track_scale: about_zero(found.track_scale),
         ..found
     };
@@ -127,16 +114,8 @@ mod tests {
 
     #[test]
     fn what_is_no_robot_is_not_written() {
-        let found = Calibration {
-            track_scale: Known {
-                value: -1.5,
-                sigma: 0.1,
-            },
-            ..Calibration::default()
-        };
-        let error = folded(&RobotFile::default(), found)
-            .unwrap_err()
-            .to_string();
+        let found = Calibration { track_scale: Known { value: -1.5, sigma: 0.1 }, ..Calibration::default() };
+        let error = folded(&RobotFile::default(), found).unwrap_err().to_string();
         assert!(error.contains("track_width_m"), "{error}");
     }
 }

@@ -59,10 +59,7 @@ struct Channel {
 pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = args.output.folder()?;
-    let watch = Watch {
-        against: None,
-        truth_sigma_m: 1.0,
-    };
+    let watch = Watch { against: None, truth_sigma_m: 1.0 };
     let named = args.recording.as_deref();
     let recording = args.live.or_named(named, &args.output, &args.data, TASK)?;
     let drives = source::load(&recording, &args.data, watch)?;
@@ -91,8 +88,7 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
         };
         calibrated.save(path, timer.utc_start()).while_running()?;
     }
-    args.output
-        .deliver(&folder, &outcome(&drives.recording, &channels))
+    args.output.deliver(&folder, &outcome(&drives.recording, &channels))
 }
 
 /// The channels that tell something; what the others lack is said.
@@ -145,17 +141,11 @@ fn with_noise(robot: &RobotFile, channels: &[Channel]) -> RobotFile {
         if let Some((walk, _)) = rest.walk {
             robot.noise.gyro_bias_walk_rad_per_s_sqrt_s = walk;
         }
-        robot.calibration.gyro_bias_rad_per_s = Some(CalibrationEntry {
-            value: rest.bias,
-            sigma: rest.bias_sigma,
-        });
+        robot.calibration.gyro_bias_rad_per_s = Some(CalibrationEntry { value: rest.bias, sigma: rest.bias_sigma });
     }
     let accelerometers = [find("left accelerometer"), find("right accelerometer")];
     // A profile has no resolution of an accelerometer: its noise is told with the rounding.
-    let noise = accelerometers
-        .into_iter()
-        .flatten()
-        .map(|channel| channel.rest.total);
+    let noise = accelerometers.into_iter().flatten().map(|channel| channel.rest.total);
     let largest = noise.fold(0.0, f64::max);
     if largest > 0.0 {
         robot.noise.accelerometer_m_per_s2 = largest;
@@ -176,10 +166,7 @@ fn table(channels: &[Channel]) -> String {
         "readings",
         "rest s",
     ]);
-    for Channel {
-        name, unit, rest, ..
-    } in channels
-    {
+    for Channel { name, unit, rest, .. } in channels {
         table.push([
             (*name).to_owned(),
             (*unit).to_owned(),
@@ -188,8 +175,7 @@ fn table(channels: &[Channel]) -> String {
             format!("{:.5}", rest.beside_rounding()),
             format!("{:.5}", rest.total),
             format!("{:.5}", rest.quantum.unwrap_or(0.0)),
-            rest.walk
-                .map_or_else(|| "-".to_owned(), |(walk, _)| format!("{walk:.6}")),
+            rest.walk.map_or_else(|| "-".to_owned(), |(walk, _)| format!("{walk:.6}")),
             rest.samples.to_string(),
             format!("{:.1}", rest.rest_s),
         ]);
@@ -204,21 +190,12 @@ fn outcome(recording: &str, channels: &[Channel]) -> Outcome {
         height_px: 200.0,
         is_map: false,
         curves: vec![
-            Curve {
-                name: "reading".to_owned(),
-                shape: Shape::Line(channel.readings.clone()),
-            },
-            Curve {
-                name: "bias".to_owned(),
-                shape: Shape::Level(channel.rest.bias),
-            },
+            Curve { name: "reading".to_owned(), shape: Shape::Line(channel.readings.clone()) },
+            Curve { name: "bias".to_owned(), shape: Shape::Level(channel.rest.bias) },
         ],
     });
-    let picture = plot(&Plot {
-        title: format!("At rest: {recording}"),
-        key_figures: String::new(),
-        axes: axes.collect(),
-    });
+    let picture =
+        plot(&Plot { title: format!("At rest: {recording}"), key_figures: String::new(), axes: axes.collect() });
     let table = table(channels);
     let json: Vec<Value> = channels
         .iter()
@@ -242,14 +219,11 @@ fn outcome(recording: &str, channels: &[Channel]) -> Outcome {
         page: Page {
             title: format!("At rest: {recording}"),
             parts: vec![
-                Part::Text(
-                    "Readings while the wheels stood: what is left is bias and noise.".to_owned(),
-                ),
+                Part::Text("Readings while the wheels stood: what is left is bias and noise.".to_owned()),
                 Part::Lines(table.clone()),
                 Part::Figure {
                     svg: picture,
-                    caption: "A bias that walks shows as a bend, a coarse sensor as steps."
-                        .to_owned(),
+                    caption: "A bias that walks shows as a bend, a coarse sensor as steps.".to_owned(),
                 },
             ],
         },

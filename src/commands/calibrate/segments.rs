@@ -35,29 +35,16 @@ pub(super) fn read(path: &Path, sigma_m: f64) -> Result<Vec<FreePath>> {
         };
         add(path, &row, sigma_m)?;
     }
-    ensure!(
-        !paths.is_empty(),
-        "`{}` has a first line and no rows",
-        path.display()
-    );
+    ensure!(!paths.is_empty(), "`{}` has a first line and no rows", path.display());
     Ok(paths)
 }
 
 fn begun(run: &str, sigma_m: f64) -> FreePath {
     FreePath {
         name: run.to_owned(),
-        start: PathStart {
-            pose: [0.0; 3],
-            position_sigma_m: PLACED_M,
-            heading_sigma_rad: PLACED_RAD,
-        },
+        start: PathStart { pose: [0.0; 3], position_sigma_m: PLACED_M, heading_sigma_rad: PLACED_RAD },
         steps: Vec::new(),
-        sights: vec![Sight {
-            at_s: 0.0,
-            place_m: [0.0; 2],
-            sigma_m,
-            tag_m: [0.0; 2],
-        }],
+        sights: vec![Sight { at_s: 0.0, place_m: [0.0; 2], sigma_m, tag_m: [0.0; 2] }],
     }
 }
 

@@ -59,9 +59,7 @@ const SAME_SHARE: f64 = 1e-6;
 ///
 /// # Errors
 /// Two are not; the message names them.
-pub(crate) fn same_robot<'a>(
-    drives: impl IntoIterator<Item = (&'a str, &'a DriveGeometry)>,
-) -> Result<()> {
+pub(crate) fn same_robot<'a>(drives: impl IntoIterator<Item = (&'a str, &'a DriveGeometry)>) -> Result<()> {
     let mut drives = drives.into_iter();
     let Some((first, geometry)) = drives.next() else {
         return Ok(());
@@ -76,14 +74,7 @@ pub(crate) fn same_robot<'a>(
 }
 
 fn is_same(one: &DriveGeometry, other: &DriveGeometry) -> bool {
-    let numbers = |of: &DriveGeometry| {
-        [
-            of.left_wheel_radius.0,
-            of.right_wheel_radius.0,
-            of.track_width.0,
-            of.tick.0,
-        ]
-    };
+    let numbers = |of: &DriveGeometry| [of.left_wheel_radius.0, of.right_wheel_radius.0, of.track_width.0, of.tick.0];
     let mut pairs = numbers(one).into_iter().zip(numbers(other));
     pairs.all(|(one, other)| (one - other).abs() <= SAME_SHARE * one.abs())
 }
@@ -94,10 +85,7 @@ fn is_same(one: &DriveGeometry, other: &DriveGeometry) -> bool {
 /// The recording cannot be read or makes no sense.
 pub(crate) fn load(recording: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives, Failure> {
     if !own_recording::is_own(recording) {
-        let flags = DataFlags {
-            use_every: flags.use_every.or(Some(1)),
-            ..flags.clone()
-        };
+        let flags = DataFlags { use_every: flags.use_every.or(Some(1)), ..flags.clone() };
         return load_descriptor(recording, &flags, watch);
     }
     load_own(recording, flags, watch).at_start()
@@ -112,12 +100,7 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drive
     for loaded in loaded {
         let loaded = loaded.at_start()?;
         tell_bad_rows(&loaded);
-        let observations: Vec<Observation> = loaded
-            .run
-            .observations
-            .iter()
-            .map(|timed| timed.observation)
-            .collect();
+        let observations: Vec<Observation> = loaded.run.observations.iter().map(|timed| timed.observation).collect();
         let fixes = fix_sights(&observations, &loaded.filter_config);
         let withheld = loaded.run.withheld.iter().map(|withheld| Sight {
             at_s: seconds(withheld.stamp),
@@ -132,11 +115,7 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drive
             sigma_m: watch.truth_sigma_m,
             tag_m: [0.0; 2],
         });
-        let against = watch.against.unwrap_or(if fixes.is_empty() {
-            Against::Truth
-        } else {
-            Against::Fixes
-        });
+        let against = watch.against.unwrap_or(if fixes.is_empty() { Against::Truth } else { Against::Fixes });
         drives.push(Drive {
             name: loaded.run.name.clone(),
             robot: loaded.robot,
@@ -150,10 +129,7 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drive
             against,
         });
     }
-    Ok(Drives {
-        recording: data.descriptor.name,
-        drives,
-    })
+    Ok(Drives { recording: data.descriptor.name, drives })
 }
 
 /// A recording of ours: one drive.
@@ -167,10 +143,7 @@ fn load_own(path: &Path, flags: &DataFlags, watch: Watch) -> Result<Drives> {
         flags.run.is_none() && flags.use_every.is_none(),
         "--run and --use-every choose from a descriptor's data, not from a recording of ours"
     );
-    let overlay = Overlay {
-        robot: None,
-        settings: &flags.settings,
-    };
+    let overlay = Overlay { robot: None, settings: &flags.settings };
     let run = own_recording::read(path, overlay)?;
     Ok(Drives {
         recording: run.name.clone(),
@@ -191,9 +164,7 @@ fn fix_sights(observations: &[Observation], config: &FilterConfig) -> Vec<Sight>
         let Observed::Fix(fix) = observation.observed else {
             return None;
         };
-        let claimed = fix
-            .covariance
-            .map(|claimed| f64::midpoint(claimed.xx_m2, claimed.yy_m2).sqrt());
+        let claimed = fix.covariance.map(|claimed| f64::midpoint(claimed.xx_m2, claimed.yy_m2).sqrt());
         Some(Sight {
             at_s: seconds(observation.stamp),
             place_m: [fix.position.x.0, fix.position.y.0],
@@ -210,8 +181,7 @@ mod tests {
     use posebridge_telemetry::Meters;
 
     #[test]
-    fn a_robot_that_described_itself_in_single_precision_is_the_same_and_another_track_is_another_robot()
-     {
+    fn a_robot_that_described_itself_in_single_precision_is_the_same_and_another_track_is_another_robot() {
         let told = RobotFile::default().geometry().unwrap();
         let mut described = told;
         described.left_wheel_radius = Meters(f64::from(told.left_wheel_radius.0 as f32));

@@ -35,8 +35,7 @@ const SEEN_SIGMA_M: f64 = 0.005;
 const DOUBTFUL: f64 = 0.5;
 
 /// What a person with a live robot is told to do.
-const TASK: &str =
-    "drive one square before the camera, back to where it began, in one direction, and stop there";
+const TASK: &str = "drive one square before the camera, back to where it began, in one direction, and stop there";
 
 /// Flags of `calibrate umbmark`.
 #[derive(Args, Clone, Debug)]
@@ -145,26 +144,15 @@ fn told(args: &UmbmarkArgs) -> Result<Told, Failure> {
             FreePath::new(&drive.name, &drive.config, &drive.observations, sights)
         })
         .collect();
-    let recorded = of_drives(&first.config, &paths, args.side_m)
-        .map_err(|error| advised(error, &drives))
-        .while_running()?;
-    Ok(Told {
-        source: names(&drives),
-        robot: first.robot.clone(),
-        ..recorded
-    })
+    let recorded =
+        of_drives(&first.config, &paths, args.side_m).map_err(|error| advised(error, &drives)).while_running()?;
+    Ok(Told { source: names(&drives), robot: first.robot.clone(), ..recorded })
 }
 
 /// The squares of all recordings, that of the live robot last.
 fn drives(args: &UmbmarkArgs) -> Result<Vec<Drive>, Failure> {
-    let watch = Watch {
-        against: None,
-        truth_sigma_m: SEEN_SIGMA_M,
-    };
-    let robot = LiveRobot {
-        file: None,
-        settings: &args.data.settings,
-    };
+    let watch = Watch { against: None, truth_sigma_m: SEEN_SIGMA_M };
+    let robot = LiveRobot { file: None, settings: &args.data.settings };
     args.live.refuse_choice(&args.data)?;
     let live = args.live.record(&args.output, robot, TASK)?;
     let mut drives = Vec::new();
@@ -176,10 +164,7 @@ fn drives(args: &UmbmarkArgs) -> Result<Vec<Drive>, Failure> {
 
 /// With what to do when a direction is missing: one recording is one square, unless a descriptor chooses several.
 fn advised(error: anyhow::Error, drives: &[Drive]) -> anyhow::Error {
-    let is_too_little = matches!(
-        error.downcast_ref(),
-        Some(CalibrationError::TooLittle { .. })
-    );
+    let is_too_little = matches!(error.downcast_ref(), Some(CalibrationError::TooLittle { .. }));
     let are_seen = drives.iter().all(|drive| !drive.sights.is_empty());
     if !(is_too_little && are_seen) {
         return error;
@@ -201,16 +186,10 @@ fn of_typed(args: &UmbmarkArgs, path: &std::path::Path) -> Result<Told> {
         Some(profile) => RobotProfile::read(profile)?.robot,
         None => RobotFile::default(),
     };
-    ensure!(
-        args.side_m.is_some(),
-        "--ends needs --side-m: the length of a side of the square, in metres"
-    );
+    ensure!(args.side_m.is_some(), "--ends needs --side-m: the length of a side of the square, in metres");
     let side_m = args.side_m.unwrap_or_default();
     let runs = typed(path)?;
-    let square = SquareRobot {
-        track_width_m: robot.geometry()?.track_width.0,
-        side_m,
-    };
+    let square = SquareRobot { track_width_m: robot.geometry()?.track_width.0, side_m };
     Ok(Told {
         source: path.display().to_string(),
         found: umbmark(&runs, square)?,
@@ -239,18 +218,9 @@ fn of_drives(config: &FilterConfig, paths: &[FreePath], side_m: Option<f64>) -> 
 
 fn of_simulated(args: &UmbmarkArgs) -> Result<Told> {
     let simulated = simulated(args.runs, args.seed)?;
-    let squares = calibrate_squares(
-        &simulated.config,
-        &simulated.squares,
-        Some(simulated.side_m),
-    )?;
-    let error_of = |numbers| -> Result<SquareError> {
-        Ok(square_error(&ends(
-            &simulated.config,
-            numbers,
-            &simulated.others,
-        )?)?)
-    };
+    let squares = calibrate_squares(&simulated.config, &simulated.squares, Some(simulated.side_m))?;
+    let error_of =
+        |numbers| -> Result<SquareError> { Ok(square_error(&ends(&simulated.config, numbers, &simulated.others)?)?) };
     let others = [error_of(&squares.before)?, error_of(&squares.after)?];
     let (truth, told) = (simulated.true_geometry, simulated.config.geometry);
     let (left, right) = (truth.left_wheel_radius.0, truth.right_wheel_radius.0);
@@ -262,10 +232,7 @@ fn of_simulated(args: &UmbmarkArgs) -> Result<Told> {
         runs_before: squares.runs_before,
         runs_after: squares.runs_after,
         others: Some(others),
-        truth: Some([
-            truth.track_width.0 / told.track_width.0 - 1.0,
-            (right - left) / f64::midpoint(left, right),
-        ]),
+        truth: Some([truth.track_width.0 / told.track_width.0 - 1.0, (right - left) / f64::midpoint(left, right)]),
     })
 }
 
@@ -274,10 +241,7 @@ impl Told {
         let prior = &self.robot.calibration.radius_scale;
         Calibration {
             // A closed square does not see the mean wheel size.
-            radius_scale: posebridge_telemetry::Known {
-                value: 0.0,
-                sigma: prior.sigma,
-            },
+            radius_scale: posebridge_telemetry::Known { value: 0.0, sigma: prior.sigma },
             radius_difference: self.found.radius_difference,
             track_scale: self.found.track_scale,
             ..Calibration::default()
@@ -297,19 +261,11 @@ impl Told {
     }
 
     fn lines(&self) -> Vec<String> {
-        let Umbmark {
-            track_scale,
-            radius_difference,
-            error,
-            ..
-        } = &self.found;
+        let Umbmark { track_scale, radius_difference, error, .. } = &self.found;
         let mut lines = vec![
             format!(
                 "track_scale {:+.5} +- {:.5}, radius_difference {:+.5} +- {:.5}",
-                track_scale.value,
-                track_scale.sigma,
-                radius_difference.value,
-                radius_difference.sigma
+                track_scale.value, track_scale.sigma, radius_difference.value, radius_difference.sigma
             ),
             format!(
                 "each corner turns {:+.3} degrees too far, each side bends to the left by {:+.3} degrees, squares of {:.2} m",
@@ -317,17 +273,10 @@ impl Told {
                 self.found.bend_rad.to_degrees(),
                 self.side_m
             ),
-            format!(
-                "systematic error {:.1} mm, scatter {:.1} mm",
-                1e3 * error.systematic_m,
-                1e3 * error.scatter_m
-            ),
+            format!("systematic error {:.1} mm, scatter {:.1} mm", 1e3 * error.systematic_m, 1e3 * error.scatter_m),
         ];
         if let Ok(after) = square_error(&self.runs_after) {
-            lines.push(format!(
-                "the same squares reckoned anew: {:.1} mm",
-                1e3 * after.systematic_m
-            ));
+            lines.push(format!("the same squares reckoned anew: {:.1} mm", 1e3 * after.systematic_m));
         }
         if let Some([before, after]) = &self.others {
             lines.push(format!(
@@ -338,20 +287,13 @@ impl Told {
             ));
         }
         if let Some([track, difference]) = self.truth {
-            lines.push(format!(
-                "the true ones: track_scale {track:+.5}, radius_difference {difference:+.5}"
-            ));
+            lines.push(format!("the true ones: track_scale {track:+.5}, radius_difference {difference:+.5}"));
         }
         lines
     }
 
     fn outcome(&self) -> Outcome {
-        Outcome {
-            name: "calibrate-umbmark",
-            page: self.page(),
-            text: self.text(),
-            json: self.json(),
-        }
+        Outcome { name: "calibrate-umbmark", page: self.page(), text: self.text(), json: self.json() }
     }
 
     fn text(&self) -> String {
@@ -375,9 +317,8 @@ impl Told {
         let mut table = Table::new(["direction", "ahead mm", "left mm", "then", "then"]);
         for (index, run) in self.runs_before.iter().enumerate() {
             let then = self.runs_after.get(index);
-            let cell = |metres: Option<f64>| {
-                metres.map_or_else(|| "-".to_owned(), |metres| format!("{:+.1}", 1e3 * metres))
-            };
+            let cell =
+                |metres: Option<f64>| metres.map_or_else(|| "-".to_owned(), |metres| format!("{:+.1}", 1e3 * metres));
             table.push([
                 direction_name(run.direction).to_owned(),
                 cell(Some(run.ahead_m)),
@@ -393,14 +334,10 @@ impl Told {
         Page {
             title: format!("UMBmark: {}", self.source),
             parts: vec![
-                Part::Text(
-                    "Where squares ended beside the place at which odometry believed them to end."
-                        .to_owned(),
-                ),
+                Part::Text("Where squares ended beside the place at which odometry believed them to end.".to_owned()),
                 Part::Figure {
                     svg: self.picture(),
-                    caption: "Two clouds away from home: a systematic error. Their size: chance."
-                        .to_owned(),
+                    caption: "Two clouds away from home: a systematic error. Their size: chance.".to_owned(),
                 },
                 Part::List(self.lines()),
                 Part::List(self.doubts()),
@@ -412,30 +349,19 @@ impl Told {
     fn picture(&self) -> String {
         let dots = |name: &str, runs: &[SquareRun], direction: Direction| {
             let ends = runs.iter().filter(|run| run.direction == direction);
-            Curve {
-                name: name.to_owned(),
-                shape: Shape::Dots(ends.map(|run| (run.ahead_m, run.left_m)).collect()),
-            }
+            Curve { name: name.to_owned(), shape: Shape::Dots(ends.map(|run| (run.ahead_m, run.left_m)).collect()) }
         };
         let (cw, ccw) = (Direction::Clockwise, Direction::CounterClockwise);
-        let mut curves = vec![
-            dots("clockwise", &self.runs_before, cw),
-            dots("counter-clockwise", &self.runs_before, ccw),
-        ];
+        let mut curves =
+            vec![dots("clockwise", &self.runs_before, cw), dots("counter-clockwise", &self.runs_before, ccw)];
         if !self.runs_after.is_empty() {
             curves.push(dots("clockwise, after", &self.runs_after, cw));
             curves.push(dots("counter-clockwise, after", &self.runs_after, ccw));
         }
-        curves.push(Curve {
-            name: "home".to_owned(),
-            shape: Shape::Dots(vec![(0.0, 0.0)]),
-        });
+        curves.push(Curve { name: "home".to_owned(), shape: Shape::Dots(vec![(0.0, 0.0)]) });
         plot(&Plot {
             title: format!("UMBmark: {}", self.source),
-            key_figures: format!(
-                "systematic error {:.1} mm",
-                1e3 * self.found.error.systematic_m
-            ),
+            key_figures: format!("systematic error {:.1} mm", 1e3 * self.found.error.systematic_m),
             axes: vec![Axes {
                 x_name: "ahead [m]".to_owned(),
                 y_name: "left [m]".to_owned(),

@@ -26,24 +26,13 @@ pub(super) fn typed(path: &Path) -> Result<Vec<SquareRun>> {
         let direction = match row.text("direction")? {
             "cw" => Direction::Clockwise,
             "ccw" => Direction::CounterClockwise,
-            other => bail!(
-                "{}: `{other}` in column `direction` is neither cw nor ccw",
-                row.place()
-            ),
+            other => bail!("{}: `{other}` in column `direction` is neither cw nor ccw", row.place()),
         };
         let off = |measured: &str, odometry: &str| -> Result<f64> {
-            let shown = if has_odometry {
-                row.number(odometry)?
-            } else {
-                0.0
-            };
+            let shown = if has_odometry { row.number(odometry)? } else { 0.0 };
             Ok(1e-3 * (row.number(measured)? - shown))
         };
-        Ok(SquareRun {
-            direction,
-            ahead_m: off("x_mm", "odometry_x_mm")?,
-            left_m: off("y_mm", "odometry_y_mm")?,
-        })
+        Ok(SquareRun { direction, ahead_m: off("x_mm", "odometry_x_mm")?, left_m: off("y_mm", "odometry_y_mm")? })
     });
     runs.collect()
 }
@@ -63,9 +52,7 @@ pub(super) struct Simulated {
 /// Drives `runs` squares in each direction, and four times as many for trying.
 pub(super) fn simulated(runs: u32, seed: Option<u64>) -> Result<Simulated> {
     let mut scenario = Scenario::from_toml(SCENARIO).context("the bundled squares")?;
-    let Course::Laps(laps) = &mut scenario.path else {
-        bail!("the bundled squares are no laps")
-    };
+    let Course::Laps(laps) = &mut scenario.path else { bail!("the bundled squares are no laps") };
     laps.laps = 2 * runs * 5;
     let (laps, step_s) = (*laps, scenario.step_s);
     if let Some(seed) = seed {
@@ -83,10 +70,7 @@ pub(super) fn simulated(runs: u32, seed: Option<u64>) -> Result<Simulated> {
     let rest_steps = (laps.rest_s / step_s).round() as usize;
     let steps = drive.truth.len().saturating_sub(1 + rest_steps);
     let lap_steps = steps / laps.laps as usize;
-    ensure!(
-        lap_steps > 0 && lap_steps * laps.laps as usize == steps,
-        "the simulated laps are not alike"
-    );
+    ensure!(lap_steps > 0 && lap_steps * laps.laps as usize == steps, "the simulated laps are not alike");
     let mut squares: Vec<FreePath> = (0..laps.laps as usize)
         .map(|lap| {
             let first = rest_steps + lap * lap_steps;
@@ -94,27 +78,13 @@ pub(super) fn simulated(runs: u32, seed: Option<u64>) -> Result<Simulated> {
         })
         .collect::<Result<_>>()?;
     let others = squares.split_off(2 * runs as usize);
-    Ok(Simulated {
-        robot,
-        config,
-        squares,
-        others,
-        true_geometry: drive.true_geometry,
-        side_m: laps.side_m,
-    })
+    Ok(Simulated { robot, config, squares, others, true_geometry: drive.true_geometry, side_m: laps.side_m })
 }
 
 fn lap_of(drive: &Drive, config: &FilterConfig, first: usize, last: usize) -> Result<FreePath> {
-    let start = drive
-        .truth
-        .get(first)
-        .ok_or_else(|| anyhow!("a simulated lap begins after its drive"))?;
+    let start = drive.truth.get(first).ok_or_else(|| anyhow!("a simulated lap begins after its drive"))?;
     let config = FilterConfig {
-        start: Some(StartPose {
-            pose: *start,
-            position_sigma_m: EXACT_M,
-            heading_sigma_rad: EXACT_M,
-        }),
+        start: Some(StartPose { pose: *start, position_sigma_m: EXACT_M, heading_sigma_rad: EXACT_M }),
         ..config.clone()
     };
     let observations: Vec<Observation> = drive

@@ -22,10 +22,7 @@ pub fn check(examination: &Examination) -> Vec<Verdict> {
         return verdicts;
     }
     if verdicts.is_empty() {
-        verdicts.push(Verdict::ok(format!(
-            "adapter {} is not blocked",
-            adapters.join(", ")
-        )));
+        verdicts.push(Verdict::ok(format!("adapter {} is not blocked", adapters.join(", "))));
     }
     if running(roots, &["bluetoothd"]).is_none() {
         verdicts.push(Verdict::warning(
@@ -64,12 +61,8 @@ fn block_of(radio: &Path) -> Option<Verdict> {
             "use the switch or key of the computer, or its firmware settings",
         ));
     }
-    is_set("soft").then(|| {
-        Verdict::problem(
-            format!("Bluetooth radio {name} is blocked"),
-            "run `rfkill unblock bluetooth`",
-        )
-    })
+    is_set("soft")
+        .then(|| Verdict::problem(format!("Bluetooth radio {name} is blocked"), "run `rfkill unblock bluetooth`"))
 }
 
 /// The devices that are paired, where that can be read.

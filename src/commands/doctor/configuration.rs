@@ -11,9 +11,7 @@ use crate::link_target::{LinkTarget, load_scenario};
 #[must_use]
 pub fn check(examination: &Examination) -> Vec<Verdict> {
     let path = examination.config.as_deref();
-    let name = path.map_or("the embedded default".to_owned(), |path| {
-        path.display().to_string()
-    });
+    let name = path.map_or("the embedded default".to_owned(), |path| path.display().to_string());
     let loaded = match config::load(path, &[]) {
         Ok(loaded) => loaded,
         Err(error) => return vec![wrong(&error.to_string())],

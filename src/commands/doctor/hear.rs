@@ -28,8 +28,7 @@ impl Heard {
 
     fn is_enough(&self) -> bool {
         let found = self.recognised();
-        self.bytes.len() >= MOST_BYTES
-            || (found.protocol.is_checked() && found.frames >= ENOUGH_FRAMES)
+        self.bytes.len() >= MOST_BYTES || (found.protocol.is_checked() && found.frames >= ENOUGH_FRAMES)
     }
 }
 

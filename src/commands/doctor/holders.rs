@@ -49,9 +49,7 @@ fn none_found(devices: usize, hidden: usize) -> Verdict {
     if hidden == 0 {
         Verdict::ok(said)
     } else {
-        Verdict::ok(format!(
-            "{said}; {hidden} programs of other people cannot be looked into (sudo sees them)"
-        ))
+        Verdict::ok(format!("{said}; {hidden} programs of other people cannot be looked into (sudo sees them)"))
     }
 }
 
@@ -81,11 +79,7 @@ fn holders(roots: &Roots, devices: &BTreeSet<PathBuf>) -> (Vec<Holder>, usize) {
             hidden += 1;
             continue;
         };
-        let held: BTreeSet<&Path> = files
-            .iter()
-            .filter_map(|file| devices.get(file))
-            .map(PathBuf::as_path)
-            .collect();
+        let held: BTreeSet<&Path> = files.iter().filter_map(|file| devices.get(file)).map(PathBuf::as_path).collect();
         found.extend(held.into_iter().map(|device| Holder {
             device: device.to_owned(),
             name: process.name.clone(),

@@ -17,22 +17,15 @@ use crate::stderr::say;
 
 /// Speeds that are tried after the one of the link, the usual ones first: telemetry radios and Bluetooth modules leave the
 /// factory at 57600 and 9600, boards are programmed for the rest.
-const SPEEDS_BAUD: [u32; 8] = [
-    115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600,
-];
+const SPEEDS_BAUD: [u32; 8] = [115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600];
 
 /// Listens on each link in turn.
 #[must_use]
 pub fn check(examination: &Examination) -> Vec<Verdict> {
     if examination.links.is_empty() {
-        return vec![Verdict::skipped(
-            "no link was given: `posebridge doctor serial:///dev/ttyUSB0` listens there",
-        )];
+        return vec![Verdict::skipped("no link was given: `posebridge doctor serial:///dev/ttyUSB0` listens there")];
     }
-    let listener = Listener {
-        timer: HostTimer::start(),
-        listen_for: Span::from_secs_f64(examination.listen_for_s),
-    };
+    let listener = Listener { timer: HostTimer::start(), listen_for: Span::from_secs_f64(examination.listen_for_s) };
     on_a_runtime(async {
         let mut verdicts = Vec::new();
         for link in &examination.links {
@@ -54,10 +47,7 @@ impl Listener {
         let url = match LinkUrl::parse(link) {
             Ok(url) => url,
             Err(error) => {
-                return Verdict::problem(
-                    error.to_string(),
-                    "docs/links.md says how a link is written",
-                );
+                return Verdict::problem(error.to_string(), "docs/links.md says how a link is written");
             }
         };
         match url.transport().scheme() {
@@ -66,9 +56,9 @@ impl Listener {
                 Ok(heard) => judge(link, &heard),
                 Err(verdict) => verdict,
             },
-            scheme => Verdict::skipped(format!(
-                "{link}: serial, tcp and udp links can be listened on, {scheme} links cannot"
-            )),
+            scheme => {
+                Verdict::skipped(format!("{link}: serial, tcp and udp links can be listened on, {scheme} links cannot"))
+            }
         }
     }
 
@@ -85,10 +75,7 @@ impl Listener {
 }
 
 /// Listens at the link's own speed and, if that is noise, at the others.
-async fn try_speeds(
-    url: &LinkUrl,
-    mut attempt: impl AsyncFnMut(&LinkUrl) -> Result<Heard, Verdict>,
-) -> Verdict {
+async fn try_speeds(url: &LinkUrl, mut attempt: impl AsyncFnMut(&LinkUrl) -> Result<Heard, Verdict>) -> Verdict {
     let first = match attempt(url).await {
         Ok(heard) => heard,
         Err(verdict) => return verdict,
@@ -116,9 +103,7 @@ async fn try_speeds(
     }
     let bytes = first.bytes.len();
     Verdict {
-        what: format!(
-            "{url}: noise at {own_baud} baud ({bytes} bytes) and at every other usual speed"
-        ),
+        what: format!("{url}: noise at {own_baud} baud ({bytes} bytes) and at every other usual speed"),
         ..at_own
     }
 }
@@ -170,18 +155,13 @@ fn judge(place: &str, heard: &Heard) -> Verdict {
     let said = describe(place, heard, found);
     match found.protocol {
         Protocol::Silence => silence(place, heard),
-        Protocol::Noise => Verdict::problem(
-            said,
-            "check the speed, the wires (ground too) and that both ends speak one protocol",
-        ),
-        Protocol::Mavlink1 => Verdict::warning(
-            said,
-            "let the robot send MAVLink 2, or set `accept_mavlink1 = true` for its link",
-        ),
-        Protocol::Nmea => Verdict::warning(
-            said,
-            "this is a satellite receiver: the robot is on another port",
-        ),
+        Protocol::Noise => {
+            Verdict::problem(said, "check the speed, the wires (ground too) and that both ends speak one protocol")
+        }
+        Protocol::Mavlink1 => {
+            Verdict::warning(said, "let the robot send MAVLink 2, or set `accept_mavlink1 = true` for its link")
+        }
+        Protocol::Nmea => Verdict::warning(said, "this is a satellite receiver: the robot is on another port"),
         Protocol::Mavlink2 | Protocol::Nxt | Protocol::Ev3 | Protocol::Text => {
             let is_read = found.protocol.codec().and_then(brick_protocol).is_some();
             if is_read {
@@ -229,10 +209,7 @@ fn wrong_speed(url: &LinkUrl, own_baud: u32, heard: &Heard) -> Verdict {
         "" => link,
         further => format!("{link}; {further}"),
     };
-    Verdict::warning(
-        format!("{}; at {own_baud} baud it is noise", said.what),
-        advice,
-    )
+    Verdict::warning(format!("{}; at {own_baud} baud it is noise", said.what), advice)
 }
 
 #[cfg(test)]

@@ -136,11 +136,7 @@ impl Verdict {
     }
 
     fn new(status: Status, what: impl Into<String>, advice: impl Into<String>) -> Self {
-        Self {
-            status,
-            what: what.into(),
-            advice: advice.into(),
-        }
+        Self { status, what: what.into(), advice: advice.into() }
     }
 }
 
@@ -157,18 +153,12 @@ pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
         listen_for_s: args.listen_for,
     };
     let findings = examine(&examination);
-    let text = if args.json {
-        report::json(&findings).while_running()?
-    } else {
-        report::text(&findings)
-    };
+    let text = if args.json { report::json(&findings).while_running()? } else { report::text(&findings) };
     stdout::print(&text).while_running()?;
     match report::count(&findings, Status::Problem) {
         0 => Ok(()),
         1 => Err(Failure::Failed(anyhow!("the doctor found a problem"))),
-        count => Err(Failure::Failed(anyhow!(
-            "the doctor found {count} problems"
-        ))),
+        count => Err(Failure::Failed(anyhow!("the doctor found {count} problems"))),
     }
 }
 

@@ -31,9 +31,7 @@ pub fn check(examination: &Examination) -> Vec<Verdict> {
         .filter(|port| port.name.starts_with(PROBED) && !is_ignored(port, roots))
         .collect();
     if probed.is_empty() {
-        return vec![Verdict::ok(
-            "ModemManager runs, but has no port here that it would probe",
-        )];
+        return vec![Verdict::ok("ModemManager runs, but has no port here that it would probe")];
     }
     probed.iter().map(verdict).collect()
 }

@@ -1,8 +1,6 @@
 //! Opens a link once, without waiting for it to come up later, and leaves a serial line as it was.
 
-use posebridge_link::{
-    HostTimer, LineSettings, LinkUrl, OpenError, Port, PortConfig, PortEvent, PortTuning, Role,
-};
+use posebridge_link::{HostTimer, LineSettings, LinkUrl, OpenError, Port, PortConfig, PortEvent, PortTuning, Role};
 use posebridge_telemetry::LinkId;
 
 use super::Verdict;
@@ -19,15 +17,8 @@ pub(super) enum Opened {
 
 /// Opens a link; takes at most the deadline of the transports, five seconds.
 pub(super) async fn open(url: &LinkUrl, role: Role, timer: HostTimer) -> Opened {
-    let config = PortConfig {
-        id: LinkId(0),
-        url: url.clone(),
-        role,
-    };
-    let tuning = PortTuning {
-        line_settings: LineSettings::PutBack,
-        ..PortTuning::default()
-    };
+    let config = PortConfig { id: LinkId(0), url: url.clone(), role };
+    let tuning = PortTuning { line_settings: LineSettings::PutBack, ..PortTuning::default() };
     let mut port = Port::tuned(config, tuning, timer);
     if let Err(error) = port.open_first().await {
         return Opened::Refused(error);
@@ -44,9 +35,7 @@ pub(super) async fn open(url: &LinkUrl, role: Role, timer: HostTimer) -> Opened 
 
 /// Runs what opens links. An attempt to open a device that hangs is left behind, so that it does not keep the program alive.
 pub(super) fn on_a_runtime(look: impl Future<Output = Vec<Verdict>>) -> Vec<Verdict> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     match runtime {
         Ok(runtime) => {
             let verdicts = runtime.block_on(look);
@@ -68,8 +57,6 @@ pub(super) fn away(link: &str, reason: &str) -> Verdict {
 /// What is said about a link that a person has to change. The errors say what is wrong and, behind a colon, what to do.
 pub(super) fn refused(link: &str, error: &OpenError) -> Verdict {
     let said = error.to_string();
-    let (what, advice) = said
-        .split_once(": ")
-        .unwrap_or((&said, "docs/links.md says how a link is written"));
+    let (what, advice) = said.split_once(": ").unwrap_or((&said, "docs/links.md says how a link is written"));
     Verdict::problem(format!("{link} does not open: {what}"), advice)
 }

@@ -26,14 +26,10 @@ fn judge(port: &SerialPort, person: &Person) -> Verdict {
         return Verdict::ok(format!("{device} may be read and written"));
     }
     match port.device.metadata() {
-        Ok(metadata) => Verdict::problem(
-            format!("{device} may not be opened"),
-            advice(&metadata, person),
-        ),
-        Err(error) => Verdict::problem(
-            format!("{device} leads nowhere: {error}"),
-            "unplug the device and plug it in again",
-        ),
+        Ok(metadata) => Verdict::problem(format!("{device} may not be opened"), advice(&metadata, person)),
+        Err(error) => {
+            Verdict::problem(format!("{device} leads nowhere: {error}"), "unplug the device and plug it in again")
+        }
     }
 }
 
@@ -52,11 +48,7 @@ fn advice(metadata: &Metadata, person: &Person) -> String {
         return format!("you are in its group {name}: a container or a security module forbids it");
     }
     if group.lists_person {
-        return format!(
-            "you are in its group {name} from your next login on: log out and in again"
-        );
+        return format!("you are in its group {name} from your next login on: log out and in again");
     }
-    format!(
-        "it belongs to group {name}: run `sudo usermod -aG {name} $USER`, then log out and in again"
-    )
+    format!("it belongs to group {name}: run `sudo usermod -aG {name} $USER`, then log out and in again")
 }

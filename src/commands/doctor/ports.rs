@@ -49,25 +49,16 @@ pub fn check(examination: &Examination) -> Vec<Verdict> {
              For Bluetooth: bind the paired brick with `sudo rfcomm bind 0 <address> 1`",
         )];
     }
-    ports
-        .iter()
-        .map(|port| Verdict::ok(describe(port)))
-        .collect()
+    ports.iter().map(|port| Verdict::ok(describe(port))).collect()
 }
 
 fn describe(port: &SerialPort) -> String {
-    let driver = port
-        .driver
-        .as_ref()
-        .map(|driver| format!("driver {driver}"));
+    let driver = port.driver.as_ref().map(|driver| format!("driver {driver}"));
     let usb = port.usb.as_ref().map(|usb| {
         let said = format!("USB {}:{} {}", usb.vendor, usb.product, usb.name);
         said.trim_end().to_owned()
     });
-    let by_id = port
-        .by_id
-        .as_ref()
-        .map(|id| format!("also {}", id.display()));
+    let by_id = port.by_id.as_ref().map(|id| format!("also {}", id.display()));
     let parts = [Some(port.device.display().to_string()), driver, usb, by_id];
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
@@ -77,18 +68,12 @@ fn describe(port: &SerialPort) -> String {
 pub fn serial_ports(roots: &Roots) -> Vec<SerialPort> {
     let names = names_in(&roots.dev);
     let is_port = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
-    names
-        .iter()
-        .filter(is_port)
-        .map(|name| port(roots, name))
-        .collect()
+    names.iter().filter(is_port).map(|name| port(roots, name)).collect()
 }
 
 fn port(roots: &Roots, name: &str) -> SerialPort {
     let device_link = roots.sys.join("class/tty").join(name).join("device");
-    let sys_folders = fs::canonicalize(&device_link)
-        .map(|folder| folders_up(&folder, &roots.sys))
-        .unwrap_or_default();
+    let sys_folders = fs::canonicalize(&device_link).map(|folder| folders_up(&folder, &roots.sys)).unwrap_or_default();
     let tty = roots.sys.join("class/tty").join(name);
     SerialPort {
         name: name.to_owned(),
@@ -103,11 +88,7 @@ fn port(roots: &Roots, name: &str) -> SerialPort {
 /// The folder and those above it, as far as they lie in `root`.
 fn folders_up(folder: &Path, root: &Path) -> Vec<PathBuf> {
     let root = fs::canonicalize(root).unwrap_or_else(|_missing| root.to_owned());
-    folder
-        .ancestors()
-        .take_while(|above| above.starts_with(&root) && **above != root)
-        .map(Path::to_owned)
-        .collect()
+    folder.ancestors().take_while(|above| above.starts_with(&root) && **above != root).map(Path::to_owned).collect()
 }
 
 fn usb_ids(folder: &Path) -> Option<UsbIds> {
@@ -120,8 +101,5 @@ fn usb_ids(folder: &Path) -> Option<UsbIds> {
 
 fn by_id(roots: &Roots, name: &str) -> Option<PathBuf> {
     let folder = roots.dev.join("serial/by-id");
-    names_in(&folder)
-        .into_iter()
-        .map(|id| folder.join(id))
-        .find(|link| link_name(link).as_deref() == Some(name))
+    names_in(&folder).into_iter().map(|id| folder.join(id)).find(|link| link_name(link).as_deref() == Some(name))
 }

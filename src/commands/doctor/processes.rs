@@ -20,9 +20,7 @@ impl Process {
     /// The files that it holds open; `None` if that is hidden from us, as it is for processes of other people.
     pub(super) fn open_files(&self) -> Option<Vec<PathBuf>> {
         let descriptors = fs::read_dir(self.folder.join("fd")).ok()?;
-        let targets = descriptors
-            .flatten()
-            .filter_map(|descriptor| fs::read_link(descriptor.path()).ok());
+        let targets = descriptors.flatten().filter_map(|descriptor| fs::read_link(descriptor.path()).ok());
         Some(targets.collect())
     }
 }
@@ -40,16 +38,10 @@ pub(super) fn processes(roots: &Roots) -> Vec<Process> {
 
 /// A process that ends while we look is none.
 fn process(pid: u32, folder: &Path) -> Option<Process> {
-    Some(Process {
-        pid,
-        name: value_in(&folder.join("comm"))?,
-        folder: folder.to_owned(),
-    })
+    Some(Process { pid, name: value_in(&folder.join("comm"))?, folder: folder.to_owned() })
 }
 
 /// The process whose name is one of these.
 pub(super) fn running(roots: &Roots, names: &[&str]) -> Option<Process> {
-    processes(roots)
-        .into_iter()
-        .find(|process| names.contains(&process.name.as_str()))
+    processes(roots).into_iter().find(|process| names.contains(&process.name.as_str()))
 }

@@ -14,13 +14,11 @@ pub fn check(examination: &Examination) -> Vec<Verdict> {
     let granted = value_in(&path).and_then(|text| text.parse::<usize>().ok());
     vec![match granted {
         None => Verdict::skipped(format!("{} cannot be read", path.display())),
-        Some(bytes) if bytes >= WANTED_BYTES => Verdict::ok(format!(
-            "UDP links get the receive buffer that they ask for ({WANTED_BYTES} bytes)"
-        )),
+        Some(bytes) if bytes >= WANTED_BYTES => {
+            Verdict::ok(format!("UDP links get the receive buffer that they ask for ({WANTED_BYTES} bytes)"))
+        }
         Some(bytes) => Verdict::warning(
-            format!(
-                "UDP links get a receive buffer of {bytes} of {WANTED_BYTES} bytes: enough for a few robots"
-            ),
+            format!("UDP links get a receive buffer of {bytes} of {WANTED_BYTES} bytes: enough for a few robots"),
             format!("for many robots run `sudo sysctl net.core.rmem_max={WANTED_BYTES}`"),
         ),
     }]

@@ -24,10 +24,7 @@ struct Line<'a> {
 /// How many findings came out so.
 #[must_use]
 pub fn count(findings: &[Finding], status: Status) -> usize {
-    findings
-        .iter()
-        .filter(|finding| finding.verdict.status == status)
-        .count()
+    findings.iter().filter(|finding| finding.verdict.status == status).count()
 }
 
 /// One object on one line.
@@ -60,15 +57,8 @@ impl<'a> Line<'a> {
 /// A line per finding, the cure below it, and the sum.
 #[must_use]
 pub fn text(findings: &[Finding]) -> String {
-    let name_width = findings
-        .iter()
-        .map(|finding| finding.name.len())
-        .max()
-        .unwrap_or(0);
-    let lines: Vec<_> = findings
-        .iter()
-        .map(|finding| entry(finding, name_width))
-        .collect();
+    let name_width = findings.iter().map(|finding| finding.name.len()).max().unwrap_or(0);
+    let lines: Vec<_> = findings.iter().map(|finding| entry(finding, name_width)).collect();
     lines.concat() + &sum(findings)
 }
 

@@ -75,24 +75,16 @@ impl Person {
 
 fn group_of_this_computer(number: u32) -> Group {
     let Ok(Some(group)) = nix::unistd::Group::from_gid(Gid::from_raw(number)) else {
-        return Group {
-            name: number.to_string(),
-            lists_person: false,
-        };
+        return Group { name: number.to_string(), lists_person: false };
     };
     let person = User::from_uid(Uid::current()).ok().flatten();
-    Group {
-        lists_person: person.is_some_and(|person| group.mem.contains(&person.name)),
-        name: group.name,
-    }
+    Group { lists_person: person.is_some_and(|person| group.mem.contains(&person.name)), name: group.name }
 }
 
 /// The names in a folder, sorted; none if it cannot be read.
 pub(super) fn names_in(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut names: Vec<_> = entries
-        .filter_map(|entry| entry.file_name().into_string().ok())
-        .collect();
+    let mut names: Vec<_> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     names.sort();
     names
 }

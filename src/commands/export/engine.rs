@@ -59,8 +59,7 @@ impl Session {
         let name = args.recording.display().to_string();
         let (bytes, scorer) = if kind == Kind::Descriptor {
             let bytes = Cursor::new(Vec::new());
-            let (bytes, account) =
-                import::import(&args.recording, &args.data, station(args), bytes)?;
+            let (bytes, account) = import::import(&args.recording, &args.data, station(args), bytes)?;
             tell_all(&account.notes);
             (bytes.into_inner(), Some(scorer_of(args)?))
         } else {
@@ -70,17 +69,14 @@ impl Session {
         };
         let reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
         if let Some(lack) = lack_of(reader.beginning()) {
-            say(&format!(
-                "{name}: {lack}; the estimates are not those of the live run"
-            ));
+            say(&format!("{name}: {lack}; the estimates are not those of the live run"));
         }
         // A descriptor's settings are in what was made of it already: their keys are those of its robot.
         let overlay = match kind {
             Kind::Descriptor => Overlay::default(),
-            Kind::Own | Kind::Tlog | Kind::Bytes => Overlay {
-                robot: args.robot.as_deref(),
-                settings: &args.data.settings,
-            },
+            Kind::Own | Kind::Tlog | Kind::Bytes => {
+                Overlay { robot: args.robot.as_deref(), settings: &args.data.settings }
+            }
         };
         let mut config = laid_over(&reader.header().config_toml, overlay)?;
         if let Some(filter) = &args.filter {
@@ -91,13 +87,7 @@ impl Session {
         } else {
             Known::default()
         };
-        Ok(Self {
-            name,
-            bytes,
-            config,
-            scorer,
-            truth: known.truth,
-        })
+        Ok(Self { name, bytes, config, scorer, truth: known.truth })
     }
 
     /// Runs the engine and writes the files of the wanted formats but TUM, which needs the whole run.
@@ -109,9 +99,7 @@ impl Session {
         let mut pipeline_config = self.config.pipeline()?;
         signing::recall(&self.config, &args.keys, &mut pipeline_config)?;
         let utc_start_micros = reader.header().utc_start_micros;
-        let tlog = wanted
-            .contains(&Format::Tlog)
-            .then(|| create_new(args, "tlog"));
+        let tlog = wanted.contains(&Format::Tlog).then(|| create_new(args, "tlog"));
         let (tlog, fresh) = tlog.transpose()?.unzip();
         let mut files = Files {
             csv: wanted.contains(&Format::Csv).then(|| streams(&args.out)),
@@ -137,54 +125,39 @@ impl Session {
             }
         }
         if let Ending::Torn { offset, what } = reader.ending() {
-            say(&format!(
-                "{}: cut off at byte {offset} ({what}); everything before is used",
-                self.name
-            ));
+            say(&format!("{}: cut off at byte {offset} ({what}); everything before is used", self.name));
         }
         if let Some(scorer) = &mut scorer {
             scorer.finish(&pipeline);
         }
         files.finish(args, fresh)?;
-        Ok(Made {
-            estimates,
-            truth: self.truth,
-            pairs: scorer.map(|scorer| scorer.pairs),
-        })
+        Ok(Made { estimates, truth: self.truth, pairs: scorer.map(|scorer| scorer.pairs) })
     }
 }
 
 /// The truth or the withheld fixes of the one run that the flags choose.
 fn scorer_of(args: &ExportArgs) -> Result<Scorer> {
     let data = DataSet::open(&args.recording, &args.data)?;
-    let [run] = data.runs.as_slice() else {
-        anyhow::bail!("choose one run with --run: {}", data.runs.join(", "))
-    };
+    let [run] = data.runs.as_slice() else { anyhow::bail!("choose one run with --run: {}", data.runs.join(", ")) };
     let robot_run = data.load(run, &args.data)?;
     if robot_run.run.truth.is_empty() {
         say(
             "there is no truth: the withheld fixes stand in its place, and the estimates are of the point that they saw",
         );
     }
-    Ok(Scorer::new(
-        &robot_run.run,
-        &robot_run.filter_config.calibration,
-    ))
+    Ok(Scorer::new(&robot_run.run, &robot_run.filter_config.calibration))
 }
 
 /// Opens streams in a folder; what an export before this one has left there is overwritten.
 fn streams(folder: &Path) -> Streams<'static, BufWriter<File>> {
     let folder = folder.to_owned();
-    Streams::new(move |name: &str| {
-        File::create(folder.join(format!("{name}.csv"))).map(BufWriter::new)
-    })
+    Streams::new(move |name: &str| File::create(folder.join(format!("{name}.csv"))).map(BufWriter::new))
 }
 
 impl Files {
     fn take_input(&mut self, now: Stamp<HostClock>, input: &Input) -> Result<()> {
         if let (Some(tlog), Input::Bytes { link, peer, bytes }) = (&mut self.tlog, input) {
-            tlog.received(now, (*link, *peer), bytes)
-                .context("writing the telemetry log")?;
+            tlog.received(now, (*link, *peer), bytes).context("writing the telemetry log")?;
         }
         Ok(())
     }
@@ -203,15 +176,9 @@ impl Files {
                     }
                     estimates.extend(valid_pose(&event));
                 }
-                Output::Transmit {
-                    link,
-                    priority,
-                    bytes,
-                    ..
-                } => {
+                Output::Transmit { link, priority, bytes, .. } => {
                     if let Some(tlog) = &mut self.tlog {
-                        tlog.sent(now, (link, priority), &bytes)
-                            .context("writing the telemetry log")?;
+                        tlog.sent(now, (link, priority), &bytes).context("writing the telemetry log")?;
                     }
                 }
                 // What the live program did for it, it did then.
@@ -241,8 +208,5 @@ fn valid_pose(event: &Event) -> Option<TimedPose> {
         return None;
     };
     let is_valid = estimate.validity.position && estimate.validity.heading;
-    is_valid.then_some(TimedPose {
-        stamp: estimate.stamp,
-        pose: estimate.pose,
-    })
+    is_valid.then_some(TimedPose { stamp: estimate.stamp, pose: estimate.pose })
 }

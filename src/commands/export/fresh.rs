@@ -26,13 +26,8 @@ impl Fresh {
         let mut name = path.clone().into_os_string();
         name.push(".part");
         let beside = PathBuf::from(name);
-        let file =
-            File::create(&beside).with_context(|| format!("creating `{}`", beside.display()))?;
-        let fresh = Self {
-            path,
-            beside,
-            is_whole: false,
-        };
+        let file = File::create(&beside).with_context(|| format!("creating `{}`", beside.display()))?;
+        let fresh = Self { path, beside, is_whole: false };
         Ok((file, fresh))
     }
 
@@ -46,8 +41,7 @@ impl Fresh {
     /// # Errors
     /// The system does not.
     pub(super) fn finish(mut self) -> Result<()> {
-        std::fs::rename(&self.beside, &self.path)
-            .with_context(|| format!("naming `{}`", self.path.display()))?;
+        std::fs::rename(&self.beside, &self.path).with_context(|| format!("naming `{}`", self.path.display()))?;
         self.is_whole = true;
         Ok(())
     }

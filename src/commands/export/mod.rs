@@ -102,9 +102,9 @@ fn check(args: &ExportArgs) -> Result<Kind> {
     let kind = InputFile::open(&args.recording)?.kind;
     let wants = |format| args.formats.contains(&format);
     match kind {
-        Kind::Bytes => bail!(
-            "`{name}`: bytes without times cannot be exported; `posebridge inspect` says what they hold"
-        ),
+        Kind::Bytes => {
+            bail!("`{name}`: bytes without times cannot be exported; `posebridge inspect` says what they hold")
+        }
         Kind::Own if wants(Format::Mcap) => {
             bail!("--format mcap: `{name}` is a recording of posebridge already")
         }
@@ -122,11 +122,7 @@ fn check(args: &ExportArgs) -> Result<Kind> {
 
 /// The station that a telemetry log is read with.
 fn station(args: &ExportArgs) -> Station<'_> {
-    Station {
-        config: None,
-        robot: args.robot.as_deref(),
-        settings: &args.data.settings,
-    }
+    Station { config: None, robot: args.robot.as_deref(), settings: &args.data.settings }
 }
 
 fn write_mcap(args: &ExportArgs) -> Result<()> {

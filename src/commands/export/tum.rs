@@ -21,11 +21,7 @@ pub(super) fn write(args: &ExportArgs, made: &Made) -> Result<()> {
     ensure!(
         !estimate.is_empty(),
         "there is no valid estimate{} to write",
-        if made.truth.is_some() {
-            " where there is truth"
-        } else {
-            ""
-        }
+        if made.truth.is_some() { " where there is truth" } else { "" }
     );
     write_one(args, "estimate", &estimate)?;
     if let Some(truth) = truth {
@@ -41,10 +37,7 @@ fn trajectories(made: &Made) -> (Vec<TimedPose>, Option<Vec<TimedPose>>) {
         let at = |stamp, pose| TimedPose { stamp, pose };
         let estimate = pairs.iter().map(|pair| at(pair.stamp, pair.believed));
         let truth = pairs.iter().map(|pair| at(pair.stamp, pair.expected));
-        return (
-            each_with_a_stamp_of_its_own(estimate),
-            Some(each_with_a_stamp_of_its_own(truth)),
-        );
+        return (each_with_a_stamp_of_its_own(estimate), Some(each_with_a_stamp_of_its_own(truth)));
     }
     let estimates = made.estimates.iter().copied();
     let Some(truth) = &made.truth else {
@@ -57,10 +50,7 @@ fn trajectories(made: &Made) -> (Vec<TimedPose>, Option<Vec<TimedPose>>) {
     });
     // Both have the same stamps in the same order, and so they have them afterwards.
     let (estimates, truth): (Vec<TimedPose>, Vec<TimedPose>) = pairs.unzip();
-    (
-        each_with_a_stamp_of_its_own(estimates.into_iter()),
-        Some(each_with_a_stamp_of_its_own(truth.into_iter())),
-    )
+    (each_with_a_stamp_of_its_own(estimates.into_iter()), Some(each_with_a_stamp_of_its_own(truth.into_iter())))
 }
 
 /// The poses in the order of their stamps, at least a microsecond apart, because tools pair poses by their stamps. A late fix makes a
@@ -78,10 +68,7 @@ fn each_with_a_stamp_of_its_own(poses: impl Iterator<Item = TimedPose>) -> Vec<T
 
 fn write_one(args: &ExportArgs, name: &str, poses: &[TimedPose]) -> Result<()> {
     let path = args.out.join(format!("{name}.tum"));
-    let text: String = poses
-        .iter()
-        .map(|one| tum::line(one.stamp, one.pose))
-        .collect();
+    let text: String = poses.iter().map(|one| tum::line(one.stamp, one.pose)).collect();
     std::fs::write(&path, text).with_context(|| format!("writing `{}`", path.display()))?;
     tell(&path, poses.len() as u64, "poses");
     Ok(())

@@ -4,8 +4,8 @@ use anyhow::{Context, Result, bail};
 use posebridge_analysis::calibration::at_rest::{Resting, RestingChannel, STANDING_S};
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape};
 use posebridge_analysis::noise_identification::{
-    AllanPoint, DelaySearch, RestNoise, RestRecord, Sighting, allan_deviation, find_delay,
-    levels_of, noise_at_rest, noise_of_straight, rounding_speed_sigma,
+    AllanPoint, DelaySearch, RestNoise, RestRecord, Sighting, allan_deviation, find_delay, levels_of, noise_at_rest,
+    noise_of_straight, rounding_speed_sigma,
 };
 use posebridge_telemetry::{Observation, Observed};
 
@@ -23,10 +23,7 @@ pub(super) fn rest(seen: &Seen) -> Result<Findings> {
     let record = RestRecord::of(&resting.stretches).with_context(of_the_gyro)?;
     let found = noise_at_rest(&record).with_context(of_the_gyro)?;
     let quantities = rest_quantities(seen, &found);
-    notes.insert(
-        0,
-        format!("{} samples over {:.0} s", found.samples, found.rest_s),
-    );
+    notes.insert(0, format!("{} samples over {:.0} s", found.samples, found.rest_s));
     let silences = record.silences();
     if !silences.is_empty() {
         notes.push(format!(
@@ -48,8 +45,7 @@ pub(super) fn rest(seen: &Seen) -> Result<Findings> {
 
 /// The gyro while the robot stood; what has to be said about that is noted.
 fn gyro_at_rest(seen: &Seen, notes: &mut Vec<String>) -> Result<RestingChannel> {
-    let mut observations: Vec<Observation> =
-        seen.arrived.iter().map(|one| one.observation).collect();
+    let mut observations: Vec<Observation> = seen.arrived.iter().map(|one| one.observation).collect();
     observations.sort_by_key(|observation| observation.stamp);
     let rate = |observation: &Observation| {
         let Observed::TurnRate(rate) = observation.observed else {
@@ -64,9 +60,7 @@ fn gyro_at_rest(seen: &Seen, notes: &mut Vec<String>) -> Result<RestingChannel> 
     let is_wheel = |one: &Observation| matches!(one.observed, Observed::WheelAngles { .. });
     if !observations.iter().any(is_wheel) {
         notes.push("there are no wheel counts: that the robot stood is taken on trust".to_owned());
-        return Ok(RestingChannel {
-            stretches: vec![all],
-        });
+        return Ok(RestingChannel { stretches: vec![all] });
     }
     let resting = Resting::of(&observations).gyro;
     let standing = resting.stretches.iter().map(Vec::len).sum::<usize>();
@@ -97,10 +91,7 @@ fn longest_allan(record: &RestRecord, notes: &mut Vec<String>) -> Vec<AllanPoint
     }
     let rates: Vec<f64> = record.longest().iter().map(|(_, rate)| *rate).collect();
     let points = allan_deviation(&rates, record.interval_s());
-    let bottom = points
-        .iter()
-        .copied()
-        .min_by(|a, b| a.deviation.total_cmp(&b.deviation));
+    let bottom = points.iter().copied().min_by(|a, b| a.deviation.total_cmp(&b.deviation));
     if let Some(bottom) = bottom {
         notes.push(format!(
             "bias instability, the lowest Allan deviation: {:.2e} ± {:.1e} rad/s at {:.1} s",
@@ -113,51 +104,27 @@ fn longest_allan(record: &RestRecord, notes: &mut Vec<String>) -> Vec<AllanPoint
 /// What a rest says of the gyro, beside the truth where there is one.
 fn rest_quantities(seen: &Seen, found: &RestNoise) -> Vec<Quantity> {
     let gyro = seen.scenario.as_ref().map(|scenario| scenario.gyro);
-    let truth = |of: fn(&posebridge_sim::montecarlo::Gyro) -> f64| {
-        gyro.as_ref().map(|gyro| of(gyro).to_radians())
-    };
+    let truth = |of: fn(&posebridge_sim::montecarlo::Gyro) -> f64| gyro.as_ref().map(|gyro| of(gyro).to_radians());
     vec![
-        Quantity::new(
-            "bias, mean over the rest",
-            "rad/s",
-            found.bias,
-            Some(found.bias_sigma),
-        ),
-        Quantity::new(
-            "gyro_rad_per_s",
-            "rad/s",
-            found.white,
-            Some(found.white_sigma),
-        )
-        .against(truth(|gyro| gyro.sigma_deg_per_s)),
-        Quantity::optional(
-            "gyro_resolution_rad_per_s",
-            "rad/s",
-            found.quantum.map(|quantum| (quantum, None)),
-        )
-        .against(truth(|gyro| gyro.resolution_deg_per_s)),
+        Quantity::new("bias, mean over the rest", "rad/s", found.bias, Some(found.bias_sigma)),
+        Quantity::new("gyro_rad_per_s", "rad/s", found.white, Some(found.white_sigma))
+            .against(truth(|gyro| gyro.sigma_deg_per_s)),
+        Quantity::optional("gyro_resolution_rad_per_s", "rad/s", found.quantum.map(|quantum| (quantum, None)))
+            .against(truth(|gyro| gyro.resolution_deg_per_s)),
         Quantity::optional(
             "gyro_bias_walk_rad_per_s_sqrt_s",
             "rad/s/sqrt(s)",
             found.walk.map(|(walk, sigma)| (walk, Some(sigma))),
         )
         .against(truth(|gyro| gyro.bias_walk_deg_per_s_sqrt_s)),
-        Quantity::new(
-            "angle random walk",
-            "rad/sqrt(s)",
-            found.angle_random_walk,
-            None,
-        ),
+        Quantity::new("angle random walk", "rad/sqrt(s)", found.angle_random_walk, None),
         Quantity::new("sample interval", "s", found.dt_s, None),
     ]
 }
 
 fn allan_plot(points: &[AllanPoint]) -> Plot {
     let log = |tau_s: f64, value: f64| (tau_s.log10(), value.log10());
-    let measured = points
-        .iter()
-        .map(|point| log(point.tau_s, point.deviation))
-        .collect();
+    let measured = points.iter().map(|point| log(point.tau_s, point.deviation)).collect();
     let band = points.iter().map(|point| {
         let (low, high) = (point.deviation - point.sigma, point.deviation + point.sigma);
         (point.tau_s.log10(), low.log10(), high.log10())
@@ -167,14 +134,8 @@ fn allan_plot(points: &[AllanPoint]) -> Plot {
         "log10 of averaging time [s]",
         "log10 of deviation [rad/s]",
         vec![
-            Curve {
-                name: "one sigma".to_owned(),
-                shape: Shape::Band(band.collect()),
-            },
-            Curve {
-                name: "measured".to_owned(),
-                shape: Shape::Dots(measured),
-            },
+            Curve { name: "one sigma".to_owned(), shape: Shape::Band(band.collect()) },
+            Curve { name: "measured".to_owned(), shape: Shape::Dots(measured) },
         ],
     )
 }
@@ -196,34 +157,17 @@ pub(super) fn straight(seen: &Seen) -> Result<Findings> {
                 _ => None,
             })
             .collect();
-        let found = noise_of_straight(&travel)
-            .with_context(|| format!("the {wheel} wheel of `{}`", seen.name))?;
+        let found = noise_of_straight(&travel).with_context(|| format!("the {wheel} wheel of `{}`", seen.name))?;
         let (sigma, of_sigma) = (found.sigma_m_per_s, found.sigma_sigma_m_per_s);
-        quantities.push(Quantity::new(
-            format!("speed, {wheel} wheel"),
-            "m/s",
-            found.speed_m_per_s,
-            None,
-        ));
-        quantities.push(Quantity::new(
-            format!("root of R, {wheel} wheel"),
-            "m/s",
-            sigma,
-            Some(of_sigma),
-        ));
+        quantities.push(Quantity::new(format!("speed, {wheel} wheel"), "m/s", found.speed_m_per_s, None));
+        quantities.push(Quantity::new(format!("root of R, {wheel} wheel"), "m/s", sigma, Some(of_sigma)));
         let rounding = rounding_speed_sigma(&seen.geometry, &travel);
         notes.push(format!(
             "{wheel}: {} intervals, rho(1) {:+.2}; rounding to counts alone makes {rounding:.5} m/s on average over speeds, and rho(1) -0.5",
             found.samples, found.rho_1
         ));
-        let speeds = travel
-            .iter()
-            .zip(&counts)
-            .map(|((dt_s, by_m), from)| (from[0], by_m / dt_s));
-        curves.push(Curve {
-            name: format!("{wheel} wheel"),
-            shape: Shape::Line(speeds.collect()),
-        });
+        let speeds = travel.iter().zip(&counts).map(|((dt_s, by_m), from)| (from[0], by_m / dt_s));
+        curves.push(Curve { name: format!("{wheel} wheel"), shape: Shape::Line(speeds.collect()) });
     }
     let plot = one_panel("A straight run", "time [s]", "speed [m/s]", curves);
     Ok(Findings {
@@ -243,11 +187,7 @@ fn travels(seen: &Seen) -> Vec<[f64; 3]> {
         if let Observed::WheelAngles { left, right } = one.observation.observed {
             let geometry = &seen.geometry;
             let at_s = one.observation.stamp.as_secs_f64();
-            counts.push([
-                at_s,
-                left.0 * geometry.left_wheel_radius.0,
-                right.0 * geometry.right_wheel_radius.0,
-            ]);
+            counts.push([at_s, left.0 * geometry.left_wheel_radius.0, right.0 * geometry.right_wheel_radius.0]);
         }
     }
     // An interval of no time, or back in time, would be no speed.
@@ -261,40 +201,23 @@ pub(super) fn delay(seen: &Seen, by: Clock, search: &DelaySearch) -> Result<Find
     let observations: Vec<Observation> = seen.arrived.iter().map(|one| one.observation).collect();
     let levels = levels_of(&observations, &seen.geometry);
     let sightings = sightings_of(seen, by)?;
-    let found = find_delay(&levels, &sightings, search)
-        .with_context(|| format!("the camera of `{}`", seen.name))?;
-    let camera = seen
-        .scenario
-        .as_ref()
-        .and_then(|scenario| Some((scenario.step_s, scenario.camera?)));
+    let found = find_delay(&levels, &sightings, search).with_context(|| format!("the camera of `{}`", seen.name))?;
+    let camera = seen.scenario.as_ref().and_then(|scenario| Some((scenario.step_s, scenario.camera?)));
     let truth = camera.map(|(step_s, camera)| match by {
         Clock::Stamp => 0.0,
         Clock::Arrival => step_s * f64::from(camera.delay_steps),
     });
     let quantities = vec![
-        Quantity::new(
-            "delay of the camera",
-            "s",
-            found.delay_s,
-            Some(found.sigma_s),
-        )
-        .against(truth),
+        Quantity::new("delay of the camera", "s", found.delay_s, Some(found.sigma_s)).against(truth),
         Quantity::new("correlation there", "1", found.correlation, None),
     ];
-    let what = if found.by_heading {
-        "headings"
-    } else {
-        "paths: the fixes have no heading"
-    };
+    let what = if found.by_heading { "headings" } else { "paths: the fixes have no heading" };
     let notes = vec![format!("{} fixes, by their {what}", found.sightings)];
     let plot = one_panel(
         "Camera motion against wheel motion",
         "delay [s]",
         "correlation",
-        vec![Curve {
-            name: "correlation".to_owned(),
-            shape: Shape::Line(found.curve),
-        }],
+        vec![Curve { name: "correlation".to_owned(), shape: Shape::Line(found.curve) }],
     );
     Ok(Findings {
         name: "identify-delay",

@@ -81,20 +81,10 @@ pub struct DelayArgs {
 pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
     match &args.what {
         What::Rest(args) => run(&args.source, &args.output, &source::REST, experiments::rest),
-        What::Straight(args) => run(
-            &args.source,
-            &args.output,
-            &source::STRAIGHT,
-            experiments::straight,
-        ),
+        What::Straight(args) => run(&args.source, &args.output, &source::STRAIGHT, experiments::straight),
         What::Delay(args) => {
-            let search = DelaySearch {
-                from_s: -0.25 * args.most,
-                to_s: args.most,
-            };
-            run(&args.source, &args.output, &source::DELAY, |seen| {
-                experiments::delay(seen, args.by, &search)
-            })
+            let search = DelaySearch { from_s: -0.25 * args.most, to_s: args.most };
+            run(&args.source, &args.output, &source::DELAY, |seen| experiments::delay(seen, args.by, &search))
         }
         What::Step(args) => step::execute(args),
         What::Wall(args) => wall::execute(args),
@@ -114,18 +104,9 @@ fn run(
 }
 
 /// Prints and writes what was found of something.
-fn deliver(
-    output: &OutputArgs,
-    folder: &Path,
-    findings: &Findings,
-    of: &str,
-) -> Result<(), Failure> {
+fn deliver(output: &OutputArgs, folder: &Path, findings: &Findings, of: &str) -> Result<(), Failure> {
     let text = report::text(findings, of);
-    let outcome = Outcome {
-        name: findings.name,
-        page: report::page(findings, &text),
-        json: report::json(findings, of),
-        text,
-    };
+    let outcome =
+        Outcome { name: findings.name, page: report::page(findings, &text), json: report::json(findings, of), text };
     output.deliver(folder, &outcome)
 }

@@ -19,28 +19,12 @@ pub(super) struct Quantity {
 }
 
 impl Quantity {
-    pub(super) fn new(
-        name: impl Into<String>,
-        unit: &'static str,
-        value: f64,
-        sigma: Option<f64>,
-    ) -> Self {
-        Self {
-            of: None,
-            name: name.into(),
-            unit,
-            value: Some(value),
-            sigma,
-            truth: None,
-        }
+    pub(super) fn new(name: impl Into<String>, unit: &'static str, value: f64, sigma: Option<f64>) -> Self {
+        Self { of: None, name: name.into(), unit, value: Some(value), sigma, truth: None }
     }
 
     /// One that may not be told from zero.
-    pub(super) fn optional(
-        name: &str,
-        unit: &'static str,
-        found: Option<(f64, Option<f64>)>,
-    ) -> Self {
+    pub(super) fn optional(name: &str, unit: &'static str, found: Option<(f64, Option<f64>)>) -> Self {
         Self {
             of: None,
             name: name.to_owned(),
@@ -78,13 +62,9 @@ pub(super) struct Findings {
 pub(super) fn text(findings: &Findings, run: &str) -> String {
     let mut table = Table::new(["quantity", "value", "sigma", "unit", "truth"]);
     for quantity in &findings.quantities {
-        let number =
-            |value: Option<f64>| value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.6}"));
+        let number = |value: Option<f64>| value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.6}"));
         table.push([
-            quantity.of.as_ref().map_or_else(
-                || quantity.name.clone(),
-                |of| format!("{of}: {}", quantity.name),
-            ),
+            quantity.of.as_ref().map_or_else(|| quantity.name.clone(), |of| format!("{of}: {}", quantity.name)),
             number(quantity.value),
             number(quantity.sigma),
             quantity.unit.to_owned(),
@@ -100,15 +80,11 @@ pub(super) fn text(findings: &Findings, run: &str) -> String {
 }
 
 pub(super) fn page(findings: &Findings, text: &str) -> Page {
-    let figures = findings.plots.iter().map(|picture| Part::Figure {
-        svg: plot(picture),
-        caption: picture.title.clone(),
-    });
+    let figures =
+        findings.plots.iter().map(|picture| Part::Figure { svg: plot(picture), caption: picture.title.clone() });
     Page {
         title: findings.title.clone(),
-        parts: std::iter::once(Part::Lines(text.to_owned()))
-            .chain(figures)
-            .collect(),
+        parts: std::iter::once(Part::Lines(text.to_owned())).chain(figures).collect(),
     }
 }
 

@@ -70,12 +70,7 @@ pub struct SourceArgs {
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "real_robot")]
     pub sim: Option<String>,
     /// Seed of a simulated drive.
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 1,
-        conflicts_with = "real_robot"
-    )]
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "real_robot")]
     pub seed: u64,
     /// Look from so many seconds after the first observation on.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
@@ -106,20 +101,11 @@ impl SourceArgs {
     ///
     /// # Errors
     /// It cannot be recorded or read, makes no sense, or nothing lies between --from and --to.
-    pub(super) fn read(
-        &self,
-        experiment: &Experiment,
-        output: &OutputArgs,
-    ) -> Result<Seen, Failure> {
-        let robot = LiveRobot {
-            file: None,
-            settings: &self.settings,
-        };
+    pub(super) fn read(&self, experiment: &Experiment, output: &OutputArgs) -> Result<Seen, Failure> {
+        let robot = LiveRobot { file: None, settings: &self.settings };
         if let Some(live) = self.live.record(output, robot, experiment.task)? {
             // The keys that are set stand in the recording.
-            return read_own(&live, &[])
-                .and_then(|seen| self.cut(seen))
-                .while_running();
+            return read_own(&live, &[]).and_then(|seen| self.cut(seen)).while_running();
         }
         let seen = match &self.recording {
             Some(path) if own_recording::is_own(path) => self.own(path),
@@ -131,26 +117,14 @@ impl SourceArgs {
 
     /// As far as --from and --to let it.
     fn cut(&self, mut seen: Seen) -> Result<Seen> {
-        let first_s = seen
-            .arrived
-            .iter()
-            .map(|one| one.observation.stamp.as_secs_f64())
-            .fold(f64::INFINITY, f64::min);
+        let first_s = seen.arrived.iter().map(|one| one.observation.stamp.as_secs_f64()).fold(f64::INFINITY, f64::min);
         let until_s = self.to.unwrap_or(f64::INFINITY);
-        ensure!(
-            self.from < until_s,
-            "--from is {} and --to is {until_s}: nothing lies between them",
-            self.from
-        );
+        ensure!(self.from < until_s, "--from is {} and --to is {until_s}: nothing lies between them", self.from);
         seen.arrived.retain(|one| {
             let at_s = one.observation.stamp.as_secs_f64() - first_s;
             self.from <= at_s && at_s <= until_s
         });
-        ensure!(
-            !seen.arrived.is_empty(),
-            "no observation of `{}` lies between --from and --to",
-            seen.name
-        );
+        ensure!(!seen.arrived.is_empty(), "no observation of `{}` lies between --from and --to", seen.name);
         Ok(seen)
     }
 
@@ -179,10 +153,7 @@ impl SourceArgs {
         Ok(Seen {
             name: loaded.run.name.clone(),
             arrived: timed
-                .map(|timed| Arrived {
-                    arrival_s: Some(timed.arrival.as_secs_f64()),
-                    observation: timed.observation,
-                })
+                .map(|timed| Arrived { arrival_s: Some(timed.arrival.as_secs_f64()), observation: timed.observation })
                 .collect(),
             geometry: loaded.filter_config.geometry,
             scenario: None,
@@ -191,10 +162,7 @@ impl SourceArgs {
 
     fn simulated(&self, bundled: &str) -> Result<Seen> {
         let (name, scenario) = match &self.sim {
-            None => (
-                "bundled experiment".to_owned(),
-                Scenario::from_toml(bundled)?,
-            ),
+            None => ("bundled experiment".to_owned(), Scenario::from_toml(bundled)?),
             Some(asked) => drawn::scenario(asked)?,
         };
         let scenario = scenario.with_seed(self.seed);
@@ -215,26 +183,11 @@ impl SourceArgs {
 }
 
 fn read_own(path: &Path, settings: &[Setting]) -> Result<Seen> {
-    let overlay = Overlay {
-        robot: None,
-        settings,
-    };
+    let overlay = Overlay { robot: None, settings };
     let run = own_recording::read(path, overlay)?;
-    let arrived = run
-        .observations
-        .iter()
-        .enumerate()
-        .map(|(index, observation)| {
-            let arrivals = run.arrivals.as_ref();
-            Arrived {
-                arrival_s: arrivals.and_then(|all| Some(all.get(index)?.as_secs_f64())),
-                observation: *observation,
-            }
-        });
-    Ok(Seen {
-        arrived: arrived.collect(),
-        geometry: run.config.geometry,
-        name: run.name,
-        scenario: None,
-    })
+    let arrived = run.observations.iter().enumerate().map(|(index, observation)| {
+        let arrivals = run.arrivals.as_ref();
+        Arrived { arrival_s: arrivals.and_then(|all| Some(all.get(index)?.as_secs_f64())), observation: *observation }
+    });
+    Ok(Seen { arrived: arrived.collect(), geometry: run.config.geometry, name: run.name, scenario: None })
 }

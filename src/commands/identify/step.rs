@@ -5,9 +5,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use posebridge_analysis::identification::{
-    Channel, IdentifiedStep, Order, StepNumbers, StepOptions, identify_step,
-};
+use posebridge_analysis::identification::{Channel, IdentifiedStep, Order, StepNumbers, StepOptions, identify_step};
 
 use super::step_report;
 use super::step_simulated::Simulated;
@@ -46,20 +44,10 @@ pub struct StepArgs {
     #[arg(long, value_name = "NAME", requires = "recording")]
     pub value_column: Option<String>,
     /// The simulated sensor.
-    #[arg(
-        long,
-        value_enum,
-        default_value = "thermometer",
-        conflicts_with = "recording"
-    )]
+    #[arg(long, value_enum, default_value = "thermometer", conflicts_with = "recording")]
     pub sim: Simulated,
     /// Seed of the simulated sensor.
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 1,
-        conflicts_with = "recording"
-    )]
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "recording")]
     pub seed: u64,
     /// Look from so many seconds after the first sample on.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
@@ -104,13 +92,8 @@ pub enum ChannelName {
 
 impl ChannelName {
     /// All of them.
-    pub(super) const ALL: [Self; 5] = [
-        Self::Temperature,
-        Self::LeftWheel,
-        Self::RightWheel,
-        Self::TurnRate,
-        Self::Range,
-    ];
+    pub(super) const ALL: [Self; 5] =
+        [Self::Temperature, Self::LeftWheel, Self::RightWheel, Self::TurnRate, Self::Range];
 
     /// As the analysis calls it.
     pub(super) const fn channel(self) -> Channel {
@@ -181,10 +164,7 @@ pub(super) fn execute(args: &StepArgs) -> Result<(), Failure> {
 
 fn identified(run: &StepRun) -> Result<FoundStep> {
     let identified = identify_step(&run.samples, &run.options).with_context(|| {
-        format!(
-            "run `{}`; cut the step out with --from and --to, or give its noise with --noise",
-            run.name
-        )
+        format!("run `{}`; cut the step out with --from and --to, or give its noise with --noise", run.name)
     })?;
     Ok(FoundStep {
         numbers: StepNumbers::of(&identified, run.options.input_step, run.sampling),
@@ -207,7 +187,6 @@ impl StepArgs {
 
     /// How many lags.
     pub(super) fn order(&self) -> Order {
-        self.order
-            .map_or(Order::Chosen, |order| Order::Fixed(usize::from(order)))
+        self.order.map_or(Order::Chosen, |order| Order::Fixed(usize::from(order)))
     }
 }

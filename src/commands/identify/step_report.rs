@@ -23,17 +23,14 @@ pub(super) fn findings(material: &Material, found: &[FoundStep]) -> Findings {
     let mut more = Map::new();
     more.insert("sensor".to_owned(), json!(material.what));
     more.insert("runs".to_owned(), found.iter().map(run_object).collect());
-    let ways = compared.map(|ways| {
-        json!({ "up_s": known(ways.up), "down_s": known(ways.down), "z": ways.z, "differ": ways.differ() })
-    });
+    let ways = compared.map(
+        |ways| json!({ "up_s": known(ways.up), "down_s": known(ways.down), "z": ways.z, "differ": ways.differ() }),
+    );
     more.insert("ways".to_owned(), json!(ways));
     Findings {
         name: "identify-step",
         title: format!("Step response: {}", material.what),
-        quantities: found
-            .iter()
-            .flat_map(|one| quantities(material, one))
-            .collect(),
+        quantities: found.iter().flat_map(|one| quantities(material, one)).collect(),
         notes,
         plots: found.iter().map(|one| picture(material, one)).collect(),
         more,
@@ -52,9 +49,7 @@ const fn way_name(way: Way) -> &'static str {
 }
 
 fn compared(found: &[FoundStep]) -> Option<WaysCompared> {
-    let lags = found
-        .iter()
-        .map(|one| (way_of(one), one.numbers.mean_lag_s));
+    let lags = found.iter().map(|one| (way_of(one), one.numbers.mean_lag_s));
     compare_ways(&lags.collect::<Vec<_>>())
 }
 
@@ -68,38 +63,22 @@ fn quantities(material: &Material, found: &FoundStep) -> Vec<Quantity> {
             .of(&found.run.name)
             .against(truth.map(|truth| truth.lags.len() as f64)),
     ];
-    all.extend(numbers.gain.map(|gain| {
-        quantity("gain", material.gain_unit, gain).against(truth.map(|truth| truth.gain))
-    }));
     all.extend(
-        numbers
-            .delay_s
-            .map(|delay| quantity("dead time", "s", delay).against(truth.map(|one| one.delay_s))),
+        numbers.gain.map(|gain| quantity("gain", material.gain_unit, gain).against(truth.map(|truth| truth.gain))),
     );
+    all.extend(numbers.delay_s.map(|delay| quantity("dead time", "s", delay).against(truth.map(|one| one.delay_s))));
     for (j, lag) in numbers.lags.iter().enumerate() {
         let own = true_lag(truth, numbers.lags.len(), j);
-        let tau = Known {
-            value: lag.time_constant_s,
-            sigma: lag.time_constant_sigma_s,
-        };
+        let tau = Known { value: lag.time_constant_s, sigma: lag.time_constant_sigma_s };
         let tau = quantity(&format!("time constant {}", j + 1), "s", tau);
         all.push(tau.against(own.map(|(tau_s, _)| tau_s)));
         if numbers.lags.len() > 1 {
-            let share = Known {
-                value: lag.share,
-                sigma: lag.share_sigma,
-            };
+            let share = Known { value: lag.share, sigma: lag.share_sigma };
             let share = quantity(&format!("share {}", j + 1), "1", share);
             all.push(share.against(own.map(|(_, share)| share)));
         }
     }
-    let mean_lag = truth.map(|truth| {
-        truth
-            .lags
-            .iter()
-            .map(|(tau_s, share)| tau_s * share)
-            .sum::<f64>()
-    });
+    let mean_lag = truth.map(|truth| truth.lags.iter().map(|(tau_s, share)| tau_s * share).sum::<f64>());
     all.push(quantity("mean lag", "s", numbers.mean_lag_s).against(mean_lag));
     all.push(quantity("step", material.unit, numbers.step));
     all.push(quantity("end", material.unit, numbers.end));
@@ -113,22 +92,14 @@ fn true_lag(truth: Option<&StepTruth>, order: usize, j: usize) -> Option<(f64, f
 }
 
 fn note(found: &FoundStep) -> String {
-    let FoundStep {
-        run,
-        identified,
-        numbers,
-    } = found;
+    let FoundStep { run, identified, numbers } = found;
     let by_order: Vec<String> = identified
         .candidates
         .iter()
         .map(|candidate| {
             let order = candidate.fit.response.lags.len();
             let is_told_apart = IdentifiedStep::is_resolved(candidate);
-            let doubt = if is_told_apart {
-                ""
-            } else {
-                ", not told apart"
-            };
+            let doubt = if is_told_apart { "" } else { ", not told apart" };
             format!("{order}: {:.1}{doubt}", candidate.criterion)
         })
         .collect();
@@ -145,11 +116,8 @@ fn note(found: &FoundStep) -> String {
 }
 
 fn ways_note(ways: &WaysCompared) -> String {
-    let verdict = if ways.differ() {
-        "they differ: identify and predict each way by its own"
-    } else {
-        "no difference is shown"
-    };
+    let verdict =
+        if ways.differ() { "they differ: identify and predict each way by its own" } else { "no difference is shown" };
     format!(
         "mean lag up {:.4} ± {:.4} s, down {:.4} ± {:.4} s, {:+.1} sigma apart: {verdict}",
         ways.up.value, ways.up.sigma, ways.down.value, ways.down.sigma, ways.z
@@ -188,25 +156,14 @@ fn picture(material: &Material, found: &FoundStep) -> Plot {
     let every = samples.len().div_ceil(DRAWN).max(1);
     let by = |of: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
         let drawn = samples.iter().step_by(every);
-        drawn
-            .map(|sample| (sample.at_s, of(sample.at_s, sample.value)))
-            .collect()
+        drawn.map(|sample| (sample.at_s, of(sample.at_s, sample.value))).collect()
     };
-    let unit = if material.unit.is_empty() {
-        String::new()
-    } else {
-        format!(" [{}]", material.unit)
-    };
+    let unit = if material.unit.is_empty() { String::new() } else { format!(" [{}]", material.unit) };
     let lags: Vec<String> = found
         .numbers
         .lags
         .iter()
-        .map(|lag| {
-            format!(
-                "{:.4} ± {:.4} s",
-                lag.time_constant_s, lag.time_constant_sigma_s
-            )
-        })
+        .map(|lag| format!("{:.4} ± {:.4} s", lag.time_constant_s, lag.time_constant_sigma_s))
         .collect();
     Plot {
         title: format!("{}: {}", material.what, found.run.name),
@@ -217,20 +174,14 @@ fn picture(material: &Material, found: &FoundStep) -> Plot {
                 STEP_PX,
                 vec![
                     curve("samples", Shape::Dots(by(&|_, value| value))),
-                    curve(
-                        "response",
-                        Shape::Line(by(&|at_s, _| response.value_at(at_s))),
-                    ),
+                    curve("response", Shape::Line(by(&|at_s, _| response.value_at(at_s)))),
                 ],
             ),
             panel(
                 format!("left{unit}"),
                 REST_PX,
                 vec![
-                    curve(
-                        "sample - response",
-                        Shape::Dots(by(&|at_s, value| value - response.value_at(at_s))),
-                    ),
+                    curve("sample - response", Shape::Dots(by(&|at_s, value| value - response.value_at(at_s)))),
                     curve("zero", Shape::Level(0.0)),
                 ],
             ),
@@ -239,18 +190,9 @@ fn picture(material: &Material, found: &FoundStep) -> Plot {
 }
 
 fn curve(name: &str, shape: Shape) -> Curve {
-    Curve {
-        name: name.to_owned(),
-        shape,
-    }
+    Curve { name: name.to_owned(), shape }
 }
 
 fn panel(y_name: String, height_px: f64, curves: Vec<Curve>) -> Axes {
-    Axes {
-        x_name: "time [s]".to_owned(),
-        y_name,
-        height_px,
-        is_map: false,
-        curves,
-    }
+    Axes { x_name: "time [s]".to_owned(), y_name, height_px, is_map: false, curves }
 }

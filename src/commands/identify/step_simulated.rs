@@ -40,13 +40,8 @@ struct Bath {
     samples: usize,
 }
 
-const PLAIN: Bath = Bath {
-    what: "thermometer",
-    heating: &[(6.0, 1.0)],
-    cooling: &[(7.5, 1.0)],
-    sigma_k: 0.1,
-    samples: 800,
-};
+const PLAIN: Bath =
+    Bath { what: "thermometer", heating: &[(6.0, 1.0)], cooling: &[(7.5, 1.0)], sigma_k: 0.1, samples: 800 };
 const SHEATHED: Bath = Bath {
     what: "thermometer in a sheath",
     heating: &[(3.0, 0.4), (15.0, 0.6)],
@@ -74,18 +69,11 @@ pub(super) fn material(args: &StepArgs) -> Result<Material> {
 }
 
 fn bath(args: &StepArgs, bath: &Bath) -> Material {
-    let runs = [
-        ("heating", bath.heating, COLD_C, WARM_C),
-        ("cooling", bath.cooling, WARM_C, COLD_C),
-    ];
+    let runs = [("heating", bath.heating, COLD_C, WARM_C), ("cooling", bath.cooling, WARM_C, COLD_C)];
     let runs = runs.into_iter().zip(0..);
     let runs = runs.map(|((name, lags, before, after), index)| {
-        let sensor = SimulatedSensor {
-            lags: lags.to_vec(),
-            sigma: bath.sigma_k,
-            last_digit: LAST_DIGIT_K,
-            period_s: PERIOD_S,
-        };
+        let sensor =
+            SimulatedSensor { lags: lags.to_vec(), sigma: bath.sigma_k, last_digit: LAST_DIGIT_K, period_s: PERIOD_S };
         let truth = step(before, after, POURED_S + DEAD_TIME_S);
         let mut options = args.options(bath.sigma_k);
         options.onset_s = Some(POURED_S);
@@ -95,11 +83,7 @@ fn bath(args: &StepArgs, bath: &Bath) -> Material {
             samples: sensor.run(seed(args, index), bath.samples, truth),
             options,
             sampling: Sampling::Readings,
-            truth: Some(StepTruth {
-                gain: 1.0,
-                delay_s: DEAD_TIME_S,
-                lags: lags.to_vec(),
-            }),
+            truth: Some(StepTruth { gain: 1.0, delay_s: DEAD_TIME_S, lags: lags.to_vec() }),
         }
     });
     Material {
@@ -115,15 +99,9 @@ fn motor(args: &StepArgs) -> Material {
     let runs = [("forward", 1.0), ("backward", -1.0)].into_iter().zip(0..);
     let runs = runs.map(|((name, sign), index)| {
         let bench = MotorBench::default();
-        let bench = MotorBench {
-            volts: sign * bench.volts,
-            ..bench
-        };
+        let bench = MotorBench { volts: sign * bench.volts, ..bench };
         let readings = bench.run(seed(args, index));
-        let angles: Vec<(f64, f64)> = readings
-            .iter()
-            .map(|reading| (reading.at_s, reading.angle_rad))
-            .collect();
+        let angles: Vec<(f64, f64)> = readings.iter().map(|reading| (reading.at_s, reading.angle_rad)).collect();
         let samples = wheel_speed(&angles);
         let sigma = wheel_speed_sigma(ENCODER_TICK_RAD, &samples).unwrap_or(f64::NAN);
         let mut options = args.options(sigma);

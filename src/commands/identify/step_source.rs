@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use posebridge_analysis::identification::{
-    Sample, Sampling, StepOptions, in_order_of_time, noise_of,
-};
+use posebridge_analysis::identification::{Sample, Sampling, StepOptions, in_order_of_time, noise_of};
 use posebridge_telemetry::Observation;
 
 use super::step::{ChannelName, StepArgs, TimeUnit};
@@ -66,29 +64,18 @@ impl Material {
         match end {
             "csv" | "txt" => of_table(args, path),
             "toml" | "mcap" => of_recording(args, path),
-            _ => bail!(
-                "`{}` is no descriptor (*.toml), no recording (*.mcap) and no table (*.csv)",
-                path.display()
-            ),
+            _ => bail!("`{}` is no descriptor (*.toml), no recording (*.mcap) and no table (*.csv)", path.display()),
         }
     }
 }
 
 fn check(args: &StepArgs) -> Result<()> {
     let until_s = args.to.unwrap_or(f64::INFINITY);
-    ensure!(
-        args.from < until_s,
-        "--from is {} and --to is {until_s}: nothing lies between them",
-        args.from
-    );
+    ensure!(args.from < until_s, "--from is {} and --to is {until_s}: nothing lies between them", args.from);
     for (flag, value) in [("--noise", args.noise), ("--input-step", args.input_step)] {
         if let Some(value) = value {
-            let is_usable =
-                value.is_finite() && (value > 0.0 || (value < 0.0 && flag != "--noise"));
-            ensure!(
-                is_usable,
-                "{flag} is {value}: give a number other than zero"
-            );
+            let is_usable = value.is_finite() && (value > 0.0 || (value < 0.0 && flag != "--noise"));
+            ensure!(is_usable, "{flag} is {value}: give a number other than zero");
         }
     }
     Ok(())
@@ -112,13 +99,8 @@ fn check_onset(args: &StepArgs, name: &str, samples: &[Sample]) -> Result<()> {
 fn cut(args: &StepArgs, samples: &[Sample]) -> Vec<Sample> {
     let first_s = samples.first().map_or(0.0, |sample| sample.at_s);
     let until_s = args.to.unwrap_or(f64::INFINITY);
-    let since = samples.iter().map(|sample| Sample {
-        at_s: sample.at_s - first_s,
-        value: sample.value,
-    });
-    since
-        .filter(|sample| args.from <= sample.at_s && sample.at_s <= until_s)
-        .collect()
+    let since = samples.iter().map(|sample| Sample { at_s: sample.at_s - first_s, value: sample.value });
+    since.filter(|sample| args.from <= sample.at_s && sample.at_s <= until_s).collect()
 }
 
 fn of_recording(args: &StepArgs, path: &Path) -> Result<Material> {
@@ -134,14 +116,8 @@ fn of_recording(args: &StepArgs, path: &Path) -> Result<Material> {
         use_every: None,
         settings: args.settings.clone(),
     };
-    ensure!(
-        is_descriptor || args.run.is_none(),
-        "--run chooses from a descriptor's runs; a recording of ours has one"
-    );
-    let watch = Watch {
-        against: None,
-        truth_sigma_m: 1.0,
-    };
+    ensure!(is_descriptor || args.run.is_none(), "--run chooses from a descriptor's runs; a recording of ours has one");
+    let watch = Watch { against: None, truth_sigma_m: 1.0 };
     let drives = source::load(path, &flags, watch).map_err(|failure| match failure {
         Failure::CouldNotStart(error) | Failure::Failed(error) => error,
     })?;
@@ -172,20 +148,12 @@ struct Part<'a> {
 /// Every thermometer of a recording of ours by itself; else the drive as a whole, which has each sensor once.
 fn parts(asked: ChannelName, drive: &Drive) -> Result<Vec<Part<'_>>> {
     if asked != ChannelName::Temperature || drive.thermometers.is_empty() {
-        return Ok(vec![Part {
-            name: drive.name.clone(),
-            drive,
-            observations: &drive.observations,
-        }]);
+        return Ok(vec![Part { name: drive.name.clone(), drive, observations: &drive.observations }]);
     }
     let parts = drive.thermometers.iter().map(|one| {
         let name = format!("{} {}", drive.name, one.name_among(&drive.thermometers));
         let readings = one.readings();
-        Ok(Part {
-            observations: readings.with_context(|| format!("recording `{}`", drive.name))?,
-            name,
-            drive,
-        })
+        Ok(Part { observations: readings.with_context(|| format!("recording `{}`", drive.name))?, name, drive })
     });
     parts.collect()
 }
@@ -205,32 +173,17 @@ fn of_part(args: &StepArgs, asked: ChannelName, part: &Part<'_>) -> Result<StepR
             "run `{}` holds no {} there; what it holds for --channel: {}",
             part.name,
             asked.channel().name(),
-            if others.is_empty() {
-                "nothing".to_owned()
-            } else {
-                others.join(", ")
-            }
+            if others.is_empty() { "nothing".to_owned() } else { others.join(", ") }
         );
     }
     let (noise, geometry) = (&part.drive.config.noise, &part.drive.config.geometry);
     let sigma = asked.channel().noise(noise, geometry, &samples);
-    Ok(StepRun {
-        sampling: asked.channel().sampling(),
-        ..of_samples(args, &part.name, samples, sigma)?
-    })
+    Ok(StepRun { sampling: asked.channel().sampling(), ..of_samples(args, &part.name, samples, sigma)? })
 }
 
-fn of_samples(
-    args: &StepArgs,
-    name: &str,
-    samples: Vec<Sample>,
-    sigma: Option<f64>,
-) -> Result<StepRun> {
+fn of_samples(args: &StepArgs, name: &str, samples: Vec<Sample>, sigma: Option<f64>) -> Result<StepRun> {
     let sigma = args.noise.or(sigma).ok_or_else(|| {
-        anyhow!(
-            "`{name}`: its {} samples do not say how noisy they are; give --noise",
-            samples.len()
-        )
+        anyhow!("`{name}`: its {} samples do not say how noisy they are; give --noise", samples.len())
     })?;
     Ok(StepRun {
         name: name.to_owned(),
@@ -253,21 +206,14 @@ fn of_table(args: &StepArgs, path: &Path) -> Result<Material> {
     let unit = args.time_unit.unwrap_or(TimeUnit::S);
     let listing = Listing::read(path)?;
     let column = |asked: &Option<String>, place: usize, flag: &str| {
-        let named = asked
-            .clone()
-            .or_else(|| listing.columns().get(place).cloned());
+        let named = asked.clone().or_else(|| listing.columns().get(place).cloned());
         named.with_context(|| format!("`{}` has no column for {flag}", path.display()))
     };
     let time = column(&args.time_column, 0, "--time-column")?;
     let value = column(&args.value_column, 1, "--value-column")?;
     let samples: Vec<Sample> = listing
         .rows()
-        .map(|row| {
-            Ok(Sample {
-                at_s: row.number(&time)? * unit.seconds(),
-                value: row.number(&value)?,
-            })
-        })
+        .map(|row| Ok(Sample { at_s: row.number(&time)? * unit.seconds(), value: row.number(&value)? }))
         .collect::<Result<_>>()?;
     let name = path.display().to_string();
     let ordered = in_order_of_time(&samples);

@@ -7,9 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape};
-use posebridge_analysis::wall::{
-    StepFit, WallLog, by_hand, fit_steps, loop_period, reading_period,
-};
+use posebridge_analysis::wall::{StepFit, WallLog, by_hand, fit_steps, loop_period, reading_period};
 use posebridge_estimator::models::wall_approach::WallApproach;
 use posebridge_sim::wall::{WallScene, step};
 use posebridge_telemetry::Known;
@@ -64,12 +62,7 @@ pub(super) fn execute(args: &WallArgs) -> Result<(), Failure> {
         let prepared = recorded::prepare(path, &choice(args)).at_start()?;
         let folder = args.output.folder()?;
         let findings = of_runs(&prepared.runs).while_running()?;
-        return super::deliver(
-            &args.output,
-            &folder,
-            &findings,
-            &path.display().to_string(),
-        );
+        return super::deliver(&args.output, &folder, &findings, &path.display().to_string());
     }
     let scene = scene(args.scene.as_deref(), args.seed).at_start()?;
     let folder = args.output.folder()?;
@@ -97,9 +90,7 @@ struct Truth {
 }
 
 fn simulated(scene: &WallScene, count: u32) -> Result<Findings> {
-    let logs: Vec<WallLog> = (0..count)
-        .map(|run| log_of(scene, &step(scene, run)))
-        .collect();
+    let logs: Vec<WallLog> = (0..count).map(|run| log_of(scene, &step(scene, run))).collect();
     let fit = fit_steps(&logs).context("evaluating the steps")?;
     let (steady_m_per_s, rise_90_s) = (scene.car.steady_m_per_s, scene.car.rise_90_s);
     let truth = Truth {
@@ -111,11 +102,7 @@ fn simulated(scene: &WallScene, count: u32) -> Result<Findings> {
     let mut notes = vec![noise_note("all steps", &fit)];
     notes.extend(logs.first().and_then(hand_note));
     let drawn = logs.first().map(|log| picture("the first step", log, &fit));
-    Ok(told(
-        quantities(&fit, &logs, Some(&truth), None),
-        notes,
-        drawn.into_iter().collect(),
-    ))
+    Ok(told(quantities(&fit, &logs, Some(&truth), None), notes, drawn.into_iter().collect()))
 }
 
 fn of_runs(runs: &[recorded::RunLog]) -> Result<Findings> {
@@ -150,44 +137,14 @@ fn told(quantities: Vec<Quantity>, notes: Vec<String>, plots: Vec<Plot>) -> Find
     }
 }
 
-fn quantities(
-    fit: &StepFit,
-    logs: &[WallLog],
-    truth: Option<&Truth>,
-    of: Option<&str>,
-) -> Vec<Quantity> {
+fn quantities(fit: &StepFit, logs: &[WallLog], truth: Option<&Truth>, of: Option<&str>) -> Vec<Quantity> {
     let known = |(value, sigma): (f64, f64)| Known { value, sigma };
     let rows = [
-        (
-            "v_ss",
-            "m/s",
-            Some(known(fit.steady_m_per_s)),
-            truth.map(|truth| truth.steady_m_per_s),
-        ),
-        (
-            "t90",
-            "s",
-            Some(known(fit.rise_90_s)),
-            truth.map(|truth| truth.rise_90_s),
-        ),
-        (
-            "d",
-            "s/m",
-            Some(known(fit.drag_s_per_m)),
-            truth.map(|truth| truth.model.drag_s_per_m),
-        ),
-        (
-            "m",
-            "s²/m",
-            Some(known(fit.mass_s2_per_m)),
-            truth.map(|truth| truth.model.mass_s2_per_m),
-        ),
-        (
-            "dt of the loop",
-            "s",
-            loop_period(logs),
-            truth.map(|truth| truth.loop_s),
-        ),
+        ("v_ss", "m/s", Some(known(fit.steady_m_per_s)), truth.map(|truth| truth.steady_m_per_s)),
+        ("t90", "s", Some(known(fit.rise_90_s)), truth.map(|truth| truth.rise_90_s)),
+        ("d", "s/m", Some(known(fit.drag_s_per_m)), truth.map(|truth| truth.model.drag_s_per_m)),
+        ("m", "s²/m", Some(known(fit.mass_s2_per_m)), truth.map(|truth| truth.model.mass_s2_per_m)),
+        ("dt of the loop", "s", loop_period(logs), truth.map(|truth| truth.loop_s)),
         ("dt of the readings", "s", reading_period(logs), None),
     ];
     let rows = rows.into_iter().map(|(name, unit, known, truth)| {
@@ -202,11 +159,7 @@ fn quantities(
 }
 
 fn noise_note(of: &str, fit: &StepFit) -> String {
-    format!(
-        "{of}: {} readings, noise of a reading by the fit {:.1} mm",
-        fit.readings,
-        1e3 * fit.range_sigma_m
-    )
+    format!("{of}: {} readings, noise of a reading by the fit {:.1} mm", fit.readings, 1e3 * fit.range_sigma_m)
 }
 
 fn reach_note(run: &recorded::RunLog, fit: &StepFit) -> String {
@@ -219,10 +172,7 @@ fn reach_note(run: &recorded::RunLog, fit: &StepFit) -> String {
     } else {
         "no motor input in the files: taken for full drive from the first reading on, of which the sigmas do not know"
     };
-    format!(
-        "{}: driven for {driven_s:.2} s, by then at {share:.0} % of v_ss; {input}",
-        run.name
-    )
+    format!("{}: driven for {driven_s:.2} s, by then at {share:.0} % of v_ss; {input}", run.name)
 }
 
 fn hand_note(log: &WallLog) -> Option<String> {
@@ -238,21 +188,14 @@ fn picture(of: &str, log: &WallLog, fit: &StepFit) -> Plot {
     let explained = fit.explained(log);
     let points = |value: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
         let rows = explained.iter();
-        rows.map(|(at_s, range_m, fitted_m)| (*at_s, value(*range_m, *fitted_m)))
-            .collect()
+        rows.map(|(at_s, range_m, fitted_m)| (*at_s, value(*range_m, *fitted_m))).collect()
     };
     let axes = |y_name: &str, height_px: f64, curves: [(&str, Shape); 2]| Axes {
         x_name: "time [s]".to_owned(),
         y_name: y_name.to_owned(),
         height_px,
         is_map: false,
-        curves: curves
-            .into_iter()
-            .map(|(name, shape)| Curve {
-                name: name.to_owned(),
-                shape,
-            })
-            .collect(),
+        curves: curves.into_iter().map(|(name, shape)| Curve { name: name.to_owned(), shape }).collect(),
     };
     Plot {
         title: format!("Step test: {of}"),
@@ -273,10 +216,7 @@ fn picture(of: &str, log: &WallLog, fit: &StepFit) -> Plot {
                 "left [mm]",
                 160.0,
                 [
-                    (
-                        "reading - fit",
-                        Shape::Dots(points(&|range_m, fitted_m| 1e3 * (range_m - fitted_m))),
-                    ),
+                    ("reading - fit", Shape::Dots(points(&|range_m, fitted_m| 1e3 * (range_m - fitted_m)))),
                     ("zero", Shape::Level(0.0)),
                 ],
             ),

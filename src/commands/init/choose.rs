@@ -18,26 +18,16 @@ const LONGEST_ANSWER: u64 = 1_000;
 pub(super) fn ask(answers: &mut impl BufRead, terminal: &mut impl Write) -> Result<BundledRobot> {
     writeln!(terminal, "Which robot is it most like?")?;
     for (number, robot) in (1..).zip(ROBOTS) {
-        writeln!(
-            terminal,
-            "{number:>3}  {:<15} {}",
-            robot.name,
-            robot.summary()
-        )?;
+        writeln!(terminal, "{number:>3}  {:<15} {}", robot.name, robot.summary())?;
     }
     for _ in 0..TRIES {
         write!(terminal, "Number or name: ")?;
         terminal.flush()?;
         let mut answer = String::new();
         let mut limited = std::io::Read::take(&mut *answers, LONGEST_ANSWER);
-        let read = limited
-            .read_line(&mut answer)
-            .context("reading the answer")?;
+        let read = limited.read_line(&mut answer).context("reading the answer")?;
         if read == 0 {
-            bail!(
-                "no robot was chosen; give its name: posebridge init {}",
-                ROBOTS[0].name
-            );
+            bail!("no robot was chosen; give its name: posebridge init {}", ROBOTS[0].name);
         }
         let answer = answer.trim();
         match chosen(answer) {
@@ -50,10 +40,7 @@ pub(super) fn ask(answers: &mut impl BufRead, terminal: &mut impl Write) -> Resu
             )?,
         }
     }
-    bail!(
-        "no robot was chosen in {TRIES} tries; give its name: posebridge init {}",
-        ROBOTS[0].name
-    )
+    bail!("no robot was chosen in {TRIES} tries; give its name: posebridge init {}", ROBOTS[0].name)
 }
 
 fn chosen(answer: &str) -> Option<BundledRobot> {
@@ -81,35 +68,19 @@ mod tests {
         for answer in ["4\n", " nxt-56mm \n", "nxt-56mm", "0\nseven\n4\n"] {
             let (robot, shown) = asked(answer);
             assert_eq!(robot.as_deref(), Ok("nxt-56mm"), "{answer}");
-            assert!(
-                shown.contains("  4  nxt-56mm        LEGO NXT with 56 mm"),
-                "{shown}"
-            );
+            assert!(shown.contains("  4  nxt-56mm        LEGO NXT with 56 mm"), "{shown}");
         }
         let (_, shown) = asked("0\nseven\n4\n");
-        assert!(
-            shown.contains("`seven` is none of them: a number from 1 to 6 or a name"),
-            "{shown}"
-        );
+        assert!(shown.contains("`seven` is none of them: a number from 1 to 6 or a name"), "{shown}");
     }
 
     #[test]
     fn who_does_not_answer_or_only_nonsense_is_told_what_to_do() {
         let (robot, _) = asked("");
         let error = robot.unwrap_err();
-        assert_eq!(
-            error,
-            "no robot was chosen; give its name: posebridge init arduino-2wd"
-        );
+        assert_eq!(error, "no robot was chosen; give its name: posebridge init arduino-2wd");
         let (robot, shown) = asked("a\n\u{1b}[2J\nc\n4\n");
-        assert!(
-            robot
-                .unwrap_err()
-                .starts_with("no robot was chosen in 3 tries")
-        );
-        assert!(
-            !shown.contains('\u{1b}'),
-            "no escape comes back to the terminal"
-        );
+        assert!(robot.unwrap_err().starts_with("no robot was chosen in 3 tries"));
+        assert!(!shown.contains('\u{1b}'), "no escape comes back to the terminal");
     }
 }

@@ -26,14 +26,10 @@ pub(super) fn guess(usual: &LinkSection, roots: &Roots) -> TemplateLink {
         return as_usual("how this robot is usually reached", Vec::new());
     };
     let ports = serial_ports(roots);
-    let (fitting, others): (Vec<_>, Vec<_>) =
-        ports.iter().partition(|port| is_alike(&port.name, &device));
+    let (fitting, others): (Vec<_>, Vec<_>) = ports.iter().partition(|port| is_alike(&port.name, &device));
     let Some((first, further)) = fitting.split_first() else {
         let notes = described(&others, "no such port is there now; there is");
-        return as_usual(
-            "a guess, no such port is there: `posebridge doctor` shows which are",
-            notes,
-        );
+        return as_usual("a guess, no such port is there: `posebridge doctor` shows which are", notes);
     };
     let path = first.by_id.as_ref().unwrap_or(&first.device).display();
     let further: Vec<&SerialPort> = further.iter().chain(&others).copied().collect();
@@ -67,10 +63,7 @@ fn is_alike(name: &str, usual: &str) -> bool {
 }
 
 fn described(ports: &[&SerialPort], what: &str) -> Vec<String> {
-    let lines = ports
-        .iter()
-        .take(MOST_NAMED)
-        .map(|port| format!("{what} {}", what_is(port)));
+    let lines = ports.iter().take(MOST_NAMED).map(|port| format!("{what} {}", what_is(port)));
     lines.collect()
 }
 
@@ -80,16 +73,8 @@ fn what_is(port: &SerialPort) -> String {
     let name = port.usb.as_ref().map(|usb| usb.name.as_str());
     match name.filter(|name| !name.is_empty()) {
         Some(name) => {
-            let name: String = name
-                .chars()
-                .map(|character| {
-                    if character.is_control() {
-                        ' '
-                    } else {
-                        character
-                    }
-                })
-                .collect();
+            let name: String =
+                name.chars().map(|character| if character.is_control() { ' ' } else { character }).collect();
             format!("{device} ({name})")
         }
         None => device.to_string(),
@@ -123,15 +108,9 @@ mod tests {
         let device = roots.dev.join("ttyUSB3");
         let expected = format!("serial://{}?baud=57600", device.display());
         assert_eq!(found.url, expected);
-        assert_eq!(
-            found.origin,
-            format!("a guess: {} is there", device.display())
-        );
+        assert_eq!(found.origin, format!("a guess: {} is there", device.display()));
         let dev = roots.dev.display();
-        let notes = [
-            format!("also there: {dev}/ttyUSB7"),
-            format!("also there: {dev}/rfcomm0"),
-        ];
+        let notes = [format!("also there: {dev}/ttyUSB7"), format!("also there: {dev}/rfcomm0")];
         assert_eq!(found.notes, notes);
     }
 
@@ -142,10 +121,7 @@ mod tests {
         fs::create_dir_all(&by_id).unwrap();
         std::os::unix::fs::symlink("../../ttyACM0", by_id.join("usb-board")).unwrap();
         let found = guess(&usual("serial:///dev/ttyACM0"), &roots);
-        assert_eq!(
-            found.url,
-            format!("serial://{}", by_id.join("usb-board").display())
-        );
+        assert_eq!(found.url, format!("serial://{}", by_id.join("usb-board").display()));
     }
 
     #[test]
@@ -153,25 +129,15 @@ mod tests {
         let (_folder, roots) = computer(&["ttyACM0"]);
         let found = guess(&usual("serial:///dev/rfcomm0"), &roots);
         assert_eq!(found.url, "serial:///dev/rfcomm0");
-        assert!(
-            found.origin.starts_with("a guess, no such port"),
-            "{}",
-            found.origin
-        );
+        assert!(found.origin.starts_with("a guess, no such port"), "{}", found.origin);
         assert_eq!(found.notes.len(), 1, "{:?}", found.notes);
     }
 
     #[test]
     fn a_link_that_is_no_port_stays_as_it_is() {
         let (_folder, roots) = computer(&["ttyACM0"]);
-        let listening = LinkSection {
-            listen: true,
-            ..usual("tcp://127.0.0.1:5760")
-        };
+        let listening = LinkSection { listen: true, ..usual("tcp://127.0.0.1:5760") };
         let found = guess(&listening, &roots);
-        assert_eq!(
-            (found.url.as_str(), found.is_listening),
-            ("tcp://127.0.0.1:5760", true)
-        );
+        assert_eq!((found.url.as_str(), found.is_listening), ("tcp://127.0.0.1:5760", true));
     }
 }

@@ -30,11 +30,7 @@ pub fn execute(args: &InitArgs) -> Result<(), Failure> {
     let robot = robot(args).at_start()?;
     let link = link(args, robot).at_start()?;
     let is_stdout = args.out.as_os_str() == STDOUT;
-    let file = if is_stdout {
-        "FILE".to_owned()
-    } else {
-        args.out.display().to_string()
-    };
+    let file = if is_stdout { "FILE".to_owned() } else { args.out.display().to_string() };
     let text = template(robot, &link, &file);
     check(&text).at_start()?;
     if is_stdout {
@@ -76,10 +72,7 @@ fn link(args: &InitArgs, robot: BundledRobot) -> Result<TemplateLink> {
         return Ok(given(url, true));
     }
     let own: Config = toml::from_str(robot.text).context(robot.name)?;
-    let usual = own
-        .links
-        .first()
-        .ok_or_else(|| anyhow!("config/robots/{}.toml names no link", robot.name))?;
+    let usual = own.links.first().ok_or_else(|| anyhow!("config/robots/{}.toml names no link", robot.name))?;
     Ok(guess::guess(usual, &Roots::of_this_computer()))
 }
 
@@ -102,9 +95,9 @@ fn write(args: &InitArgs, text: &str) -> Result<()> {
     }
     let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(file) => file,
-        Err(error) if error.kind() == ErrorKind::AlreadyExists => bail!(
-            "`{name}` is there already: name another file with --out, or write over it with --force"
-        ),
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            bail!("`{name}` is there already: name another file with --out, or write over it with --force")
+        }
         Err(error) => return Err(error).with_context(|| format!("cannot write `{name}`")),
     };
     let written = file.write_all(text.as_bytes());

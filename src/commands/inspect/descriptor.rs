@@ -59,9 +59,7 @@ pub(super) fn inspect(path: &Path, flags: &DataFlags) -> Result<Vec<RunFacts>> {
             observations: series_of(&run.observations),
             truth: run.truth.len(),
             withheld: run.withheld.len(),
-            bad_rows: counts
-                .map(|(reason, count)| (reason.name(), *count as u64))
-                .collect(),
+            bad_rows: counts.map(|(reason, count)| (reason.name(), *count as u64)).collect(),
         })
     });
     runs.collect()
@@ -72,18 +70,9 @@ fn series_of(observations: &[Timed]) -> Vec<(String, Series)> {
     for timed in observations {
         let observation = &timed.observation;
         let (kind, sensor) = (observation.observed.kind(), observation.sensor);
-        let name = if sensor.name() == kind {
-            kind.to_owned()
-        } else {
-            format!("{kind} ({} {sensor})", sensor.name())
-        };
+        let name = if sensor.name() == kind { kind.to_owned() } else { format!("{kind} ({} {sensor})", sensor.name()) };
         let stamp = observation.stamp;
-        let one = series.entry(name).or_insert(Series {
-            count: 0,
-            first: stamp,
-            last: stamp,
-            longest_gap: Span::ZERO,
-        });
+        let one = series.entry(name).or_insert(Series { count: 0, first: stamp, last: stamp, longest_gap: Span::ZERO });
         one.count += 1;
         one.longest_gap = one.longest_gap.max(stamp - one.last);
         one.last = one.last.max(stamp);

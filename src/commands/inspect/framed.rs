@@ -18,10 +18,7 @@ const LINK: LinkId = LinkId(0);
 /// # Errors
 /// It cannot be read.
 pub(super) fn tlog(file: InputFile) -> Result<Framed> {
-    let mut framed = Framed {
-        epoch_micros: Some(0),
-        ..Framed::default()
-    };
+    let mut framed = Framed { epoch_micros: Some(0), ..Framed::default() };
     let mut facts = TlogFacts::default();
     let reader = records(file, |record| {
         take_record(&mut framed, &mut facts, &record);
@@ -72,10 +69,7 @@ pub(super) fn bytes(mut file: InputFile) -> Result<Framed> {
 
 /// A scanner for what somebody else has recorded: of both versions and every dialect.
 pub(super) fn inspecting_scanner() -> Scanner {
-    Scanner::of_every_dialect(ScannerConfig {
-        accept_v1: true,
-        ..ScannerConfig::default()
-    })
+    Scanner::of_every_dialect(ScannerConfig { accept_v1: true, ..ScannerConfig::default() })
 }
 
 /// Counts what a scanner has found.

@@ -61,10 +61,7 @@ fn add_framed(object: &mut Map<String, Value>, framed: &Framed) {
     add("sources", json!(sources));
     let mut messages: Vec<(u32, Tally)> = census.messages().into_iter().collect();
     messages.sort_by_key(|(id, tally)| (std::cmp::Reverse(tally.frames), *id));
-    let messages: Vec<Value> = messages
-        .iter()
-        .map(|(id, tally)| message_of(*id, tally))
-        .collect();
+    let messages: Vec<Value> = messages.iter().map(|(id, tally)| message_of(*id, tally)).collect();
     add("messages", json!(messages));
     add("frames_of_further_sources", json!(census.crowd()));
     if let Some(facts) = &framed.tlog {
@@ -80,18 +77,11 @@ fn versions_of(census: &Census) -> Value {
     let versions = [("1", WireVersion::V1), ("2", WireVersion::V2)];
     let counts = versions.map(|(name, version)| (name.to_owned(), census.of_version(version)));
     let occurring = counts.into_iter().filter(|(_, count)| *count > 0);
-    Value::Object(
-        occurring
-            .map(|(name, count)| (name, json!(count)))
-            .collect(),
-    )
+    Value::Object(occurring.map(|(name, count)| (name, json!(count))).collect())
 }
 
 fn utc_micros(framed: &Framed, at: Option<Stamp<HostClock>>) -> Value {
-    let utc = framed
-        .epoch_micros
-        .zip(at)
-        .map(|(epoch, at)| i128::from(epoch) + i128::from(at.as_micros()));
+    let utc = framed.epoch_micros.zip(at).map(|(epoch, at)| i128::from(epoch) + i128::from(at.as_micros()));
     json!(utc.and_then(|utc| u64::try_from(utc).ok()))
 }
 
@@ -204,11 +194,8 @@ fn run_of(run: &RunFacts) -> Value {
             })
         })
         .collect();
-    let bad_rows: Map<String, Value> = run
-        .bad_rows
-        .iter()
-        .map(|(reason, count)| ((*reason).to_owned(), json!(count)))
-        .collect();
+    let bad_rows: Map<String, Value> =
+        run.bad_rows.iter().map(|(reason, count)| ((*reason).to_owned(), json!(count))).collect();
     json!({
         "name": run.name,
         "observations": observations,

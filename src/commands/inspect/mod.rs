@@ -71,9 +71,7 @@ impl TlogFacts {
             return Vec::new();
         }
         let bits = self.link_bits.iter().enumerate();
-        bits.filter(|(_, share)| used(share))
-            .map(|(bits, _)| bits)
-            .collect()
+        bits.filter(|(_, share)| used(share)).map(|(bits, _)| bits).collect()
     }
 }
 
@@ -93,16 +91,10 @@ pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
     let found = match kind {
         Kind::Tlog => framed::tlog(file).map(Found::framed).while_running()?,
         Kind::Bytes => framed::bytes(file).map(Found::framed).while_running()?,
-        Kind::Own => own::inspect(file, &args.file)
-            .map(Found::framed)
-            .at_start()?,
+        Kind::Own => own::inspect(file, &args.file).map(Found::framed).at_start()?,
         Kind::Descriptor => Found::Runs(descriptor::inspect(&args.file, &args.data).at_start()?),
     };
-    let text = if args.json {
-        json::text(&name, kind, size, &found)
-    } else {
-        table::text(&name, kind, &found)
-    };
+    let text = if args.json { json::text(&name, kind, size, &found) } else { table::text(&name, kind, &found) };
     stdout::print(&text).while_running()
 }
 
@@ -118,13 +110,7 @@ mod tests {
 
     #[test]
     fn the_lowest_bits_are_links_only_where_they_are_not_spread() {
-        let links = |link_bits| {
-            TlogFacts {
-                link_bits,
-                ..TlogFacts::default()
-            }
-            .links()
-        };
+        let links = |link_bits| TlogFacts { link_bits, ..TlogFacts::default() }.links();
         assert_eq!(links([251, 240, 260, 249]), [0_usize; 0]);
         assert_eq!(links([900, 0, 0, 100]), [0, 3]);
         assert_eq!(links([5, 0, 0, 0]), [0_usize; 0], "too few to tell");

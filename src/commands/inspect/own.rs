@@ -83,10 +83,7 @@ pub(super) fn inspect(file: InputFile, path: &Path) -> Result<Framed> {
     let name = file.name.clone();
     let bytes = file.whole(MOST_BYTES)?;
     let mut reader = Reader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
-    let mut framed = Framed {
-        epoch_micros: Some(reader.header().utc_start_micros),
-        ..Framed::default()
-    };
+    let mut framed = Framed { epoch_micros: Some(reader.header().utc_start_micros), ..Framed::default() };
     let mut facts = OwnFacts {
         part: reader.beginning().part,
         lack: lack_of(reader.beginning()),
@@ -117,18 +114,12 @@ pub(super) fn inspect(file: InputFile, path: &Path) -> Result<Framed> {
 
 fn facts_of(header: &Header) -> OwnFacts {
     // A configuration of a newer program may not be understood; the bytes are counted all the same.
-    let config = config::load_text(
-        "the recording's own configuration",
-        &header.config_toml,
-        &[],
-    );
+    let config = config::load_text("the recording's own configuration", &header.config_toml, &[]);
     let sections = config.map(|loaded| loaded.config.links).unwrap_or_default();
     let links = header.links.iter().enumerate().map(|(index, url)| {
         let facts = LinkFacts {
             url: url.clone(),
-            brick: sections
-                .get(index)
-                .and_then(|section| section.brick.clone()),
+            brick: sections.get(index).and_then(|section| section.brick.clone()),
             ..LinkFacts::default()
         };
         (LinkId(index as u16), facts)
@@ -163,15 +154,9 @@ fn take(
             let of_link = facts.links.entry(*link).or_default();
             of_link.chunks += 1;
             of_link.bytes += bytes.len() as u64;
-            if of_link
-                .brick
-                .as_deref()
-                .is_none_or(|brick| brick == "mavlink")
-            {
+            if of_link.brick.as_deref().is_none_or(|brick| brick == "mavlink") {
                 framed.bytes += bytes.len() as u64;
-                let scanner = scanners
-                    .entry((*link, *peer))
-                    .or_insert_with(inspecting_scanner);
+                let scanner = scanners.entry((*link, *peer)).or_insert_with(inspecting_scanner);
                 scanner.push(now, bytes, &mut |found| {
                     take_scanned(framed, *link, found, Some(now));
                 });

@@ -60,10 +60,7 @@ fn summary(framed: &Framed) -> String {
         // Writing to a String cannot fail.
         let _ = write!(text, ", {duration_s:.3} s");
     }
-    for (name, version) in [
-        ("MAVLink 1", WireVersion::V1),
-        ("MAVLink 2", WireVersion::V2),
-    ] {
+    for (name, version) in [("MAVLink 1", WireVersion::V1), ("MAVLink 2", WireVersion::V2)] {
         let count = census.of_version(version);
         if count > 0 && count < all.frames {
             let _ = write!(text, ", {count} of {name}");
@@ -87,10 +84,7 @@ fn summary(framed: &Framed) -> String {
 }
 
 fn own_text(facts: &OwnFacts) -> String {
-    let mut text = format!(
-        "written by posebridge {}, {} inputs\n",
-        facts.header.program_version, facts.inputs
-    );
+    let mut text = format!("written by posebridge {}, {} inputs\n", facts.header.program_version, facts.inputs);
     if let Some(lack) = &facts.lack {
         let _ = writeln!(text, "{lack}");
     }
@@ -149,14 +143,7 @@ fn gaps_text(census: &Census) -> String {
 }
 
 fn sources(census: &Census) -> String {
-    let header = [
-        "sender",
-        "frames",
-        "lost",
-        "per second",
-        "longest silence",
-        "clock",
-    ];
+    let header = ["sender", "frames", "lost", "per second", "longest silence", "clock"];
     let mut table = Table::new(header);
     for source in census.sources() {
         table.push([
@@ -204,22 +191,12 @@ fn messages(census: &Census) -> String {
 }
 
 fn or_none(value: Option<f64>, unit: &str, decimals: usize) -> String {
-    value.map_or_else(
-        || NO_VALUE.to_owned(),
-        |value| format!("{value:.decimals$}{unit}"),
-    )
+    value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.decimals$}{unit}"))
 }
 
 fn run_text(run: &RunFacts) -> String {
     let mut text = format!("\nrun {}\n", run.name);
-    let header = [
-        "observations",
-        "count",
-        "per second",
-        "from",
-        "to",
-        "longest gap",
-    ];
+    let header = ["observations", "count", "per second", "from", "to", "longest gap"];
     let mut table = Table::new(header);
     for (name, series) in &run.observations {
         table.push([
@@ -232,10 +209,7 @@ fn run_text(run: &RunFacts) -> String {
         ]);
     }
     text += &table.render();
-    let counts = [
-        (run.truth, "true poses"),
-        (run.withheld, "fixes are withheld"),
-    ];
+    let counts = [(run.truth, "true poses"), (run.withheld, "fixes are withheld")];
     for (count, name) in counts {
         if count > 0 {
             let _ = writeln!(text, "{count} {name}");

@@ -52,9 +52,7 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
 }
 
 fn bounds_took(scored: &[Scored]) -> Span {
-    scored
-        .iter()
-        .fold(Span::ZERO, |sum, scored| sum + scored.bound_took)
+    scored.iter().fold(Span::ZERO, |sum, scored| sum + scored.bound_took)
 }
 
 fn estimators(args: &LabAccuracyArgs) -> Result<Vec<Estimator>> {
@@ -67,10 +65,7 @@ fn estimators(args: &LabAccuracyArgs) -> Result<Vec<Estimator>> {
 
 fn planned(args: &LabAccuracyArgs) -> Result<Vec<Planned>> {
     let names: Vec<String> = if args.scenarios.is_empty() {
-        SCENARIOS
-            .iter()
-            .map(|(name, _)| (*name).to_owned())
-            .collect()
+        SCENARIOS.iter().map(|(name, _)| (*name).to_owned()).collect()
     } else {
         args.scenarios.clone()
     };
@@ -79,11 +74,7 @@ fn planned(args: &LabAccuracyArgs) -> Result<Vec<Planned>> {
         if let Some(seed) = args.seed {
             scenario = scenario.with_seed(seed);
         }
-        Ok(Planned {
-            name,
-            runs: args.runs.unwrap_or(scenario.runs),
-            scenario,
-        })
+        Ok(Planned { name, runs: args.runs.unwrap_or(scenario.runs), scenario })
     });
     planned.collect()
 }
@@ -117,11 +108,7 @@ fn table(scored: &Scored, names: &[String]) -> String {
     let rows: Vec<ScoreRow<'_>> = names
         .iter()
         .zip(&scored.results)
-        .map(|(name, Scores { score, .. })| ScoreRow {
-            name,
-            score,
-            bound_m,
-        })
+        .map(|(name, Scores { score, .. })| ScoreRow { name, score, bound_m })
         .collect();
     let refusals = names.iter().zip(&scored.results);
     let refusals: Vec<String> = refusals.filter_map(refusals_of).collect();
@@ -138,9 +125,7 @@ fn table(scored: &Scored, names: &[String]) -> String {
 fn refusals_of((name, scores): (&String, &Scores)) -> Option<String> {
     let (run, reason) = scores.refusals.first()?;
     let count = scores.refusals.len();
-    Some(format!(
-        "{name}: says nothing of {count} runs; of run {run}: {reason}\n"
-    ))
+    Some(format!("{name}: says nothing of {count} runs; of run {run}: {reason}\n"))
 }
 
 fn names(estimators: &[Estimator]) -> Vec<String> {
@@ -149,10 +134,7 @@ fn names(estimators: &[Estimator]) -> Vec<String> {
 
 fn headline(scored: &Scored) -> String {
     let planned = &scored.planned;
-    format!(
-        "{}: {} runs, seed {}",
-        planned.name, planned.runs, planned.scenario.seed
-    )
+    format!("{}: {} runs, seed {}", planned.name, planned.runs, planned.scenario.seed)
 }
 
 fn chart(scored: &[Scored], estimators: &[Estimator]) -> AccuracyChart {

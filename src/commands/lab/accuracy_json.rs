@@ -77,18 +77,13 @@ pub(super) fn object(scored: &[Scored], estimators: &[Estimator]) -> Result<Valu
             .map(|(estimator, scores)| estimator_row(estimator, scores))
             .collect(),
     });
-    let report = Report {
-        scenarios: scenarios.collect(),
-    };
+    let report = Report { scenarios: scenarios.collect() };
     Ok(serde_json::to_value(&report)?)
 }
 
 fn estimator_row<'a>(estimator: &Estimator, scores: &'a Scores) -> EstimatorRow<'a> {
     let score = &scores.score;
-    let refused = scores.refusals.iter().map(|(run, refusal)| RefusedRun {
-        run: *run,
-        reason: refusal.to_string(),
-    });
+    let refused = scores.refusals.iter().map(|(run, refusal)| RefusedRun { run: *run, reason: refusal.to_string() });
     EstimatorRow {
         name: estimator.name(),
         position_rms_m: score.position_rms_m(),
@@ -97,9 +92,7 @@ fn estimator_row<'a>(estimator: &Estimator, scores: &'a Scores) -> EstimatorRow<
         heading_rms_rad: score.heading_rms_rad(),
         claimed_rms_m: score.claimed_rms_m(),
         anees: score.anees(),
-        anees_band: score
-            .band()
-            .map(|ConsistencyBand { low, high }| [low, high]),
+        anees_band: score.band().map(|ConsistencyBand { low, high }| [low, high]),
         consistency: score.consistency().in_words(),
         steps: score.steps(),
         steps_without_estimate: score.steps_without_estimate(),

@@ -82,22 +82,10 @@ fn drive(planned: &Planned, run: u32, estimators: &[Estimator], timer: &HostTime
     let before = timer.now();
     let bound = Bounded::of(&planned.scenario).of_drive(&drive, &known);
     let bound_took = timer.now() - before;
-    Driven {
-        verdicts: estimators
-            .iter()
-            .map(|estimator| estimator.score(&drive, &known))
-            .collect(),
-        bound,
-        bound_took,
-    }
+    Driven { verdicts: estimators.iter().map(|estimator| estimator.score(&drive, &known)).collect(), bound, bound_took }
 }
 
-fn added_up(
-    planned: Vec<Planned>,
-    estimators: usize,
-    jobs: &[Job],
-    by_job: Vec<Option<Driven>>,
-) -> Vec<Scored> {
+fn added_up(planned: Vec<Planned>, estimators: usize, jobs: &[Job], by_job: Vec<Option<Driven>>) -> Vec<Scored> {
     let mut all: Vec<Scored> = planned
         .into_iter()
         .map(|planned| Scored {
@@ -120,13 +108,10 @@ impl Scored {
     fn add(&mut self, run: u32, driven: Driven) {
         for (sum, verdict) in self.results.iter_mut().zip(driven.verdicts) {
             sum.score.absorb(&verdict.score);
-            sum.refusals
-                .extend(verdict.refusal.map(|refusal| (run, refusal)));
+            sum.refusals.extend(verdict.refusal.map(|refusal| (run, refusal)));
         }
         if let Some(bound) = driven.bound {
-            self.bound
-                .get_or_insert_with(BoundSum::default)
-                .absorb(&bound);
+            self.bound.get_or_insert_with(BoundSum::default).absorb(&bound);
         }
         self.bound_took += driven.bound_took;
     }

@@ -1,14 +1,7 @@
 //! The command that gives a page again: the one that was typed, not a list of the flags that somebody thought of.
 
 /// How a live robot is recorded. Its recording holds the robot and the keys that were set.
-const OF_A_LIVE_ROBOT: [&str; 6] = [
-    "--link",
-    "--listen",
-    "--duration",
-    "--config",
-    "--robot",
-    "--set",
-];
+const OF_A_LIVE_ROBOT: [&str; 6] = ["--link", "--listen", "--duration", "--config", "--robot", "--set"];
 
 /// Where results go, which is nothing that a page shows.
 const FOLDER: &str = "--out";
@@ -65,13 +58,8 @@ mod tests {
 
     #[test]
     fn a_command_is_told_as_it_was_typed_and_fits_through_a_shell() {
-        let args = [
-            "lab", "wall", "--out", "o", "--json", "--run", "step one", "--set", "a=it's",
-        ];
-        assert_eq!(
-            said(&args, None),
-            r"posebridge lab wall --run 'step one' --set 'a=it'\''s'"
-        );
+        let args = ["lab", "wall", "--out", "o", "--json", "--run", "step one", "--set", "a=it's"];
+        assert_eq!(said(&args, None), r"posebridge lab wall --run 'step one' --set 'a=it'\''s'");
     }
 
     #[test]
@@ -89,9 +77,6 @@ mod tests {
             "--out",
             "o",
         ];
-        assert_eq!(
-            said(&args, Some("o/live.mcap")),
-            "posebridge lab indirect --judge start --recording o/live.mcap"
-        );
+        assert_eq!(said(&args, Some("o/live.mcap")), "posebridge lab indirect --judge start --recording o/live.mcap");
     }
 }

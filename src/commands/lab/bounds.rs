@@ -27,11 +27,9 @@ impl Bounded {
         }
         let drawn = match told.geometry {
             ToldGeometry::Nominal => scenario.errors,
-            ToldGeometry::True => Errors {
-                radius_scale_sigma: 0.0,
-                radius_difference_sigma: 0.0,
-                track_scale_sigma: 0.0,
-            },
+            ToldGeometry::True => {
+                Errors { radius_scale_sigma: 0.0, radius_difference_sigma: 0.0, track_scale_sigma: 0.0 }
+            }
         };
         let known = Errors {
             radius_scale_sigma: told.radius_scale_sigma,
@@ -43,26 +41,12 @@ impl Bounded {
         }
         let camera = scenario.camera.as_ref();
         let left_out = [
-            (
-                camera.is_some_and(|camera| camera.true_noise_factor != 1.0),
-                "the camera's noise is taken as told",
-            ),
-            (
-                camera.is_some_and(|camera| camera.outliers.is_some()),
-                "without the outliers",
-            ),
+            (camera.is_some_and(|camera| camera.true_noise_factor != 1.0), "the camera's noise is taken as told"),
+            (camera.is_some_and(|camera| camera.outliers.is_some()), "without the outliers"),
             (scenario.kicks.is_some(), "without the kicks"),
-            (
-                scenario.accelerometer.is_some(),
-                "without what the accelerometers tell",
-            ),
+            (scenario.accelerometer.is_some(), "without what the accelerometers tell"),
         ];
-        Self::By(
-            left_out
-                .into_iter()
-                .filter_map(|(is_there, what)| is_there.then_some(what))
-                .collect(),
-        )
+        Self::By(left_out.into_iter().filter_map(|(is_there, what)| is_there.then_some(what)).collect())
     }
 
     /// The bound of one drive, where there is one.
@@ -70,14 +54,8 @@ impl Bounded {
         match self {
             Self::Not(_) => None,
             Self::By(_) => {
-                let turns: Vec<WheelTurn> = drive
-                    .wheel_turns
-                    .iter()
-                    .map(|turn| WheelTurn {
-                        left: turn.left,
-                        right: turn.right,
-                    })
-                    .collect();
+                let turns: Vec<WheelTurn> =
+                    drive.wheel_turns.iter().map(|turn| WheelTurn { left: turn.left, right: turn.right }).collect();
                 BoundSum::of(&filter_config(&drive.told), known, &turns)
             }
         }
@@ -108,9 +86,7 @@ mod tests {
             let expected = match *name {
                 "outliers-3pct" | "outliers-10pct" => Some("without the outliers"),
                 "noise-x4" | "noise-quarter" => Some("the camera's noise is taken as told"),
-                "noise-x4-outliers" => {
-                    Some("the camera's noise is taken as told, without the outliers")
-                }
+                "noise-x4-outliers" => Some("the camera's noise is taken as told, without the outliers"),
                 "kicks" | "kicks-camera-1hz" => Some("without the kicks"),
                 "paper-square" => Some("without what the accelerometers tell"),
                 "wpilib" => Some("the noise of the motion is not what a filter is told"),
@@ -138,14 +114,8 @@ mod tests {
             turn.right = Radians(0.0);
         }
         let known = known_drive(&drive);
-        let turns: Vec<WheelTurn> = drive
-            .wheel_turns
-            .iter()
-            .map(|turn| WheelTurn {
-                left: turn.left,
-                ..WheelTurn::default()
-            })
-            .collect();
+        let turns: Vec<WheelTurn> =
+            drive.wheel_turns.iter().map(|turn| WheelTurn { left: turn.left, ..WheelTurn::default() }).collect();
         let expected = BoundSum::of(&filter_config(&drive.told), &known, &turns);
         assert!(expected.is_some());
         assert_eq!(Bounded::of(&scenario).of_drive(&drive, &known), expected);

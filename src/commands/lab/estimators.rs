@@ -44,10 +44,7 @@ pub struct Verdict {
 
 impl Verdict {
     const fn of_filter(score: Score) -> Self {
-        Self {
-            score,
-            refusal: None,
-        }
+        Self { score, refusal: None }
     }
 }
 
@@ -61,15 +58,9 @@ impl Estimator {
     /// Every estimator of a pose, in the order of tables and pictures.
     #[must_use]
     pub fn all() -> Vec<Self> {
-        let filters = FILTERS
-            .iter()
-            .filter(|entry| entry.estimates == Estimates::Pose)
-            .map(Self::Filter);
+        let filters = FILTERS.iter().filter(|entry| entry.estimates == Estimates::Pose).map(Self::Filter);
         let clairvoyant = filter_named(FLAGSHIP).map(Self::TrueGeometry);
-        filters
-            .chain(clairvoyant)
-            .chain([Self::Rts, Self::Smooth])
-            .collect()
+        filters.chain(clairvoyant).chain([Self::Rts, Self::Smooth]).collect()
     }
 
     /// The estimator of this name.
@@ -80,10 +71,7 @@ impl Estimator {
         Self::all()
             .into_iter()
             .find(|estimator| estimator.name() == name)
-            .ok_or_else(|| UnknownEstimator {
-                name: name.to_owned(),
-                known: Self::names().join(", "),
-            })
+            .ok_or_else(|| UnknownEstimator { name: name.to_owned(), known: Self::names().join(", ") })
     }
 
     /// The names of all.
@@ -108,12 +96,12 @@ impl Estimator {
     pub fn summary(&self) -> String {
         match self {
             Self::Filter(entry) => entry.summary.to_owned(),
-            Self::TrueGeometry(entry) => format!(
-                "`{}` told the true geometry of each run: what no filter can know",
-                entry.name
-            ),
+            Self::TrueGeometry(entry) => {
+                format!("`{}` told the true geometry of each run: what no filter can know", entry.name)
+            }
             Self::Rts => {
-                "`pose` run forwards and back over the whole run: what it would have believed, had it known the rest".to_owned()
+                "`pose` run forwards and back over the whole run: what it would have believed, had it known the rest"
+                    .to_owned()
             }
             Self::Smooth => {
                 "the most likely path of the whole run, found afterwards: what no filter can know in time".to_owned()

@@ -59,10 +59,7 @@ fn page(tables: &str, pose: &[PoseRow]) -> Page {
 /// Every profile under every circumstance.
 fn cases(args: &LabLinksArgs) -> Result<Vec<Case>> {
     let names: Vec<String> = if args.profiles.is_empty() {
-        PROFILES
-            .iter()
-            .map(|(name, _)| (*name).to_owned())
-            .collect()
+        PROFILES.iter().map(|(name, _)| (*name).to_owned()).collect()
     } else {
         args.profiles.clone()
     };
@@ -75,11 +72,7 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<Case>> {
                     cases.push(Case {
                         name: name.clone(),
                         profile: profile.clone(),
-                        circumstance: Circumstance {
-                            loss,
-                            delay_ms,
-                            skew_ppm,
-                        },
+                        circumstance: Circumstance { loss, delay_ms, skew_ppm },
                         seed: args.seed,
                     });
                 }
@@ -92,21 +85,14 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<Case>> {
 /// A bundled profile by its name, else one from a file, which is called like it.
 fn profile(asked: &str) -> Result<(String, LinkProfile)> {
     let profile = link_profile::load(asked)?;
-    let file_name = asked
-        .strip_suffix(".toml")
-        .and_then(|path| Path::new(path).file_name());
-    let name = file_name.map_or_else(
-        || asked.to_owned(),
-        |name| name.to_string_lossy().into_owned(),
-    );
+    let file_name = asked.strip_suffix(".toml").and_then(|path| Path::new(path).file_name());
+    let name = file_name.map_or_else(|| asked.to_owned(), |name| name.to_string_lossy().into_owned());
     Ok((name, profile))
 }
 
 /// Drives all cases on all cores; the result does not depend on how many there are.
 fn pose_rows(cases: &[Case], runs: u32) -> Result<Vec<PoseRow>> {
-    let jobs: Vec<(usize, u32)> = (0..cases.len())
-        .flat_map(|case| (0..runs).map(move |run| (case, run)))
-        .collect();
+    let jobs: Vec<(usize, u32)> = (0..cases.len()).flat_map(|case| (0..runs).map(move |run| (case, run))).collect();
     let bar = progress::bar(jobs.len() as u64, "laps")?;
     let run = |&(case, run): &(usize, u32)| cases.get(case).map(|case| drive(case, run));
     let laps = run_all(&jobs, run, || bar.inc(1));
@@ -132,22 +118,11 @@ fn chart(rows: &[PoseRow]) -> AccuracyChart {
     let mut panels: Vec<AccuracyPanel> = Vec::new();
     for row in rows {
         let title = report::circumstance(&row.circumstance);
-        let mark = AccuracyMark {
-            name: row.profile.clone(),
-            rms_m: row.position_rms_m,
-            claimed_m: None,
-            anees: None,
-        };
+        let mark = AccuracyMark { name: row.profile.clone(), rms_m: row.position_rms_m, claimed_m: None, anees: None };
         match panels.iter_mut().find(|panel| panel.title == title) {
             Some(panel) => panel.marks.push(mark),
-            None => panels.push(AccuracyPanel {
-                title,
-                marks: vec![mark],
-            }),
+            None => panels.push(AccuracyPanel { title, marks: vec![mark] }),
         }
     }
-    AccuracyChart {
-        title: "Position error of a lap over links".to_owned(),
-        panels,
-    }
+    AccuracyChart { title: "Position error of a lap over links".to_owned(), panels }
 }

@@ -42,13 +42,9 @@ mod tests {
         let rows = rows(&CLOCK_SEEDS[..1]);
         let never = rows.iter().find(|row| row.method == "timesync-10ms");
         let text = serde_json::to_string(never.unwrap()).unwrap();
-        let expected =
-            r#"{"case":"50ppm","method":"timesync-10ms","worst_ms":null,"mean_ms":null}"#;
+        let expected = r#"{"case":"50ppm","method":"timesync-10ms","worst_ms":null,"mean_ms":null}"#;
         assert_eq!(text, expected);
         let ours = rows.iter().find(|row| row.method == "two-way-hulls");
-        assert!(
-            ours.and_then(|row| row.worst_ms)
-                .is_some_and(|worst_ms| worst_ms < 0.1)
-        );
+        assert!(ours.and_then(|row| row.worst_ms).is_some_and(|worst_ms| worst_ms < 0.1));
     }
 }

@@ -67,9 +67,7 @@ pub(super) struct PoseRow {
 /// Drives one lap; world and link differ from run to run, and are the same for every case.
 pub(super) fn drive(case: &Case, run: u32) -> Result<Lap> {
     let seed = case.seed.wrapping_add(u64::from(run));
-    let scenario = Scenario::bundled(SCENARIO)?
-        .with_seed(seed)
-        .with_steering(Steering::Estimate);
+    let scenario = Scenario::bundled(SCENARIO)?.with_seed(seed).with_steering(Steering::Estimate);
     let config = Config::default().with_tag_of(&scenario);
     let link = VirtualLink {
         profile: case.profile.clone(),
@@ -108,10 +106,7 @@ fn ages(received: &[ReceivedEstimate]) -> Vec<Span> {
 /// One row of the table.
 pub(super) fn summarise(case: &Case, laps: &[Lap]) -> PoseRow {
     let ages = sorted(laps, |lap| &lap.ages);
-    let ways = [
-        sorted(laps, |lap| &lap.to_station),
-        sorted(laps, |lap| &lap.to_brick),
-    ];
+    let ways = [sorted(laps, |lap| &lap.to_station), sorted(laps, |lap| &lap.to_brick)];
     PoseRow {
         profile: case.name.clone(),
         circumstance: case.circumstance,
@@ -125,10 +120,7 @@ pub(super) fn summarise(case: &Case, laps: &[Lap]) -> PoseRow {
 }
 
 fn sorted(laps: &[Lap], of: impl Fn(&Lap) -> &Vec<Span>) -> Vec<Span> {
-    let mut all: Vec<Span> = laps
-        .iter()
-        .flat_map(|lap| of(lap).iter().copied())
-        .collect();
+    let mut all: Vec<Span> = laps.iter().flat_map(|lap| of(lap).iter().copied()).collect();
     all.sort_unstable();
     all
 }
@@ -143,10 +135,7 @@ fn quantile_ms(sorted: &[Span], share: f64) -> Option<f64> {
 /// do: where one piece in a hundred stalls, one in fifty does there or back.
 fn there_and_back_ms(ways: &[Vec<Span>; 2], share: f64) -> Option<f64> {
     let [there, back] = ways.each_ref().map(|way| even_sample(way));
-    let mut sums: Vec<Span> = there
-        .iter()
-        .flat_map(|there| back.iter().map(move |back| *there + *back))
-        .collect();
+    let mut sums: Vec<Span> = there.iter().flat_map(|there| back.iter().map(move |back| *there + *back)).collect();
     sums.sort_unstable();
     quantile_ms(&sums, share)
 }
@@ -171,11 +160,7 @@ mod tests {
         Case {
             name: profile.to_owned(),
             profile: LinkProfile::bundled(profile).unwrap(),
-            circumstance: Circumstance {
-                loss: 0.0,
-                delay_ms: 0.0,
-                skew_ppm: 20.0,
-            },
+            circumstance: Circumstance { loss: 0.0, delay_ms: 0.0, skew_ppm: 20.0 },
             seed: 1,
         }
     }

@@ -42,10 +42,7 @@ pub(super) fn json(clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<Value> {
         link_delay_p99_ms: row.link_delay_p99_ms,
         outages: row.outages,
     });
-    let report = Report {
-        clock,
-        pose: pose.collect(),
-    };
+    let report = Report { clock, pose: pose.collect() };
     Ok(serde_json::to_value(&report)?)
 }
 
@@ -54,10 +51,7 @@ pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
     let mut lines: Vec<String> = Vec::new();
     let mut line = |words: std::fmt::Arguments<'_>| lines.push(words.to_string());
     line(format_args!("clock: error of the offset, ms"));
-    line(format_args!(
-        "{:<16} {:<22} {:>10} {:>10}",
-        "case", "method", "worst", "mean"
-    ));
+    line(format_args!("{:<16} {:<22} {:>10} {:>10}", "case", "method", "worst", "mean"));
     for row in clock {
         line(format_args!(
             "{:<16} {:<22} {:>10} {:>10}",
@@ -68,9 +62,7 @@ pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
         ));
     }
     line(format_args!(""));
-    line(format_args!(
-        "pose: one lap of the square, steered by the estimate"
-    ));
+    line(format_args!("pose: one lap of the square, steered by the estimate"));
     line(format_args!(
         "{:<14} {:>6} {:>8} {:>9} {:>11} {:>11} {:>9} {:>9} {:>11} {:>7}",
         "profile",
@@ -85,11 +77,7 @@ pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
         "outages"
     ));
     for row in pose {
-        let Circumstance {
-            loss,
-            delay_ms,
-            skew_ppm,
-        } = row.circumstance;
+        let Circumstance { loss, delay_ms, skew_ppm } = row.circumstance;
         line(format_args!(
             "{:<14} {loss:>6} {delay_ms:>8} {skew_ppm:>9} {:>11} {:>11} {:>9} {:>9} {:>11} {:>7}",
             row.profile,
@@ -106,12 +94,7 @@ pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
 
 /// What comes on top of a profile, in words.
 pub(super) fn circumstance(of: &Circumstance) -> String {
-    format!(
-        "{} % more loss, {} ms more delay, clock {} ppm off",
-        100.0 * of.loss,
-        of.delay_ms,
-        of.skew_ppm
-    )
+    format!("{} % more loss, {} ms more delay, clock {} ppm off", 100.0 * of.loss, of.delay_ms, of.skew_ppm)
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {

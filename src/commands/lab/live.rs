@@ -58,12 +58,7 @@ impl LiveArgs {
     /// # Errors
     /// There is a recording of that name already, the configuration makes no sense, the link cannot be opened for good, or the
     /// recording cannot be written.
-    pub fn record(
-        &self,
-        output: &OutputArgs,
-        robot: LiveRobot<'_>,
-        task: &str,
-    ) -> Result<Option<PathBuf>, Failure> {
+    pub fn record(&self, output: &OutputArgs, robot: LiveRobot<'_>, task: &str) -> Result<Option<PathBuf>, Failure> {
         if !self.is_asked() {
             return Ok(None);
         }
@@ -77,14 +72,10 @@ impl LiveArgs {
             ))
             .at_start();
         }
-        let end = self.duration.map_or_else(
-            || "Ctrl-C when done".to_owned(),
-            |seconds| format!("it ends after {seconds} s or at Ctrl-C"),
-        );
-        say(&format!(
-            "recording `{}`: {task}; {end}",
-            recording.display()
-        ));
+        let end = self
+            .duration
+            .map_or_else(|| "Ctrl-C when done".to_owned(), |seconds| format!("it ends after {seconds} s or at Ctrl-C"));
+        say(&format!("recording `{}`: {task}; {end}", recording.display()));
         let heard = run::record(&self.run_args(folder, robot), RECORDING)?;
         say(&format!("heard\n{}", heard.trim_end()));
         Ok(Some(recording))
@@ -103,10 +94,7 @@ impl LiveArgs {
         task: &str,
     ) -> Result<PathBuf, Failure> {
         self.refuse_choice(data)?;
-        let robot = LiveRobot {
-            file: None,
-            settings: &data.settings,
-        };
+        let robot = LiveRobot { file: None, settings: &data.settings };
         let live = self.record(output, robot, task)?;
         live.or_else(|| named.map(Path::to_owned))
             .ok_or_else(|| anyhow!("name a recording, or give --link or --listen"))
@@ -119,8 +107,7 @@ impl LiveArgs {
     /// A run or fixes were chosen for a live robot.
     pub fn refuse_choice(&self, data: &DataFlags) -> Result<(), Failure> {
         if self.is_asked() && (data.run.is_some() || data.use_every.is_some()) {
-            let why =
-                "--run and --use-every choose from a descriptor's data, not from a live robot's";
+            let why = "--run and --use-every choose from a descriptor's data, not from a live robot's";
             return Err(anyhow!(why)).at_start();
         }
         Ok(())
@@ -137,18 +124,12 @@ impl LiveArgs {
 
     fn run_args(&self, folder: PathBuf, robot: LiveRobot<'_>) -> RunArgs {
         RunArgs {
-            config: ConfigFlags {
-                config: self.config.clone(),
-                settings: robot.settings.to_vec(),
-            },
+            config: ConfigFlags { config: self.config.clone(), settings: robot.settings.to_vec() },
             links: LinkFlags(self.links()),
             robot: robot.file.map(Path::to_owned),
             out: Some(folder),
             duration: self.duration,
-            page: DashboardFlags {
-                no_dashboard: true,
-                ..DashboardFlags::default()
-            },
+            page: DashboardFlags { no_dashboard: true, ..DashboardFlags::default() },
             ..RunArgs::default()
         }
     }

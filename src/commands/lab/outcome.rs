@@ -61,11 +61,7 @@ impl OutputArgs {
     pub fn deliver(&self, folder: &Path, outcome: &Outcome) -> Result<(), Failure> {
         let pictures: Vec<&String> = outcome.page.parts.iter().filter_map(picture).collect();
         for (index, svg) in pictures.iter().enumerate() {
-            let number = if pictures.len() > 1 {
-                format!("-{}", index + 1)
-            } else {
-                String::new()
-            };
+            let number = if pictures.len() > 1 { format!("-{}", index + 1) } else { String::new() };
             self.write_picture(folder, &format!("{}{number}", outcome.name), svg)?;
         }
         for picture in outcome.page.parts.iter().flat_map(pictures_of) {
@@ -74,11 +70,7 @@ impl OutputArgs {
         }
         let page = folder.join(format!("{}.html", outcome.name));
         write(&page, outcome.page.html().as_bytes())?;
-        let text = if self.json {
-            format!("{}\n", outcome.json)
-        } else {
-            outcome.text.clone()
-        };
+        let text = if self.json { format!("{}\n", outcome.json) } else { outcome.text.clone() };
         stdout::print(&text).while_running()?;
         say(&format!("page: {}", page.display()));
         Ok(())
@@ -87,9 +79,7 @@ impl OutputArgs {
     fn write_picture(&self, folder: &Path, name: &str, svg: &str) -> Result<(), Failure> {
         write(&folder.join(format!("{name}.svg")), svg.as_bytes())?;
         if self.png {
-            let png = raster::png(svg)
-                .with_context(|| format!("drawing `{name}.png`"))
-                .while_running()?;
+            let png = raster::png(svg).with_context(|| format!("drawing `{name}.png`")).while_running()?;
             write(&folder.join(format!("{name}.png")), &png)?;
         }
         Ok(())
@@ -112,7 +102,5 @@ const fn picture(part: &Part) -> Option<&String> {
 }
 
 fn write(path: &Path, content: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, content)
-        .with_context(|| format!("writing `{}`", path.display()))
-        .while_running()
+    std::fs::write(path, content).with_context(|| format!("writing `{}`", path.display())).while_running()
 }

@@ -73,15 +73,8 @@ impl RecordedArgs {
     ///
     /// # Errors
     /// A recording cannot be made, read or judged; the message names it and says what is missing.
-    pub(super) fn drives(
-        &self,
-        output: &OutputArgs,
-        task: &str,
-    ) -> Result<Option<RobotDrives>, Failure> {
-        let robot = LiveRobot {
-            file: self.robot.as_deref(),
-            settings: &self.settings,
-        };
+    pub(super) fn drives(&self, output: &OutputArgs, task: &str) -> Result<Option<RobotDrives>, Failure> {
+        let robot = LiveRobot { file: self.robot.as_deref(), settings: &self.settings };
         if let Some(recording) = self.live.record(output, robot, task)? {
             // Robot and settings stand in the recording.
             let read = self.read(&[recording], Overlay::default());
@@ -92,10 +85,7 @@ impl RecordedArgs {
         if self.recordings.is_empty() {
             return Ok(None);
         }
-        let overlay = Overlay {
-            robot: self.robot.as_deref(),
-            settings: &self.settings,
-        };
+        let overlay = Overlay { robot: self.robot.as_deref(), settings: &self.settings };
         let drives = self.read(&self.recordings, overlay).at_start()?;
         let is_live = false;
         Ok(Some(RobotDrives { drives, is_live }))
@@ -107,11 +97,7 @@ impl RecordedArgs {
             let run = own_recording::read(path, overlay)?;
             let drive = RecordedDrive::new(&run.observations, &run.config, judge)
                 .with_context(|| format!("recording `{}`", run.name))?;
-            Ok(RobotDrive {
-                config: drive.told(&run.config),
-                drive,
-                name: run.name,
-            })
+            Ok(RobotDrive { config: drive.told(&run.config), drive, name: run.name })
         };
         let bar = progress::bar(recordings.len() as u64, "recordings")?;
         let read = run_all(recordings, one, || bar.inc(1));
@@ -123,19 +109,12 @@ impl RecordedArgs {
 impl RobotDrives {
     /// Says at which stage something failed: a live robot has driven already.
     pub(super) fn staged<T>(&self, result: Result<T>) -> Result<T, Failure> {
-        if self.is_live {
-            result.while_running()
-        } else {
-            result.at_start()
-        }
+        if self.is_live { result.while_running() } else { result.at_start() }
     }
 
     /// The names of the files.
     pub(super) fn names(&self) -> Vec<&str> {
-        self.drives
-            .iter()
-            .map(|drive| drive.name.as_str())
-            .collect()
+        self.drives.iter().map(|drive| drive.name.as_str()).collect()
     }
 
     /// The command that gives the same again.
@@ -150,9 +129,7 @@ impl RobotDrives {
         let closed = self.drives.iter().filter(|drive| is_closed(drive)).count();
         match closed {
             0 => "fixes that no filter was given",
-            count if count == self.drives.len() => {
-                "the start: every drive is taken to end where it began"
-            }
+            count if count == self.drives.len() => "the start: every drive is taken to end where it began",
             _ => "fixes that no filter was given, and the start where there are none",
         }
     }

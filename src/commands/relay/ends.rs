@@ -47,14 +47,8 @@ impl Args for RelayEnds {
 
 impl FromArgMatches for RelayEnds {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
-        let call = |url: &String| StationLink {
-            listen: None,
-            link: Some(url.clone()),
-        };
-        let wait = |url: &String| StationLink {
-            listen: Some(url.clone()),
-            link: None,
-        };
+        let call = |url: &String| StationLink { listen: None, link: Some(url.clone()) };
+        let wait = |url: &String| StationLink { listen: Some(url.clone()), link: None };
         let mut ends = written(matches, CALLED, call);
         ends.extend(written(matches, AWAITED, wait));
         ends.sort_by_key(|(index, _)| *index);
@@ -79,11 +73,7 @@ impl FromArgMatches for RelayEnds {
 }
 
 /// The values of an argument with the places at which they were written.
-fn written(
-    matches: &ArgMatches,
-    id: &str,
-    end: impl Fn(&String) -> StationLink,
-) -> Vec<(usize, StationLink)> {
+fn written(matches: &ArgMatches, id: &str, end: impl Fn(&String) -> StationLink) -> Vec<(usize, StationLink)> {
     let places = matches.indices_of(id).into_iter().flatten();
     let values = matches.get_many::<String>(id).into_iter().flatten();
     places.zip(values.map(end)).collect()
@@ -110,10 +100,7 @@ mod tests {
 
     #[test]
     fn one_end_or_three_are_refused() {
-        for words in [
-            &["relay", "udp://:1"][..],
-            &["relay", "a", "b", "--listen", "c"],
-        ] {
+        for words in [&["relay", "udp://:1"][..], &["relay", "a", "b", "--listen", "c"]] {
             assert!(parse(words).is_err(), "{words:?}");
         }
     }

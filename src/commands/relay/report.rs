@@ -39,9 +39,7 @@ pub(super) struct DirectionReport {
 
 /// The counts of a ledger under the names of the senders.
 pub(super) fn by_sender(ledger: &FrameLedger) -> BTreeMap<String, FrameCounts> {
-    let named = ledger
-        .counts()
-        .map(|(source, counts)| (source.to_string(), counts));
+    let named = ledger.counts().map(|(source, counts)| (source.to_string(), counts));
     named.collect()
 }
 
@@ -59,13 +57,9 @@ impl Report {
         }
         for (end, direction) in [("station", station), ("brick", brick)] {
             for (source, frames) in &direction.frames {
-                let FrameCounts {
-                    sent, whole, lost, ..
-                } = frames;
-                let _ = writeln!(
-                    text,
-                    "frames of {source} to the {end}: {sent} sent, {whole} arrived whole, {lost} lost"
-                );
+                let FrameCounts { sent, whole, lost, .. } = frames;
+                let _ =
+                    writeln!(text, "frames of {source} to the {end}: {sent} sent, {whole} arrived whole, {lost} lost");
             }
         }
         text
@@ -79,10 +73,7 @@ fn rows(direction: &DirectionReport) -> [(&'static str, u64); 16] {
         ("bytes offered", link.bytes_offered),
         ("bytes delivered", link.bytes_delivered),
         ("bytes on the way at the end", link.bytes_on_the_way),
-        (
-            "bytes lost to a full buffer",
-            link.bytes_lost_to_full_buffer,
-        ),
+        ("bytes lost to a full buffer", link.bytes_lost_to_full_buffer),
         ("bytes of units lost whole", link.bytes_lost_alone),
         ("bytes lost in bursts", link.bytes_lost_in_bursts),
         ("single bytes missing", link.bytes_missing),

@@ -37,18 +37,9 @@ impl Foreign {
     /// # Errors
     /// It cannot be read or makes no sense, or a flag is for recordings of ours.
     pub fn open(flags: &SessionFlags) -> Result<Self> {
-        ensure!(
-            flags.truth.is_none(),
-            "--truth is for recordings of ours: a descriptor names its own truth"
-        );
-        let data_flags = DataFlags {
-            settings: robot::settings(flags, &[])?,
-            ..flags.data.clone()
-        };
-        Ok(Self {
-            data: DataSet::open(&flags.recording, &data_flags)?,
-            flags: data_flags,
-        })
+        ensure!(flags.truth.is_none(), "--truth is for recordings of ours: a descriptor names its own truth");
+        let data_flags = DataFlags { settings: robot::settings(flags, &[])?, ..flags.data.clone() };
+        Ok(Self { data: DataSet::open(&flags.recording, &data_flags)?, flags: data_flags })
     }
 
     /// Reads a run.
@@ -93,8 +84,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
             let mut seen = Seen::new(Collector::default());
             seen.events = events.as_mut();
             seen.show_at(args.speed);
-            let one = replay_run(&robot_run, filter, &mut seen, (window, pace.as_mut()))
-                .while_running()?;
+            let one = replay_run(&robot_run, filter, &mut seen, (window, pace.as_mut())).while_running()?;
             let collector = seen.finish();
             if Some(filter) == filters.last() {
                 draw_run(args, &robot_run, &collector, replayed.smoothed.last()).while_running()?;
@@ -109,10 +99,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     if let Some(events) = events {
         finish_events(events).while_running()?;
     }
-    let outcomes = filters
-        .into_iter()
-        .zip(per_filter)
-        .map(|(name, gathered)| gathered.outcome(name));
+    let outcomes = filters.into_iter().zip(per_filter).map(|(name, gathered)| gathered.outcome(name));
     replayed.outcomes = outcomes.collect();
     replayed.runs = foreign.data.runs;
     Ok(replayed)
@@ -123,9 +110,7 @@ fn filters_of(args: &ReplayArgs) -> Result<Vec<String>> {
     if args.filters.is_empty() {
         return Ok(USUAL_FILTERS.map(str::to_owned).to_vec());
     }
-    args.filters
-        .iter()
-        .try_for_each(|filter| check_filter(filter))?;
+    args.filters.iter().try_for_each(|filter| check_filter(filter))?;
     Ok(args.filters.clone())
 }
 
@@ -214,9 +199,7 @@ pub fn replay_run(
         thermometers: vec![],
         links: vec![],
     };
-    let Some(first) = robot_run.run.observations.first() else {
-        bail!("the run is empty")
-    };
+    let Some(first) = robot_run.run.observations.first() else { bail!("the run is empty") };
     let pipeline = Pipeline::new(config, first.arrival)?;
     let prior = robot_run.filter_config.calibration;
     let mut scorer = Scorer::new(&robot_run.run, &prior);
@@ -263,11 +246,7 @@ pub fn replay_run(
 /// What the filters are given, in hindsight.
 fn smoothed_run(robot_run: &RobotRun) -> SmoothedRun {
     let (run, config) = (&robot_run.run, &robot_run.filter_config);
-    let observations: Vec<Observation> = run
-        .observations
-        .iter()
-        .map(|timed| timed.observation)
-        .collect();
+    let observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
     SmoothedRun::new(&run.name, config, &observations).scored_on(run, &config.calibration)
 }
 
@@ -286,9 +265,7 @@ fn draw_run(
 /// The truth of a run, where it has some.
 pub fn truth_of(robot_run: &RobotRun) -> Option<Track> {
     let truth = &robot_run.run.truth;
-    let poses = truth.iter().map(|truth| TimedPose {
-        stamp: truth.stamp,
-        pose: pose_at(truth.position, truth.heading),
-    });
+    let poses =
+        truth.iter().map(|truth| TimedPose { stamp: truth.stamp, pose: pose_at(truth.position, truth.heading) });
     (!truth.is_empty()).then(|| Track::new(poses, LONGEST_GAP))
 }

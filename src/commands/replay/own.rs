@@ -30,10 +30,7 @@ pub const WHOLE: &str = "recording";
 /// The recording, its configuration or a flag makes no sense, or an output cannot be written.
 pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     if let (Some(_), [_, _, ..]) = (&args.events, args.filters.as_slice()) {
-        return Err(anyhow!(
-            "--events writes the events of one estimator: give --filter once"
-        ))
-        .at_start();
+        return Err(anyhow!("--events writes the events of one estimator: give --filter once")).at_start();
     }
     let flags = &args.session;
     let window = Window::of(flags).at_start()?;
@@ -41,11 +38,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     let configs = configs(args, &recording).at_start()?;
     let changed = recording.changes(flags, &args.filters).at_start()?;
     if !changed.is_empty() {
-        say(&format!(
-            "{}: replayed with {}: this is not what ran",
-            recording.name,
-            changed.join(", ")
-        ));
+        say(&format!("{}: replayed with {}: this is not what ran", recording.name, changed.join(", ")));
     }
     let known = recording.known(flags.truth.as_deref()).at_start()?;
     let mut events = args.events.as_deref().map(create).transpose().at_start()?;
@@ -54,14 +47,9 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
     let mut lanes = Vec::new();
     for (config, seen) in configs.iter().zip(&mut seen) {
         let pipeline = OwnRecording::pipeline(flags, config).at_start()?;
-        lanes.push(Lane {
-            pipeline,
-            watch: seen,
-        });
+        lanes.push(Lane { pipeline, watch: seen });
     }
-    let passage = recording
-        .run(&mut lanes, window, pace.as_ref())
-        .while_running()?;
+    let passage = recording.run(&mut lanes, window, pace.as_ref()).while_running()?;
     for note in &passage.notes {
         say(&format!("{}: {note}", recording.name));
     }
@@ -71,13 +59,8 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<Replayed, Failure> {
         finish_events(events).while_running()?;
     }
     let made = configs.iter().zip(pipelines.iter().zip(collectors));
-    let made: Vec<Made<'_>> = made
-        .map(|(config, (pipeline, collector))| Made {
-            config,
-            pipeline,
-            collector,
-        })
-        .collect();
+    let made: Vec<Made<'_>> =
+        made.map(|(config, (pipeline, collector))| Made { config, pipeline, collector }).collect();
     summed_up(args, &recording, &known, made).map(|replayed| Replayed {
         recorded: passage.recorded,
         changed,
@@ -98,25 +81,15 @@ fn configs(args: &ReplayArgs, recording: &OwnRecording) -> Result<Vec<Config>> {
         return Ok(vec![recording.config(&args.session, None)?]);
     }
     let filters = args.filters.iter();
-    filters
-        .map(|name| recording.config(&args.session, Some(name.as_str())))
-        .collect()
+    filters.map(|name| recording.config(&args.session, Some(name.as_str()))).collect()
 }
 
 /// The last one has the event file and the status block; each keeps what tables need.
-fn watchers<'e>(
-    args: &ReplayArgs,
-    count: usize,
-    mut events: Option<&'e mut BufWriter<File>>,
-) -> Vec<Seen<'e>> {
+fn watchers<'e>(args: &ReplayArgs, count: usize, mut events: Option<&'e mut BufWriter<File>>) -> Vec<Seen<'e>> {
     let mut all = Vec::new();
     for index in 0..count {
         let is_last = index + 1 == count;
-        let collector = if args.smooth && is_last {
-            Collector::keeping_observations()
-        } else {
-            Collector::default()
-        };
+        let collector = if args.smooth && is_last { Collector::keeping_observations() } else { Collector::default() };
         let mut seen = Seen::new(collector);
         if is_last {
             seen.events = events.take();
@@ -139,9 +112,7 @@ fn summed_up(
         let mut filter_config = last.config.filter_config().at_start()?;
         // The robot may have described another geometry than the configuration.
         filter_config.geometry = last.pipeline.geometry();
-        smoothed_run = args
-            .smooth
-            .then(|| smoothed(&filter_config, &last.collector, truth));
+        smoothed_run = args.smooth.then(|| smoothed(&filter_config, &last.collector, truth));
         let path = smoothed_run.as_ref().and_then(SmoothedRun::track);
         let tracks = (truth, known.odometry.as_ref(), path.as_ref());
         draw(args, &recording.name, &last.collector, tracks).while_running()?;
@@ -172,9 +143,8 @@ fn outcome(made: Made<'_>, truth: Option<&Track>) -> Result<Outcome> {
 
 /// Every published estimate against the truth at its own stamp.
 pub fn errors(collector: &Collector, truth: Option<&Track>) -> ErrorSummary {
-    truth.map_or_else(ErrorSummary::default, |truth| {
-        summarise(&errors_of_estimates(collector.estimates.items(), truth))
-    })
+    truth
+        .map_or_else(ErrorSummary::default, |truth| summarise(&errors_of_estimates(collector.estimates.items(), truth)))
 }
 
 /// The whole recording in hindsight, held against the truth at its own stamps as the filter's estimates are at theirs.

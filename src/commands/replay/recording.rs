@@ -52,21 +52,9 @@ impl OwnRecording {
         );
         let name = flags.recording.display().to_string();
         let settings = robot::settings(flags, &["robot"])?;
-        let station = Station {
-            settings: &settings,
-            ..Station::default()
-        };
-        let Session {
-            header,
-            notes,
-            inputs,
-        } = import::session(&flags.recording, station)?;
-        Ok(Self {
-            name,
-            header,
-            inputs,
-            notes,
-        })
+        let station = Station { settings: &settings, ..Station::default() };
+        let Session { header, notes, inputs } = import::session(&flags.recording, station)?;
+        Ok(Self { name, header, inputs, notes })
     }
 
     /// The configuration that it was made with, and what the flags and the filter change of it.
@@ -88,14 +76,8 @@ impl OwnRecording {
     /// # Errors
     /// The recorded configuration or a flag makes no sense.
     pub fn changes(&self, flags: &SessionFlags, filters: &[String]) -> Result<Vec<String>> {
-        let recorded = config::load_text(
-            "the recording's own configuration",
-            &self.header.config_toml,
-            &[],
-        )?;
-        let others = filters
-            .iter()
-            .filter(|name| **name != recorded.config.filter.name);
+        let recorded = config::load_text("the recording's own configuration", &self.header.config_toml, &[])?;
+        let others = filters.iter().filter(|name| **name != recorded.config.filter.name);
         let mut changes: Vec<String> = others.map(|name| format!("filter.name={name}")).collect();
         changes.extend(changed_settings(flags));
         Ok(changes)
@@ -136,22 +118,10 @@ impl OwnRecording {
     ///
     /// # Errors
     /// As the watchers say; or a telemetry log cannot be read any further, or nothing lies within the window.
-    pub fn run(
-        &self,
-        lanes: &mut [Lane<'_>],
-        window: Window,
-        pace: Option<&Pace>,
-    ) -> Result<Passage> {
+    pub fn run(&self, lanes: &mut [Lane<'_>], window: Window, pace: Option<&Pace>) -> Result<Passage> {
         let mut notes = Notes::of(&self.notes);
-        let mut course = Course {
-            lanes,
-            window,
-            pace,
-            first: None,
-            recorded: Span::ZERO,
-            has_given: false,
-            is_over: false,
-        };
+        let mut course =
+            Course { lanes, window, pace, first: None, recorded: Span::ZERO, has_given: false, is_over: false };
         match &self.inputs {
             Inputs::Recorded(bytes) => run_recorded(bytes, &mut course, &mut notes)?,
             Inputs::Logged(log) => {
@@ -233,9 +203,7 @@ fn run_recorded(bytes: &[u8], course: &mut Course<'_, '_>, notes: &mut Notes) ->
 /// What flags lay over a configuration, in words.
 pub fn changed_settings(flags: &SessionFlags) -> Vec<String> {
     let robot = flags.robot.iter();
-    let mut changes: Vec<String> = robot
-        .map(|path| format!("robot of {}", path.display()))
-        .collect();
+    let mut changes: Vec<String> = robot.map(|path| format!("robot of {}", path.display())).collect();
     let settings = flags.data.settings.iter().chain(&flags.params);
     changes.extend(settings.map(ToString::to_string));
     changes

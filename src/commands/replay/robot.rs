@@ -15,8 +15,7 @@ pub(super) fn settings(flags: &SessionFlags, robot_path: &[&str]) -> Result<Vec<
         // Its own reading names what makes no sense better than a laid over table could.
         RobotProfile::read(path)?;
         let name = path.display();
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("reading the robot from `{name}`"))?;
+        let text = std::fs::read_to_string(path).with_context(|| format!("reading the robot from `{name}`"))?;
         let page: toml::Table = toml::from_str(&text)?;
         settings.extend(of_table(&page, "robot", robot_path));
         settings.extend(of_table(&page, "filter", &["filter"]));
@@ -32,25 +31,15 @@ fn of_table(page: &toml::Table, name: &str, path: &[&str]) -> Vec<Setting> {
     let entries = table.into_iter().flatten();
     let mut settings = Vec::new();
     for (key, value) in entries {
-        let path: Vec<String> = path
-            .iter()
-            .copied()
-            .chain([key.as_str()])
-            .map(str::to_owned)
-            .collect();
-        let inner = value
-            .as_table()
-            .filter(|_| key == "noise" || key == "calibration");
+        let path: Vec<String> = path.iter().copied().chain([key.as_str()]).map(str::to_owned).collect();
+        let inner = value.as_table().filter(|_| key == "noise" || key == "calibration");
         match inner {
             Some(inner) => settings.extend(inner.iter().map(|(inner, value)| Setting {
                 path: path.iter().cloned().chain([inner.clone()]).collect(),
                 value: value.clone(),
             })),
             None if key == "start" || (name == "filter" && key == "name") => {}
-            None => settings.push(Setting {
-                path,
-                value: value.clone(),
-            }),
+            None => settings.push(Setting { path, value: value.clone() }),
         }
     }
     settings
@@ -65,19 +54,9 @@ mod tests {
         let text = "[robot]\ntrack_width_m = 0.2\n[robot.noise]\nfix_position_m = 0.02\n[robot.start]\nx_m = 1.0\n\
                     [filter]\nname = \"pose\"\naccel_m_s2 = 2.0\n";
         let page: toml::Table = toml::from_str(text).unwrap();
-        let paths = |settings: Vec<Setting>| -> Vec<String> {
-            settings
-                .iter()
-                .map(|setting| setting.path.join("."))
-                .collect()
-        };
-        assert_eq!(
-            paths(of_table(&page, "robot", &["robot"])),
-            ["robot.noise.fix_position_m", "robot.track_width_m"]
-        );
-        assert_eq!(
-            paths(of_table(&page, "filter", &["filter"])),
-            ["filter.accel_m_s2"]
-        );
+        let paths =
+            |settings: Vec<Setting>| -> Vec<String> { settings.iter().map(|setting| setting.path.join(".")).collect() };
+        assert_eq!(paths(of_table(&page, "robot", &["robot"])), ["robot.noise.fix_position_m", "robot.track_width_m"]);
+        assert_eq!(paths(of_table(&page, "filter", &["filter"])), ["filter.accel_m_s2"]);
     }
 }

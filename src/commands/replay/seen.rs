@@ -32,11 +32,7 @@ struct View {
 impl Seen<'_> {
     /// One that keeps what tables need.
     pub(super) fn new(collector: Collector) -> Self {
-        Self {
-            collector,
-            events: None,
-            view: None,
-        }
+        Self { collector, events: None, view: None }
     }
 
     /// Shows the status block of a live run if the replay has a speed.

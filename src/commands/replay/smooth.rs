@@ -52,9 +52,7 @@ pub enum NoPath {
     #[error(transparent)]
     Offline(#[from] OfflineError),
     /// One path needs one clock.
-    #[error(
-        "the brick restarted {0} time(s): its clock began anew, and what came before and after is not one run"
-    )]
+    #[error("the brick restarted {0} time(s): its clock began anew, and what came before and after is not one run")]
     Restarted(u64),
 }
 

@@ -54,15 +54,9 @@ impl Window {
     /// It ends before it begins.
     pub fn of(flags: &SessionFlags) -> Result<Self> {
         if let (Some(from), Some(to)) = (flags.from, flags.to) {
-            ensure!(
-                from < to,
-                "--from {from} does not lie before --to {to}: nothing would be left"
-            );
+            ensure!(from < to, "--from {from} does not lie before --to {to}: nothing would be left");
         }
-        Ok(Self {
-            from: flags.from.map(Span::from_secs_f64),
-            to: flags.to.map(Span::from_secs_f64),
-        })
+        Ok(Self { from: flags.from.map(Span::from_secs_f64), to: flags.to.map(Span::from_secs_f64) })
     }
 
     /// Whether everything counts.
@@ -96,16 +90,9 @@ impl Pace {
     /// # Errors
     /// The system gives no timer.
     pub fn new(speed: f64) -> Result<Self> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_time()
-            .build()?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
         let timer = HostTimer::start();
-        Ok(Self {
-            runtime,
-            timer,
-            speed,
-            start: timer.now(),
-        })
+        Ok(Self { runtime, timer, speed, start: timer.now() })
     }
 
     /// The next run begins.
@@ -161,15 +148,9 @@ mod tests {
 
     #[test]
     fn a_window_holds_both_of_its_ends_and_without_ends_everything() {
-        let window = Window {
-            from: Some(Span::from_millis(1_000)),
-            to: Some(Span::from_millis(2_000)),
-        };
+        let window = Window { from: Some(Span::from_millis(1_000)), to: Some(Span::from_millis(2_000)) };
         let places = [0.999, 1.0, 2.0, 2.001].map(|elapsed_s| place(window, elapsed_s));
-        assert_eq!(
-            places,
-            [Place::Before, Place::Within, Place::Within, Place::Behind]
-        );
+        assert_eq!(places, [Place::Before, Place::Within, Place::Within, Place::Behind]);
         assert_eq!(place(Window::default(), 1e6), Place::Within);
     }
 }

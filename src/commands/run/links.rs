@@ -63,14 +63,9 @@ impl Laps {
 }
 
 /// Tells everybody to stop and waits for the simulated brick, if there is one.
-pub(super) fn stop_brick(
-    embedded: Option<Embedded>,
-    stop: &CancellationToken,
-) -> Result<Option<Driven>> {
+pub(super) fn stop_brick(embedded: Option<Embedded>, stop: &CancellationToken) -> Result<Option<Driven>> {
     // Whoever is stopped is finished as well.
-    let is_whole = embedded
-        .as_ref()
-        .is_some_and(|embedded| embedded.brick.finished.is_cancelled());
+    let is_whole = embedded.as_ref().is_some_and(|embedded| embedded.brick.finished.is_cancelled());
     stop.cancel();
     let Some(embedded) = embedded else {
         return Ok(None);
@@ -101,35 +96,21 @@ pub(super) async fn open_links(
                     bail!("only one link may be sim://");
                 }
                 let scenario = load_scenario(&name)?;
-                let scenario = args
-                    .seed
-                    .map_or_else(|| scenario.clone(), |seed| scenario.clone().with_seed(seed));
+                let scenario = args.seed.map_or_else(|| scenario.clone(), |seed| scenario.clone().with_seed(seed));
                 let scenario = session.laps.of(scenario);
                 let path = session.folder.join("brick.tty");
-                let brick =
-                    EmbeddedBrick::start(scenario.clone(), &path, session.timer, stop.clone())?;
-                embedded = Some(Embedded {
-                    brick,
-                    scenario,
-                    name,
-                    link: LinkId(index as u16),
-                });
+                let brick = EmbeddedBrick::start(scenario.clone(), &path, session.timer, stop.clone())?;
+                embedded = Some(Embedded { brick, scenario, name, link: LinkId(index as u16) });
                 (LinkUrl::serial(&path)?, Role::Dial)
             }
         };
-        ports.push(Port::new(
-            PortConfig {
-                id: LinkId(index as u16),
-                url,
-                role,
-            },
-            session.timer,
-        ));
+        ports.push(Port::new(PortConfig { id: LinkId(index as u16), url, role }, session.timer));
     }
     let mut ports = PortSet::new(ports);
-    ports.open_first().await.map_err(|(id, error)| {
-        anyhow::Error::from(error).context(format!("opening link {}", id.0))
-    })?;
+    ports
+        .open_first()
+        .await
+        .map_err(|(id, error)| anyhow::Error::from(error).context(format!("opening link {}", id.0)))?;
     for port in &ports {
         if let (true, Some(address)) = (port.is_listening(), port.local_address()) {
             say(&format!("listening on {address}"));

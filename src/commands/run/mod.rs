@@ -42,13 +42,7 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let mut session = in_runtime(session(args, &config, (RECORDING, laps)))?;
     // What cannot be drawn or saved must not cost the rest.
     let mut failures = Failures::default();
-    failures.note(finish(
-        &config,
-        &session.folder,
-        &session.collector,
-        session.driven.take(),
-        &session.recorded,
-    ));
+    failures.note(finish(&config, &session.folder, &session.collector, session.driven.take(), &session.recorded));
     failures.note(report_learned(args, &config, &session));
     let has_heard = session.collector.observations > 0;
     failures.note(session.whole());
@@ -81,10 +75,7 @@ const ROOM_BYTES: usize = 3_000_000;
 
 fn in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let _room = Room::take(ROOM_BYTES);
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .at_start()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().at_start()?;
     let result = runtime.block_on(work);
     // An attempt to open a device that hangs must not keep the program alive.
     runtime.shutdown_background();
@@ -105,17 +96,13 @@ fn configuration(args: &RunArgs) -> Result<Config> {
     let mut config = config::load(args.config.config.as_deref(), &settings)?.config;
     let flags = &args.links.0;
     if !flags.is_empty() {
-        let links = flags.iter().map(|flag| LinkSection {
-            listen: flag.role == Role::Listen,
-            ..LinkSection::new(&flag.url)
-        });
+        let links =
+            flags.iter().map(|flag| LinkSection { listen: flag.role == Role::Listen, ..LinkSection::new(&flag.url) });
         config.links = links.collect();
     }
     for url in &args.ground_stations {
         let section = LinkSection::for_ground_stations(url);
-        config
-            .links
-            .push(section.with_context(|| format!("--gcs {url}"))?);
+        config.links.push(section.with_context(|| format!("--gcs {url}"))?);
     }
     if let (Some(name), Some(first)) = (&args.brick, config.links.first_mut()) {
         first.brick = Some(name.clone());
@@ -164,11 +151,7 @@ mod tests {
             .iter()
             .map(|line| line.split(" #").next().unwrap_or_default())
             .filter(|line| line.starts_with("posebridge run") && line.contains("config/robots"))
-            .map(|line| {
-                line.split_whitespace()
-                    .map(|word| word.trim_matches('\'').to_owned())
-                    .collect()
-            })
+            .map(|line| line.split_whitespace().map(|word| word.trim_matches('\'').to_owned()).collect())
             .collect()
     }
 

@@ -46,14 +46,10 @@ impl Onlookers {
         let plotted = plotted(args, config)?;
         let plotted = plotted.map(|address| (address, taps.add(plotjuggler::WAITING_FRAMES)));
         let page = (&args.page, config);
-        let Some((dashboard, outlet)) = dashboard::start(reserved, page, place, (simulated, taps))?
-        else {
+        let Some((dashboard, outlet)) = dashboard::start(reserved, page, place, (simulated, taps))? else {
             return Ok((Self::default(), None));
         };
-        let mut onlookers = Self {
-            dashboard: Some(dashboard),
-            ..Self::default()
-        };
+        let mut onlookers = Self { dashboard: Some(dashboard), ..Self::default() };
         if let Some((address, frames)) = plotted {
             onlookers.plotjuggler = Some(PlotJuggler::start(address, frames)?);
             say(&format!("plotjuggler: sending to udp://{address}"));
@@ -70,10 +66,8 @@ impl Onlookers {
         let dashboard = dashboard.context("nobody gives the view anything to show")?;
         // Not the whole address: a token is printed once.
         let page = dashboard.address();
-        let greeting = page.map_or_else(
-            || "there is no page".to_owned(),
-            |address| format!("the page listens at {address}"),
-        );
+        let greeting =
+            page.map_or_else(|| "there is no page".to_owned(), |address| format!("the page listens at {address}"));
         TerminalView::start(Wires {
             frames,
             commands: dashboard.commander(),
@@ -100,11 +94,7 @@ impl Onlookers {
         let Some(plotjuggler) = self.plotjuggler else {
             return Ok(());
         };
-        let Sent {
-            datagrams,
-            dropped,
-            missed,
-        } = plotjuggler.finish()?;
+        let Sent { datagrams, dropped, missed } = plotjuggler.finish()?;
         say(&match (dropped, missed) {
             (0, 0) => format!("plotjuggler: {datagrams} datagrams sent"),
             _ => format!(
@@ -118,8 +108,5 @@ impl Onlookers {
 /// Where datagrams for PlotJuggler go, if they do.
 fn plotted(args: &RunArgs, config: &Config) -> Result<Option<std::net::SocketAddr>> {
     let configured = config.plotjuggler.checked()?;
-    Ok(args
-        .views
-        .plotjuggler
-        .or_else(|| config.plotjuggler.enabled.then_some(configured)))
+    Ok(args.views.plotjuggler.or_else(|| config.plotjuggler.enabled.then_some(configured)))
 }

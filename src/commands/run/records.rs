@@ -24,12 +24,9 @@ pub(super) struct Recorded {
 pub(super) fn output_folder(args: &RunArgs, config: &Config, timer: &HostTimer) -> Result<PathBuf> {
     let folder = match &args.out {
         Some(folder) => folder.clone(),
-        None => {
-            Path::new(&config.record.directory).join(format!("run-{}", timer.utc_start() / 1_000))
-        }
+        None => Path::new(&config.record.directory).join(format!("run-{}", timer.utc_start() / 1_000)),
     };
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("creating the folder `{}`", folder.display()))?;
+    std::fs::create_dir_all(&folder).with_context(|| format!("creating the folder `{}`", folder.display()))?;
     Ok(folder)
 }
 
@@ -49,12 +46,7 @@ pub(super) fn start_recorder(
 
 /// A file that cannot be begun is told once and costs the exit code, not the run: a robot may steer by us. One that is there
 /// already is a slip of who started the run, and cheap to mend before the robot drives.
-fn unless_it_was_made<T>(
-    what: &str,
-    started: Result<T>,
-    path: &Path,
-    failures: &mut Failures,
-) -> Result<Option<T>> {
+fn unless_it_was_made<T>(what: &str, started: Result<T>, path: &Path, failures: &mut Failures) -> Result<Option<T>> {
     match started {
         Ok(started) => Ok(Some(started)),
         Err(error) if path.exists() => Err(error),

@@ -82,13 +82,11 @@ pub(super) async fn session(
     let observer = observer(args, embedded.as_ref()).at_start()?;
     let keeper = signing.keep().at_start()?;
     let mut failures = Failures::default();
-    let recorder =
-        start_recorder(args, &for_recordings, &timer, &recording, &mut failures).at_start()?;
+    let recorder = start_recorder(args, &for_recordings, &timer, &recording, &mut failures).at_start()?;
     let tlog = start_tlog(args, config, &timer, &recording, &mut failures).at_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let configs = (config.clone(), for_recordings);
-    let (mut onlookers, outlet) =
-        Onlookers::start(reserved, (args, config), place, embedded.as_ref()).at_start()?;
+    let (mut onlookers, outlet) = Onlookers::start(reserved, (args, config), place, embedded.as_ref()).at_start()?;
     let mut shard = Shard {
         pipeline,
         ports,
@@ -124,11 +122,7 @@ pub(super) async fn session(
 }
 
 /// Runs the shard until its run is over, or somebody ends it.
-async fn until_ended(
-    (shard, ending): (&mut Shard, &Ending),
-    mut signals: Signals,
-    onlookers: &mut Onlookers,
-) {
+async fn until_ended((shard, ending): (&mut Shard, &Ending), mut signals: Signals, onlookers: &mut Onlookers) {
     tokio::select! {
         () = shard.run(ending) => {}
         () = signals.received() => {}
@@ -144,11 +138,7 @@ async fn open(
     ((timer, folder), laps): ((HostTimer, &Path), Laps),
     stop: &CancellationToken,
 ) -> Result<(PortSet, Option<Embedded>)> {
-    let session = SimulatedSession {
-        timer,
-        folder,
-        laps,
-    };
+    let session = SimulatedSession { timer, folder, laps };
     let opened = open_links(args, config, session, stop).await;
     match &opened {
         Ok((ports, _)) => warn_of_open_listeners(ports, config),
@@ -161,9 +151,7 @@ async fn open(
 /// What a desk hands to the simulated brick, and who hears where that is, if there is one.
 fn simulated_brick(embedded: Option<&mut Embedded>) -> (Option<CommandSender>, Option<TruthTap>) {
     let brick = embedded.map(|embedded| &mut embedded.brick);
-    brick.map_or((None, None), |brick| {
-        (Some(brick.hands.commands.clone()), brick.truth.take())
-    })
+    brick.map_or((None, None), |brick| (Some(brick.hands.commands.clone()), brick.truth.take()))
 }
 
 /// Shows people what happens.
@@ -174,10 +162,7 @@ fn observer(args: &RunArgs, embedded: Option<&Embedded>) -> Result<Observer> {
     } else {
         live_view(embedded)
     };
-    Observer::start(ObserverConfig {
-        events: args.events.as_deref(),
-        view,
-    })
+    Observer::start(ObserverConfig { events: args.events.as_deref(), view })
 }
 
 fn live_view(embedded: Option<&Embedded>) -> LiveView {
@@ -202,10 +187,7 @@ fn pipeline(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result
     signing.lay_into(&mut pipeline_config);
     let pipeline = Pipeline::new(pipeline_config, Stamp::ZERO)?;
     if args.save_calibration.is_some() && pipeline.calibration().is_none() {
-        bail!(
-            "--save-calibration: the filter `{}` learns no calibration",
-            config.filter.name
-        );
+        bail!("--save-calibration: the filter `{}` learns no calibration", config.filter.name);
     }
     Ok(pipeline)
 }
@@ -224,20 +206,10 @@ struct Closed {
 
 /// Closes the links, then lets recorder and observer finish what waits.
 fn close(shard: Shard) -> Result<Closed> {
-    let Shard {
-        recorder,
-        tlog,
-        observer,
-        ports,
-        mut failures,
-        desk,
-        ..
-    } = shard;
+    let Shard { recorder, tlog, observer, ports, mut failures, desk, .. } = shard;
     let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
     if unsent > 0 {
-        say(&format!(
-            "{unsent} messages were not sent: a link was down or too slow"
-        ));
+        say(&format!("{unsent} messages were not sent: a link was down or too slow"));
     }
     drop(ports);
     let last = desk.current().map(Path::to_owned);
@@ -254,17 +226,7 @@ fn close(shard: Shard) -> Result<Closed> {
     }
     let (collector, dropped) = observer.finish()?;
     if dropped > 0 {
-        tracing::warn!(
-            dropped,
-            "events were not shown because the terminal was slow"
-        );
+        tracing::warn!(dropped, "events were not shown because the terminal was slow");
     }
-    Ok(Closed {
-        collector,
-        recorded: Recorded {
-            inputs: recorded,
-            tlog,
-        },
-        failures,
-    })
+    Ok(Closed { collector, recorded: Recorded { inputs: recorded, tlog }, failures })
 }

@@ -11,9 +11,7 @@ mod trial;
 use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, ensure};
-use posebridge_analysis::tuning::{
-    Choice, Found, Loss, Reason, Search, TunedKey, Worth, usual_keys,
-};
+use posebridge_analysis::tuning::{Choice, Found, Loss, Reason, Search, TunedKey, Worth, usual_keys};
 use posebridge_estimator::{Estimates, FilterEntry, filter_named};
 
 use self::runs::{Material, RunScore, Set, TuneRun};
@@ -30,11 +28,7 @@ use crate::stderr::say;
 pub struct TuneArgs {
     /// A recording's descriptor (config/recordings/*.toml) or a recording (*.mcap), which is one run by the name of its file; may be
     /// repeated.
-    #[arg(
-        long = "recording",
-        value_name = "FILE",
-        required_unless_present = "sim"
-    )]
+    #[arg(long = "recording", value_name = "FILE", required_unless_present = "sim")]
     pub recordings: Vec<PathBuf>,
     /// Runs to tune on: all whose names begin so; may be repeated. Without it the descriptor's usual ones.
     #[arg(long = "run", value_name = "PREFIX")]
@@ -147,12 +141,7 @@ pub fn execute(args: &TuneArgs) -> Result<(), Failure> {
         say(&format!("profile: {}", path.display()));
     }
     let text = report::text(&tuned);
-    let outcome = Outcome {
-        name: "tune",
-        page: report::page(&tuned, &text),
-        json: report::json(&tuned),
-        text,
-    };
+    let outcome = Outcome { name: "tune", page: report::page(&tuned, &text), json: report::json(&tuned), text };
     args.output.deliver(&folder, &outcome)
 }
 
@@ -162,14 +151,9 @@ fn filter_of(args: &TuneArgs) -> Result<&'static FilterEntry> {
         factor.is_finite() && (1e-3..=1e3).contains(&factor),
         "--start-factor is {factor}, must be from 0.001 to 1000"
     );
-    filter_named(&args.filter)
-        .filter(|entry| entry.estimates == Estimates::Pose)
-        .ok_or_else(|| {
-            anyhow!(
-                "no filter of a pose is called `{}`; `posebridge config schema` lists the filters",
-                args.filter
-            )
-        })
+    filter_named(&args.filter).filter(|entry| entry.estimates == Estimates::Pose).ok_or_else(|| {
+        anyhow!("no filter of a pose is called `{}`; `posebridge config schema` lists the filters", args.filter)
+    })
 }
 
 fn keys_of(args: &TuneArgs, material: &Material) -> Result<Vec<TunedKey>> {
@@ -177,8 +161,7 @@ fn keys_of(args: &TuneArgs, material: &Material) -> Result<Vec<TunedKey>> {
     if args.params.is_empty() {
         for run in material.training() {
             for key in usual_keys(&run.observations, &run.config.noise) {
-                let is_drawn =
-                    args.fixes_from_truth.is_some() && key.name() == "noise.fix_position_m";
+                let is_drawn = args.fixes_from_truth.is_some() && key.name() == "noise.fix_position_m";
                 if !is_drawn && keys.iter().all(|known| known.name() != key.name()) {
                     keys.push(key);
                 }
@@ -188,14 +171,8 @@ fn keys_of(args: &TuneArgs, material: &Material) -> Result<Vec<TunedKey>> {
     for text in &args.params {
         keys.push(TunedKey::named(text)?);
     }
-    ensure!(
-        !keys.is_empty(),
-        "the runs tell of no noise above zero: name one with --param"
-    );
-    for (key, run) in keys
-        .iter()
-        .flat_map(|key| material.training().map(move |run| (key, run)))
-    {
+    ensure!(!keys.is_empty(), "the runs tell of no noise above zero: name one with --param");
+    for (key, run) in keys.iter().flat_map(|key| material.training().map(move |run| (key, run))) {
         ensure!(
             key.read(&run.config) > 0.0 || args.params.is_empty(),
             "`{}` is 0 in run `{}`: a factor leaves it there; give it a value with --set",
@@ -206,12 +183,7 @@ fn keys_of(args: &TuneArgs, material: &Material) -> Result<Vec<TunedKey>> {
     Ok(keys)
 }
 
-fn tune(
-    args: &TuneArgs,
-    filter: &'static FilterEntry,
-    material: &Material,
-    keys: Vec<TunedKey>,
-) -> Result<Tuned> {
+fn tune(args: &TuneArgs, filter: &'static FilterEntry, material: &Material, keys: Vec<TunedKey>) -> Result<Tuned> {
     let training: Vec<&TuneRun> = material.training().collect();
     let start = args.start_factor.ln();
     let mut trial = Trial::new(filter, &keys, start, &training);
@@ -277,12 +249,6 @@ fn kept(choice: &Choice, before: &[RunScore], proposed: &[RunScore]) -> Kept {
 
 /// What the held-out runs are worth.
 fn worth(scores: &[RunScore]) -> Worth {
-    let held_out: Vec<&RunScore> = scores
-        .iter()
-        .filter(|score| score.set == Set::HeldOut)
-        .collect();
-    Worth {
-        ln_p_each: report::each(&report::joined(&held_out)),
-        position_rms_m: report::rms_m(&held_out),
-    }
+    let held_out: Vec<&RunScore> = scores.iter().filter(|score| score.set == Set::HeldOut).collect();
+    Worth { ln_p_each: report::each(&report::joined(&held_out)), position_rms_m: report::rms_m(&held_out) }
 }

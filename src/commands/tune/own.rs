@@ -26,24 +26,11 @@ pub(super) fn load(args: &TuneArgs, path: &Path, set: Set) -> Result<(TuneRun, R
         args.fixes_from_truth.is_none(),
         "`{name}` has no truth for --fixes-from-truth: recordings of ours are tuned by the fixes of their camera"
     );
-    let overlay = Overlay {
-        robot: None,
-        settings: &args.settings,
-    };
+    let overlay = Overlay { robot: None, settings: &args.settings };
     let own = own_recording::read(path, overlay)?;
     let (observations, withheld) = split(&own.observations, args.use_every.unwrap_or(1));
-    let run = Run {
-        name: name.clone(),
-        withheld,
-        ..Run::default()
-    };
-    let run = TuneRun {
-        name,
-        set,
-        observations,
-        config: own.config,
-        yardstick: Yardstick::Recorded(Box::new(run)),
-    };
+    let run = Run { name: name.clone(), withheld, ..Run::default() };
+    let run = TuneRun { name, set, observations, config: own.config, yardstick: Yardstick::Recorded(Box::new(run)) };
     Ok((run, own.robot))
 }
 
@@ -60,10 +47,7 @@ fn split(observations: &[Observation], every: usize) -> (Vec<Observation>, Vec<W
         if every > 0 && fixes.is_multiple_of(every) {
             shown.push(*observation);
         } else {
-            withheld.push(Withheld {
-                stamp: observation.stamp,
-                fix,
-            });
+            withheld.push(Withheld { stamp: observation.stamp, fix });
         }
         fixes += 1;
     }

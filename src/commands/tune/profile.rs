@@ -14,8 +14,7 @@ use super::{Tuned, report};
 /// The file cannot be written.
 pub(super) fn write(path: &Path, material: &Material, tuned: &Tuned) -> Result<()> {
     let text = text(material, tuned)?;
-    std::fs::write(path, text)
-        .with_context(|| format!("writing the profile to `{}`", path.display()))
+    std::fs::write(path, text).with_context(|| format!("writing the profile to `{}`", path.display()))
 }
 
 fn text(material: &Material, tuned: &Tuned) -> Result<String> {

@@ -48,14 +48,7 @@ pub(super) fn text(tuned: &Tuned) -> String {
 }
 
 fn parameters(tuned: &Tuned) -> String {
-    let mut table = Table::new([
-        "parameter",
-        "before",
-        "at the maximum",
-        "after",
-        "factor",
-        "sigma of ln",
-    ]);
+    let mut table = Table::new(["parameter", "before", "at the maximum", "after", "factor", "sigma of ln"]);
     for (i, (key, values)) in tuned.keys.iter().zip(&tuned.values).enumerate() {
         let sigma = tuned.found.sigma.get(i).copied().flatten();
         table.push([
@@ -99,14 +92,13 @@ pub(super) fn kept(tuned: &Tuned) -> String {
             "the tuned numbers, {share:.3} of the way to the maximum{}",
             match tuned.choice.reason {
                 Reason::Likelihood => "",
-                Reason::Position =>
-                    ": beyond that, positions that were not shown are missed by more than at the start",
+                Reason::Position => ": beyond that, positions that were not shown are missed by more than at the start",
                 Reason::NoFolds => "; the runs are too short to ask what the search did not see",
             }
         ),
-        Kept::StartByFolds(Reason::Position) => format!(
-            "{start} tuned ones miss positions by more, on parts of the runs that the search did not see"
-        ),
+        Kept::StartByFolds(Reason::Position) => {
+            format!("{start} tuned ones miss positions by more, on parts of the runs that the search did not see")
+        }
         Kept::StartByFolds(_) => format!(
             "{start} the gain of tuned ones is not beyond chance, on parts of the runs that the search did not see"
         ),
@@ -123,35 +115,18 @@ pub(super) fn kept(tuned: &Tuned) -> String {
 
 /// Columns of what is compared.
 fn columns(tuned: &Tuned) -> Vec<(&'static str, &[RunScore])> {
-    let given = tuned
-        .as_given
-        .as_deref()
-        .map(|scores| ("as in the file", scores));
+    let given = tuned.as_given.as_deref().map(|scores| ("as in the file", scores));
     given
         .into_iter()
         .chain([
             ("before", tuned.before.as_slice()),
-            (
-                if tuned.kept == Kept::Tuned {
-                    "after"
-                } else {
-                    "tuned, not kept"
-                },
-                tuned.proposed.as_slice(),
-            ),
+            (if tuned.kept == Kept::Tuned { "after" } else { "tuned, not kept" }, tuned.proposed.as_slice()),
         ])
         .collect()
 }
 
 fn sets(tuned: &Tuned) -> String {
-    let mut table = Table::new([
-        "set",
-        "noise",
-        "runs",
-        "innovations",
-        "ln p each",
-        "position rms",
-    ]);
+    let mut table = Table::new(["set", "noise", "runs", "innovations", "ln p each", "position rms"]);
     for (name, set) in [("tuned on", Set::Training), ("held out", Set::HeldOut)] {
         for (noise, scores) in columns(tuned) {
             let of_set: Vec<&RunScore> = scores.iter().filter(|score| score.set == set).collect();
@@ -173,16 +148,7 @@ fn sets(tuned: &Tuned) -> String {
 }
 
 fn sources(tuned: &Tuned) -> String {
-    let mut table = Table::new([
-        "why",
-        "noise",
-        "sensor",
-        "innovations",
-        "NIS",
-        "rho(1)",
-        "live NIS",
-        "live refused",
-    ]);
+    let mut table = Table::new(["why", "noise", "sensor", "innovations", "NIS", "rho(1)", "live NIS", "live refused"]);
     for (name, set) in [("tuned on", Set::Training), ("held out", Set::HeldOut)] {
         for (noise, scores) in columns(tuned) {
             let of_set: Vec<&RunScore> = scores.iter().filter(|score| score.set == set).collect();
@@ -245,10 +211,7 @@ pub(super) fn each(fit: &RunFit) -> Option<f64> {
 }
 
 pub(super) fn rms_m(scores: &[&RunScore]) -> Option<f64> {
-    let of_runs: Vec<f64> = scores
-        .iter()
-        .filter_map(|score| score.position_rms_m)
-        .collect();
+    let of_runs: Vec<f64> = scores.iter().filter_map(|score| score.position_rms_m).collect();
     joint_rms(&of_runs)
 }
 
@@ -257,9 +220,7 @@ fn number(value: Option<f64>, digits: usize) -> String {
 }
 
 fn millimetres(value_m: Option<f64>) -> String {
-    value_m.map_or(NO_VALUE.to_owned(), |value_m| {
-        format!("{:.2} mm", value_m * 1e3)
-    })
+    value_m.map_or(NO_VALUE.to_owned(), |value_m| format!("{:.2} mm", value_m * 1e3))
 }
 
 pub(super) fn page(tuned: &Tuned, tables: &str) -> Page {
@@ -284,19 +245,11 @@ fn picture(tuned: &Tuned) -> Plot {
     let found = &tuned.found;
     let rounds = || found.rounds.iter().zip(1_u32..);
     let values = rounds().map(|(round, number)| (f64::from(number), round.value));
-    let values = std::iter::once((0.0, found.start_value))
-        .chain(values)
-        .collect();
+    let values = std::iter::once((0.0, found.start_value)).chain(values).collect();
     let curves = tuned.keys.iter().enumerate().map(|(i, key)| {
-        let at =
-            rounds().filter_map(|(round, number)| Some((f64::from(number), *round.at.get(i)?)));
-        let points = std::iter::once((0.0, 0.0))
-            .chain(at)
-            .map(|(x, ln)| (x, ln / std::f64::consts::LN_10));
-        Curve {
-            name: key.name(),
-            shape: Shape::Line(points.collect()),
-        }
+        let at = rounds().filter_map(|(round, number)| Some((f64::from(number), *round.at.get(i)?)));
+        let points = std::iter::once((0.0, 0.0)).chain(at).map(|(x, ln)| (x, ln / std::f64::consts::LN_10));
+        Curve { name: key.name(), shape: Shape::Line(points.collect()) }
     });
     let axes = |y_name: &str, curves: Vec<Curve>| Axes {
         x_name: "round".to_owned(),
@@ -305,20 +258,11 @@ fn picture(tuned: &Tuned) -> Plot {
         is_map: false,
         curves,
     };
-    let likelihood = Curve {
-        name: "log-likelihood".to_owned(),
-        shape: Shape::Line(values),
-    };
+    let likelihood = Curve { name: "log-likelihood".to_owned(), shape: Shape::Line(values) };
     Plot {
         title: "Tuning".to_owned(),
-        key_figures: format!(
-            "log-likelihood {:.1} -> {:.1}",
-            found.start_value, found.value
-        ),
-        axes: vec![
-            axes("ln L", vec![likelihood]),
-            axes("log10 of the factor", curves.collect()),
-        ],
+        key_figures: format!("log-likelihood {:.1} -> {:.1}", found.start_value, found.value),
+        axes: vec![axes("ln L", vec![likelihood]), axes("log10 of the factor", curves.collect())],
     }
 }
 

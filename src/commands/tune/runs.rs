@@ -80,10 +80,7 @@ impl Material {
             Some(asked) => simulated(args, asked)?,
             None => recorded(args)?,
         };
-        ensure!(
-            material.training().next().is_some(),
-            "no run is left to tune on: --hold-out takes them all"
-        );
+        ensure!(material.training().next().is_some(), "no run is left to tune on: --hold-out takes them all");
         Ok(material)
     }
 
@@ -103,15 +100,9 @@ fn recorded(args: &TuneArgs) -> Result<Material> {
     check_prefixes(args, &known)?;
     for path in &args.recordings {
         let trained = named(args, path, &args.run)?;
-        let held_out = if args.hold_out.is_empty() {
-            Vec::new()
-        } else {
-            named(args, path, &args.hold_out)?
-        };
+        let held_out = if args.hold_out.is_empty() { Vec::new() } else { named(args, path, &args.hold_out)? };
         let trained = trained.into_iter().filter(|name| !held_out.contains(name));
-        let sets = trained
-            .map(|name| (name, Set::Training))
-            .collect::<Vec<_>>();
+        let sets = trained.map(|name| (name, Set::Training)).collect::<Vec<_>>();
         let held_out = held_out.iter().map(|name| (name.clone(), Set::HeldOut));
         for (name, set) in sets.into_iter().chain(held_out) {
             if own_recording::is_own(path) {
@@ -131,29 +122,13 @@ fn recorded(args: &TuneArgs) -> Result<Material> {
             runs.push(of_recording(args, loaded, set)?);
         }
     }
-    same_robot(
-        runs.iter()
-            .map(|run: &TuneRun| (run.name.as_str(), &run.config.geometry)),
-    )?;
-    let paths: Vec<String> = args
-        .recordings
-        .iter()
-        .map(|path| path.display().to_string())
-        .collect();
-    Ok(Material {
-        runs,
-        robot: robot.unwrap_or_default(),
-        source: paths.join(", "),
-    })
+    same_robot(runs.iter().map(|run: &TuneRun| (run.name.as_str(), &run.config.geometry)))?;
+    let paths: Vec<String> = args.recordings.iter().map(|path| path.display().to_string()).collect();
+    Ok(Material { runs, robot: robot.unwrap_or_default(), source: paths.join(", ") })
 }
 
 fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
-    DataFlags {
-        data: args.data.clone(),
-        run,
-        use_every: args.use_every,
-        settings: args.settings.clone(),
-    }
+    DataFlags { data: args.data.clone(), run, use_every: args.use_every, settings: args.settings.clone() }
 }
 
 /// Every run of a descriptor; a recording of ours is one.
@@ -170,12 +145,7 @@ fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String
         return Ok(DataSet::open(path, &flags(args, None))?.runs);
     }
     let mut runs = all_runs(args, path)?;
-    runs.retain(|name| {
-        prefixes.is_empty()
-            || prefixes
-                .iter()
-                .any(|prefix| name.starts_with(prefix.as_str()))
-    });
+    runs.retain(|name| prefixes.is_empty() || prefixes.iter().any(|prefix| name.starts_with(prefix.as_str())));
     Ok(runs)
 }
 
@@ -194,57 +164,29 @@ fn check_prefixes(args: &TuneArgs, known: &[String]) -> Result<()> {
 fn of_recording(args: &TuneArgs, loaded: RobotRun, set: Set) -> Result<TuneRun> {
     let mut run = loaded.run;
     let config = loaded.filter_config;
-    let mut observations: Vec<Observation> = run
-        .observations
-        .iter()
-        .map(|timed| timed.observation)
-        .collect();
+    let mut observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
     if let Some(every_s) = args.fixes_from_truth {
         ensure!(
             every_s.is_finite() && every_s > 0.0,
             "--fixes-from-truth is {every_s}, must be a number of seconds of more than zero"
         );
-        ensure!(
-            !run.truth.is_empty(),
-            "run `{}` has no truth for --fixes-from-truth",
-            run.name
-        );
-        let truth: Vec<_> = run
-            .truth
-            .iter()
-            .map(|truth| (truth.stamp, truth.position))
-            .collect();
-        let glimpses = Glimpses {
-            every: Span::from_secs_f64(every_s),
-            sigma_m: config.noise.fix_position_m,
-            seed: args.seed,
-        };
+        ensure!(!run.truth.is_empty(), "run `{}` has no truth for --fixes-from-truth", run.name);
+        let truth: Vec<_> = run.truth.iter().map(|truth| (truth.stamp, truth.position)).collect();
+        let glimpses =
+            Glimpses { every: Span::from_secs_f64(every_s), sigma_m: config.noise.fix_position_m, seed: args.seed };
         observations.extend(fixes_from_truth(&truth, &glimpses));
         // Stable: at one instant the wheels speak before the camera.
         observations.sort_by_key(|observation| observation.stamp);
     }
     run.observations.clear();
-    Ok(TuneRun {
-        name: run.name.clone(),
-        set,
-        observations,
-        config,
-        yardstick: Yardstick::Recorded(Box::new(run)),
-    })
+    Ok(TuneRun { name: run.name.clone(), set, observations, config, yardstick: Yardstick::Recorded(Box::new(run)) })
 }
 
 fn simulated(args: &TuneArgs, asked: &str) -> Result<Material> {
     let scenario = drawn::scenario(asked)?.1.with_seed(args.seed);
-    let robot = RobotFile {
-        name: format!("simulated, {asked}"),
-        ..RobotFile::default()
-    };
+    let robot = RobotFile { name: format!("simulated, {asked}"), ..RobotFile::default() };
     let drives = (0..2 * args.runs).map(|run| {
-        let set = if run < args.runs {
-            Set::Training
-        } else {
-            Set::HeldOut
-        };
+        let set = if run < args.runs { Set::Training } else { Set::HeldOut };
         of_drive(&scenario.drive(run), format!("run {run}"), set)
     });
     let runs: Vec<TuneRun> = drives.collect();
@@ -256,11 +198,7 @@ fn simulated(args: &TuneArgs, asked: &str) -> Result<Material> {
         ticks_per_turn: std::f64::consts::TAU / geometry.tick.0,
         ..robot
     });
-    Ok(Material {
-        runs,
-        robot,
-        source: format!("sim {asked}, seed {}", args.seed),
-    })
+    Ok(Material { runs, robot, source: format!("sim {asked}, seed {}", args.seed) })
 }
 
 fn of_drive(drive: &Drive, name: String, set: Set) -> TuneRun {
@@ -282,12 +220,7 @@ impl TuneRun {
     }
 
     /// The same, each block of time by itself.
-    pub(super) fn fit_in_blocks(
-        &self,
-        entry: &FilterEntry,
-        mut config: FilterConfig,
-        blocks: &Blocks,
-    ) -> Vec<RunFit> {
+    pub(super) fn fit_in_blocks(&self, entry: &FilterEntry, mut config: FilterConfig, blocks: &Blocks) -> Vec<RunFit> {
         config.params = offline_params(config.params);
         fit_in_blocks(&self.observations, (entry.build)(&config).as_mut(), blocks)
     }
@@ -336,21 +269,10 @@ impl TuneRun {
             }
             Yardstick::Recorded(run) => self.against(run, &config.calibration, live.as_mut()),
         };
-        RunScore {
-            name: self.name.clone(),
-            set: self.set,
-            fit: self.fit(entry, config),
-            position_rms_m,
-            sources,
-        }
+        RunScore { name: self.name.clone(), set: self.set, fit: self.fit(entry, config), position_rms_m, sources }
     }
 
-    fn against(
-        &self,
-        run: &Run,
-        prior: &Calibration,
-        live: &mut dyn Filter,
-    ) -> (Option<f64>, Vec<SourceTally>) {
+    fn against(&self, run: &Run, prior: &Calibration, live: &mut dyn Filter) -> (Option<f64>, Vec<SourceTally>) {
         let mut scorer = Scorer::new(run, prior);
         let mut sources = Vec::new();
         for observation in &self.observations {
@@ -363,20 +285,14 @@ impl TuneRun {
 }
 
 /// Gives a drive to a filter as it arrives, and hands over its error at the end of each step that counts.
-fn score_steps(
-    drive: &KnownDrive,
-    filter: &mut dyn Filter,
-    mut error: impl FnMut(&TimedPose, &PoseError),
-) {
+fn score_steps(drive: &KnownDrive, filter: &mut dyn Filter, mut error: impl FnMut(&TimedPose, &PoseError)) {
     let mut arrivals = drive.arrivals.iter().peekable();
     for (step, truth) in drive.truth.iter().enumerate() {
         while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
             filter.observe(&arrival.observation);
         }
         let estimate = filter.estimate_at(truth.stamp);
-        if let Some(estimate) =
-            estimate.filter(|estimate| step >= drive.scored_from && estimate.validity.position)
-        {
+        if let Some(estimate) = estimate.filter(|estimate| step >= drive.scored_from && estimate.validity.position) {
             error(truth, &PoseError::of_estimate(&estimate, truth.pose));
         }
     }
@@ -429,14 +345,9 @@ right = { column = "right", unit = "ticks" }
     fn the_robot_is_that_of_the_runs_that_were_tuned_on() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name).display().to_string();
-        std::fs::write(
-            path("wheels.csv"),
-            "t_s,left,right\n0,0,0\n1,9,9\n2,18,18\n",
-        )
-        .unwrap();
+        std::fs::write(path("wheels.csv"), "t_s,left,right\n0,0,0\n1,9,9\n2,18,18\n").unwrap();
         for (name, sigma) in [("held", 0.01), ("trained", 0.02)] {
-            let known =
-                format!("[robot.calibration]\ntrack_scale = {{ value = 0.0, sigma = {sigma} }}\n");
+            let known = format!("[robot.calibration]\ntrack_scale = {{ value = 0.0, sigma = {sigma} }}\n");
             let run = format!("name = \"{name}\"\ndefault_run = \"{name}\"\n");
             let text = run + WHEELS + &known + &format!("[[runs]]\nname = \"{name}\"\n");
             std::fs::write(path(&format!("{name}.toml")), text).unwrap();

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use posebridge_analysis::tuning::{
-    Blocks, Choice, FoldScore, Found, RunFit, SHARES, Search, Squares, TunedKey, blocks_per_run,
-    choose, folds_of, ln_prior, maximise,
+    Blocks, Choice, FoldScore, Found, RunFit, SHARES, Search, Squares, TunedKey, blocks_per_run, choose, folds_of,
+    ln_prior, maximise,
 };
 use posebridge_estimator::{FilterConfig, FilterEntry};
 
@@ -41,22 +41,14 @@ impl<'a> Trial<'a> {
     ) -> Self {
         let blocks = blocks_per_run(training.len());
         let cut = |run: &&'a TuneRun| (*run, Blocks::of(&run.observations, blocks));
-        Self {
-            filter,
-            keys,
-            start,
-            training: training.iter().map(cut).collect(),
-            blocks,
-            known: BTreeMap::new(),
-        }
+        Self { filter, keys, start, training: training.iter().map(cut).collect(), blocks, known: BTreeMap::new() }
     }
 
     /// About how many times a run goes through the filter before the numbers are chosen, for the bar.
     pub(super) fn usual_work(&self) -> u64 {
         let polled = 2 * self.keys.len() as u64 + 3;
         let searched = USUAL_ROUNDS * polled * self.training.len() as u64;
-        let scored =
-            self.folds() * SHARES.len() * self.training.len().div_ceil(self.folds()).max(1);
+        let scored = self.folds() * SHARES.len() * self.training.len().div_ceil(self.folds()).max(1);
         searched + scored as u64
     }
 
@@ -79,19 +71,11 @@ impl<'a> Trial<'a> {
     }
 
     /// The maximum over all parts but those of one fold.
-    pub(super) fn maximum(
-        &mut self,
-        search: &Search,
-        without: Option<usize>,
-        ended: &dyn Fn(),
-    ) -> Found {
+    pub(super) fn maximum(&mut self, search: &Search, without: Option<usize>, ended: &dyn Fn()) -> Found {
         let keys = self.keys.len();
         maximise(keys, search, |points| {
             self.learn(points, ended);
-            points
-                .iter()
-                .map(|point| self.sum(point, without) + ln_prior(point))
-                .collect()
+            points.iter().map(|point| self.sum(point, without) + ln_prior(point)).collect()
         })
     }
 
@@ -105,10 +89,8 @@ impl<'a> Trial<'a> {
             }
         }
         let training = &self.training;
-        let jobs: Vec<(&Vec<f64>, &(&TuneRun, Blocks))> = new
-            .iter()
-            .flat_map(|point| training.iter().map(move |run| (*point, run)))
-            .collect();
+        let jobs: Vec<(&Vec<f64>, &(&TuneRun, Blocks))> =
+            new.iter().flat_map(|point| training.iter().map(move |run| (*point, run))).collect();
         let fit = |(point, (run, blocks)): &(&Vec<f64>, &(&TuneRun, Blocks))| -> Vec<f64> {
             let config = self.config(run, point);
             let fits = run.fit_in_blocks(self.filter, config, blocks);
@@ -126,9 +108,7 @@ impl<'a> Trial<'a> {
             return f64::NEG_INFINITY;
         };
         let seen = parts.iter().enumerate();
-        seen.filter(|(part, _)| Some(part % self.folds()) != without)
-            .map(|(_, value)| value)
-            .sum()
+        seen.filter(|(part, _)| Some(part % self.folds()) != without).map(|(_, value)| value).sum()
     }
 
     /// How far to go: each fold is asked about the way that was found without it.
@@ -147,9 +127,8 @@ impl<'a> Trial<'a> {
         let runs: Vec<usize> = (0..self.training.len())
             .filter(|run| (0..self.blocks).any(|block| self.fold(*run, block) == fold))
             .collect();
-        let jobs: Vec<(usize, usize)> = (0..SHARES.len())
-            .flat_map(|share| runs.iter().map(move |run| (share, *run)))
-            .collect();
+        let jobs: Vec<(usize, usize)> =
+            (0..SHARES.len()).flat_map(|share| runs.iter().map(move |run| (share, *run))).collect();
         let parts = run_all(&jobs, |(share, run)| self.parts(*run, *share, to), ended);
         let mut score = FoldScore::default();
         for ((share, run), parts) in jobs.iter().zip(&parts) {
@@ -166,10 +145,7 @@ impl<'a> Trial<'a> {
 
     fn parts(&self, run: usize, share: usize, to: &[f64]) -> Parts {
         let (Some((run, blocks)), Some(share)) = (self.training.get(run), SHARES.get(share)) else {
-            return Parts {
-                log_likelihoods: Vec::new(),
-                squares: Vec::new(),
-            };
+            return Parts { log_likelihoods: Vec::new(), squares: Vec::new() };
         };
         let at: Vec<f64> = to.iter().map(|x| share * x).collect();
         let config = self.config(run, &at);

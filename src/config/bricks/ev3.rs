@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_protocol::bricks::ev3::{
-    DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings,
-    MotorDirection, MotorPort, SensorPort,
+    DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection, MotorPort,
+    SensorPort,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -75,38 +75,18 @@ impl Ev3Section {
     pub(super) fn settings(&self) -> Result<Ev3Settings> {
         let left_motor = motor(&self.left_motor).context("`left_motor`")?;
         let right_motor = motor(&self.right_motor).context("`right_motor`")?;
-        ensure!(
-            left_motor != right_motor,
-            "`left_motor` and `right_motor` are both {}",
-            self.left_motor
-        );
-        ensure!(
-            (0.1..=50.0).contains(&self.rate_hz),
-            "`rate_hz` is {}, must be 0.1 to 50",
-            self.rate_hz
-        );
-        ensure!(
-            (1..=4).contains(&self.outstanding),
-            "`outstanding` is {}, must be 1 to 4",
-            self.outstanding
-        );
+        ensure!(left_motor != right_motor, "`left_motor` and `right_motor` are both {}", self.left_motor);
+        ensure!((0.1..=50.0).contains(&self.rate_hz), "`rate_hz` is {}, must be 0.1 to 50", self.rate_hz);
+        ensure!((1..=4).contains(&self.outstanding), "`outstanding` is {}, must be 1 to 4", self.outstanding);
         let gyro = sensor(self.gyro_port).context("`gyro_port`")?;
         let distance = sensor(self.distance_port).context("`distance_port`")?;
         if let (Some(gyro), Some(distance)) = (gyro, distance) {
-            ensure!(
-                gyro != distance,
-                "`gyro_port` and `distance_port` are both {}",
-                self.gyro_port
-            );
+            ensure!(gyro != distance, "`gyro_port` and `distance_port` are both {}", self.gyro_port);
         }
         Ok(Ev3Settings {
             left_motor,
             right_motor,
-            motors: if self.motors_backward {
-                MotorDirection::Backward
-            } else {
-                MotorDirection::Forward
-            },
+            motors: if self.motors_backward { MotorDirection::Backward } else { MotorDirection::Forward },
             gyro: gyro.map(|port| self.gyro(port)),
             distance: distance.map(|port| DistanceSettings {
                 port,
@@ -125,16 +105,8 @@ impl Ev3Section {
     const fn gyro(&self, port: SensorPort) -> GyroSettings {
         GyroSettings {
             port,
-            reading: if self.gyro_angle {
-                GyroReading::RateAndAngle
-            } else {
-                GyroReading::Rate
-            },
-            mounting: if self.gyro_upside_down {
-                GyroMounting::UpsideDown
-            } else {
-                GyroMounting::Upright
-            },
+            reading: if self.gyro_angle { GyroReading::RateAndAngle } else { GyroReading::Rate },
+            mounting: if self.gyro_upside_down { GyroMounting::UpsideDown } else { GyroMounting::Upright },
         }
     }
 }
@@ -154,9 +126,7 @@ fn sensor(printed: u8) -> Result<Option<SensorPort>> {
         return Ok(None);
     }
     let port = SensorPort::from_printed(printed);
-    Ok(Some(port.with_context(|| {
-        format!("{printed} is no port: 1 to 4, or 0 for none")
-    })?))
+    Ok(Some(port.with_context(|| format!("{printed} is no port: 1 to 4, or 0 for none"))?))
 }
 
 #[cfg(test)]
@@ -180,16 +150,10 @@ mod tests {
              distance_kind = \"infrared\"\nmailbox = \"\"",
         )
         .unwrap();
-        assert_eq!(
-            (told.left_motor, told.right_motor),
-            (MotorPort::A, MotorPort::D)
-        );
+        assert_eq!((told.left_motor, told.right_motor), (MotorPort::A, MotorPort::D));
         assert_eq!(told.motors, MotorDirection::Backward);
         assert_eq!(told.gyro, None);
-        assert_eq!(
-            told.distance.map(|one| one.kind),
-            Some(DistanceKind::Infrared)
-        );
+        assert_eq!(told.distance.map(|one| one.kind), Some(DistanceKind::Infrared));
         assert_eq!(told.mailbox, None);
     }
 

@@ -43,10 +43,7 @@ impl FixSection {
             ("delay_spread_ms", self.delay_spread_ms, LONGEST_DELAY_MS),
             ("least_quality", self.least_quality, 100.0),
         ] {
-            ensure!(
-                (0.0..=most).contains(&value),
-                "`{key}` is {value}, must lie between 0 and {most}"
-            );
+            ensure!((0.0..=most).contains(&value), "`{key}` is {value}, must lie between 0 and {most}");
         }
         Ok(FixSettings {
             delay: Span::from_secs_f64(self.delay_ms * 1e-3),

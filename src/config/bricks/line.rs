@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_protocol::bricks::line::{
-    Checksum, Column, LineLayout, LineSettings, QUANTITIES, Separator,
-};
+use posebridge_protocol::bricks::line::{Checksum, Column, LineLayout, LineSettings, QUANTITIES, Separator};
 use posebridge_telemetry::Span;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -34,9 +32,7 @@ pub struct LineSection {
 impl Default for LineSection {
     fn default() -> Self {
         Self {
-            columns: ["time_ms", "left_ticks", "right_ticks"]
-                .map(str::to_owned)
-                .into(),
+            columns: ["time_ms", "left_ticks", "right_ticks"].map(str::to_owned).into(),
             keys: BTreeMap::new(),
             separator: ",".to_owned(),
             key_separator: ":".to_owned(),
@@ -56,15 +52,9 @@ impl LineSection {
         let separator = separator(&self.separator).context("`separator`")?;
         let layout = if self.keys.is_empty() {
             let columns = self.columns.iter().map(|name| column(name));
-            LineLayout::Columns {
-                columns: columns.collect::<Result<_>>().context("`columns`")?,
-                separator,
-            }
+            LineLayout::Columns { columns: columns.collect::<Result<_>>().context("`columns`")?, separator }
         } else {
-            ensure!(
-                self.columns == Self::default().columns,
-                "`keys` and `columns` are two layouts; give one of them"
-            );
+            ensure!(self.columns == Self::default().columns, "`keys` and `columns` are two layouts; give one of them");
             let keys = self.keys.iter().map(|(key, name)| {
                 let is_plain = !key.is_empty() && key.chars().all(|c| c.is_ascii_graphic());
                 ensure!(is_plain, "`{key}` is no name that a board can print");
@@ -78,11 +68,7 @@ impl LineSection {
         };
         let settings = LineSettings {
             layout,
-            checksum: if self.checksum_required {
-                Checksum::Required
-            } else {
-                Checksum::Optional
-            },
+            checksum: if self.checksum_required { Checksum::Required } else { Checksum::Optional },
             estimate_interval: (self.estimate_interval_ms > 0)
                 .then(|| Span::from_millis(i64::from(self.estimate_interval_ms))),
             delay: Span::from_millis(i64::from(self.delay_ms)),
@@ -123,14 +109,12 @@ mod tests {
     #[test]
     fn pairs_and_columns_are_told_apart() {
         let pairs = "separator = \"|\"\nkeys = { t = \"time_ms\", l = \"left_ticks\", r = \"-right_ticks\" }";
-        let LineLayout::Pairs {
-            keys, separator, ..
-        } = settings(pairs).unwrap().layout
-        else {
+        let LineLayout::Pairs { keys, separator, .. } = settings(pairs).unwrap().layout else {
             panic!("pairs were asked for")
         };
         assert_eq!((keys.len(), separator), (3, Separator::Pipe));
-        let csv = "columns = [\"time_us\", \"ignore\", \"gyro_deg_per_s\"]\nseparator = \";\"\nchecksum_required = true";
+        let csv =
+            "columns = [\"time_us\", \"ignore\", \"gyro_deg_per_s\"]\nseparator = \";\"\nchecksum_required = true";
         let told = settings(csv).unwrap();
         assert_eq!(told.checksum, Checksum::Required);
         assert!(matches!(told.layout, LineLayout::Columns { columns, .. } if columns.len() == 3));
@@ -142,10 +126,7 @@ mod tests {
             ("columns = [\"speed\"]", "`speed` is no quantity"),
             ("columns = [\"left_ticks\"]", "both are needed"),
             ("separator = \"::\"", "`separator`"),
-            (
-                "columns = [\"gyro_deg_per_s\"]\nkeys = { g = \"gyro_deg_per_s\" }",
-                "two layouts",
-            ),
+            ("columns = [\"gyro_deg_per_s\"]\nkeys = { g = \"gyro_deg_per_s\" }", "two layouts"),
             ("keys = { \"\" = \"gyro_deg_per_s\" }", "`keys`"),
         ] {
             let error = settings(text).unwrap_err();

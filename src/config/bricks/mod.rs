@@ -27,11 +27,7 @@ const MAVLINK: &str = "mavlink";
 ///
 /// # Errors
 /// There is no such protocol, or the link has keys that only MAVLink has.
-pub(super) fn brick_link(
-    link: &LinkSection,
-    robot: &RobotFile,
-    cameras: &FixSection,
-) -> Result<Option<BrickLink>> {
+pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSection) -> Result<Option<BrickLink>> {
     let Some(name) = &link.brick else {
         return Ok(None);
     };
@@ -49,16 +45,10 @@ pub(super) fn brick_link(
         ("send_mavlink1", link.send_mavlink1),
         ("group", link.group.is_some()),
     ] {
-        ensure!(
-            !is_set,
-            "`{key}` belongs to MAVLink, and `brick = \"{name}\"` speaks none; take one of them away"
-        );
+        ensure!(!is_set, "`{key}` belongs to MAVLink, and `brick = \"{name}\"` speaks none; take one of them away");
     }
     let settings = BrickSettings {
-        fixes: FixSettings {
-            framing: framing_of(&link.url),
-            ..cameras.settings().context("`[camera.json]`")?
-        },
+        fixes: FixSettings { framing: framing_of(&link.url), ..cameras.settings().context("`[camera.json]`")? },
         ..settings(robot)?
     };
     Ok(Some(BrickLink { protocol, settings }))

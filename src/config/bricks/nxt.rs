@@ -2,8 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use posebridge_protocol::bricks::nxt::{
-    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings,
-    Outstanding, WheelMotor,
+    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings, Outstanding, WheelMotor,
 };
 use posebridge_telemetry::Span;
 use schemars::JsonSchema;
@@ -115,16 +114,10 @@ impl NxtSection {
             right_motor: wheel_motor(&self.right_motor).context("`right_motor`")?,
             sensors: self.ports()?,
             gyro_rest: self.gyro_rest,
-            gyro_sign: if self.gyro_clockwise {
-                GyroSign::Clockwise
-            } else {
-                GyroSign::CounterClockwise
-            },
+            gyro_sign: if self.gyro_clockwise { GyroSign::Clockwise } else { GyroSign::CounterClockwise },
             compass_zero_deg: self.compass_zero_deg,
             mailbox: self.mailbox,
-            estimate_interval: self
-                .estimate_interval_ms
-                .map(|millis| Span::from_millis(i64::from(millis))),
+            estimate_interval: self.estimate_interval_ms.map(|millis| Span::from_millis(i64::from(millis))),
             outstanding: match self.outstanding {
                 1 => Outstanding::One,
                 2 => Outstanding::Two,
@@ -143,20 +136,13 @@ impl NxtSection {
             let place = usize::from(sensor.port)
                 .checked_sub(1)
                 .and_then(|place| ports.get_mut(place))
-                .with_context(|| {
-                    format!(
-                        "`sensor`, number {number}: `port` is {}, must be 1 to 4",
-                        sensor.port
-                    )
-                })?;
+                .with_context(|| format!("`sensor`, number {number}: `port` is {}, must be 1 to 4", sensor.port))?;
             ensure!(
                 *place == NxtSensor::None,
                 "`sensor`, number {number}: there is a sensor at port {} already",
                 sensor.port
             );
-            *place = sensor
-                .sensor()
-                .with_context(|| format!("`sensor`, number {number}"))?;
+            *place = sensor.sensor().with_context(|| format!("`sensor`, number {number}"))?;
         }
         Ok(ports)
     }
@@ -198,9 +184,7 @@ fn wheel_motor(text: &str) -> Result<WheelMotor> {
         "A" => MotorPort::A,
         "B" => MotorPort::B,
         "C" => MotorPort::C,
-        _ => anyhow::bail!(
-            "`{text}` is no motor: write A, B or C, or -A, -B or -C for one that is mounted backwards"
-        ),
+        _ => anyhow::bail!("`{text}` is no motor: write A, B or C, or -A, -B or -C for one that is mounted backwards"),
     };
     Ok(WheelMotor { port, mounting })
 }
@@ -231,10 +215,7 @@ mod tests {
         assert_eq!(told.sensors[1], NxtSensor::HtGyro);
         assert_eq!(
             told.sensors[2],
-            NxtSensor::HtAccelerometer {
-                forward: ForwardAxis::MinusY,
-                place: AccelerometerPlace::Left
-            }
+            NxtSensor::HtAccelerometer { forward: ForwardAxis::MinusY, place: AccelerometerPlace::Left }
         );
         assert_eq!(told.gyro_rest, Some(598.5));
     }
@@ -247,14 +228,8 @@ mod tests {
             ("outstanding = 3", "`outstanding`"),
             ("mailbox = 10", "mailbox 10"),
             ("sensor = [{ port = 5, kind = \"ht-gyro\" }]", "`port` is 5"),
-            (
-                "sensor = [{ port = 1, kind = \"ht-gyro\" }, { port = 1, kind = \"ultrasonic\" }]",
-                "port 1 already",
-            ),
-            (
-                "sensor = [{ port = 1, kind = \"ht-accelerometer\", forward = \"up\" }]",
-                "`forward`",
-            ),
+            ("sensor = [{ port = 1, kind = \"ht-gyro\" }, { port = 1, kind = \"ultrasonic\" }]", "port 1 already"),
+            ("sensor = [{ port = 1, kind = \"ht-accelerometer\", forward = \"up\" }]", "`forward`"),
             ("sensor = [{ port = 1, kind = \"lidar\" }]", "lidar"),
         ] {
             let error = settings(text).unwrap_err();

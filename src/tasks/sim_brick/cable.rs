@@ -24,22 +24,13 @@ impl Cable {
     /// A cable that stays in.
     #[must_use]
     pub const fn fixed(port: Port) -> Self {
-        Self {
-            port: Some(port),
-            again: None,
-            back_at: Stamp::ZERO,
-            station: None,
-            bad: None,
-        }
+        Self { port: Some(port), again: None, back_at: Stamp::ZERO, station: None, bad: None }
     }
 
     /// A cable that can be pulled out and put in again.
     #[must_use]
     pub fn pluggable(config: PortConfig, timer: HostTimer) -> Self {
-        Self {
-            again: Some((config.clone(), timer)),
-            ..Self::fixed(Port::new(config, timer))
-        }
+        Self { again: Some((config.clone(), timer)), ..Self::fixed(Port::new(config, timer)) }
     }
 
     /// Opens the port at its end for the first time.

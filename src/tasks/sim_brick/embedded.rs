@@ -33,17 +33,8 @@ impl EmbeddedBrick {
     ///
     /// # Errors
     /// The pseudo-terminal cannot be made or the thread cannot be started.
-    pub fn start(
-        scenario: Scenario,
-        path: &Path,
-        timer: HostTimer,
-        stop: CancellationToken,
-    ) -> Result<Self> {
-        let config = PortConfig {
-            id: LinkId(0),
-            url: LinkUrl::pty(path)?,
-            role: Role::Listen,
-        };
+    pub fn start(scenario: Scenario, path: &Path, timer: HostTimer, stop: CancellationToken) -> Result<Self> {
+        let config = PortConfig { id: LinkId(0), url: LinkUrl::pty(path)?, role: Role::Listen };
         let finished = CancellationToken::new();
         let (told, progress) = watch::channel(0.0);
         let (hands, reach) = hands();
@@ -62,17 +53,8 @@ impl EmbeddedBrick {
             .name("brick".to_owned())
             .spawn(move || life.live())
             .context("starting the brick's thread")?;
-        is_ready
-            .recv()
-            .map_err(|_gone| anyhow!("the brick's thread died"))??;
-        Ok(Self {
-            thread: Some(thread),
-            stop,
-            finished,
-            progress,
-            hands,
-            truth,
-        })
+        is_ready.recv().map_err(|_gone| anyhow!("the brick's thread died"))??;
+        Ok(Self { thread: Some(thread), stop, finished, progress, hands, truth })
     }
 
     /// Waits for the thread and gives the simulation with its truth.
@@ -127,11 +109,7 @@ impl Life {
         let mut simulation = Simulation::new(self.scenario);
         if !failed {
             let mut ports = BrickPorts::of(cable);
-            let company = Company {
-                stop: &self.stop,
-                progress: &self.told,
-                reach: Some(self.reach),
-            };
+            let company = Company { stop: &self.stop, progress: &self.told, reach: Some(self.reach) };
             drive(&mut simulation, &mut ports, timer, company).await;
             self.finished.cancel();
         }

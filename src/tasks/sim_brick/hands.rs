@@ -46,26 +46,14 @@ pub struct Reach {
 pub fn hands() -> (Hands, Reach) {
     let (sender, commands) = mpsc::channel(WAITING_COMMANDS);
     let (truth, _) = broadcast::channel(WAITING_SAMPLES);
-    let hands = Hands {
-        commands: sender,
-        truth: truth.clone(),
-    };
-    let reach = Reach {
-        commands,
-        truth,
-        shown: 0,
-    };
+    let hands = Hands { commands: sender, truth: truth.clone() };
+    let reach = Reach { commands, truth, shown: 0 };
     (hands, reach)
 }
 
 impl Reach {
     /// Does what was asked for since the last time.
-    pub fn carry_out(
-        &mut self,
-        now: Stamp<HostClock>,
-        simulation: &mut Simulation,
-        cable: &mut Cable,
-    ) {
+    pub fn carry_out(&mut self, now: Stamp<HostClock>, simulation: &mut Simulation, cable: &mut Cable) {
         while let Ok(command) = self.commands.try_recv() {
             match simulation.carry_out(&command) {
                 Doer::World => {}

@@ -45,11 +45,7 @@ impl Announcement {
     /// Sends `text` on `port` from now on.
     #[must_use]
     pub const fn new(port: Port, text: Vec<u8>) -> Self {
-        Self {
-            port,
-            text,
-            due: Span::ZERO,
-        }
+        Self { port, text, due: Span::ZERO }
     }
 
     fn send_if_due(&mut self, elapsed: Span) {
@@ -64,20 +60,11 @@ impl BrickPorts {
     /// The brick's link alone.
     #[must_use]
     pub const fn of(brick: Cable) -> Self {
-        Self {
-            brick,
-            camera: None,
-            images: None,
-            announcement: None,
-        }
+        Self { brick, camera: None, images: None, announcement: None }
     }
 
     /// Waits for something to happen and gives it to the simulation, which lives until then first.
-    async fn serve(
-        &mut self,
-        simulation: &mut Simulation,
-        (timer, start): (HostTimer, Stamp<HostClock>),
-    ) {
+    async fn serve(&mut self, simulation: &mut Simulation, (timer, start): (HostTimer, Stamp<HostClock>)) {
         tokio::select! {
             event = self.brick.next() => {
                 let now = timer.now();
@@ -135,12 +122,7 @@ pub struct Company<'a> {
 }
 
 /// Drives a simulation in real time on its ports, until its path ends or somebody stops it.
-pub async fn drive(
-    simulation: &mut Simulation,
-    ports: &mut BrickPorts,
-    timer: HostTimer,
-    mut company: Company<'_>,
-) {
+pub async fn drive(simulation: &mut Simulation, ports: &mut BrickPorts, timer: HostTimer, mut company: Company<'_>) {
     let start = timer.now();
     let mut ends_at: Option<Stamp<HostClock>> = None;
     loop {

@@ -70,10 +70,7 @@ impl Model {
     /// Before anything has happened.
     #[must_use]
     pub fn new(simulator: Option<SimulatorFacts>) -> Self {
-        Self {
-            simulator,
-            ..Self::default()
-        }
+        Self { simulator, ..Self::default() }
     }
 
     /// Takes a message.
@@ -108,11 +105,7 @@ impl Model {
     pub fn say(&mut self, line: &str) {
         let t_s = self.now_s;
         for text in line.lines() {
-            self.add_line(LogLine {
-                t_s,
-                severity: NOTICE,
-                text: text.to_owned(),
-            });
+            self.add_line(LogLine { t_s, severity: NOTICE, text: text.to_owned() });
         }
     }
 
@@ -131,16 +124,8 @@ impl Model {
     /// The robots to choose from: those with an estimate. A camera is heard as well but has none. Without any, all.
     #[must_use]
     pub fn shown(&self) -> Vec<&Robot> {
-        let estimated: Vec<&Robot> = self
-            .robots
-            .iter()
-            .filter(|robot| !robot.estimates.is_empty())
-            .collect();
-        if estimated.is_empty() {
-            self.robots.iter().collect()
-        } else {
-            estimated
-        }
+        let estimated: Vec<&Robot> = self.robots.iter().filter(|robot| !robot.estimates.is_empty()).collect();
+        if estimated.is_empty() { self.robots.iter().collect() } else { estimated }
     }
 
     /// The chosen robot.

@@ -15,9 +15,7 @@ pub struct Recent<T> {
 
 impl<T> Default for Recent<T> {
     fn default() -> Self {
-        Self {
-            points: VecDeque::new(),
-        }
+        Self { points: VecDeque::new() }
     }
 }
 
@@ -25,12 +23,7 @@ impl<T> Recent<T> {
     /// Takes a point of this instant, in seconds of the session.
     pub fn push(&mut self, t_s: f64, point: T) {
         self.points.push_back((t_s, point));
-        while self.points.len() > MOST
-            || self
-                .points
-                .front()
-                .is_some_and(|(oldest_s, _)| t_s - oldest_s > SPAN_S)
-        {
+        while self.points.len() > MOST || self.points.front().is_some_and(|(oldest_s, _)| t_s - oldest_s > SPAN_S) {
             self.points.pop_front();
         }
     }
@@ -61,10 +54,7 @@ mod tests {
         for second in 0..100 {
             recent.push(f64::from(second), second);
         }
-        assert_eq!(
-            recent.iter().copied().collect::<Vec<_>>(),
-            (39..100).collect::<Vec<_>>()
-        );
+        assert_eq!(recent.iter().copied().collect::<Vec<_>>(), (39..100).collect::<Vec<_>>());
         for _ in 0..10_000 {
             recent.push(100.0, 7);
         }

@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 
 use posebridge_analysis::RecentNis;
-use posebridge_dashboard::model::{
-    CalibrationRow, EstimatePoint, FixPoint, FusionPoint, RobotFrame,
-};
+use posebridge_dashboard::model::{CalibrationRow, EstimatePoint, FixPoint, FusionPoint, RobotFrame};
 
 use super::Recent;
 
@@ -42,10 +40,7 @@ pub struct Source {
 
 impl Robot {
     pub(super) fn of(id: &str) -> Self {
-        Self {
-            id: id.to_owned(),
-            ..Self::default()
-        }
+        Self { id: id.to_owned(), ..Self::default() }
     }
 
     pub(super) fn take(&mut self, part: &RobotFrame) {
@@ -61,11 +56,7 @@ impl Robot {
         if let Some(calibration) = &part.calibration {
             // A history has one row a second for each; the last one counts.
             for row in calibration {
-                match self
-                    .calibration
-                    .iter_mut()
-                    .find(|kept| kept.name == row.name)
-                {
+                match self.calibration.iter_mut().find(|kept| kept.name == row.name) {
                     Some(kept) => kept.clone_from(row),
                     None => self.calibration.push(row.clone()),
                 }

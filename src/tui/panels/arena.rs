@@ -14,11 +14,7 @@ use crate::tui::look::{Look, Role};
 use crate::tui::model::{Model, Robot};
 
 /// See [`super`].
-pub(super) const PANEL: Panel = Panel {
-    title: "Arena",
-    lines: |_| usize::from(u16::MAX),
-    draw,
-};
+pub(super) const PANEL: Panel = Panel { title: "Arena", lines: |_| usize::from(u16::MAX), draw };
 
 /// Fixes are shown for so long, as on the page.
 const FIXES_SPAN_S: f64 = 20.0;
@@ -52,13 +48,7 @@ fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
         legend(look, area, buffer);
     }
     let row = area.bottom().saturating_sub(1);
-    buffer.set_stringn(
-        area.x,
-        row,
-        scale,
-        usize::from(area.width),
-        look.style(Role::Quiet),
-    );
+    buffer.set_stringn(area.x, row, scale, usize::from(area.width), look.style(Role::Quiet));
 }
 
 /// What the letters and signs of the legend take, with the blanks between.
@@ -97,18 +87,14 @@ impl<'a> Map<'a> {
     fn of(model: &'a Model) -> Self {
         let robot = model.robot_shown();
         let latest = robot.and_then(|robot| robot.estimates.last());
-        let path = model
-            .simulator
-            .as_ref()
-            .map_or(&[][..], |known| known.path.as_slice());
+        let path = model.simulator.as_ref().map_or(&[][..], |known| known.path.as_slice());
         let odometry = model.truth.iter().filter_map(|point| point.odometry);
         Self {
             path: path.iter().map(|[x_m, y_m]| (*x_m, *y_m)).collect(),
             truth: places(model.truth.iter().map(|point| (point.x_m, point.y_m))),
             odometry: places(odometry.map(|[x_m, y_m, _]| (x_m, y_m))),
-            estimate: robot.map_or_else(Vec::new, |robot| {
-                places(robot.estimates.iter().map(|point| (point.x_m, point.y_m)))
-            }),
+            estimate: robot
+                .map_or_else(Vec::new, |robot| places(robot.estimates.iter().map(|point| (point.x_m, point.y_m)))),
             ellipse: latest.and_then(ellipse_of).unwrap_or_default(),
             fixes: robot.map_or_else(Vec::new, |robot| fixes_of(robot, model.now_s)),
             latest,
@@ -122,10 +108,7 @@ impl<'a> Map<'a> {
     }
 
     fn paint(&self, look: Look, context: &mut Context<'_>) {
-        context.draw(&Points {
-            coords: &self.path,
-            color: look.colour(Role::Path),
-        });
+        context.draw(&Points { coords: &self.path, color: look.colour(Role::Path) });
         context.layer();
         let dashes = self.odometry.chunks(DASH).step_by(2);
         dashes.for_each(|dash| joined(dash, look, Role::Odometry, context));
@@ -140,10 +123,7 @@ impl<'a> Map<'a> {
                 context.print(x, y, Span::styled(sign, look.style(role)));
             }
         }
-        let ends = [
-            ("T", &self.truth, Role::Truth),
-            ("O", &self.odometry, Role::Odometry),
-        ];
+        let ends = [("T", &self.truth, Role::Truth), ("O", &self.odometry, Role::Odometry)];
         for (letter, trail, role) in ends {
             if let Some((x, y)) = trail.last() {
                 context.print(*x, *y, Span::styled(letter, look.style(role)));
@@ -164,13 +144,7 @@ fn joined(places: &[Place], look: Look, role: Role, context: &mut Context<'_>) {
         let [(x1, y1), (x2, y2)] = *pair else {
             continue;
         };
-        context.draw(&Line {
-            x1,
-            y1,
-            x2,
-            y2,
-            color,
-        });
+        context.draw(&Line { x1, y1, x2, y2, color });
     }
 }
 
@@ -189,9 +163,7 @@ fn ellipse_of(estimate: &EstimatePoint) -> Option<Vec<Place>> {
 
 fn fixes_of(robot: &Robot, now_s: f64) -> Vec<&FixPoint> {
     let recent = robot.fixes.iter();
-    recent
-        .filter(|fix| now_s - fix.t_s <= FIXES_SPAN_S)
-        .collect()
+    recent.filter(|fix| now_s - fix.t_s <= FIXES_SPAN_S).collect()
 }
 
 /// What a fix is drawn as, as its verdict has it.
@@ -209,14 +181,9 @@ fn mark_of(fix: &FixPoint) -> (&'static str, Role) {
 /// The arrow nearest to a heading, counter-clockwise from east.
 fn arrow_of(heading_rad: Number) -> &'static str {
     const ARROWS: [&str; 8] = ["→", "↗", "↑", "↖", "←", "↙", "↓", "↘"];
-    let eighths = heading_rad
-        .get()
-        .map(|heading_rad| (heading_rad.to_degrees() / 45.0).round() as i64);
+    let eighths = heading_rad.get().map(|heading_rad| (heading_rad.to_degrees() / 45.0).round() as i64);
     let index = eighths.map(|eighths| eighths.rem_euclid(8) as usize);
-    index
-        .and_then(|index| ARROWS.get(index))
-        .copied()
-        .unwrap_or("●")
+    index.and_then(|index| ARROWS.get(index)).copied().unwrap_or("●")
 }
 
 fn places(points: impl Iterator<Item = (Number, Number)>) -> Vec<Place> {
@@ -256,14 +223,7 @@ mod tests {
 
     #[test]
     fn arrows_turn_counter_clockwise() {
-        let cases = [
-            (0.0, "→"),
-            (FRAC_PI_2, "↑"),
-            (PI, "←"),
-            (-PI, "←"),
-            (-FRAC_PI_2, "↓"),
-            (-0.8, "↘"),
-        ];
+        let cases = [(0.0, "→"), (FRAC_PI_2, "↑"), (PI, "←"), (-PI, "←"), (-FRAC_PI_2, "↓"), (-0.8, "↘")];
         for (heading_rad, arrow) in cases {
             assert_eq!(arrow_of(heading_rad.into()), arrow, "{heading_rad}");
         }
@@ -277,16 +237,11 @@ mod tests {
             lag_s: lag_s.into(),
             ..FixPoint::default()
         };
-        let signs: Vec<&str> = [
-            fix("accepted", 0.1),
-            fix("accepted", 0.2),
-            fix("gated", 0.0),
-            fix("too old", 3.0),
-            fix("reset to", 0.0),
-        ]
-        .iter()
-        .map(|fix| mark_of(fix).0)
-        .collect();
+        let signs: Vec<&str> =
+            [fix("accepted", 0.1), fix("accepted", 0.2), fix("gated", 0.0), fix("too old", 3.0), fix("reset to", 0.0)]
+                .iter()
+                .map(|fix| mark_of(fix).0)
+                .collect();
         assert_eq!(signs, ["+", "◇", "x", "□", "*"]);
     }
 

@@ -11,18 +11,11 @@ use crate::tui::look::{Look, Role};
 use crate::tui::model::Model;
 
 /// See [`super`].
-pub(super) const PANEL: Panel = Panel {
-    title: "Biases and calibration",
-    lines: |model| learned(model).count().max(1),
-    draw,
-};
+pub(super) const PANEL: Panel =
+    Panel { title: "Biases and calibration", lines: |model| learned(model).count().max(1), draw };
 
 /// Value, sigma, name.
-const WIDTHS: [Constraint; 3] = [
-    Constraint::Length(9),
-    Constraint::Length(10),
-    Constraint::Min(0),
-];
+const WIDTHS: [Constraint; 3] = [Constraint::Length(9), Constraint::Length(10), Constraint::Min(0)];
 
 /// Numbers with a sigma: the others are taken as given.
 fn learned(model: &Model) -> impl Iterator<Item = &CalibrationRow> {

@@ -12,11 +12,7 @@ use crate::tui::model::Model;
 use crate::tui::words::harmless;
 
 /// See [`super`].
-pub(super) const PANEL: Panel = Panel {
-    title: "Events",
-    lines: |model| model.log.len().max(1),
-    draw,
-};
+pub(super) const PANEL: Panel = Panel { title: "Events", lines: |model| model.log.len().max(1), draw };
 
 /// MAVLink severities up to this one mean that something is wrong: 4 is a warning.
 const WARNING: u8 = 4;
@@ -29,11 +25,7 @@ fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
 }
 
 fn line_of(line: &LogLine, look: Look) -> Line<'static> {
-    let (mark, role) = if line.severity <= WARNING {
-        ("! ", Role::Bad)
-    } else {
-        ("  ", Role::Truth)
-    };
+    let (mark, role) = if line.severity <= WARNING { ("! ", Role::Bad) } else { ("  ", Role::Truth) };
     Line::from(vec![
         Span::styled(format!("{:8.1} s ", line.t_s), look.style(Role::Quiet)),
         Span::styled(mark, look.style(role)),

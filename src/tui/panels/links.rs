@@ -12,11 +12,7 @@ use crate::tui::model::Model;
 use crate::tui::words::{fixed, harmless, signed};
 
 /// See [`super`].
-pub(super) const PANEL: Panel = Panel {
-    title: "Links and clock",
-    lines: |model| 1 + 2 * model.links.len(),
-    draw,
-};
+pub(super) const PANEL: Panel = Panel { title: "Links and clock", lines: |model| 1 + 2 * model.links.len(), draw };
 
 fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
     let mut lines = vec![clock_line(model.clock.as_ref(), look)];
@@ -38,11 +34,7 @@ fn clock_line(clock: Option<&ClockRow>, look: Look) -> Line<'static> {
 }
 
 fn link_lines(link: &LinkRow, look: Look) -> [Line<'static>; 2] {
-    let role = if link.state == "up" {
-        Role::Good
-    } else {
-        Role::Bad
-    };
+    let role = if link.state == "up" { Role::Good } else { Role::Bad };
     let state = Span::styled(link.state.to_uppercase(), look.style(role));
     let head = Line::from(vec![
         Span::raw(format!("{} ", link.id)),

@@ -12,11 +12,7 @@ use crate::tui::model::Model;
 use crate::tui::words::{degrees, fixed, signed};
 
 /// See [`super`].
-pub(super) const PANEL: Panel = Panel {
-    title: "Pose",
-    lines: |_| 4,
-    draw,
-};
+pub(super) const PANEL: Panel = Panel { title: "Pose", lines: |_| 4, draw };
 
 fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
     let latest = model.robot_shown().and_then(|robot| robot.estimates.last());
@@ -32,15 +28,9 @@ fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
 fn off_line(model: &Model, look: Look) -> Line<'static> {
     match &model.errors {
         Some(errors) => Line::from(vec![
-            Span::styled(
-                format!("odometry {} m off", fixed(errors.odometry_m, 2)),
-                look.style(Role::Odometry),
-            ),
+            Span::styled(format!("odometry {} m off", fixed(errors.odometry_m, 2)), look.style(Role::Odometry)),
             Span::raw(", "),
-            Span::styled(
-                format!("estimate {} m off", fixed(errors.estimate_m, 3)),
-                look.style(Role::Estimate),
-            ),
+            Span::styled(format!("estimate {} m off", fixed(errors.estimate_m, 3)), look.style(Role::Estimate)),
         ]),
         None => Line::styled("no truth to compare with", look.style(Role::Quiet)),
     }
@@ -58,17 +48,9 @@ fn lines_of(estimate: &EstimatePoint, look: Look) -> [Line<'static>; 3] {
     ];
     let heading = vec![
         quiet("heading "),
-        Span::raw(format!(
-            "{} ± {}°",
-            degrees(estimate.heading_rad, 1),
-            degrees(estimate.heading_sigma_rad, 1)
-        )),
+        Span::raw(format!("{} ± {}°", degrees(estimate.heading_rad, 1), degrees(estimate.heading_sigma_rad, 1))),
         quiet("  "),
-        Span::raw(format!(
-            "{} m/s {}°/s",
-            fixed(estimate.forward_m_per_s, 2),
-            degrees(estimate.turn_rad_per_s, 0)
-        )),
+        Span::raw(format!("{} m/s {}°/s", fixed(estimate.forward_m_per_s, 2), degrees(estimate.turn_rad_per_s, 0))),
     ];
     let fix = match (estimate.is_dead_reckoning, estimate.fix_age_s.get()) {
         (true, _) => Span::styled("dead reckoning", look.style(Role::Bad)),
@@ -76,9 +58,5 @@ fn lines_of(estimate: &EstimatePoint, look: Look) -> [Line<'static>; 3] {
         (false, Some(age_s)) => Span::raw(format!("last fix {age_s:.1} s ago")),
     };
     let resets = Span::raw(format!("  resets {}", estimate.reset_counter));
-    [
-        Line::from(place),
-        Line::from(heading),
-        Line::from(vec![fix, resets]),
-    ]
+    [Line::from(place), Line::from(heading), Line::from(vec![fix, resets])]
 }

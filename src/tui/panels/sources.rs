@@ -26,18 +26,12 @@ const GAPS: u16 = WIDTHS.len() as u16;
 const NAME_AT_LEAST: usize = 9;
 
 fn draw(model: &Model, look: Look, area: Rect, buffer: &mut Buffer) {
-    let sources: Vec<_> = model
-        .robot_shown()
-        .into_iter()
-        .flat_map(|robot| &robot.sources)
-        .collect();
+    let sources: Vec<_> = model.robot_shown().into_iter().flat_map(|robot| &robot.sources).collect();
     let longest = sources.iter().map(|(name, _)| name.chars().count()).max();
     let room = area.width.saturating_sub(WIDTHS.iter().sum::<u16>() + GAPS);
     let most = usize::from(room).max(NAME_AT_LEAST);
     let name_width = longest.unwrap_or(0).clamp(NAME_AT_LEAST, most);
-    let rows = sources
-        .into_iter()
-        .map(|(name, source)| row_of(cut(name, name_width), source, look));
+    let rows = sources.into_iter().map(|(name, source)| row_of(cut(name, name_width), source, look));
     let head = Row::new(["source", " seen", "gated", " NIS", "filter is", "last"]);
     let [seen, gated, nis, claims, _last] = WIDTHS.map(Constraint::Length);
     let name = Constraint::Length(name_width as u16);
@@ -107,9 +101,6 @@ mod tests {
     #[test]
     fn a_number_takes_four_characters() {
         let texts = [0.0, 1.006, 9.994, 9.996, 99.94, 99.96, 9_999.0].map(in_four);
-        assert_eq!(
-            texts,
-            ["0.00", "1.01", "9.99", "10.0", "99.9", "100", "9999"]
-        );
+        assert_eq!(texts, ["0.00", "1.01", "9.99", "10.0", "99.9", "100", "9999"]);
     }
 }

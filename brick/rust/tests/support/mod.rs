@@ -1,9 +1,5 @@
 //! The vector file, and the four that answer its commands: this crate, C, MicroPython's module, NXC's encoder.
-#![allow(
-    dead_code,
-    clippy::allow_attributes,
-    reason = "each test file uses its own part of this module"
-)]
+#![allow(dead_code, clippy::allow_attributes, reason = "each test file uses its own part of this module")]
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -11,8 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use posebridge_brick::{
-    Gyro, Inertial, InertialParts, Link, PlanarPose, Received, Receiver, RobotDescription, Sides,
-    WheelTicks,
+    Gyro, Inertial, InertialParts, Link, PlanarPose, Received, Receiver, RobotDescription, Sides, WheelTicks,
 };
 
 /// A line of the vector file.
@@ -28,16 +23,11 @@ pub(crate) fn brick() -> PathBuf {
 
 pub(crate) fn vectors() -> Vec<Vector> {
     let text = std::fs::read_to_string(brick().join("vectors/vectors.txt")).unwrap();
-    let lines = text
-        .lines()
-        .filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let lines = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
     let vectors: Vec<Vector> = lines
         .map(|line| {
             let (command, expected) = line.split_once(" = ").unwrap();
-            Vector {
-                command: command.to_owned(),
-                expected: expected.to_owned(),
-            }
+            Vector { command: command.to_owned(), expected: expected.to_owned() }
         })
         .collect();
     assert!(vectors.len() > 50, "the vector file is cut off");
@@ -53,9 +43,7 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
 
 pub(crate) fn unhex(text: &str) -> Vec<u8> {
     let pairs = text.as_bytes().chunks(2);
-    pairs
-        .map(|pair| u8::from_str_radix(str::from_utf8(pair).unwrap(), 16).unwrap())
-        .collect()
+    pairs.map(|pair| u8::from_str_radix(str::from_utf8(pair).unwrap(), 16).unwrap()).collect()
 }
 
 /// What this crate makes of a command.
@@ -154,26 +142,10 @@ fn receive(words: &[&str]) -> String {
 }
 
 fn pose_text(pose: &PlanarPose) -> String {
-    let numbers = [
-        pose.x_m,
-        pose.y_m,
-        pose.heading_rad,
-        pose.forward_speed_m_per_s,
-        pose.turn_rate_rad_per_s,
-    ];
-    let bits: Vec<String> = numbers
-        .iter()
-        .chain(&pose.covariance)
-        .map(|number| format!("{:08x}", number.to_bits()))
-        .collect();
-    format!(
-        "pose {} {} {} {} {}",
-        pose.time_us,
-        bits.join(" "),
-        pose.fix_age_ms,
-        pose.reset_counter,
-        pose.flags
-    )
+    let numbers = [pose.x_m, pose.y_m, pose.heading_rad, pose.forward_speed_m_per_s, pose.turn_rate_rad_per_s];
+    let bits: Vec<String> =
+        numbers.iter().chain(&pose.covariance).map(|number| format!("{:08x}", number.to_bits())).collect();
+    format!("pose {} {} {} {} {}", pose.time_us, bits.join(" "), pose.fix_age_ms, pose.reset_counter, pose.flags)
 }
 
 /// The C header behind its driver, compiled by the system's compiler.
@@ -189,24 +161,14 @@ pub(crate) fn nxc_driver(folder: &Path) -> Command {
 /// MicroPython's module behind its driver, run by Python 3.
 pub(crate) fn python_driver() -> Command {
     let mut python = Command::new("python3");
-    python
-        .arg("-B")
-        .arg(brick().join("check/driver.py"))
-        .arg(brick().join("micropython"));
+    python.arg("-B").arg(brick().join("check/driver.py")).arg(brick().join("micropython"));
     python
 }
 
 fn compiled(folder: &Path, source: &str) -> Command {
     let program = folder.join(source.replace('.', "_"));
     let output = Command::new(compiler())
-        .args([
-            "-std=c99",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-pedantic",
-            "-O1",
-        ])
+        .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"])
         .arg("-I")
         .arg(brick().join("c"))
         .arg("-I")
@@ -223,10 +185,7 @@ fn compiled(folder: &Path, source: &str) -> Command {
 
 fn compiler() -> &'static str {
     let found = ["cc", "gcc", "clang"].into_iter().find(|name| {
-        let status = Command::new(name)
-            .arg("--version")
-            .stdout(Stdio::null())
-            .status();
+        let status = Command::new(name).arg("--version").stdout(Stdio::null()).status();
         status.is_ok_and(|status| status.success())
     });
     found.expect("none of cc, gcc, clang starts: install gcc to check the brick SDK")
@@ -234,11 +193,7 @@ fn compiler() -> &'static str {
 
 /// One answer for each command.
 pub(crate) fn answers(driver: &mut Command, commands: &[String]) -> Vec<String> {
-    let mut child = driver
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut child = driver.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let mut input = child.stdin.take().unwrap();
     let text = format!("{}\n", commands.join("\n"));
     let writer = std::thread::spawn(move || input.write_all(text.as_bytes()));

@@ -31,11 +31,7 @@ impl BoundSum {
     ///
     /// `wheel_turns` holds one entry for each step. `None` where the bound does not apply: other than one turn per step, a stamp
     /// of a fix that is no step's, or a bound that is no number.
-    pub fn of(
-        config: &FilterConfig,
-        drive: &KnownDrive,
-        wheel_turns: &[WheelTurn],
-    ) -> Option<Self> {
+    pub fn of(config: &FilterConfig, drive: &KnownDrive, wheel_turns: &[WheelTurn]) -> Option<Self> {
         let [first, second, ..] = drive.truth.as_slice() else {
             return None;
         };
@@ -43,10 +39,7 @@ impl BoundSum {
             return None;
         }
         let poses: Vec<_> = drive.truth.iter().map(|truth| truth.pose).collect();
-        let travel: Vec<WheelTravel> = wheel_turns
-            .iter()
-            .map(|turn| nominal_travel(*turn, &config.geometry))
-            .collect();
+        let travel: Vec<WheelTravel> = wheel_turns.iter().map(|turn| nominal_travel(*turn, &config.geometry)).collect();
         let run = TrueRun {
             poses: &poses,
             travel: &travel,
@@ -54,9 +47,7 @@ impl BoundSum {
             fixes: &fixes(drive)?,
         };
         let after_steps = bound(config, &run);
-        let scored = after_steps
-            .into_iter()
-            .skip(drive.scored_from.saturating_sub(1));
+        let scored = after_steps.into_iter().skip(drive.scored_from.saturating_sub(1));
         let mut sum = Self::default();
         for variance_m2 in scored {
             sum.sum_m2 += variance_m2;
@@ -92,17 +83,11 @@ fn fixes(drive: &KnownDrive) -> Option<Vec<FixArrival>> {
             return None;
         };
         let stamp = arrival.observation.stamp;
-        let taken = drive
-            .truth
-            .binary_search_by_key(&stamp, |truth| truth.stamp);
+        let taken = drive.truth.binary_search_by_key(&stamp, |truth| truth.stamp);
         Some(taken.ok().map(|taken| FixArrival {
             taken,
             arrives: arrival.step,
-            sees: if fix.heading.is_some() {
-                Sees::Pose
-            } else {
-                Sees::Position
-            },
+            sees: if fix.heading.is_some() { Sees::Pose } else { Sees::Position },
         }))
     };
     drive.arrivals.iter().filter_map(of_fix).collect()

@@ -24,16 +24,8 @@ pub type Smoother = fn(&FilterConfig, &[Observation]) -> Result<Smoothed, Offlin
 ///
 /// The path at a step knows what was observed after it. Of the observations only the fixes are tallied, all under the sensor of the
 /// first one: a fix that the path leaves out counts as gated.
-pub fn score_in_hindsight(
-    drive: &KnownDrive,
-    config: &FilterConfig,
-    smoother: Smoother,
-) -> HindsightScore {
-    let observations: Vec<Observation> = drive
-        .arrivals
-        .iter()
-        .map(|arrival| arrival.observation)
-        .collect();
+pub fn score_in_hindsight(drive: &KnownDrive, config: &FilterConfig, smoother: Smoother) -> HindsightScore {
+    let observations: Vec<Observation> = drive.arrivals.iter().map(|arrival| arrival.observation).collect();
     let (path, tally, refusal) = match smoother(config, &observations) {
         Ok(smoothed) => {
             let tally = fixes_of(&smoothed, &observations);
@@ -53,9 +45,7 @@ pub fn score_in_hindsight(
 }
 
 fn fixes_of(smoothed: &Smoothed, observations: &[Observation]) -> Option<SourceTally> {
-    let first = observations
-        .iter()
-        .find(|observation| matches!(observation.observed, Observed::Fix(_)))?;
+    let first = observations.iter().find(|observation| matches!(observation.observed, Observed::Fix(_)))?;
     let mut tally = SourceTally::new(first.sensor);
     tally.used = smoothed.fixes_used as u64;
     tally.gated = smoothed.fixes_left_out as u64;

@@ -110,11 +110,7 @@ impl Score {
 
     /// Counts what became of many observations of one sensor.
     pub fn add_tally(&mut self, tally: &SourceTally) {
-        match self
-            .sources
-            .iter_mut()
-            .find(|known| known.sensor == tally.sensor)
-        {
+        match self.sources.iter_mut().find(|known| known.sensor == tally.sensor) {
             Some(known) => known.absorb(tally),
             None => self.sources.push(*tally),
         }
@@ -123,8 +119,7 @@ impl Score {
     /// Closes a run: what was added since the last one is one independent sample of the consistency test.
     pub fn end_run(&mut self) {
         self.runs += 1;
-        self.run_rms_m
-            .extend(self.run.position_m2.mean().map(f64::sqrt));
+        self.run_rms_m.extend(self.run.position_m2.mean().map(f64::sqrt));
         self.all.absorb(&self.run);
         self.run = Sums::default();
     }
@@ -195,10 +190,7 @@ impl Score {
 
     /// Average normalised estimation error squared over its 3 degrees of freedom; 1 is honest, above 1 over-confident.
     pub fn anees(&self) -> Option<f64> {
-        self.all
-            .nees
-            .mean()
-            .map(|mean| mean / POSE_DEGREES_OF_FREEDOM)
+        self.all.nees.mean().map(|mean| mean / POSE_DEGREES_OF_FREEDOM)
     }
 
     /// Where the ANEES of an honest estimator lies with 95 % probability over so many runs, were each run one sample. The mean

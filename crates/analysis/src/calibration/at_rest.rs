@@ -125,12 +125,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     fn seen(millis: i64, observed: Observed) -> Observation {
-        Observation {
-            sensor: SensorId::GYRO,
-            stamp: Stamp::from_millis(millis),
-            stamp_sigma: Span::ZERO,
-            observed,
-        }
+        Observation { sensor: SensorId::GYRO, stamp: Stamp::from_millis(millis), stamp_sigma: Span::ZERO, observed }
     }
 
     #[test]
@@ -138,10 +133,7 @@ mod tests {
         let mut observations = Vec::new();
         for i in 0..300 {
             let angle = Radians(if i < 200 { 0.0 } else { f64::from(i) });
-            let wheels = Observed::WheelAngles {
-                left: angle,
-                right: angle,
-            };
+            let wheels = Observed::WheelAngles { left: angle, right: angle };
             observations.push(seen(i64::from(i) * 50, wheels));
             let rate = if i < 200 { 0.01 } else { 5.0 };
             let rate = rate + 1e-3 * f64::from(i % 2);
@@ -164,9 +156,7 @@ mod tests {
             let exact = 0.031 + 0.03 * draw();
             (f64::from(i) * 0.05, (exact / step).round() * step)
         });
-        let channel = RestingChannel {
-            stretches: vec![readings.collect()],
-        };
+        let channel = RestingChannel { stretches: vec![readings.collect()] };
         let rest = channel.noise().unwrap();
         assert!((rest.quantum.unwrap() - step).abs() < 1e-9, "{rest:?}");
         // The filter adds step² / 12 itself: what it is told has none of it.
@@ -186,9 +176,7 @@ mod tests {
             bias += walk * dt_s.sqrt() * draw();
             (f64::from(i) * dt_s, bias + 0.01 * draw())
         });
-        let channel = RestingChannel {
-            stretches: vec![readings.collect()],
-        };
+        let channel = RestingChannel { stretches: vec![readings.collect()] };
         let (found, sigma) = channel.noise().unwrap().walk.unwrap();
         assert!((found / walk - 1.0).abs() < 0.1, "{found}");
         assert!((found - walk).abs() < 3.0 * sigma, "{found} {sigma}");
@@ -199,9 +187,7 @@ mod tests {
         let readings = (0..400).map(|i| (f64::from(i) * 0.05, f64::from(i % 3)));
         // The last rows in seconds since 1970.
         let wild = (0..5).map(|i| (1.7e9 + f64::from(i) * 0.05, f64::from(i % 3)));
-        let channel = RestingChannel {
-            stretches: vec![readings.chain(wild).collect()],
-        };
+        let channel = RestingChannel { stretches: vec![readings.chain(wild).collect()] };
         let rest = channel.noise().unwrap();
         assert_eq!(rest.samples, 405);
         assert!((rest.rest_s - 20.15).abs() < 1e-3, "{rest:?}");
@@ -212,9 +198,7 @@ mod tests {
         let found = RestingChannel::default().noise();
         assert_eq!(found, Err(RestError::TooShort(0)));
         let readings = (0..400).map(|i| (f64::from(i) * 0.05, 0.017));
-        let channel = RestingChannel {
-            stretches: vec![readings.collect()],
-        };
+        let channel = RestingChannel { stretches: vec![readings.collect()] };
         assert_eq!(channel.noise(), Err(RestError::Silent));
     }
 }

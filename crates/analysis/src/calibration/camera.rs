@@ -68,18 +68,11 @@ pub fn homography(points: &[KnownPoint]) -> Result<CameraFit, CalibrationError> 
     let found = solved(points)?;
     let residuals_m: Vec<[f64; 2]> = points.iter().map(|point| residual(&found, point)).collect();
     let rms_without_m = if points.len() > FEWEST_POINTS + 1 {
-        (0..points.len())
-            .map(|index| rms_without(points, index))
-            .collect()
+        (0..points.len()).map(|index| rms_without(points, index)).collect()
     } else {
         Vec::new()
     };
-    Ok(CameraFit {
-        homography: found,
-        rms_m: rms(&residuals_m),
-        residuals_m,
-        rms_without_m,
-    })
+    Ok(CameraFit { homography: found, rms_m: rms(&residuals_m), residuals_m, rms_without_m })
 }
 
 fn rms(residuals_m: &[[f64; 2]]) -> f64 {
@@ -89,20 +82,11 @@ fn rms(residuals_m: &[[f64; 2]]) -> f64 {
 
 fn check(points: &[KnownPoint], needed: usize) -> Result<(), CalibrationError> {
     if points.len() < needed {
-        return Err(CalibrationError::TooLittle {
-            what: "known points",
-            found: points.len(),
-            needed,
-        });
+        return Err(CalibrationError::TooLittle { what: "known points", found: points.len(), needed });
     }
-    let numbers = points
-        .iter()
-        .flat_map(|p| p.seen.into_iter().chain(p.floor_m));
+    let numbers = points.iter().flat_map(|p| p.seen.into_iter().chain(p.floor_m));
     match numbers.into_iter().find(|number| !number.is_finite()) {
-        Some(value) => Err(CalibrationError::Senseless {
-            what: "a coordinate of a known point",
-            value,
-        }),
+        Some(value) => Err(CalibrationError::Senseless { what: "a coordinate of a known point", value }),
         None => Ok(()),
     }
 }
@@ -136,10 +120,7 @@ fn solved(points: &[KnownPoint]) -> Result<Homography, CalibrationError> {
         .iter()
         .map(|p| {
             let seen = [0, 1].map(|axis| (p.seen[axis] - from[axis]) / from_size);
-            (
-                seen,
-                [0, 1].map(|axis| (p.floor_m[axis] - to[axis]) / to_size),
-            )
+            (seen, [0, 1].map(|axis| (p.floor_m[axis] - to[axis]) / to_size))
         })
         .collect();
     let collinear = |_| CalibrationError::Undetermined("three of the four points lie on a line");
@@ -165,17 +146,11 @@ fn solved(points: &[KnownPoint]) -> Result<Homography, CalibrationError> {
     });
     let up = |row: [f64; 3], centre: f64| {
         let [a, b, c] = after[2];
-        [
-            to_size * row[0] + centre * a,
-            to_size * row[1] + centre * b,
-            to_size * row[2] + centre * c,
-        ]
+        [to_size * row[0] + centre * a, to_size * row[1] + centre * b, to_size * row[2] + centre * c]
     };
     let rows = [up(after[0], to[0]), up(after[1], to[1]), after[2]];
     let last = rows[2][2];
-    Ok(Homography {
-        rows: rows.map(|row| row.map(|number| number / last)),
-    })
+    Ok(Homography { rows: rows.map(|row| row.map(|number| number / last)) })
 }
 
 fn rows_of(h: &[f64]) -> [[f64; 3]; 3] {
@@ -187,10 +162,9 @@ fn linear_guess(points: &[([f64; 2], [f64; 2])]) -> Result<Vec<f64>, Calibration
     let mut normal = vec![vec![0.0; 8]; 8];
     let mut right = vec![0.0; 8];
     for ([u, v], [x, y]) in points {
-        for (row, target) in [
-            ([*u, *v, 1.0, 0.0, 0.0, 0.0, -x * u, -x * v], x),
-            ([0.0, 0.0, 0.0, *u, *v, 1.0, -y * u, -y * v], y),
-        ] {
+        for (row, target) in
+            [([*u, *v, 1.0, 0.0, 0.0, 0.0, -x * u, -x * v], x), ([0.0, 0.0, 0.0, *u, *v, 1.0, -y * u, -y * v], y)]
+        {
             for i in 0..8 {
                 right[i] += row[i] * target;
                 for j in 0..8 {
@@ -243,18 +217,10 @@ pub fn similarity(points: &[KnownPoint]) -> Result<Similarity, CalibrationError>
     let origin_m = [to[0] - at[0], to[1] - at[1]];
     let squares = points.iter().map(|point| {
         let [x, y] = turned(point.seen);
-        let [dx, dy] = [
-            x + origin_m[0] - point.floor_m[0],
-            y + origin_m[1] - point.floor_m[1],
-        ];
+        let [dx, dy] = [x + origin_m[0] - point.floor_m[0], y + origin_m[1] - point.floor_m[1]];
         dx * dx + dy * dy
     });
-    Ok(Similarity {
-        origin_m,
-        heading_rad,
-        scale,
-        rms_m: (squares.sum::<f64>() / points.len() as f64).sqrt(),
-    })
+    Ok(Similarity { origin_m, heading_rad, scale, rms_m: (squares.sum::<f64>() / points.len() as f64).sqrt() })
 }
 
 #[cfg(test)]
@@ -262,22 +228,11 @@ mod tests {
     use super::*;
 
     /// A camera that looks down at a slant: 640 by 480 pixels onto 2 m by 1.5 m.
-    const TRUE: Homography = Homography {
-        rows: [
-            [0.0031, 0.0002, -0.1],
-            [-0.0001, 0.0034, 0.2],
-            [0.000_08, 0.000_12, 1.0],
-        ],
-    };
+    const TRUE: Homography =
+        Homography { rows: [[0.0031, 0.0002, -0.1], [-0.0001, 0.0034, 0.2], [0.000_08, 0.000_12, 1.0]] };
 
     fn seen(pixels: &[[f64; 2]]) -> Vec<KnownPoint> {
-        pixels
-            .iter()
-            .map(|pixel| KnownPoint {
-                seen: *pixel,
-                floor_m: TRUE.floor(*pixel),
-            })
-            .collect()
+        pixels.iter().map(|pixel| KnownPoint { seen: *pixel, floor_m: TRUE.floor(*pixel) }).collect()
     }
 
     const CORNERS: [[f64; 2]; 4] = [[20.0, 30.0], [610.0, 25.0], [600.0, 450.0], [35.0, 460.0]];
@@ -298,10 +253,7 @@ mod tests {
         let mut points = seen(&pixels);
         points[4].floor_m[0] += 0.1;
         let found = homography(&points).unwrap();
-        assert!(
-            found.rms_m > 0.02 && found.rms_without_m[4] < 1e-9,
-            "{found:?}"
-        );
+        assert!(found.rms_m > 0.02 && found.rms_without_m[4] < 1e-9, "{found:?}");
         for (index, rms_m) in found.rms_without_m.iter().enumerate() {
             assert!(index == 4 || *rms_m > 0.01, "{found:?}");
         }
@@ -310,10 +262,7 @@ mod tests {
     #[test]
     fn points_on_a_line_and_too_few_are_refused() {
         let line: Vec<[f64; 2]> = (0..6).map(|i| [f64::from(i) * 100.0, 50.0]).collect();
-        assert!(matches!(
-            homography(&seen(&line)),
-            Err(CalibrationError::Undetermined(_))
-        ));
+        assert!(matches!(homography(&seen(&line)), Err(CalibrationError::Undetermined(_))));
         assert!(homography(&seen(&CORNERS[..3])).is_err());
         let mut broken = seen(&CORNERS);
         broken[2].seen[0] = f64::INFINITY;
@@ -327,10 +276,7 @@ mod tests {
             .iter()
             .map(|[u, v]| KnownPoint {
                 seen: [*u, *v],
-                floor_m: [
-                    1.5 + 1.02 * (cos * u - sin * v),
-                    -0.5 + 1.02 * (sin * u + cos * v),
-                ],
+                floor_m: [1.5 + 1.02 * (cos * u - sin * v), -0.5 + 1.02 * (sin * u + cos * v)],
             })
             .collect();
         let found = similarity(&points).unwrap();

@@ -110,11 +110,7 @@ fn cost_of(residuals: &Residuals) -> f64 {
 }
 
 /// Derivatives by each unknown, laid out as the residuals are.
-fn slopes(
-    values: &[f64],
-    steps: &[f64],
-    residuals: &impl Fn(&[f64]) -> Residuals,
-) -> Vec<Residuals> {
+fn slopes(values: &[f64], steps: &[f64], residuals: &impl Fn(&[f64]) -> Residuals) -> Vec<Residuals> {
     let mut at = values.to_vec();
     let mut slopes = Vec::with_capacity(values.len());
     for (unknown, step) in steps.iter().enumerate() {
@@ -140,11 +136,7 @@ fn score(slopes: &[Residuals], (run, sight): (usize, usize), residual: [f64; 2])
     by_unknown.collect()
 }
 
-fn normal_equations(
-    slopes: &[Residuals],
-    residuals: &Residuals,
-    unknowns: usize,
-) -> (Vec<Vec<f64>>, Vec<f64>) {
+fn normal_equations(slopes: &[Residuals], residuals: &Residuals, unknowns: usize) -> (Vec<Vec<f64>>, Vec<f64>) {
     let mut normal = zeros(unknowns);
     let mut gradient = vec![0.0; unknowns];
     for (run, sights) in residuals.iter().enumerate() {
@@ -173,11 +165,8 @@ fn robust_covariance(
     let (normal, _) = normal_equations(&slopes, &here, unknowns);
     let mut middle = zeros(unknowns);
     for (run, sights) in here.iter().enumerate() {
-        let scores: Vec<Vec<f64>> = sights
-            .iter()
-            .enumerate()
-            .map(|(sight, residual)| score(&slopes, (run, sight), *residual))
-            .collect();
+        let scores: Vec<Vec<f64>> =
+            sights.iter().enumerate().map(|(sight, residual)| score(&slopes, (run, sight), *residual)).collect();
         add_alike(&mut middle, &scores);
     }
     let inverse = inverse(&normal)?;
@@ -193,11 +182,7 @@ fn add_alike(middle: &mut [Vec<f64>], scores: &[Vec<f64>]) {
             for (i, row) in middle.iter_mut().enumerate() {
                 for (j, cell) in row.iter_mut().enumerate() {
                     let once = early[i] * late[j];
-                    let both = if lag == 0 {
-                        once
-                    } else {
-                        once + late[i] * early[j]
-                    };
+                    let both = if lag == 0 { once } else { once + late[i] * early[j] };
                     *cell += weight * both;
                 }
             }
@@ -211,9 +196,7 @@ fn zeros(size: usize) -> Vec<Vec<f64>> {
 
 fn product(a: &[Vec<f64>], b: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let cell = |i: usize, j: usize| (0..b.len()).map(|k| a[i][k] * b[k][j]).sum();
-    (0..a.len())
-        .map(|i| (0..b.len()).map(|j| cell(i, j)).collect())
-        .collect()
+    (0..a.len()).map(|i| (0..b.len()).map(|j| cell(i, j)).collect()).collect()
 }
 
 fn damped(normal: &[Vec<f64>], damping: f64) -> Vec<Vec<f64>> {
@@ -291,11 +274,7 @@ mod tests {
 
     #[test]
     fn a_linear_system_is_solved() {
-        let matrix = vec![
-            vec![4.0, 2.0, 0.0],
-            vec![2.0, 5.0, 3.0],
-            vec![0.0, 3.0, 6.0],
-        ];
+        let matrix = vec![vec![4.0, 2.0, 0.0], vec![2.0, 5.0, 3.0], vec![0.0, 3.0, 6.0]];
         // By hand: A (1, -2, 3)' = (0, 1, 12)'.
         let x = solve(&matrix, &[0.0, 1.0, 12.0]).unwrap();
         for (found, wanted) in x.iter().zip([1.0, -2.0, 3.0]) {
@@ -321,25 +300,15 @@ mod tests {
     #[test]
     fn residuals_that_repeat_do_not_make_the_mean_better_known() {
         // The mean of 200 numbers, each of which stands there five times in a row: 40 numbers of variance one.
-        let data: Vec<f64> = (0..200_u32)
-            .map(|i| if (i / 5).is_multiple_of(2) { 1.0 } else { -1.0 })
-            .collect();
-        let draws: Vec<f64> = data
-            .iter()
-            .enumerate()
-            .map(|(i, v)| if (i / 50).is_multiple_of(2) { *v } else { -*v })
-            .collect();
+        let data: Vec<f64> = (0..200_u32).map(|i| if (i / 5).is_multiple_of(2) { 1.0 } else { -1.0 }).collect();
+        let draws: Vec<f64> =
+            data.iter().enumerate().map(|(i, v)| if (i / 50).is_multiple_of(2) { *v } else { -*v }).collect();
         let sigma = |values: &[f64]| {
-            let residuals =
-                |p: &[f64]| vec![values.iter().map(|v| [v - p[0], 0.0]).collect::<Vec<_>>()];
+            let residuals = |p: &[f64]| vec![values.iter().map(|v| [v - p[0], 0.0]).collect::<Vec<_>>()];
             fit(&[0.3], &[1e-4], residuals).unwrap().sigma(0)
         };
-        let constant_by_block: Vec<f64> = (0..200_u32)
-            .map(|i| f64::from((i / 20 * 7 % 5) as i32 - 2))
-            .collect();
-        let shuffled: Vec<f64> = (0..200_u32)
-            .map(|i| f64::from((i * 7 % 5) as i32 - 2))
-            .collect();
+        let constant_by_block: Vec<f64> = (0..200_u32).map(|i| f64::from((i / 20 * 7 % 5) as i32 - 2)).collect();
+        let shuffled: Vec<f64> = (0..200_u32).map(|i| f64::from((i * 7 % 5) as i32 - 2)).collect();
         assert!(sigma(&constant_by_block) > 3.0 * sigma(&shuffled));
         // Alternating blocks cancel; what is white keeps the textbook's sigma within a third.
         assert!(sigma(&draws) < 1.0 / 200.0_f64.sqrt());

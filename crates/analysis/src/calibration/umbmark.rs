@@ -105,23 +105,15 @@ pub fn square_error(runs: &[SquareRun]) -> Result<SquareError, CalibrationError>
     Ok(SquareError {
         clockwise_m: clockwise,
         counter_clockwise_m: counter,
-        systematic_m: clockwise[0]
-            .hypot(clockwise[1])
-            .max(counter[0].hypot(counter[1])),
+        systematic_m: clockwise[0].hypot(clockwise[1]).max(counter[0].hypot(counter[1])),
         scatter_m: ((by_cw.iter().sum::<f64>() + by_ccw.iter().sum::<f64>()) / count).sqrt(),
     })
 }
 
 /// Mean end of a direction, and the sums of squares about it along both axes.
-fn mean_of(
-    runs: &[SquareRun],
-    direction: Direction,
-) -> Result<([f64; 2], [f64; 2]), CalibrationError> {
-    let ends: Vec<[f64; 2]> = runs
-        .iter()
-        .filter(|run| run.direction == direction)
-        .map(|run| [run.ahead_m, run.left_m])
-        .collect();
+fn mean_of(runs: &[SquareRun], direction: Direction) -> Result<([f64; 2], [f64; 2]), CalibrationError> {
+    let ends: Vec<[f64; 2]> =
+        runs.iter().filter(|run| run.direction == direction).map(|run| [run.ahead_m, run.left_m]).collect();
     if ends.len() < FEWEST {
         return Err(CalibrationError::TooLittle {
             what: match direction {
@@ -133,10 +125,7 @@ fn mean_of(
         });
     }
     if let Some(value) = ends.iter().flatten().find(|value| !value.is_finite()) {
-        return Err(CalibrationError::Senseless {
-            what: "the end of a square",
-            value: *value,
-        });
+        return Err(CalibrationError::Senseless { what: "the end of a square", value: *value });
     }
     let count = ends.len() as f64;
     let mean = [0, 1].map(|axis| ends.iter().map(|end| end[axis]).sum::<f64>() / count);
@@ -153,10 +142,7 @@ fn mean_of(
 /// As [`square_error`]; [`CalibrationError::Senseless`] for a side or a track that is not positive, or for corners so wrong that no
 /// track explains them.
 pub fn umbmark(runs: &[SquareRun], robot: SquareRobot) -> Result<Umbmark, CalibrationError> {
-    for (what, value) in [
-        ("the side of the square", robot.side_m),
-        ("the track width", robot.track_width_m),
-    ] {
+    for (what, value) in [("the side of the square", robot.side_m), ("the track width", robot.track_width_m)] {
         if !(value.is_finite() && value > 0.0) {
             return Err(CalibrationError::Senseless { what, value });
         }
@@ -164,34 +150,18 @@ pub fn umbmark(runs: &[SquareRun], robot: SquareRobot) -> Result<Umbmark, Calibr
     let error = square_error(runs)?;
     let ([x_cw, y_cw], [x_ccw, y_ccw]) = (error.clockwise_m, error.counter_clockwise_m);
     let four_sides_m = 4.0 * robot.side_m;
-    let alphas = [
-        (x_cw + x_ccw) / -four_sides_m,
-        (y_cw - y_ccw) / -four_sides_m,
-    ];
-    let betas = [
-        (x_cw - x_ccw) / -four_sides_m,
-        (y_cw + y_ccw) / -four_sides_m,
-    ];
+    let alphas = [(x_cw + x_ccw) / -four_sides_m, (y_cw - y_ccw) / -four_sides_m];
+    let betas = [(x_cw - x_ccw) / -four_sides_m, (y_cw + y_ccw) / -four_sides_m];
     let alpha = f64::midpoint(alphas[0], alphas[1]);
     let beta = f64::midpoint(betas[0], betas[1]);
     if alpha.abs() >= 0.5 * FRAC_PI_2 || beta.abs() >= 0.5 * FRAC_PI_2 {
-        let value = if alpha.abs() > beta.abs() {
-            alpha
-        } else {
-            beta
-        };
-        return Err(CalibrationError::Senseless {
-            what: "the error of a corner (rad)",
-            value,
-        });
+        let value = if alpha.abs() > beta.abs() { alpha } else { beta };
+        return Err(CalibrationError::Senseless { what: "the error of a corner (rad)", value });
     }
     let ratio = wheel_ratio(beta, robot);
     let sigma = angle_sigma(runs, robot.side_m)?;
     Ok(Umbmark {
-        track_scale: Known {
-            value: FRAC_PI_2 / (FRAC_PI_2 - alpha) - 1.0,
-            sigma: sigma / FRAC_PI_2,
-        },
+        track_scale: Known { value: FRAC_PI_2 / (FRAC_PI_2 - alpha) - 1.0, sigma: sigma / FRAC_PI_2 },
         radius_difference: Known {
             value: 2.0 * (ratio - 1.0) / (ratio + 1.0),
             // d E_d / d beta = b / L for small angles.
@@ -201,9 +171,7 @@ pub fn umbmark(runs: &[SquareRun], robot: SquareRobot) -> Result<Umbmark, Calibr
         bend_rad: beta,
         left_factor: 2.0 / (ratio + 1.0),
         right_factor: 2.0 / (1.0 / ratio + 1.0),
-        disagreement_rad: (alphas[0] - alphas[1])
-            .abs()
-            .max((betas[0] - betas[1]).abs()),
+        disagreement_rad: (alphas[0] - alphas[1]).abs().max((betas[0] - betas[1]).abs()),
         error,
     })
 }
@@ -260,27 +228,14 @@ mod tests {
                 roll(0.0, sign * FRAC_PI_2 / f64::from(PARTS));
             }
         }
-        SquareRun {
-            direction,
-            ahead_m: x,
-            left_m: y,
-        }
+        SquareRun { direction, ahead_m: x, left_m: y }
     }
 
-    const ROBOT: SquareRobot = SquareRobot {
-        track_width_m: 0.34,
-        side_m: 4.0,
-    };
+    const ROBOT: SquareRobot = SquareRobot { track_width_m: 0.34, side_m: 4.0 };
 
     #[test]
     fn squares_of_a_wrong_robot_tell_what_is_wrong() {
-        for (track_scale, difference) in [
-            (0.01, 0.0),
-            (-0.01, 0.0),
-            (0.0, 0.001),
-            (0.0, -0.001),
-            (0.012, -0.0007),
-        ] {
+        for (track_scale, difference) in [(0.01, 0.0), (-0.01, 0.0), (0.0, 0.001), (0.0, -0.001), (0.012, -0.0007)] {
             let runs = [Direction::Clockwise, Direction::CounterClockwise]
                 .map(|direction| end(direction, track_scale, difference));
             let found = umbmark(&runs, ROBOT).unwrap();
@@ -300,16 +255,9 @@ mod tests {
 
     #[test]
     fn by_hand_from_the_equations() {
-        let run = |direction, ahead_m, left_m| SquareRun {
-            direction,
-            ahead_m,
-            left_m,
-        };
+        let run = |direction, ahead_m, left_m| SquareRun { direction, ahead_m, left_m };
         // L = 4: alpha = 0.02 and beta = 0.01 give x_cw = -0.24, x_ccw = -0.08, y_cw = -0.24, y_ccw = 0.08.
-        let runs = [
-            run(Direction::Clockwise, -0.24, -0.24),
-            run(Direction::CounterClockwise, -0.08, 0.08),
-        ];
+        let runs = [run(Direction::Clockwise, -0.24, -0.24), run(Direction::CounterClockwise, -0.08, 0.08)];
         let found = umbmark(&runs, ROBOT).unwrap();
         assert!((found.corner_rad - 0.02).abs() < 1e-12 && (found.bend_rad - 0.01).abs() < 1e-12);
         assert!(found.disagreement_rad < 1e-12);
@@ -323,11 +271,7 @@ mod tests {
         let mut runs = Vec::new();
         for direction in [Direction::Clockwise, Direction::CounterClockwise] {
             for off_m in [-0.01, 0.0, 0.01] {
-                runs.push(SquareRun {
-                    direction,
-                    ahead_m: off_m,
-                    left_m: -off_m,
-                });
+                runs.push(SquareRun { direction, ahead_m: off_m, left_m: -off_m });
             }
         }
         let found = umbmark(&runs, ROBOT).unwrap();
@@ -339,15 +283,8 @@ mod tests {
 
     #[test]
     fn one_direction_and_numbers_that_are_none_are_refused() {
-        let one = [SquareRun {
-            direction: Direction::Clockwise,
-            ahead_m: 0.1,
-            left_m: 0.0,
-        }];
-        assert!(matches!(
-            umbmark(&one, ROBOT),
-            Err(CalibrationError::TooLittle { found: 0, .. })
-        ));
+        let one = [SquareRun { direction: Direction::Clockwise, ahead_m: 0.1, left_m: 0.0 }];
+        assert!(matches!(umbmark(&one, ROBOT), Err(CalibrationError::TooLittle { found: 0, .. })));
         let mut both = [one[0], one[0]];
         both[1].direction = Direction::CounterClockwise;
         both[1].left_m = f64::NAN;

@@ -10,9 +10,7 @@ use posebridge_telemetry::Known;
 
 use super::CalibrationError;
 use super::free_path::{FreePath, RobotNumbers, reckon};
-use super::umbmark::{
-    Direction, SquareError, SquareRobot, SquareRun, Umbmark, square_error, umbmark,
-};
+use super::umbmark::{Direction, SquareError, SquareRobot, SquareRun, Umbmark, square_error, umbmark};
 
 /// Rounds after which it is said not to settle; three are usual.
 const MOST_ROUNDS: u32 = 12;
@@ -58,20 +56,13 @@ pub fn calibrate_squares(
     let mut runs = runs_before.clone();
     let mut found: Option<Umbmark> = None;
     for rounds in 1..=MOST_ROUNDS {
-        let robot = SquareRobot {
-            track_width_m: after.track_width_m,
-            side_m,
-        };
+        let robot = SquareRobot { track_width_m: after.track_width_m, side_m };
         let step = umbmark(&runs, robot)?;
         after.track_width_m *= 1.0 + step.track_scale.value;
         after.radius_difference += step.radius_difference.value;
         runs = ends(config, &after, paths)?;
         found = Some(summed(found, step, &before, &after));
-        let moved = step
-            .track_scale
-            .value
-            .abs()
-            .max(step.radius_difference.value.abs());
+        let moved = step.track_scale.value.abs().max(step.radius_difference.value.abs());
         if let (true, Some(found)) = (moved < SETTLED, found) {
             return Ok(Squares {
                 found,
@@ -89,23 +80,12 @@ pub fn calibrate_squares(
 }
 
 /// The first round with the totals of all.
-fn summed(
-    first: Option<Umbmark>,
-    step: Umbmark,
-    before: &RobotNumbers,
-    after: &RobotNumbers,
-) -> Umbmark {
+fn summed(first: Option<Umbmark>, step: Umbmark, before: &RobotNumbers, after: &RobotNumbers) -> Umbmark {
     let first = first.unwrap_or(step);
     let difference = after.radius_difference - before.radius_difference;
     Umbmark {
-        track_scale: Known {
-            value: after.track_width_m / before.track_width_m - 1.0,
-            ..first.track_scale
-        },
-        radius_difference: Known {
-            value: difference,
-            ..first.radius_difference
-        },
+        track_scale: Known { value: after.track_width_m / before.track_width_m - 1.0, ..first.track_scale },
+        radius_difference: Known { value: difference, ..first.radius_difference },
         left_factor: 1.0 - 0.5 * difference,
         right_factor: 1.0 + 0.5 * difference,
         ..first
@@ -133,20 +113,13 @@ pub fn ends(
         };
         let [x, y] = [seen.place_m[0] - ours[0], seen.place_m[1] - ours[1]];
         let (sin, cos) = heading_rad.sin_cos();
-        Ok(SquareRun {
-            direction: direction(path, numbers)?,
-            ahead_m: cos * x + sin * y,
-            left_m: cos * y - sin * x,
-        })
+        Ok(SquareRun { direction: direction(path, numbers)?, ahead_m: cos * x + sin * y, left_m: cos * y - sin * x })
     };
     paths.iter().map(end).collect()
 }
 
 fn direction(path: &FreePath, numbers: &RobotNumbers) -> Result<Direction, CalibrationError> {
-    let turns = path
-        .steps
-        .iter()
-        .map(|step| step.travel.right_m - step.travel.left_m);
+    let turns = path.steps.iter().map(|step| step.travel.right_m - step.travel.left_m);
     let turned_rad = turns.sum::<f64>() / numbers.track_width_m;
     let [least_rad, most_rad] = TURNS_RAD;
     if !(least_rad..=most_rad).contains(&turned_rad.abs()) {
@@ -155,11 +128,7 @@ fn direction(path: &FreePath, numbers: &RobotNumbers) -> Result<Direction, Calib
             value: turned_rad,
         });
     }
-    Ok(if turned_rad > 0.0 {
-        Direction::CounterClockwise
-    } else {
-        Direction::Clockwise
-    })
+    Ok(if turned_rad > 0.0 { Direction::CounterClockwise } else { Direction::Clockwise })
 }
 
 fn mean_side_m(paths: &[FreePath]) -> f64 {

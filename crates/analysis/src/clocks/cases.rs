@@ -109,14 +109,7 @@ impl ClockCase {
             let sent_s = f64::from(k) * PERIOD_S;
             answered_s = answered_s.max(sent_s + self.extra_forth_s + delay_s(&mut rng));
             received_s = received_s.max(answered_s + delay_s(&mut rng));
-            KnownExchange {
-                exchange: Exchange {
-                    sent_s,
-                    remote_s: self.shows_s(answered_s),
-                    received_s,
-                },
-                answered_s,
-            }
+            KnownExchange { exchange: Exchange { sent_s, remote_s: self.shows_s(answered_s), received_s }, answered_s }
         });
         exchanges.collect()
     }
@@ -124,11 +117,7 @@ impl ClockCase {
 
 fn delay_s(rng: &mut Pcg64) -> f64 {
     let jitter_s = -JITTER_S * (1.0 - rng.random::<f64>()).ln();
-    let stall_s = if rng.random::<f64>() < STALLS {
-        rng.random_range(STALL_S)
-    } else {
-        0.0
-    };
+    let stall_s = if rng.random::<f64>() < STALLS { rng.random_range(STALL_S) } else { 0.0 };
     BASE_S + jitter_s + stall_s
 }
 

@@ -26,12 +26,8 @@ pub struct ClockRow {
 /// The same seeds give the same rows. Without seeds no method starts.
 #[must_use]
 pub fn compare(seeds: &[u64]) -> Vec<ClockRow> {
-    let pairs = CASES
-        .iter()
-        .flat_map(|case| METHODS.iter().map(move |method| (case, method)));
-    pairs
-        .map(|(case, method)| row_of(case, method, seeds))
-        .collect()
+    let pairs = CASES.iter().flat_map(|case| METHODS.iter().map(move |method| (case, method)));
+    pairs.map(|(case, method)| row_of(case, method, seeds)).collect()
 }
 
 /// Sums over the scored exchanges.
@@ -64,9 +60,7 @@ fn row_of(case: &ClockCase, method: &MethodEntry, seeds: &[u64]) -> ClockRow {
         for known in case.exchanges(*seed) {
             clock.exchanged(&known.exchange);
             if known.answered_s >= case.scored_from_s {
-                let found_s = clock
-                    .offset_at(known.answered_s)
-                    .map(|offset_s| known.exchange.remote_s + offset_s);
+                let found_s = clock.offset_at(known.answered_s).map(|offset_s| known.exchange.remote_s + offset_s);
                 errors.add(found_s.map(|found_s| (found_s - known.answered_s) * 1e3));
             }
         }

@@ -23,10 +23,7 @@ pub struct OneWayHull {
 impl ClockMethod for OneWayHull {
     fn exchanged(&mut self, exchange: &Exchange) {
         let remote_s = exchange.remote_s;
-        if self
-            .youngest_s
-            .is_some_and(|youngest_s| remote_s < youngest_s - RESTART_S)
-        {
+        if self.youngest_s.is_some_and(|youngest_s| remote_s < youngest_s - RESTART_S) {
             *self = Self::default();
         }
         self.youngest_s = Some(remote_s);

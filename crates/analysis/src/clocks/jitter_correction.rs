@@ -31,15 +31,9 @@ pub struct JitterCorrection {
 impl ClockMethod for JitterCorrection {
     fn exchanged(&mut self, exchange: &Exchange) {
         let difference_s = exchange.received_s - exchange.remote_s;
-        let offset_s = self
-            .offset_s
-            .map_or(difference_s, |offset_s| offset_s.min(difference_s));
+        let offset_s = self.offset_s.map_or(difference_s, |offset_s| offset_s.min(difference_s));
         let mut offset_s = offset_s.max(difference_s - LARGEST_LAG_S);
-        self.least_s = if self.count == 0 {
-            difference_s
-        } else {
-            self.least_s.min(difference_s)
-        };
+        self.least_s = if self.count == 0 { difference_s } else { self.least_s.min(difference_s) };
         self.count += 1;
         if self.count == RENEWAL {
             offset_s = self.least_s;
@@ -60,11 +54,7 @@ mod tests {
     fn offset_after(delays_s: &[f64]) -> f64 {
         let mut method = JitterCorrection::default();
         for delay_s in delays_s {
-            method.exchanged(&Exchange {
-                sent_s: 0.0,
-                remote_s: 10.0,
-                received_s: 10.0 + delay_s,
-            });
+            method.exchanged(&Exchange { sent_s: 0.0, remote_s: 10.0, received_s: 10.0 + delay_s });
         }
         method.offset_at(0.0).unwrap()
     }

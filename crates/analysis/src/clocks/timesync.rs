@@ -39,13 +39,7 @@ impl TimeSyncFilter {
     /// A filter that uses round trips shorter than `gate_s`; infinite: all.
     #[must_use]
     pub const fn new(gate_s: f64) -> Self {
-        Self {
-            gate_s,
-            offset_s: 0.0,
-            change_s: 0.0,
-            samples: 0,
-            deviations: 0,
-        }
+        Self { gate_s, offset_s: 0.0, change_s: 0.0, samples: 0, deviations: 0 }
     }
 
     const fn has_converged(&self) -> bool {
@@ -103,22 +97,12 @@ mod tests {
     /// An exchange with a symmetric path and a clock that is `ahead_s` ahead.
     fn exchange(k: u32, round_trip_s: f64, ahead_s: f64) -> Exchange {
         let sent_s = f64::from(k) * 0.1;
-        Exchange {
-            sent_s,
-            remote_s: sent_s + 0.5 * round_trip_s + ahead_s,
-            received_s: sent_s + round_trip_s,
-        }
+        Exchange { sent_s, remote_s: sent_s + 0.5 * round_trip_s + ahead_s, received_s: sent_s + round_trip_s }
     }
 
     #[test]
     fn its_gains_fall_along_the_sigmoid() {
-        let gain_after = |samples| {
-            TimeSyncFilter {
-                samples,
-                ..TimeSyncFilter::new(1.0)
-            }
-            .gain()
-        };
+        let gain_after = |samples| TimeSyncFilter { samples, ..TimeSyncFilter::new(1.0) }.gain();
         assert_eq!(gain_after(0), 0.05);
         // Half-way: exp(-1/2) of the initial gain is left.
         let expected = 0.003 + 0.047 * (-0.5_f64).exp();

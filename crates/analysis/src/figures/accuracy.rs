@@ -59,10 +59,7 @@ const NUMBERS_PX: f64 = 176.0;
 const NUMBER_PX: f64 = 54.0;
 
 /// Errors beyond these are drawn at the edge, as powers of ten of metres: 0.1 mm and 1 km.
-const DECADES: Range = Range {
-    low: -4.0,
-    high: 3.0,
-};
+const DECADES: Range = Range { low: -4.0, high: 3.0 };
 
 const TOO_SMALL: Stroke = Stroke::solid(VERMILLION, 2.4);
 const TOO_LARGE: Stroke = Stroke::solid(SKY_BLUE, 2.4);
@@ -101,48 +98,25 @@ fn decades_of(chart: &AccuracyChart) -> Range {
         .flatten()
         .filter(|metres| *metres > 0.0)
         .map(|metres| metres.log10().clamp(DECADES.low, DECADES.high));
-    let range = Range::of(values).unwrap_or(Range {
-        low: -3.0,
-        high: 0.0,
-    });
+    let range = Range::of(values).unwrap_or(Range { low: -3.0, high: 0.0 });
     let low = range.low.floor();
-    Range {
-        low,
-        high: range.high.ceil().max(low + 2.0),
-    }
+    Range { low, high: range.high.ceil().max(low + 2.0) }
 }
 
 const fn style(size_px: f64, color: &'static str, anchor: Anchor, weight: u16) -> TextStyle {
-    TextStyle {
-        size_px,
-        color,
-        anchor,
-        weight,
-    }
+    TextStyle { size_px, color, anchor, weight }
 }
 
 fn draw_head(svg: &mut Svg, title: &str) {
-    svg.text(
-        (MARGIN_PX, 34.0),
-        &style(20.0, INK, Anchor::Start, 700),
-        title,
-    );
+    svg.text((MARGIN_PX, 34.0), &style(20.0, INK, Anchor::Start, 700), title);
     let words = style(13.5, INK, Anchor::Start, 400);
     let y = 62.0;
     let mut x = MARGIN_PX + 6.0;
     svg.disc((x, y), 4.5, BLUE, None);
-    svg.text(
-        (x + 12.0, y + 4.5),
-        &words,
-        "root mean square position error",
-    );
+    svg.text((x + 12.0, y + 4.5), &words, "root mean square position error");
     x += 244.0;
     draw_claim(svg, (x, y));
-    svg.text(
-        (x + 12.0, y + 4.5),
-        &words,
-        "what the estimator claims it is",
-    );
+    svg.text((x + 12.0, y + 4.5), &words, "what the estimator claims it is");
     x += 240.0;
     svg.line((x, y), (x + 26.0, y), &TOO_SMALL);
     svg.text((x + 34.0, y + 4.5), &words, "claims too little");
@@ -161,10 +135,7 @@ fn draw_panel(svg: &mut Svg, (left, top): (f64, f64), panel: &AccuracyPanel, axi
             height: lines * LINE_PX,
         },
         x: axis,
-        y: Range {
-            low: 0.0,
-            high: lines.max(1.0),
-        },
+        y: Range { low: 0.0, high: lines.max(1.0) },
     };
     let heading = style(14.5, INK, Anchor::Start, 700);
     svg.text((left, top + 12.0), &heading, &panel.title);
@@ -197,11 +168,7 @@ fn draw_mark(svg: &mut Svg, axes: &Panel, y: f64, mark: &AccuracyMark) {
     let error_x = mark.rms_m.filter(positive).map(place);
     let claim_x = mark.claimed_m.filter(positive).map(place);
     if let (Some(error), Some(claim)) = (error_x, claim_x) {
-        let stroke = if claim < error {
-            &TOO_SMALL
-        } else {
-            &TOO_LARGE
-        };
+        let stroke = if claim < error { &TOO_SMALL } else { &TOO_LARGE };
         svg.line((claim, y), (error, y), stroke);
     }
     if let Some(x) = claim_x {
@@ -212,11 +179,8 @@ fn draw_mark(svg: &mut Svg, axes: &Panel, y: f64, mark: &AccuracyMark) {
     }
     let bold = style(12.5, INK, Anchor::End, 700);
     let plain = style(12.5, FAINT_INK, Anchor::End, 400);
-    let cells = [
-        (&bold, millimetres(mark.rms_m)),
-        (&plain, millimetres(mark.claimed_m)),
-        (&plain, three_digits(mark.anees)),
-    ];
+    let cells =
+        [(&bold, millimetres(mark.rms_m)), (&plain, millimetres(mark.claimed_m)), (&plain, three_digits(mark.anees))];
     for (column, (style, cell)) in cells.into_iter().enumerate() {
         svg.text((number_right(axes, column), y + 4.2), style, &cell);
     }
@@ -224,12 +188,7 @@ fn draw_mark(svg: &mut Svg, axes: &Panel, y: f64, mark: &AccuracyMark) {
 
 fn draw_claim(svg: &mut Svg, (x, y): (f64, f64)) {
     const REACH_PX: f64 = 5.2;
-    let corners = [
-        (x - REACH_PX, y),
-        (x, y - REACH_PX),
-        (x + REACH_PX, y),
-        (x, y + REACH_PX),
-    ];
+    let corners = [(x - REACH_PX, y), (x, y - REACH_PX), (x + REACH_PX, y), (x, y + REACH_PX)];
     svg.polygon(&corners, PAPER, 1.0, Some(&CLAIM_OUTLINE));
 }
 
@@ -252,23 +211,12 @@ mod tests {
     use super::*;
 
     fn mark(rms_m: Option<f64>, claimed_m: Option<f64>) -> AccuracyMark {
-        AccuracyMark {
-            name: "pose <1>".to_owned(),
-            rms_m,
-            claimed_m,
-            anees: Some(1.04),
-        }
+        AccuracyMark { name: "pose <1>".to_owned(), rms_m, claimed_m, anees: Some(1.04) }
     }
 
     fn chart(marks: Vec<AccuracyMark>) -> AccuracyChart {
-        let panel = AccuracyPanel {
-            title: "no-camera".to_owned(),
-            marks,
-        };
-        AccuracyChart {
-            title: "Accuracy".to_owned(),
-            panels: vec![panel],
-        }
+        let panel = AccuracyPanel { title: "no-camera".to_owned(), marks };
+        AccuracyChart { title: "Accuracy".to_owned(), panels: vec![panel] }
     }
 
     #[test]
@@ -286,20 +234,8 @@ mod tests {
         let red = accuracy_chart(&chart(vec![mark(Some(0.2), Some(0.1))]));
         let blue = accuracy_chart(&chart(vec![mark(Some(0.1), Some(0.2))]));
         // One of each stands in the legend.
-        assert_eq!(
-            (
-                red.matches(VERMILLION).count(),
-                red.matches(SKY_BLUE).count()
-            ),
-            (2, 1)
-        );
-        assert_eq!(
-            (
-                blue.matches(VERMILLION).count(),
-                blue.matches(SKY_BLUE).count()
-            ),
-            (1, 2)
-        );
+        assert_eq!((red.matches(VERMILLION).count(), red.matches(SKY_BLUE).count()), (2, 1));
+        assert_eq!((blue.matches(VERMILLION).count(), blue.matches(SKY_BLUE).count()), (1, 2));
     }
 
     #[test]
@@ -307,13 +243,7 @@ mod tests {
         let text = accuracy_chart(&chart(vec![mark(None, None)]));
         assert!(text.contains("pose &lt;1&gt;") && text.ends_with("</svg>\n"));
         // Two marks of the legend are all.
-        assert_eq!(
-            (
-                text.matches("<circle").count(),
-                text.matches("<polygon").count()
-            ),
-            (1, 1)
-        );
+        assert_eq!((text.matches("<circle").count(), text.matches("<polygon").count()), (1, 1));
         assert!(!text.contains("NaN") && !text.contains("inf"));
     }
 }

@@ -22,18 +22,8 @@ pub(super) fn open(layers: &RunLayers<'_>, height_px: f64) -> Svg {
 /// An empty sheet with a title and a line of figures below it.
 pub(super) fn sheet(title: &str, figures: &str, height_px: f64) -> Svg {
     let mut svg = Svg::new(WIDTH_PX, height_px, title);
-    let heading = TextStyle {
-        size_px: 19.0,
-        color: INK,
-        anchor: Anchor::Start,
-        weight: 700,
-    };
-    let line = TextStyle {
-        size_px: 13.5,
-        color: FAINT_INK,
-        weight: 400,
-        ..heading
-    };
+    let heading = TextStyle { size_px: 19.0, color: INK, anchor: Anchor::Start, weight: 700 };
+    let line = TextStyle { size_px: 13.5, color: FAINT_INK, weight: 400, ..heading };
     svg.text((LEFT_PX, 32.0), &heading, &shortened(title));
     svg.text((LEFT_PX, 54.0), &line, figures);
     svg
@@ -47,12 +37,7 @@ pub(super) fn close(svg: Svg, height_px: f64, dropped: usize) -> String {
 /// The same for a sheet of another width.
 pub(super) fn close_at(mut svg: Svg, (width_px, height_px): (f64, f64), dropped: usize) -> String {
     if dropped > 0 {
-        let style = TextStyle {
-            size_px: 12.0,
-            color: FAINT_INK,
-            anchor: Anchor::End,
-            weight: 400,
-        };
+        let style = TextStyle { size_px: 12.0, color: FAINT_INK, anchor: Anchor::End, weight: 400 };
         let note = format!("left out: {dropped} values that are not finite or out of reach");
         svg.text((width_px - 20.0, height_px - 8.0), &style, &note);
     }
@@ -76,10 +61,7 @@ fn key_figures(layers: &RunLayers<'_>) -> String {
     let Some(truth) = layers.truth else {
         return "no truth known: errors cannot be told".to_owned();
     };
-    let odometry = layers
-        .odometry
-        .map(|track| summarise(&errors_of_track(track, truth)))
-        .unwrap_or_default();
+    let odometry = layers.odometry.map(|track| summarise(&errors_of_track(track, truth))).unwrap_or_default();
     let estimate = summarise(&errors_of_estimates(layers.estimates, truth));
     let mut parts = Vec::new();
     parts.extend(in_words("odometry", &odometry));
@@ -91,11 +73,7 @@ fn key_figures(layers: &RunLayers<'_>) -> String {
 
 fn in_words(name: &str, errors: &ErrorSummary) -> Option<String> {
     let (rms_m, end_m) = (errors.position_rms_m?, errors.position_end_m?);
-    Some(format!(
-        "{name}: rms {}, end {}",
-        length(rms_m),
-        length(end_m)
-    ))
+    Some(format!("{name}: rms {}, end {}", length(rms_m), length(end_m)))
 }
 
 fn gain(odometry: &ErrorSummary, estimate: &ErrorSummary) -> Option<String> {

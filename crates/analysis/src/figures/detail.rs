@@ -31,11 +31,7 @@ pub(super) fn panel(area: Rect, map: &Panel, estimates: &[Estimate]) -> Option<P
     let width_m = (HALF_AXES_ACROSS * half_axis_m).max(LEAST_WIDTH_M);
     let height_m = width_m / area.width * area.height;
     let is_magnified = height_m < LARGEST_SHARE * map.y.extent();
-    is_magnified.then(|| Panel {
-        area,
-        x: Range::around(center.x.0, width_m),
-        y: Range::around(center.y.0, height_m),
-    })
+    is_magnified.then(|| Panel { area, x: Range::around(center.x.0, width_m), y: Range::around(center.y.0, height_m) })
 }
 
 /// Ellipses whose centres lie inside the detail, evenly picked.
@@ -43,9 +39,7 @@ pub(super) fn ellipses(detail: &Panel, estimates: &[Estimate]) -> Vec<Vec<Point2
     let inside: Vec<&Estimate> = estimates
         .iter()
         .filter(|estimate| {
-            estimate.validity.position
-                && detail.x.contains(estimate.pose.x.0)
-                && detail.y.contains(estimate.pose.y.0)
+            estimate.validity.position && detail.x.contains(estimate.pose.x.0) && detail.y.contains(estimate.pose.y.0)
         })
         .collect();
     inside

@@ -26,18 +26,10 @@ pub const ERROR: Figure = Figure {
 
 const HEIGHT_PX: f64 = 420.0;
 
-const AREA: Rect = Rect {
-    left: canvas::LEFT_PX,
-    top: 72.0,
-    width: 590.0,
-    height: 290.0,
-};
+const AREA: Rect = Rect { left: canvas::LEFT_PX, top: 72.0, width: 590.0, height: 290.0 };
 
 /// The lowest and the highest decade that the axis may show, as powers of ten of metres: 0.1 mm and 1000 km.
-const DECADES: Range = Range {
-    low: -4.0,
-    high: 6.0,
-};
+const DECADES: Range = Range { low: -4.0, high: 6.0 };
 
 /// Decades on the axis at least, and at most.
 const FEWEST_DECADES: f64 = 2.0;
@@ -56,28 +48,17 @@ fn render(layers: &RunLayers<'_>) -> String {
 }
 
 /// Draws the panel with its legend; returns how many values were left out.
-pub(super) fn draw(
-    svg: &mut Svg,
-    area: Rect,
-    legend_left_px: f64,
-    layers: &RunLayers<'_>,
-) -> usize {
+pub(super) fn draw(svg: &mut Svg, area: Rect, legend_left_px: f64, layers: &RunLayers<'_>) -> usize {
     let curves = Curves::of(layers);
-    let panel = Panel {
-        area,
-        x: curves.time_range(),
-        y: curves.decade_range(),
-    };
+    let panel = Panel { area, x: curves.time_range(), y: curves.decade_range() };
     panel.draw_grid(svg, &round_ticks(panel.x, 8.0), &decade_ticks(panel.y));
     svg.clipped(&area, "errors", |svg| {
         for part in &curves.claim {
             draw_claim(svg, &panel, &placed(&panel, part));
         }
-        for (series, stroke) in [
-            (&curves.odometry, &ODOMETRY),
-            (&curves.estimate, &ESTIMATE),
-            (&curves.smoothed, &SMOOTHED),
-        ] {
+        for (series, stroke) in
+            [(&curves.odometry, &ODOMETRY), (&curves.estimate, &ESTIMATE), (&curves.smoothed, &SMOOTHED)]
+        {
             for part in series {
                 svg.polyline(&placed(&panel, part), stroke);
             }
@@ -115,19 +96,13 @@ impl Curves {
             });
             errors.collect()
         };
-        let valid = || {
-            layers
-                .estimates
-                .iter()
-                .filter(|estimate| estimate.validity.position)
-        };
+        let valid = || layers.estimates.iter().filter(|estimate| estimate.validity.position);
         let estimate = connected(valid().map(|estimate| {
             let error = error_m(estimate.pose, estimate.stamp, layers.truth);
             (secs(estimate.stamp), error)
         }));
-        let claims: Vec<(f64, Option<f64>)> = valid()
-            .map(|estimate| (secs(estimate.stamp), claim_m(estimate)))
-            .collect();
+        let claims: Vec<(f64, Option<f64>)> =
+            valid().map(|estimate| (secs(estimate.stamp), claim_m(estimate))).collect();
         Self {
             odometry: of_track(layers.odometry),
             estimate,
@@ -142,51 +117,32 @@ impl Curves {
     }
 
     fn points(&self) -> impl Iterator<Item = &(f64, f64)> {
-        [&self.odometry, &self.estimate, &self.smoothed, &self.claim]
-            .into_iter()
-            .flatten()
-            .flatten()
+        [&self.odometry, &self.estimate, &self.smoothed, &self.claim].into_iter().flatten().flatten()
     }
 
     fn time_range(&self) -> Range {
         let last = self.points().map(|(secs, _)| *secs).fold(0.0, f64::max);
-        Range {
-            low: 0.0,
-            high: if last > 0.0 { last } else { 1.0 },
-        }
+        Range { low: 0.0, high: if last > 0.0 { last } else { 1.0 } }
     }
 
     /// Whole decades, as powers of ten of metres.
     fn decade_range(&self) -> Range {
-        let mut decades: Vec<f64> = self
-            .points()
-            .map(|(_, metres)| metres.log10().clamp(DECADES.low, DECADES.high))
-            .collect();
+        let mut decades: Vec<f64> =
+            self.points().map(|(_, metres)| metres.log10().clamp(DECADES.low, DECADES.high)).collect();
         decades.sort_by(f64::total_cmp);
         let lowest = (decades.len() as f64 * BELOW_AXIS) as usize;
         let low = decades.get(lowest).map_or(-3.0, |decade| decade.floor());
         let high = decades.last().map_or(0.0, |decade| decade.ceil());
         let high = high.max(low + FEWEST_DECADES);
-        Range {
-            low: low.max(high - MOST_DECADES),
-            high,
-        }
+        Range { low: low.max(high - MOST_DECADES), high }
     }
 
     fn entries(&self) -> Vec<Entry> {
         [
             (&self.odometry, Mark::Line(&ODOMETRY), "odometry's error"),
             (&self.estimate, Mark::Line(&ESTIMATE), "estimate's error"),
-            (
-                &self.smoothed,
-                Mark::Line(&SMOOTHED),
-                "smoothed path's error",
-            ),
-            (
-                &self.claim,
-                Mark::Area(&CLAIM, SKY_BLUE),
-                "its 2-sigma claim",
-            ),
+            (&self.smoothed, Mark::Line(&SMOOTHED), "smoothed path's error"),
+            (&self.claim, Mark::Area(&CLAIM, SKY_BLUE), "its 2-sigma claim"),
         ]
         .into_iter()
         .filter(|(series, ..)| !series.is_empty())
@@ -196,9 +152,7 @@ impl Curves {
 }
 
 fn first_stamp(layers: &RunLayers<'_>) -> Stamp<BrickClock> {
-    let tracks = [layers.truth, layers.odometry, layers.smoothed]
-        .into_iter()
-        .flatten();
+    let tracks = [layers.truth, layers.odometry, layers.smoothed].into_iter().flatten();
     tracks
         .filter_map(|track| Some(track.samples().first()?.stamp))
         .chain(layers.estimates.iter().map(|estimate| estimate.stamp))
@@ -255,12 +209,7 @@ fn draw_claim(svg: &mut Svg, panel: &Panel, curve: &[Px]) {
 
 fn decade_ticks(range: Range) -> Vec<Tick> {
     let decades = range.low as i32..=range.high as i32;
-    decades
-        .map(|decade| Tick {
-            at: f64::from(decade),
-            label: millimetres(decade + 3),
-        })
-        .collect()
+    decades.map(|decade| Tick { at: f64::from(decade), label: millimetres(decade + 3) }).collect()
 }
 
 /// A power of ten for people: plain while it is short.
@@ -273,12 +222,7 @@ fn millimetres(power: i32) -> String {
 }
 
 fn draw_nothing_to_show(svg: &mut Svg, area: &Rect) {
-    let style = TextStyle {
-        size_px: 14.0,
-        color: FAINT_INK,
-        anchor: Anchor::Middle,
-        weight: 400,
-    };
+    let style = TextStyle { size_px: 14.0, color: FAINT_INK, anchor: Anchor::Middle, weight: 400 };
     let middle = (area.left + area.width / 2.0, area.top + area.height / 2.0);
     svg.text(middle, &style, "nothing to compare");
 }
@@ -290,11 +234,7 @@ mod tests {
     fn curves(errors_m: &[f64]) -> Curves {
         let points = errors_m.iter().enumerate();
         Curves {
-            odometry: vec![
-                points
-                    .map(|(secs, error_m)| (secs as f64, *error_m))
-                    .collect(),
-            ],
+            odometry: vec![points.map(|(secs, error_m)| (secs as f64, *error_m)).collect()],
             estimate: Series::new(),
             smoothed: Series::new(),
             claim: Series::new(),
@@ -318,16 +258,8 @@ mod tests {
 
     #[test]
     fn a_missing_value_splits_a_series() {
-        let values = [
-            (0.0, Some(1.0)),
-            (1.0, None),
-            (2.0, Some(3.0)),
-            (3.0, Some(4.0)),
-        ];
-        assert_eq!(
-            connected(values.into_iter()),
-            [vec![(0.0, 1.0)], vec![(2.0, 3.0), (3.0, 4.0)]]
-        );
+        let values = [(0.0, Some(1.0)), (1.0, None), (2.0, Some(3.0)), (3.0, Some(4.0))];
+        assert_eq!(connected(values.into_iter()), [vec![(0.0, 1.0)], vec![(2.0, 3.0), (3.0, 4.0)]]);
     }
 
     #[test]

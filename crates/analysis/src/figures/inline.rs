@@ -26,13 +26,8 @@ mod tests {
     fn names_are_the_pictures_own_and_no_text_is_changed() {
         let svg = inline(&errors(" id=\"x\" \"url(#y)\"", &[]), "run-1");
         assert!(!svg.contains("http"), "{svg}");
-        assert!(
-            svg.contains("<clipPath id=\"run-1-clip1\">") && svg.contains("\"url(#run-1-clip1)\"")
-        );
-        assert!(
-            svg.contains("<title> id=&quot;x&quot; &quot;url(#y)&quot;</title>"),
-            "{svg}"
-        );
+        assert!(svg.contains("<clipPath id=\"run-1-clip1\">") && svg.contains("\"url(#run-1-clip1)\""));
+        assert!(svg.contains("<title> id=&quot;x&quot; &quot;url(#y)&quot;</title>"), "{svg}");
         let ids = svg.matches(" id=\"").count();
         assert_eq!(svg.matches(" id=\"run-1-").count(), ids);
     }

@@ -40,11 +40,9 @@ impl Drawable {
         drawable.estimate = drawable.estimate_lines(layers.estimates);
         drawable.smoothed = drawable.track(layers.smoothed);
         drawable.ellipses = drawable.ellipses_of(layers.estimates);
-        let (used, unused): (Vec<FixMark>, Vec<FixMark>) =
-            layers.fixes.iter().partition(|fix| was_used(fix.verdict));
-        let (late, refused): (Vec<FixMark>, Vec<FixMark>) = unused
-            .iter()
-            .partition(|fix| fix.verdict == Verdict::TooOld);
+        let (used, unused): (Vec<FixMark>, Vec<FixMark>) = layers.fixes.iter().partition(|fix| was_used(fix.verdict));
+        let (late, refused): (Vec<FixMark>, Vec<FixMark>) =
+            unused.iter().partition(|fix| fix.verdict == Verdict::TooOld);
         drawable.used_fixes = drawable.points(used.iter().map(|fix| fix.position));
         drawable.refused_fixes = drawable.points(refused.iter().map(|fix| fix.position));
         drawable.late_fixes = drawable.points(late.iter().map(|fix| fix.position));
@@ -53,26 +51,15 @@ impl Drawable {
 
     /// Where the robot started: by the truth, else by what was believed.
     pub(super) fn start(&self) -> Option<Point2<Arena>> {
-        [&self.truth, &self.estimate, &self.odometry]
-            .into_iter()
-            .find_map(|lines| lines.first()?.first())
-            .copied()
+        [&self.truth, &self.estimate, &self.odometry].into_iter().find_map(|lines| lines.first()?.first()).copied()
     }
 
     /// What the panel must hold, x and y. Refused fixes may be anywhere and do not stretch it.
     pub(super) fn bounds(&self) -> (Range, Range) {
         let lines = [&self.truth, &self.odometry, &self.estimate, &self.smoothed];
-        let points: Vec<Point2<Arena>> = lines
-            .into_iter()
-            .flatten()
-            .chain([&self.ideal, &self.used_fixes])
-            .flatten()
-            .copied()
-            .collect();
-        let unit = Range {
-            low: 0.0,
-            high: 1.0,
-        };
+        let points: Vec<Point2<Arena>> =
+            lines.into_iter().flatten().chain([&self.ideal, &self.used_fixes]).flatten().copied().collect();
+        let unit = Range { low: 0.0, high: 1.0 };
         (
             Range::of(points.iter().map(|point| point.x.0)).unwrap_or(unit),
             Range::of(points.iter().map(|point| point.y.0)).unwrap_or(unit),
@@ -104,9 +91,7 @@ impl Drawable {
     /// A jump that is not motion ends a line, so that no stroke suggests a path which was never driven.
     fn estimate_lines(&mut self, estimates: &[Estimate]) -> Lines {
         estimates
-            .chunk_by(|a, b| {
-                a.reset_counter == b.reset_counter && a.validity.position == b.validity.position
-            })
+            .chunk_by(|a, b| a.reset_counter == b.reset_counter && a.validity.position == b.validity.position)
             .filter(|part| part.iter().all(|estimate| estimate.validity.position))
             .map(|part| self.points(part.iter().map(|estimate| estimate.pose.origin())))
             .filter(|line| !line.is_empty())
@@ -135,10 +120,7 @@ pub(super) fn ellipse_of(estimate: &Estimate) -> Option<Ellipse> {
 }
 
 fn was_used(verdict: Verdict) -> bool {
-    matches!(
-        verdict,
-        Verdict::Accepted | Verdict::Slip | Verdict::ResetTo
-    )
+    matches!(verdict, Verdict::Accepted | Verdict::Slip | Verdict::ResetTo)
 }
 
 /// Whether a point is finite and not out of reach.
@@ -162,10 +144,7 @@ mod tests {
     }
 
     fn drawable(estimates: &[Estimate]) -> Drawable {
-        Drawable::of(&RunLayers {
-            estimates,
-            ..RunLayers::default()
-        })
+        Drawable::of(&RunLayers { estimates, ..RunLayers::default() })
     }
 
     #[test]

@@ -31,21 +31,13 @@ pub(super) struct Entry {
 
 impl Entry {
     pub(super) fn new(mark: Mark, label: impl Into<String>) -> Self {
-        Self {
-            mark,
-            label: label.into(),
-        }
+        Self { mark, label: label.into() }
     }
 }
 
 /// Draws the rows downward from the top left corner.
 pub(super) fn draw(svg: &mut Svg, top_left: Px, entries: &[Entry]) {
-    let style = TextStyle {
-        size_px: 13.0,
-        color: INK,
-        anchor: Anchor::Start,
-        weight: 400,
-    };
+    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Start, weight: 400 };
     let (left, mut y) = (top_left.0, top_left.1 + ROW_PX / 2.0);
     for entry in entries {
         draw_sample(svg, (left, y), entry.mark);
@@ -76,12 +68,7 @@ fn draw_sample(svg: &mut Svg, (left, y): Px, mark: Mark) {
 
 /// Draws the entries from left to right, and in a new row where the next one has no room; returns the height of all rows.
 pub(super) fn draw_rows(svg: &mut Svg, top_left: Px, width_px: f64, entries: &[Entry]) -> f64 {
-    let style = TextStyle {
-        size_px: 13.0,
-        color: INK,
-        anchor: Anchor::Start,
-        weight: 400,
-    };
+    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Start, weight: 400 };
     for (entry, (right, down)) in entries.iter().zip(places(width_px, entries)) {
         let (left, y) = (top_left.0 + right, top_left.1 + down);
         draw_sample(svg, (left, y), entry.mark);

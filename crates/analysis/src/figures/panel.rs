@@ -25,25 +25,16 @@ impl Range {
     /// The smallest range that holds all values; `None` of nothing.
     pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         values.fold(None, |range: Option<Self>, value| {
-            Some(range.map_or(
-                Self {
-                    low: value,
-                    high: value,
-                },
-                |range| Self {
-                    low: range.low.min(value),
-                    high: range.high.max(value),
-                },
-            ))
+            Some(range.map_or(Self { low: value, high: value }, |range| Self {
+                low: range.low.min(value),
+                high: range.high.max(value),
+            }))
         })
     }
 
     /// The range of this extent around a middle.
     pub(super) fn around(middle: f64, extent: f64) -> Self {
-        Self {
-            low: middle - extent / 2.0,
-            high: middle + extent / 2.0,
-        }
+        Self { low: middle - extent / 2.0, high: middle + extent / 2.0 }
     }
 
     pub(super) const fn extent(self) -> f64 {
@@ -72,9 +63,7 @@ pub(super) fn round_ticks(range: Range, wanted: f64) -> Vec<Tick> {
     let raw = range.extent() / wanted;
     let power = raw.log10().floor();
     let decade = 10_f64.powf(power);
-    let factor = [1.0, 2.0, 5.0]
-        .into_iter()
-        .find(|factor| factor * decade >= raw);
+    let factor = [1.0, 2.0, 5.0].into_iter().find(|factor| factor * decade >= raw);
     let step = factor.unwrap_or(10.0) * decade;
     let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
     let first = (range.low / step).ceil();
@@ -87,10 +76,7 @@ pub(super) fn round_ticks(range: Range, wanted: f64) -> Vec<Tick> {
     (0..count)
         .map(|index| {
             let at = (first + f64::from(index)) * step + 0.0; // + 0.0 turns -0 into 0
-            Tick {
-                at,
-                label: format!("{at:.decimals$}"),
-            }
+            Tick { at, label: format!("{at:.decimals$}") }
         })
         .collect()
 }
@@ -108,51 +94,29 @@ impl Panel {
     pub(super) fn equal_scale(area: Rect, x: Range, y: Range) -> Self {
         let stretch = 1.0 + 2.0 * MARGIN;
         let least_m = LEAST_EXTENT_M / area.width.min(area.height);
-        let m_per_px = (x.extent() * stretch / area.width)
-            .max(y.extent() * stretch / area.height)
-            .max(least_m);
-        Self {
-            area,
-            x: x.widened_to(m_per_px * area.width),
-            y: y.widened_to(m_per_px * area.height),
-        }
+        let m_per_px = (x.extent() * stretch / area.width).max(y.extent() * stretch / area.height).max(least_m);
+        Self { area, x: x.widened_to(m_per_px * area.width), y: y.widened_to(m_per_px * area.height) }
     }
 
     /// Where a data point stands in the picture.
     pub(super) fn place(&self, x: f64, y: f64) -> Px {
         let along_x = (x - self.x.low) / self.x.extent();
         let along_y = (y - self.y.low) / self.y.extent();
-        (
-            self.area.left + along_x * self.area.width,
-            self.area.bottom() - along_y * self.area.height,
-        )
+        (self.area.left + along_x * self.area.width, self.area.bottom() - along_y * self.area.height)
     }
 
     /// Grid lines and tick labels; drawn before the data.
     pub(super) fn draw_grid(&self, svg: &mut Svg, x_ticks: &[Tick], y_ticks: &[Tick]) {
-        let style = |anchor| TextStyle {
-            size_px: TICK_TEXT_PX,
-            color: FAINT_INK,
-            anchor,
-            weight: 400,
-        };
+        let style = |anchor| TextStyle { size_px: TICK_TEXT_PX, color: FAINT_INK, anchor, weight: 400 };
         for tick in x_ticks {
             let (x, _) = self.place(tick.at, self.y.low);
             svg.line((x, self.area.top), (x, self.area.bottom()), &GRID);
-            svg.text(
-                (x, self.area.bottom() + 16.0),
-                &style(Anchor::Middle),
-                &tick.label,
-            );
+            svg.text((x, self.area.bottom() + 16.0), &style(Anchor::Middle), &tick.label);
         }
         for tick in y_ticks {
             let (_, y) = self.place(self.x.low, tick.at);
             svg.line((self.area.left, y), (self.area.right(), y), &GRID);
-            svg.text(
-                (self.area.left - 7.0, y + 4.0),
-                &style(Anchor::End),
-                &tick.label,
-            );
+            svg.text((self.area.left - 7.0, y + 4.0), &style(Anchor::End), &tick.label);
         }
     }
 
@@ -163,12 +127,7 @@ impl Panel {
 
     /// The names of the axes, below and on the left.
     pub(super) fn draw_names(&self, svg: &mut Svg, x_name: &str, y_name: &str) {
-        let style = TextStyle {
-            size_px: AXIS_TEXT_PX,
-            color: INK,
-            anchor: Anchor::Middle,
-            weight: 400,
-        };
+        let style = TextStyle { size_px: AXIS_TEXT_PX, color: INK, anchor: Anchor::Middle, weight: 400 };
         let middle_x = self.area.left + self.area.width / 2.0;
         let middle_y = self.area.top + self.area.height / 2.0;
         svg.text((middle_x, self.area.bottom() + 34.0), &style, x_name);
@@ -180,12 +139,7 @@ impl Panel {
 mod tests {
     use super::*;
 
-    const AREA: Rect = Rect {
-        left: 50.0,
-        top: 20.0,
-        width: 600.0,
-        height: 300.0,
-    };
+    const AREA: Rect = Rect { left: 50.0, top: 20.0, width: 600.0, height: 300.0 };
 
     fn range(low: f64, high: f64) -> Range {
         Range { low, high }
@@ -216,10 +170,7 @@ mod tests {
         };
         assert_eq!(labels(-0.1, 1.1), ["0.0", "0.5", "1.0"]);
         assert_eq!(labels(0.0, 9.0), ["0", "2", "4", "6", "8"]);
-        assert_eq!(
-            labels(-0.03, 0.02),
-            ["-0.03", "-0.02", "-0.01", "0.00", "0.01", "0.02"]
-        );
+        assert_eq!(labels(-0.03, 0.02), ["-0.03", "-0.02", "-0.01", "0.00", "0.01", "0.02"]);
     }
 
     #[test]

@@ -3,9 +3,7 @@
 //! One picture holds one or more panels below each other. Values that are not finite split a curve and are counted.
 
 use super::legend::{Entry, Mark};
-use super::palette::{
-    BLACK, BLUE, BLUISH_GREEN, FILL_OPACITY, ORANGE, REDDISH_PURPLE, SKY_BLUE, VERMILLION,
-};
+use super::palette::{BLACK, BLUE, BLUISH_GREEN, FILL_OPACITY, ORANGE, REDDISH_PURPLE, SKY_BLUE, VERMILLION};
 use super::panel::{Panel, Range, round_ticks};
 use super::svg::{Px, Rect, Stroke, Svg};
 use super::thin::{thin_by_deviation, thin_path, thin_series};
@@ -32,15 +30,7 @@ const STROKES: [Stroke; 7] = [
     Stroke::solid(REDDISH_PURPLE, 1.6),
     Stroke::solid(SKY_BLUE, 1.6),
 ];
-const COLORS: [&str; 7] = [
-    BLACK,
-    VERMILLION,
-    BLUE,
-    BLUISH_GREEN,
-    ORANGE,
-    REDDISH_PURPLE,
-    SKY_BLUE,
-];
+const COLORS: [&str; 7] = [BLACK, VERMILLION, BLUE, BLUISH_GREEN, ORANGE, REDDISH_PURPLE, SKY_BLUE];
 
 /// A picture of one or more panels.
 #[derive(Clone, Debug, Default)]
@@ -141,10 +131,7 @@ pub(super) struct Ink {
 
 /// The ink of the curve with this place in a list.
 pub(super) const fn ink_of(index: usize) -> Ink {
-    Ink {
-        stroke: &STROKES[index % STROKES.len()],
-        color: COLORS[index % COLORS.len()],
-    }
+    Ink { stroke: &STROKES[index % STROKES.len()], color: COLORS[index % COLORS.len()] }
 }
 
 /// Draws it; returns a whole SVG document.
@@ -156,12 +143,7 @@ pub fn plot(plot: &Plot) -> String {
     let mut top = TOP_PX;
     let mut dropped = 0;
     for axes in &plot.axes {
-        let area = Rect {
-            left: canvas::LEFT_PX,
-            top,
-            width: PANEL_WIDTH_PX,
-            height: axes.height_px,
-        };
+        let area = Rect { left: canvas::LEFT_PX, top, width: PANEL_WIDTH_PX, height: axes.height_px };
         dropped += draw_axes(&mut svg, area, axes);
         top += axes.height_px + FOOT_PX;
     }
@@ -170,17 +152,9 @@ pub fn plot(plot: &Plot) -> String {
 
 /// Draws one panel with its legend; returns how many values were left out.
 fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
-    let scales = if axes.is_map {
-        Scales::Equal
-    } else {
-        Scales::Filling
-    };
+    let scales = if axes.is_map { Scales::Equal } else { Scales::Filling };
     let panel = panel_of(area, axes.curves.iter().map(|curve| &curve.shape), scales);
-    panel.draw_grid(
-        svg,
-        &round_ticks(panel.x, X_TICKS),
-        &round_ticks(panel.y, Y_TICKS),
-    );
+    panel.draw_grid(svg, &round_ticks(panel.x, X_TICKS), &round_ticks(panel.y, Y_TICKS));
     let mut dropped = 0;
     svg.clipped(&area, "curves", |svg| {
         for (index, curve) in axes.curves.iter().enumerate() {
@@ -210,27 +184,16 @@ pub(super) enum Scales {
 }
 
 /// The panel that holds all shapes.
-pub(super) fn panel_of<'s>(
-    area: Rect,
-    shapes: impl Iterator<Item = &'s Shape>,
-    scales: Scales,
-) -> Panel {
+pub(super) fn panel_of<'s>(area: Rect, shapes: impl Iterator<Item = &'s Shape>, scales: Scales) -> Panel {
     let corners: Vec<(f64, f64)> = shapes.flat_map(corners).collect();
-    let unit = Range {
-        low: 0.0,
-        high: 1.0,
-    };
+    let unit = Range { low: 0.0, high: 1.0 };
     let drawn = |value: &f64| value.is_finite() && value.abs() <= FARTHEST_DRAWN_M;
     let x = Range::of(corners.iter().map(|(x, _)| *x).filter(drawn)).unwrap_or(unit);
     let y = Range::of(corners.iter().map(|(_, y)| *y).filter(drawn)).unwrap_or(unit);
     if scales == Scales::Equal {
         return Panel::equal_scale(area, x, y);
     }
-    Panel {
-        area,
-        x: opened(x, 0.0),
-        y: opened(y, MARGIN),
-    }
+    Panel { area, x: opened(x, 0.0), y: opened(y, MARGIN) }
 }
 
 /// The range with a margin; one without extent is opened by its own size, or by one.
@@ -245,15 +208,9 @@ pub(super) fn opened(range: Range, margin: f64) -> Range {
 /// Every point that the panel has to hold. A level has no place along x and takes none; crosses mark what may lie anywhere.
 fn corners(shape: &Shape) -> Vec<(f64, f64)> {
     match shape {
-        Shape::Line(points)
-        | Shape::Dots(points)
-        | Shape::Rings(points)
-        | Shape::Specks(points) => points.clone(),
+        Shape::Line(points) | Shape::Dots(points) | Shape::Rings(points) | Shape::Specks(points) => points.clone(),
         Shape::Crosses(_) | Shape::Outlines(_) => Vec::new(),
-        Shape::Band(places) => places
-            .iter()
-            .flat_map(|(x, low, high)| [(*x, *low), (*x, *high)])
-            .collect(),
+        Shape::Band(places) => places.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect(),
         Shape::Level(y) => vec![(f64::NAN, *y)],
     }
 }
@@ -263,15 +220,8 @@ fn can_draw((x, y): &(f64, f64)) -> bool {
 }
 
 /// Draws one shape; returns how many values were left out.
-pub(super) fn draw_shape(
-    svg: &mut Svg,
-    panel: &Panel,
-    (ink, thinning): (Ink, Thinning),
-    shape: &Shape,
-) -> usize {
-    let place = |points: &[(f64, f64)]| -> Vec<Px> {
-        points.iter().map(|(x, y)| panel.place(*x, *y)).collect()
-    };
+pub(super) fn draw_shape(svg: &mut Svg, panel: &Panel, (ink, thinning): (Ink, Thinning), shape: &Shape) -> usize {
+    let place = |points: &[(f64, f64)]| -> Vec<Px> { points.iter().map(|(x, y)| panel.place(*x, *y)).collect() };
     let left_out = |points: &[(f64, f64)]| points.iter().filter(|point| !can_draw(point)).count();
     match shape {
         Shape::Line(points) => {
@@ -311,23 +261,14 @@ fn draw_mark(svg: &mut Svg, at: Px, ink: Ink, shape: &Shape) {
     match shape {
         Shape::Crosses(_) => svg.cross(at, 3.5, ink.stroke),
         Shape::Rings(_) => svg.disc(at, 3.5, "none", Some(ink.stroke)),
-        Shape::Line(_)
-        | Shape::Dots(_)
-        | Shape::Band(_)
-        | Shape::Level(_)
-        | Shape::Specks(_)
-        | Shape::Outlines(_) => svg.disc(at, 2.6, ink.color, None),
+        Shape::Line(_) | Shape::Dots(_) | Shape::Band(_) | Shape::Level(_) | Shape::Specks(_) | Shape::Outlines(_) => {
+            svg.disc(at, 2.6, ink.color, None)
+        }
     }
 }
 
-fn draw_band(
-    svg: &mut Svg,
-    panel: &Panel,
-    (ink, thinning): (Ink, Thinning),
-    places: &[(f64, f64, f64)],
-) -> usize {
-    let is_drawn =
-        |(x, low, high): &(f64, f64, f64)| can_draw(&(*x, *low)) && can_draw(&(*x, *high));
+fn draw_band(svg: &mut Svg, panel: &Panel, (ink, thinning): (Ink, Thinning), places: &[(f64, f64, f64)]) -> usize {
+    let is_drawn = |(x, low, high): &(f64, f64, f64)| can_draw(&(*x, *low)) && can_draw(&(*x, *high));
     for part in places.split(|place| !is_drawn(place)) {
         let lower = part.iter().map(|(x, low, _)| panel.place(*x, *low));
         let upper = part.iter().map(|(x, _, high)| panel.place(*x, *high));
@@ -354,10 +295,7 @@ mod tests {
     use super::*;
 
     fn of(curves: Vec<(&str, Shape)>) -> Plot {
-        let curves = curves.into_iter().map(|(name, shape)| Curve {
-            name: name.to_owned(),
-            shape,
-        });
+        let curves = curves.into_iter().map(|(name, shape)| Curve { name: name.to_owned(), shape });
         Plot {
             title: "t".to_owned(),
             key_figures: String::new(),
@@ -376,10 +314,7 @@ mod tests {
         let svg = plot(&of(vec![
             ("measured", Shape::Dots(vec![(0.0, 1.0), (1.0, 2.0)])),
             ("fitted", Shape::Line(vec![(0.0, 1.0), (1.0, 2.0)])),
-            (
-                "2 sigma",
-                Shape::Band(vec![(0.0, 0.5, 1.5), (1.0, 1.5, 2.5)]),
-            ),
+            ("2 sigma", Shape::Band(vec![(0.0, 0.5, 1.5), (1.0, 1.5, 2.5)])),
             ("final", Shape::Level(3.0)),
         ]));
         let count = |needle: &str| svg.matches(needle).count();
@@ -405,11 +340,7 @@ mod tests {
 
     #[test]
     fn nothing_and_a_single_value_still_have_axes() {
-        for shape in [
-            Shape::Line(Vec::new()),
-            Shape::Level(0.0),
-            Shape::Dots(vec![(5.0, 5.0)]),
-        ] {
+        for shape in [Shape::Line(Vec::new()), Shape::Level(0.0), Shape::Dots(vec![(5.0, 5.0)])] {
             let svg = plot(&of(vec![("a", shape)]));
             assert!(!svg.contains("NaN") && svg.contains("time [s]"));
         }

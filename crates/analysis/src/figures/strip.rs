@@ -64,11 +64,7 @@ pub(super) struct Inked {
 
 impl Inked {
     pub(super) fn new(name: impl Into<String>, shape: Shape, ink: Ink) -> Self {
-        Self {
-            name: name.into(),
-            shape,
-            ink,
-        }
+        Self { name: name.into(), shape, ink }
     }
 }
 
@@ -86,21 +82,11 @@ pub(super) fn draw(strip: &Strip) -> String {
     let mut dropped = 0;
     for (panel, entries) in strip.panels.iter().zip(&legends) {
         top += legend::draw_rows(&mut svg, (LEFT_PX, top), inner_px(), entries) + LEGEND_GAP_PX;
-        let area = Rect {
-            left: LEFT_PX,
-            top,
-            width: inner_px(),
-            height: panel.height_px,
-        };
+        let area = Rect { left: LEFT_PX, top, width: inner_px(), height: panel.height_px };
         dropped += draw_panel(&mut svg, area, panel, common_x);
         top += panel.height_px + TICKS_PX;
     }
-    let style = TextStyle {
-        size_px: 13.0,
-        color: INK,
-        anchor: Anchor::Middle,
-        weight: 400,
-    };
+    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Middle, weight: 400 };
     let middle = LEFT_PX + inner_px() / 2.0;
     svg.text((middle, top + 6.0), &style, &strip.x_name);
     canvas::close_at(svg, (WIDTH_PX, height_px), dropped)
@@ -111,34 +97,19 @@ const fn inner_px() -> f64 {
 }
 
 fn draw_title(svg: &mut Svg, title: &str) {
-    let style = TextStyle {
-        size_px: 15.0,
-        color: INK,
-        anchor: Anchor::Start,
-        weight: 700,
-    };
+    let style = TextStyle { size_px: 15.0, color: INK, anchor: Anchor::Start, weight: 700 };
     svg.text((10.0, 24.0), &style, &canvas::cut(title, TITLE_CHARACTERS));
 }
 
 fn entries(panel: &StripPanel) -> Vec<Entry> {
     let named = panel.curves.iter().filter(|curve| !curve.name.is_empty());
-    named
-        .map(|curve| Entry::new(mark(curve.ink, &curve.shape), &curve.name))
-        .collect()
+    named.map(|curve| Entry::new(mark(curve.ink, &curve.shape), &curve.name)).collect()
 }
 
 /// What all panels that are no maps span along x.
 fn common_x(strip: &Strip) -> Option<Range> {
-    let over_time = strip
-        .panels
-        .iter()
-        .filter(|panel| panel.scales == Scales::Filling);
-    let nothing = Rect {
-        left: 0.0,
-        top: 0.0,
-        width: 1.0,
-        height: 1.0,
-    };
+    let over_time = strip.panels.iter().filter(|panel| panel.scales == Scales::Filling);
+    let nothing = Rect { left: 0.0, top: 0.0, width: 1.0, height: 1.0 };
     let spans = over_time
         .filter(|panel| panel.curves.iter().any(|curve| has_place(&curve.shape)))
         .map(|panel| panel_of(nothing, shapes(panel), Scales::Filling).x);
@@ -172,16 +143,8 @@ fn draw_panel(svg: &mut Svg, area: Rect, panel: &StripPanel, common_x: Option<Ra
         axes.y = panel.y.unwrap_or(axes.y);
     }
     let y_ticks = if panel.height_px < 80.0 { 3.0 } else { Y_TICKS };
-    axes.draw_grid(
-        svg,
-        &round_ticks(axes.x, X_TICKS),
-        &round_ticks(axes.y, y_ticks),
-    );
-    let thinning = if panel.scales == Scales::Equal {
-        Thinning::Deviation
-    } else {
-        Thinning::Series
-    };
+    axes.draw_grid(svg, &round_ticks(axes.x, X_TICKS), &round_ticks(axes.y, y_ticks));
+    let thinning = if panel.scales == Scales::Equal { Thinning::Deviation } else { Thinning::Series };
     let mut dropped = 0;
     svg.clipped(&area, "curves", |svg| {
         for curve in &panel.curves {
@@ -189,24 +152,12 @@ fn draw_panel(svg: &mut Svg, area: Rect, panel: &StripPanel, common_x: Option<Ra
         }
     });
     axes.draw_border(svg);
-    let style = TextStyle {
-        size_px: 13.0,
-        color: INK,
-        anchor: Anchor::Middle,
-        weight: 400,
-    };
+    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Middle, weight: 400 };
     let middle = area.top + area.height / 2.0;
     svg.upright_text((15.0, middle), &style, &panel.y_name);
     if panel.curves.iter().all(|curve| !has_place(&curve.shape)) {
-        let style = TextStyle {
-            color: FAINT_INK,
-            ..style
-        };
-        svg.text(
-            (area.left + area.width / 2.0, middle + 4.0),
-            &style,
-            "nothing to show",
-        );
+        let style = TextStyle { color: FAINT_INK, ..style };
+        svg.text((area.left + area.width / 2.0, middle + 4.0), &style, "nothing to show");
     }
     dropped
 }
@@ -216,10 +167,7 @@ mod tests {
     use super::super::palette::{BLUE, ESTIMATE};
     use super::*;
 
-    const INK_OF_TEST: Ink = Ink {
-        stroke: &ESTIMATE,
-        color: BLUE,
-    };
+    const INK_OF_TEST: Ink = Ink { stroke: &ESTIMATE, color: BLUE };
 
     fn strip(shapes: Vec<Shape>) -> Strip {
         let panels = shapes.into_iter().map(|shape| StripPanel {
@@ -228,19 +176,12 @@ mod tests {
             curves: vec![Inked::new("curve", shape, INK_OF_TEST)],
             ..StripPanel::default()
         });
-        Strip {
-            title: "a <b>".to_owned(),
-            x_name: "time [s]".to_owned(),
-            panels: panels.collect(),
-        }
+        Strip { title: "a <b>".to_owned(), x_name: "time [s]".to_owned(), panels: panels.collect() }
     }
 
     #[test]
     fn panels_share_the_time_and_each_has_its_legend() {
-        let svg = draw(&strip(vec![
-            Shape::Line(vec![(0.0, 1.0), (10.0, 2.0)]),
-            Shape::Specks(vec![(40.0, 3.0)]),
-        ]));
+        let svg = draw(&strip(vec![Shape::Line(vec![(0.0, 1.0), (10.0, 2.0)]), Shape::Specks(vec![(40.0, 3.0)])]));
         assert_eq!(svg.matches(">curve</text>").count(), 2);
         // Both reach to 40 s.
         assert_eq!(svg.matches(">40</text>").count(), 2, "{svg}");
@@ -260,11 +201,8 @@ mod tests {
         let noisy = |step: u32| f64::from(step * 7919 % 1009) / 1009.0;
         let samples = || (0..60_000).map(|step| (f64::from(step) / 100.0, noisy(step)));
         let band = samples().map(|(t, v)| (t, v - 1.0, v + 1.0)).collect();
-        let svg = draw(&strip(vec![
-            Shape::Line(samples().collect()),
-            Shape::Specks(samples().collect()),
-            Shape::Band(band),
-        ]));
+        let svg =
+            draw(&strip(vec![Shape::Line(samples().collect()), Shape::Specks(samples().collect()), Shape::Band(band)]));
         assert!(svg.len() < 150_000, "{} bytes", svg.len());
     }
 }

@@ -48,26 +48,16 @@ pub(super) struct Stroke {
 
 impl Stroke {
     pub(super) const fn solid(color: &'static str, width_px: f64) -> Self {
-        Self {
-            color,
-            width_px,
-            dashes: None,
-        }
+        Self { color, width_px, dashes: None }
     }
     pub(super) const fn dashed(color: &'static str, width_px: f64, dashes: &'static str) -> Self {
-        Self {
-            color,
-            width_px,
-            dashes: Some(dashes),
-        }
+        Self { color, width_px, dashes: Some(dashes) }
     }
 }
 
 impl fmt::Display for Stroke {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            color, width_px, ..
-        } = self;
+        let Self { color, width_px, .. } = self;
         write!(f, r#"stroke="{color}" stroke-width="{width_px}""#)?;
         match self.dashes {
             Some(dashes) => write!(f, r#" stroke-dasharray="{dashes}""#),
@@ -103,10 +93,7 @@ pub(super) struct Svg {
 impl Svg {
     /// An empty picture on white paper; `title` is what a screen reader says.
     pub(super) fn new(width_px: f64, height_px: f64, title: &str) -> Self {
-        let mut svg = Self {
-            text: String::new(),
-            clips: 0,
-        };
+        let mut svg = Self { text: String::new(), clips: 0 };
         svg.put(format_args!(
             concat!(
                 r#"<svg xmlns="http://www.w3.org/2000/svg" width="{w}" height="{h}" viewBox="0 0 {w} {h}" "#,
@@ -144,13 +131,7 @@ impl Svg {
     }
 
     /// A closed shape; `opacity` is how much its fill covers, from 0 to 1.
-    pub(super) fn polygon(
-        &mut self,
-        points: &[Px],
-        fill: &str,
-        opacity: f64,
-        stroke: Option<&Stroke>,
-    ) {
+    pub(super) fn polygon(&mut self, points: &[Px], fill: &str, opacity: f64, stroke: Option<&Stroke>) {
         if points.len() > 2 && points.iter().all(is_finite) {
             let points = Points(points);
             let outline = stroke.map(Stroke::to_string).unwrap_or_default();
@@ -175,11 +156,8 @@ impl Svg {
     /// dots take no more room than the panel has cells.
     pub(super) fn specks(&mut self, points: &[Px], color: &str) {
         let cell = |px: f64| (px / SPECK_PX).floor() as i32;
-        let cells: BTreeSet<(i32, i32)> = points
-            .iter()
-            .filter(|point| is_finite(point))
-            .map(|(x, y)| (cell(*x), cell(*y)))
-            .collect();
+        let cells: BTreeSet<(i32, i32)> =
+            points.iter().filter(|point| is_finite(point)).map(|(x, y)| (cell(*x), cell(*y))).collect();
         if cells.is_empty() {
             return;
         }
@@ -294,10 +272,7 @@ mod tests {
         svg.polyline(&[(0.0, 0.0), (f64::NAN, 1.0)], &stroke);
         svg.disc((f64::INFINITY, 0.0), 2.0, "#000000", None);
         let text = svg.finish();
-        assert!(
-            !text.contains("polyline") && !text.contains("circle"),
-            "{text}"
-        );
+        assert!(!text.contains("polyline") && !text.contains("circle"), "{text}");
     }
 
     #[test]
@@ -310,10 +285,7 @@ mod tests {
         let one = draw(&[(2.0, 2.0), (2.1, 2.2), (f64::NAN, 1.0)]);
         assert!(one.contains("d=\"M2.4 2.4V2.4\""), "{one}");
         let column = draw(&[(2.0, 0.1), (2.0, 2.0), (2.0, 3.3), (2.0, 8.5)]);
-        assert!(
-            column.contains("d=\"M2.4 0.8V4.0M2.4 8.8V8.8\""),
-            "{column}"
-        );
+        assert!(column.contains("d=\"M2.4 0.8V4.0M2.4 8.8V8.8\""), "{column}");
         assert!(!draw(&[]).contains("<path"));
     }
 }

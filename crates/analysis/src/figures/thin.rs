@@ -9,9 +9,7 @@ const NEAR_PX: f64 = 0.3;
 pub(super) fn thin_path(points: &[Px]) -> Vec<Px> {
     let mut kept: Vec<Px> = Vec::new();
     for (index, point) in points.iter().enumerate() {
-        let is_far = kept
-            .last()
-            .is_none_or(|last| (point.0 - last.0).hypot(point.1 - last.1) >= NEAR_PX);
+        let is_far = kept.last().is_none_or(|last| (point.0 - last.0).hypot(point.1 - last.1) >= NEAR_PX);
         if is_far || index + 1 == points.len() {
             kept.push(*point);
         }
@@ -22,24 +20,17 @@ pub(super) fn thin_path(points: &[Px]) -> Vec<Px> {
 /// Keeps, of all points in one column of pixels, the first, the lowest, the highest and the last, in their order: peaks
 /// of a time series survive. The points must be ordered by x.
 pub(super) fn thin_series(points: &[Px]) -> Vec<Px> {
-    points
-        .chunk_by(|a, b| a.0.floor() == b.0.floor())
-        .flat_map(thin_column)
-        .collect()
+    points.chunk_by(|a, b| a.0.floor() == b.0.floor()).flat_map(thin_column).collect()
 }
 
 fn thin_column(column: &[Px]) -> Vec<Px> {
     let by_height = |a: &usize, b: &usize| column[*a].1.total_cmp(&column[*b].1);
     let indices = 0..column.len();
-    let mut kept: Vec<usize> = [
-        indices.clone().next(),
-        indices.clone().min_by(by_height),
-        indices.clone().max_by(by_height),
-        indices.last(),
-    ]
-    .into_iter()
-    .flatten()
-    .collect();
+    let mut kept: Vec<usize> =
+        [indices.clone().next(), indices.clone().min_by(by_height), indices.clone().max_by(by_height), indices.last()]
+            .into_iter()
+            .flatten()
+            .collect();
     kept.sort_unstable();
     kept.dedup();
     kept.into_iter().map(|index| column[index]).collect()
@@ -84,8 +75,7 @@ fn simplified(points: &[Px], tolerance_px: f64) -> Vec<Px> {
         }
     }
     let kept = points.iter().zip(needed);
-    kept.filter_map(|(point, is_needed)| is_needed.then_some(*point))
-        .collect()
+    kept.filter_map(|(point, is_needed)| is_needed.then_some(*point)).collect()
 }
 
 /// The point that lies farthest from the straight stretch between two others, and how far; `None` if there is none between.
@@ -95,17 +85,12 @@ fn farthest_between(points: &[Px], from: usize, to: usize) -> Option<(usize, f64
     let length_squared = along_x * along_x + along_y * along_y;
     let distance_px = |point: &Px| {
         let (x, y) = (point.0 - start.0, point.1 - start.1);
-        let share = if length_squared > 0.0 {
-            ((x * along_x + y * along_y) / length_squared).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
+        let share =
+            if length_squared > 0.0 { ((x * along_x + y * along_y) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
         (x - share * along_x).hypot(y - share * along_y)
     };
     let between = points.iter().enumerate().take(to).skip(from + 1);
-    between
-        .map(|(index, point)| (index, distance_px(point)))
-        .max_by(|a, b| a.1.total_cmp(&b.1))
+    between.map(|(index, point)| (index, distance_px(point))).max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 #[cfg(test)]
@@ -146,16 +131,7 @@ mod tests {
         let mut line: Vec<Px> = (0..300).map(|x| (f64::from(x), 0.0)).collect();
         assert_eq!(thin_by_deviation(&line, 0.1).len(), 2);
         line[150].1 = 5.0;
-        assert_eq!(
-            thin_by_deviation(&line, 0.1),
-            [
-                (0.0, 0.0),
-                (149.0, 0.0),
-                (150.0, 5.0),
-                (151.0, 0.0),
-                (299.0, 0.0)
-            ]
-        );
+        assert_eq!(thin_by_deviation(&line, 0.1), [(0.0, 0.0), (149.0, 0.0), (150.0, 5.0), (151.0, 0.0), (299.0, 0.0)]);
     }
 
     #[test]
@@ -163,9 +139,6 @@ mod tests {
         let mut points: Vec<Px> = (0..100).map(|i| (f64::from(i) / 100.0, 1.0)).collect();
         points[37].1 = 9.0;
         points.push((1.5, 2.0));
-        assert_eq!(
-            thin_series(&points),
-            [(0.0, 1.0), (0.37, 9.0), (0.99, 1.0), (1.5, 2.0)]
-        );
+        assert_eq!(thin_series(&points), [(0.0, 1.0), (0.37, 9.0), (0.99, 1.0), (1.5, 2.0)]);
     }
 }

@@ -7,8 +7,8 @@ use posebridge_telemetry::{Arena, Point2};
 use super::layers::{Drawable, Lines};
 use super::legend::{Entry, Mark, draw_start};
 use super::palette::{
-    BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, LATE,
-    ODOMETRY, ORANGE, REFUSED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION,
+    BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, LATE, ODOMETRY, ORANGE,
+    REFUSED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION,
 };
 use super::panel::{Panel, round_ticks};
 use super::svg::{Anchor, Px, Rect, Stroke, Svg, TextStyle};
@@ -24,26 +24,11 @@ pub const TRACK: Figure = Figure {
 
 const HEIGHT_PX: f64 = 700.0;
 
-const MAP: Rect = Rect {
-    left: canvas::LEFT_PX,
-    top: 72.0,
-    width: 590.0,
-    height: 372.0,
-};
+const MAP: Rect = Rect { left: canvas::LEFT_PX, top: 72.0, width: 590.0, height: 372.0 };
 
-const DETAIL: Rect = Rect {
-    left: 728.0,
-    top: 292.0,
-    width: 156.0,
-    height: 136.0,
-};
+const DETAIL: Rect = Rect { left: 728.0, top: 292.0, width: 156.0, height: 136.0 };
 
-const ERRORS: Rect = Rect {
-    left: canvas::LEFT_PX,
-    top: 504.0,
-    width: 590.0,
-    height: 142.0,
-};
+const ERRORS: Rect = Rect { left: canvas::LEFT_PX, top: 504.0, width: 590.0, height: 142.0 };
 
 /// Where the legends begin, in pixels.
 const LEGEND_LEFT_PX: f64 = 684.0;
@@ -56,15 +41,7 @@ fn render(layers: &RunLayers<'_>) -> String {
     draw_map(&mut svg, &map, &drawable);
     if let Some(detail) = detail::panel(DETAIL, &map, layers.estimates) {
         let ellipses = detail::ellipses(&detail, layers.estimates);
-        draw_detail(
-            &mut svg,
-            &map,
-            &detail,
-            &Drawable {
-                ellipses,
-                ..drawable.clone()
-            },
-        );
+        draw_detail(&mut svg, &map, &detail, &Drawable { ellipses, ..drawable.clone() });
     }
     legend::draw(&mut svg, (LEGEND_LEFT_PX, MAP.top), &entries(&drawable));
     let error_dropped = error::draw(&mut svg, ERRORS, LEGEND_LEFT_PX, layers);
@@ -82,26 +59,12 @@ fn draw_map(svg: &mut Svg, map: &Panel, drawable: &Drawable) {
 fn draw_detail(svg: &mut Svg, map: &Panel, detail: &Panel, drawable: &Drawable) {
     let (left, bottom) = map.place(detail.x.low, detail.y.low);
     let (right, top) = map.place(detail.x.high, detail.y.high);
-    let place = Rect {
-        left,
-        top,
-        width: right - left,
-        height: bottom - top,
-    };
+    let place = Rect { left, top, width: right - left, height: bottom - top };
     svg.rect(&place, &DETAIL_FRAME);
-    detail.draw_grid(
-        svg,
-        &round_ticks(detail.x, 3.0),
-        &round_ticks(detail.y, 4.0),
-    );
+    detail.draw_grid(svg, &round_ticks(detail.x, 3.0), &round_ticks(detail.y, 4.0));
     svg.clipped(&DETAIL, "detail", |svg| draw_layers(svg, detail, drawable));
     svg.rect(&DETAIL, &DETAIL_FRAME);
-    let style = TextStyle {
-        size_px: 13.0,
-        color: INK,
-        anchor: Anchor::Middle,
-        weight: 400,
-    };
+    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Middle, weight: 400 };
     let above = (DETAIL.left + DETAIL.width / 2.0, DETAIL.top - 8.0);
     svg.text(above, &style, "where it is least sure [m]");
 }
@@ -159,10 +122,7 @@ fn draw_ends(svg: &mut Svg, panel: &Panel, drawable: &Drawable) {
 }
 
 fn placed(panel: &Panel, points: &[Point2<Arena>]) -> Vec<Px> {
-    points
-        .iter()
-        .map(|point| panel.place(point.x.0, point.y.0))
-        .collect()
+    points.iter().map(|point| panel.place(point.x.0, point.y.0)).collect()
 }
 
 /// A row for each layer that is there.
@@ -172,44 +132,15 @@ fn entries(drawable: &Drawable) -> Vec<Entry> {
     let late = drawable.late_fixes.len();
     let rows = [
         (drawable.start().is_some(), Entry::new(Mark::Start, "start")),
-        (
-            !drawable.ideal.is_empty(),
-            Entry::new(Mark::Line(&IDEAL), "ideal path"),
-        ),
-        (
-            !drawable.truth.is_empty(),
-            Entry::new(Mark::Line(&TRUTH), "true path"),
-        ),
-        (
-            !drawable.odometry.is_empty(),
-            Entry::new(Mark::Line(&ODOMETRY), "brick's odometry"),
-        ),
-        (
-            !drawable.estimate.is_empty(),
-            Entry::new(Mark::Line(&ESTIMATE), "estimate"),
-        ),
-        (
-            !drawable.ellipses.is_empty(),
-            Entry::new(Mark::Area(&ELLIPSE, SKY_BLUE), "its 2-sigma ellipses"),
-        ),
-        (
-            !drawable.smoothed.is_empty(),
-            Entry::new(Mark::Line(&SMOOTHED), "smoothed path"),
-        ),
-        (
-            used > 0,
-            Entry::new(Mark::Disc(BLUISH_GREEN), format!("fix, used ({used})")),
-        ),
-        (
-            refused > 0,
-            Entry::new(Mark::Cross(&REFUSED), format!("fix, refused ({refused})")),
-        ),
-        (
-            late > 0,
-            Entry::new(Mark::Ring(&LATE), format!("fix, too late ({late})")),
-        ),
+        (!drawable.ideal.is_empty(), Entry::new(Mark::Line(&IDEAL), "ideal path")),
+        (!drawable.truth.is_empty(), Entry::new(Mark::Line(&TRUTH), "true path")),
+        (!drawable.odometry.is_empty(), Entry::new(Mark::Line(&ODOMETRY), "brick's odometry")),
+        (!drawable.estimate.is_empty(), Entry::new(Mark::Line(&ESTIMATE), "estimate")),
+        (!drawable.ellipses.is_empty(), Entry::new(Mark::Area(&ELLIPSE, SKY_BLUE), "its 2-sigma ellipses")),
+        (!drawable.smoothed.is_empty(), Entry::new(Mark::Line(&SMOOTHED), "smoothed path")),
+        (used > 0, Entry::new(Mark::Disc(BLUISH_GREEN), format!("fix, used ({used})"))),
+        (refused > 0, Entry::new(Mark::Cross(&REFUSED), format!("fix, refused ({refused})"))),
+        (late > 0, Entry::new(Mark::Ring(&LATE), format!("fix, too late ({late})"))),
     ];
-    rows.into_iter()
-        .filter_map(|(is_there, entry)| is_there.then_some(entry))
-        .collect()
+    rows.into_iter().filter_map(|(is_there, entry)| is_there.then_some(entry)).collect()
 }

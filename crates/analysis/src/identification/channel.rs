@@ -72,10 +72,7 @@ impl Channel {
 
     fn said(self, observations: &[Observation]) -> impl Iterator<Item = Sample> {
         observations.iter().filter_map(move |observation| {
-            Some(Sample {
-                at_s: observation.stamp.as_secs_f64(),
-                value: self.value_of(observation)?,
-            })
+            Some(Sample { at_s: observation.stamp.as_secs_f64(), value: self.value_of(observation)? })
         })
     }
 
@@ -104,18 +101,11 @@ impl Channel {
 
     /// The noise of a sample by the robot's description, or by the samples themselves where it says nothing; `None` where neither does.
     #[must_use]
-    pub fn noise(
-        self,
-        noise: &SensorNoise,
-        geometry: &DriveGeometry,
-        samples: &[Sample],
-    ) -> Option<f64> {
+    pub fn noise(self, noise: &SensorNoise, geometry: &DriveGeometry, samples: &[Sample]) -> Option<f64> {
         let described = match self {
             Self::Temperature => noise.temperature_k,
             Self::LeftWheel | Self::RightWheel => wheel_speed_sigma(geometry.tick.0, samples)?,
-            Self::TurnRate => noise
-                .gyro_rad_per_s
-                .hypot(noise.gyro_resolution_rad_per_s / 12.0_f64.sqrt()),
+            Self::TurnRate => noise.gyro_rad_per_s.hypot(noise.gyro_resolution_rad_per_s / 12.0_f64.sqrt()),
             Self::WallRange => noise.wall_range_m,
         };
         let is_usable = described > 0.0 && described.is_finite();
@@ -130,10 +120,7 @@ fn differences(angles: &[Sample]) -> Vec<Sample> {
         _ => None,
     });
     pairs
-        .map(|(a, b)| Sample {
-            at_s: f64::midpoint(a.at_s, b.at_s),
-            value: (b.value - a.value) / (b.at_s - a.at_s),
-        })
+        .map(|(a, b)| Sample { at_s: f64::midpoint(a.at_s, b.at_s), value: (b.value - a.value) / (b.at_s - a.at_s) })
         .collect()
 }
 
@@ -146,10 +133,7 @@ fn mean_distance_s(samples: &[Sample]) -> Option<f64> {
 /// The speed of a wheel whose encoder was read at these instants, by equation (18): instants in seconds, angles in radians.
 #[must_use]
 pub fn wheel_speed(readings: &[(f64, f64)]) -> Vec<Sample> {
-    let angles: Vec<Sample> = readings
-        .iter()
-        .map(|&(at_s, value)| Sample { at_s, value })
-        .collect();
+    let angles: Vec<Sample> = readings.iter().map(|&(at_s, value)| Sample { at_s, value }).collect();
     differences(&in_order(&angles))
 }
 
@@ -188,10 +172,7 @@ mod tests {
             observed(50, Observed::TurnRate(RadiansPerSecond(0.3))),
             observed(60, Observed::TurnRate(RadiansPerSecond(f64::NAN))),
             observed(70, Observed::Temperature(Celsius(21.0))),
-            Observation {
-                sensor: SensorId(77),
-                ..observed(80, Observed::Temperature(Celsius(5.0)))
-            },
+            Observation { sensor: SensorId(77), ..observed(80, Observed::Temperature(Celsius(5.0))) },
         ];
         let left = Channel::LeftWheel.samples(&all);
         let right = Channel::RightWheel.samples(&all);

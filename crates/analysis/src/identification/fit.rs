@@ -105,22 +105,13 @@ pub fn fit(samples: &[Sample], noise: &Noise, prior: &Prior, guess: &StepRespons
     // What is left of the transient, and with it S, follows from the response before.
     for _ in 0..REWEIGHTINGS {
         let whitened = whitened(samples, &response_from(&at, order), noise);
-        let problem = Problem {
-            samples,
-            whitened: &whitened,
-            noise,
-            prior,
-        };
+        let problem = Problem { samples, whitened: &whitened, noise, prior };
         let (better, normal, cost) = problem.descend(at)?;
         at = better;
         found = Some((normal, cost + 0.5 * ln_spread(&whitened)));
     }
     let (normal, cost) = found?;
-    Some(Fit {
-        response: response_from(&at, order),
-        covariance: normal.cholesky()?.inverse(),
-        cost,
-    })
+    Some(Fit { response: response_from(&at, order), covariance: normal.cholesky()?.inverse(), cost })
 }
 
 /// How often S is computed anew.
@@ -205,10 +196,7 @@ impl Problem<'_> {
         }
         let (mut normal, mut slope, mut cost) = sums.full(count);
         let order = self.prior.dynamics.order();
-        let alone = [
-            (row::ONSET, Some(self.prior.onset)),
-            (row::LAGS + order - 1, self.prior.slowest),
-        ];
+        let alone = [(row::ONSET, Some(self.prior.onset)), (row::LAGS + order - 1, self.prior.slowest)];
         for (i, belief) in alone {
             if let Some(belief) = belief {
                 normal[(i, i)] += belief.weight();
@@ -221,8 +209,7 @@ impl Problem<'_> {
         for i in 0..pull.len() {
             slope[row::LAGS + i] -= pull[i];
             for j in 0..pull.len() {
-                normal[(row::LAGS + i, row::LAGS + j)] +=
-                    weight * self.prior.dynamics.inverse()[(i, j)];
+                normal[(row::LAGS + i, row::LAGS + j)] += weight * self.prior.dynamics.inverse()[(i, j)];
             }
         }
         let next_to_nothing = (NO_PRIOR_SIGMAS * self.noise.sigma).powi(-2);
@@ -258,11 +245,7 @@ impl Sums {
 
     fn full(&self, count: usize) -> (DMatrix<f64>, DVector<f64>, f64) {
         let of = |i: usize, j: usize| self.normal[i.min(j)][i.max(j)];
-        (
-            DMatrix::from_fn(count, count, of),
-            DVector::from_fn(count, |i, _| self.slope[i]),
-            self.cost,
-        )
+        (DMatrix::from_fn(count, count, of), DVector::from_fn(count, |i, _| self.slope[i]), self.cost)
     }
 }
 
@@ -283,21 +266,10 @@ impl Constants {
         let mut rest = 1.0;
         for j in 0..order {
             rates[j] = (-at[row::LAGS + j]).exp();
-            shares[j] = if j + 1 < order {
-                at[row::LAGS + order + j]
-            } else {
-                rest
-            };
+            shares[j] = if j + 1 < order { at[row::LAGS + order + j] } else { rest };
             rest -= shares[j];
         }
-        Self {
-            order,
-            start: at[row::START],
-            step: at[row::STEP],
-            onset_s: at[row::ONSET],
-            rates,
-            shares,
-        }
+        Self { order, start: at[row::START], step: at[row::STEP], onset_s: at[row::ONSET], rates, shares }
     }
 
     /// y(t) and its derivatives by the parameters.
@@ -325,10 +297,7 @@ impl Constants {
 }
 
 /// y(t) of a response and its derivatives by the parameters; `None` for an order that no response may have.
-pub(super) fn value_and_slopes(
-    response: &StepResponse,
-    at_s: f64,
-) -> Option<(f64, [f64; MAX_PARAMETERS])> {
+pub(super) fn value_and_slopes(response: &StepResponse, at_s: f64) -> Option<(f64, [f64; MAX_PARAMETERS])> {
     let order = response.lags.len();
     let is_possible = (1..=MAX_ORDER).contains(&order);
     is_possible.then(|| Constants::of(&parameters_of(response), order).value_and_slopes(at_s))

@@ -96,10 +96,7 @@ impl Expectation {
     /// `None` for time constants that are not positive, or for more lags than a response may have.
     #[must_use]
     pub fn known(lags: &[(f64, f64)]) -> Option<Self> {
-        let certain = |mean: f64| Belief {
-            mean,
-            sigma: CERTAIN,
-        };
+        let certain = |mean: f64| Belief { mean, sigma: CERTAIN };
         let ln_lags: Vec<Belief> = lags.iter().map(|(tau_s, _)| certain(tau_s.ln())).collect();
         let free = lags.len().saturating_sub(1);
         let shares: Vec<Belief> = lags.iter().take(free).map(|(_, s)| certain(*s)).collect();
@@ -170,13 +167,7 @@ impl Kind {
     /// Learns from identified runs by their descriptions of one order; `None` if one of them has none.
     #[must_use]
     pub fn of_order(runs: &[IdentifiedStep], order: usize, likeness: Likeness) -> Option<Self> {
-        let mut kind = Self {
-            order,
-            likeness,
-            sigma_factor: 1.0,
-            up: vec![],
-            down: vec![],
-        };
+        let mut kind = Self { order, likeness, sigma_factor: 1.0, up: vec![], down: vec![] };
         for run in runs {
             let candidate = run.of_order(order)?.clone();
             match Way::of_step(candidate.fit.response.step) {
@@ -196,12 +187,8 @@ impl Kind {
     /// Each run predicted by the others. What cannot be predicted misses by everything.
     fn judged_on_each_other(&self, runs: &[IdentifiedStep]) -> Judged {
         let each = (0..runs.len()).map(|judged| {
-            let others: Vec<IdentifiedStep> = runs
-                .iter()
-                .enumerate()
-                .filter(|(index, _)| *index != judged)
-                .map(|(_, run)| run.clone())
-                .collect();
+            let others: Vec<IdentifiedStep> =
+                runs.iter().enumerate().filter(|(index, _)| *index != judged).map(|(_, run)| run.clone()).collect();
             let kind = Self::of_order(&others, self.order, self.likeness)?;
             let run = runs.get(judged)?;
             judge(&predict(&run.samples, run.sigma, &kind), run)
@@ -223,19 +210,11 @@ impl Kind {
             Way::Down => (&self.down, &self.up),
         };
         let is_own = !own.is_empty();
-        let (runs, ln_scale) = if is_own {
-            (own, 0.0)
-        } else {
-            (other, OTHER_WAY_LN_SCALE)
-        };
+        let (runs, ln_scale) = if is_own { (own, 0.0) } else { (other, OTHER_WAY_LN_SCALE) };
         let values = Values::of(runs, self.order);
         let same = (is_own && values.agree()).then(|| values.same()).flatten();
         let is_known = is_own && self.likeness == Likeness::SameDynamics;
-        let dynamics = if is_known {
-            values.same()?
-        } else {
-            values.of_kind(ln_scale, self.order)?
-        };
+        let dynamics = if is_known { values.same()? } else { values.of_kind(ln_scale, self.order)? };
         let (model_share, held_s) = model_error(runs, self.likeness);
         Some(Expectation {
             same: same.filter(|_| !is_known),
@@ -258,19 +237,11 @@ impl Values {
         let rows = 2 * order - 1;
         let own = |run: &Candidate| {
             let covariance = &run.fit.covariance;
-            covariance
-                .view((row::LAGS, row::LAGS), (rows, rows))
-                .into_owned()
+            covariance.view((row::LAGS, row::LAGS), (rows, rows)).into_owned()
         };
-        let each: Vec<_> = runs
-            .iter()
-            .map(|run| (rows_of(run, rows), own(run)))
-            .collect();
+        let each: Vec<_> = runs.iter().map(|run| (rows_of(run, rows), own(run))).collect();
         let sum: DVector<f64> = each.iter().map(|(value, _)| value).sum();
-        Self {
-            mean: sum / runs.len() as f64,
-            each,
-        }
+        Self { mean: sum / runs.len() as f64, each }
     }
 
     /// Covariance of the mean by what each run does not know.
@@ -305,23 +276,14 @@ impl Values {
         let count = self.each.len() as f64;
         let freedom = PRIOR_FREEDOM + count - 1.0;
         let variances = (0..self.mean.len()).map(|i| {
-            let spread = if i < order {
-                LN_LAG_SPREAD
-            } else {
-                SHARE_SPREAD
-            };
-            let off = self
-                .each
-                .iter()
-                .map(|(value, _)| (value[i] - self.mean[i]).powi(2));
+            let spread = if i < order { LN_LAG_SPREAD } else { SHARE_SPREAD };
+            let off = self.each.iter().map(|(value, _)| (value[i] - self.mean[i]).powi(2));
             let scatter: f64 = off.sum();
             (PRIOR_FREEDOM * spread * spread + scatter) / freedom * (1.0 + 1.0 / count)
         });
         let between = DVector::from_iterator(self.mean.len(), variances);
         let mut covariance = self.own() + DMatrix::from_diagonal(&between);
-        covariance
-            .view_mut((0, 0), (order, order))
-            .add_scalar_mut(ln_scale * ln_scale);
+        covariance.view_mut((0, 0), (order, order)).add_scalar_mut(ln_scale * ln_scale);
         Dynamics::new(self.mean.clone(), covariance, freedom)
     }
 }
@@ -346,16 +308,9 @@ fn model_error(runs: &[Candidate], likeness: Likeness) -> (f64, f64) {
     let held_s = runs.iter().map(|run| {
         let lags = run.fit.response.lags.iter();
         let mean_lag_s: f64 = lags.map(|lag| lag.share * lag.time_constant_s).sum();
-        if run.held_s > 0.0 {
-            run.held_s
-        } else {
-            mean_lag_s.max(0.0)
-        }
+        if run.held_s > 0.0 { run.held_s } else { mean_lag_s.max(0.0) }
     });
-    (
-        ((believed + squares) / (PRIOR_FREEDOM + count)).sqrt(),
-        held_s.sum::<f64>() / count,
-    )
+    (((believed + squares) / (PRIOR_FREEDOM + count)).sqrt(), held_s.sum::<f64>() / count)
 }
 
 /// Degrees of freedom of the prior spread: it weighs as much as so many runs.

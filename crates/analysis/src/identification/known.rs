@@ -56,9 +56,7 @@ fn stacked(
     for (sensor, sample) in samples {
         let row = model.row_of(*sensor)?;
         let since = model.transition(sample.at_s - first.at_s);
-        rows.extend(
-            (0..columns).map(|column| (0..ROWS).map(|k| row[k] * since[(k, column)]).sum::<f64>()),
-        );
+        rows.extend((0..columns).map(|column| (0..ROWS).map(|k| row[k] * since[(k, column)]).sum::<f64>()));
         values.push(sample.value);
     }
     let matrix = DMatrix::from_row_slice(values.len(), columns, &rows);
@@ -80,10 +78,7 @@ pub fn block_least_squares(
     let v_t = svd.v_t.as_ref()?;
     let parts = svd.singular_values.iter().enumerate();
     let variance: f64 = parts.map(|(k, s)| (v_t[(k, 0)] / s).powi(2)).sum();
-    let found = Estimated {
-        value: solution[0],
-        noise_gain: variance.sqrt(),
-    };
+    let found = Estimated { value: solution[0], noise_gain: variance.sqrt() };
     (found.value.is_finite() && found.noise_gain.is_finite()).then_some(found)
 }
 
@@ -105,9 +100,6 @@ pub fn recursive_least_squares(
         theta += &gain * (values[i] - phi.dot(&theta));
         p -= &gain * (phi.transpose() * &p);
     }
-    let found = Estimated {
-        value: theta[0],
-        noise_gain: p[(0, 0)].max(0.0).sqrt(),
-    };
+    let found = Estimated { value: theta[0], noise_gain: p[(0, 0)].max(0.0).sqrt() };
     (found.value.is_finite() && found.noise_gain.is_finite()).then_some(found)
 }

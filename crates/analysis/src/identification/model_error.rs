@@ -35,11 +35,7 @@ impl Noise {
     /// White noise and a model without fault.
     #[must_use]
     pub const fn white(sigma: f64) -> Self {
-        Self {
-            sigma,
-            model_share: 0.0,
-            held_s: 0.0,
-        }
+        Self { sigma, model_share: 0.0, held_s: 0.0 }
     }
 }
 
@@ -58,11 +54,7 @@ pub(super) struct Whitened {
 }
 
 /// The filter at each sample, for what is left of this response; samples in the order of time.
-pub(super) fn whitened(
-    samples: &[Sample],
-    response: &StepResponse,
-    noise: &Noise,
-) -> Vec<Whitened> {
+pub(super) fn whitened(samples: &[Sample], response: &StepResponse, noise: &Noise) -> Vec<Whitened> {
     let white = noise.sigma * noise.sigma;
     let mut variance = 0.0;
     let mut last_s = response.onset_s;
@@ -70,13 +62,7 @@ pub(super) fn whitened(
         let since_s = sample.at_s - response.onset_s;
         // Before the onset there is no transient of which a model could be wrong.
         if since_s <= 0.0 || noise.model_share <= 0.0 {
-            return Whitened {
-                left: 0.0,
-                kept: 0.0,
-                gain: 0.0,
-                weight: 1.0 / white,
-                ln_spread: 0.0,
-            };
+            return Whitened { left: 0.0, kept: 0.0, gain: 0.0, weight: 1.0 / white, ln_spread: 0.0 };
         }
         let left = response.step * response.remaining(since_s);
         let kept = (-(sample.at_s - last_s) / noise.held_s).exp();
@@ -85,13 +71,7 @@ pub(super) fn whitened(
         let spread = white + left * left * variance;
         let gain = variance * left / spread;
         variance *= white / spread;
-        Whitened {
-            left,
-            kept,
-            gain,
-            weight: 1.0 / spread,
-            ln_spread: (spread / white).ln(),
-        }
+        Whitened { left, kept, gain, weight: 1.0 / spread, ln_spread: (spread / white).ln() }
     };
     samples.iter().map(of).collect()
 }
@@ -109,19 +89,11 @@ pub(super) struct Columns<const N: usize> {
 
 impl<const N: usize> Columns<N> {
     pub(super) const fn new() -> Self {
-        Self {
-            of_error: 0.0,
-            of_slopes: [0.0; N],
-        }
+        Self { of_error: 0.0, of_slopes: [0.0; N] }
     }
 
     /// What is new in a sample's error and in its slopes.
-    pub(super) fn innovations(
-        &mut self,
-        white: &Whitened,
-        error: f64,
-        mut by: [f64; N],
-    ) -> (f64, [f64; N]) {
+    pub(super) fn innovations(&mut self, white: &Whitened, error: f64, mut by: [f64; N]) -> (f64, [f64; N]) {
         let next = |believed: &mut f64, shown: f64| {
             *believed *= white.kept;
             let new = shown - white.left * *believed;
@@ -142,29 +114,15 @@ mod tests {
     use super::super::step_response::Lag;
     use super::*;
 
-    const NOISE: Noise = Noise {
-        sigma: 0.3,
-        model_share: 0.1,
-        held_s: 2.0,
-    };
+    const NOISE: Noise = Noise { sigma: 0.3, model_share: 0.1, held_s: 2.0 };
 
     fn response() -> StepResponse {
-        StepResponse {
-            start: 20.0,
-            step: -16.0,
-            onset_s: 1.2,
-            lags: vec![Lag {
-                time_constant_s: 3.0,
-                share: 1.0,
-            }],
-        }
+        StepResponse { start: 20.0, step: -16.0, onset_s: 1.2, lags: vec![Lag { time_constant_s: 3.0, share: 1.0 }] }
     }
 
     fn samples() -> Vec<Sample> {
-        let at = |k: i32| Sample {
-            at_s: 0.4 * f64::from(k) + 0.03 * f64::from(k % 3),
-            value: 20.0 + f64::from(k * k % 7),
-        };
+        let at =
+            |k: i32| Sample { at_s: 0.4 * f64::from(k) + 0.03 * f64::from(k % 3), value: 20.0 + f64::from(k * k % 7) };
         (0..30).map(at).collect()
     }
 

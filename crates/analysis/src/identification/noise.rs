@@ -73,14 +73,8 @@ mod tests {
 
     #[test]
     fn samples_that_say_nothing_say_nothing() {
-        let still = |count: u32| -> Vec<Sample> {
-            (0..count)
-                .map(|k| Sample {
-                    at_s: f64::from(k),
-                    value: 3.0,
-                })
-                .collect()
-        };
+        let still =
+            |count: u32| -> Vec<Sample> { (0..count).map(|k| Sample { at_s: f64::from(k), value: 3.0 }).collect() };
         assert_eq!(noise_of(&still(100)), None);
         let mut few = still(7);
         few[3].value = 4.0;

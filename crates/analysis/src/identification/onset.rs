@@ -59,19 +59,9 @@ pub fn find_step(samples: &[Sample], sigma: f64) -> Option<FoundStep> {
     let onset_s = samples.get(onset)?.at_s;
     let duration_s = samples.get(until - 1)?.at_s - onset_s;
     let from_s = onset_s - REST_SHARE * duration_s;
-    let own: Vec<Sample> = samples
-        .get(..until)?
-        .iter()
-        .filter(|sample| sample.at_s >= from_s)
-        .copied()
-        .collect();
+    let own: Vec<Sample> = samples.get(..until)?.iter().filter(|sample| sample.at_s >= from_s).copied().collect();
     let tail = (until - onset).div_ceil(TAIL_SHARE);
-    Some(FoundStep {
-        end: sums.mean(until - tail, until),
-        samples: own,
-        onset_s,
-        start,
-    })
+    Some(FoundStep { end: sums.mean(until - tail, until), samples: own, onset_s, start })
 }
 
 /// With fewer samples there is no rest, no transient and no plateau to tell apart.
@@ -107,8 +97,7 @@ fn steepest(sums: &Sums, sigma: f64) -> Option<(usize, usize)> {
     let mut width = 1;
     while 4 * width <= sums.count() {
         let leap_at = |k: usize| (sums.mean(k, k + width) - sums.mean(k - width, k)).abs();
-        let place =
-            (width..=sums.count() - width).max_by(|a, b| leap_at(*a).total_cmp(&leap_at(*b)))?;
+        let place = (width..=sums.count() - width).max_by(|a, b| leap_at(*a).total_cmp(&leap_at(*b)))?;
         if leap_at(place) > STEEP_SIGMAS * sigma * (2.0 / width as f64).sqrt() {
             return Some((place, width));
         }
@@ -184,9 +173,7 @@ impl Detector {
     /// Whether the last of these samples say that a step has begun; samples in the order of time.
     #[must_use]
     pub fn look(self, samples: &[Sample]) -> Option<Detected> {
-        Self::WIDTHS
-            .into_iter()
-            .find_map(|width| self.look_through(samples, width))
+        Self::WIDTHS.into_iter().find_map(|width| self.look_through(samples, width))
     }
 
     fn look_through(self, samples: &[Sample], width: usize) -> Option<Detected> {
@@ -203,12 +190,7 @@ impl Detector {
             return None;
         }
         let (first, last) = (rest.last()?, window.last()?);
-        Some(Detected {
-            onset_s: first.at_s,
-            onset_sigma_s: last.at_s - first.at_s,
-            start,
-            direction: leap.signum(),
-        })
+        Some(Detected { onset_s: first.at_s, onset_sigma_s: last.at_s - first.at_s, start, direction: leap.signum() })
     }
 }
 
@@ -230,10 +212,7 @@ mod tests {
                 } else {
                     4.0 + 0.1 * (at_s - 130.0)
                 };
-                Sample {
-                    at_s,
-                    value: value + sigma * alternate,
-                }
+                Sample { at_s, value: value + sigma * alternate }
             })
             .collect()
     }
@@ -275,9 +254,7 @@ mod tests {
     #[test]
     fn the_detector_needs_the_past_alone() {
         let samples = recording(0.5, 20);
-        let until = (0..samples.len())
-            .find(|&k| Detector::new(0.5).look(&samples[..k]).is_some())
-            .unwrap();
+        let until = (0..samples.len()).find(|&k| Detector::new(0.5).look(&samples[..k]).is_some()).unwrap();
         let detected = Detector::new(0.5).look(&samples[..until]).unwrap();
         let seen_s = samples[until - 1].at_s;
         assert!((30.0..31.0).contains(&seen_s), "{seen_s}");

@@ -56,21 +56,13 @@ pub fn predict(samples: &[Sample], sigma: f64, kind: &Kind) -> Vec<Prediction> {
 
 /// The same for dynamics that are expected to be so whichever way the step leads.
 #[must_use]
-pub fn predict_as_expected(
-    samples: &[Sample],
-    sigma: f64,
-    expectation: &Expectation,
-) -> Vec<Prediction> {
+pub fn predict_as_expected(samples: &[Sample], sigma: f64, expectation: &Expectation) -> Vec<Prediction> {
     predict_by(samples, sigma, |_| Some(expectation.clone()))
 }
 
 /// What is believed after the last of these samples; the same as the last of [`predict_as_expected`], at the cost of one fit.
 #[must_use]
-pub fn predict_once(
-    samples: &[Sample],
-    sigma: f64,
-    expectation: &Expectation,
-) -> Option<Prediction> {
+pub fn predict_once(samples: &[Sample], sigma: f64, expectation: &Expectation) -> Option<Prediction> {
     let samples = in_order(samples);
     let detector = Detector::new(sigma);
     let seen = (1..=samples.len()).find_map(|k| detector.look(samples.get(..k)?).map(|d| (k, d)));
@@ -84,11 +76,7 @@ const EVERY_SAMPLE: usize = 60;
 /// Then there is one in each such share of the samples since the onset.
 const SPARSE_SHARE: usize = 50;
 
-fn predict_by(
-    samples: &[Sample],
-    sigma: f64,
-    expect: impl Fn(Way) -> Option<Expectation>,
-) -> Vec<Prediction> {
+fn predict_by(samples: &[Sample], sigma: f64, expect: impl Fn(Way) -> Option<Expectation>) -> Vec<Prediction> {
     let samples = in_order(samples);
     if !(sigma > 0.0 && sigma.is_finite()) {
         return Vec::new();
@@ -123,12 +111,7 @@ fn predict_by(
 
 fn at_rest(so_far: &[Sample], sigma: f64) -> Option<Prediction> {
     let latest = so_far.last()?;
-    Some(Prediction {
-        at_s: latest.at_s,
-        value: latest.value,
-        sigma,
-        is_on_its_way: false,
-    })
+    Some(Prediction { at_s: latest.at_s, value: latest.value, sigma, is_on_its_way: false })
 }
 
 /// A step that is under way: a bank of models, one for each of several values of the slowest lag.
@@ -147,40 +130,22 @@ struct Member {
 }
 
 impl Running {
-    fn new(
-        so_far: &[Sample],
-        sigma: f64,
-        detected: &Detected,
-        expectation: &Expectation,
-    ) -> Option<Self> {
+    fn new(so_far: &[Sample], sigma: f64, detected: &Detected, expectation: &Expectation) -> Option<Self> {
         let latest = so_far.last()?;
-        let members = bank(expectation)
-            .into_iter()
-            .map(|(dynamics, slowest, cost)| {
-                let prior = Prior {
-                    onset: Belief {
-                        mean: detected.onset_s,
-                        sigma: detected.onset_sigma_s,
-                    },
-                    dynamics,
-                    slowest,
-                    end: None,
-                };
-                let unit = prior.expected(0.0, 1.0);
-                let gone = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
-                let step = (latest.value - detected.start) / gone.max(LEAST_GONE);
-                Member {
-                    cost,
-                    guess: prior.expected(detected.start, step),
-                    prior,
-                }
-            });
+        let members = bank(expectation).into_iter().map(|(dynamics, slowest, cost)| {
+            let prior = Prior {
+                onset: Belief { mean: detected.onset_s, sigma: detected.onset_sigma_s },
+                dynamics,
+                slowest,
+                end: None,
+            };
+            let unit = prior.expected(0.0, 1.0);
+            let gone = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
+            let step = (latest.value - detected.start) / gone.max(LEAST_GONE);
+            Member { cost, guess: prior.expected(detected.start, step), prior }
+        });
         Some(Self {
-            noise: Noise {
-                sigma,
-                model_share: expectation.model_share,
-                held_s: expectation.held_s,
-            },
+            noise: Noise { sigma, model_share: expectation.model_share, held_s: expectation.held_s },
             sigma_factor: expectation.sigma_factor,
             members: members.collect(),
         })
@@ -199,17 +164,11 @@ impl Running {
                 Some((member.cost + found.cost - found.ln_room()?, found))
             })
             .collect();
-        let least = fits
-            .iter()
-            .map(|(cost, _)| *cost)
-            .fold(f64::INFINITY, f64::min);
+        let least = fits.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
         let weights: Vec<f64> = fits.iter().map(|(cost, _)| (least - cost).exp()).collect();
         let sum: f64 = weights.iter().sum();
         let members = || weights.iter().zip(fits.iter().map(|(_, found)| found));
-        let value = members()
-            .map(|(weight, found)| weight * found.response.final_value())
-            .sum::<f64>()
-            / sum;
+        let value = members().map(|(weight, found)| weight * found.response.final_value()).sum::<f64>() / sum;
         let variance = members()
             .map(|(weight, found)| {
                 let off = found.response.final_value() - value;
@@ -246,13 +205,8 @@ fn nodes(dynamics: &Dynamics) -> Vec<MemberOf> {
     let sigma = NODE_DISTANCE * slowest.sigma;
     // A Gaussian's density times the distance of two.
     let cost = ln_room + 0.5 * std::f64::consts::TAU.ln();
-    let node = |k| Belief {
-        mean: slowest.mean + sigma * f64::from(k),
-        sigma,
-    };
-    (-NODES..=NODES)
-        .map(|k| (dynamics.clone(), Some(node(k)), cost))
-        .collect()
+    let node = |k| Belief { mean: slowest.mean + sigma * f64::from(k), sigma };
+    (-NODES..=NODES).map(|k| (dynamics.clone(), Some(node(k)), cost)).collect()
 }
 
 /// Nodes to each side of the expected lag, and their distance in sigmas of what is expected.
@@ -276,10 +230,7 @@ pub struct Judged {
 impl Default for Judged {
     /// Without any prediction.
     fn default() -> Self {
-        Self {
-            mean_miss: 1.0,
-            bound_factor: 0.0,
-        }
+        Self { mean_miss: 1.0, bound_factor: 0.0 }
     }
 }
 
@@ -290,9 +241,7 @@ pub fn judge(predictions: &[Prediction], run: &IdentifiedStep) -> Option<Judged>
     let step = (run.end - response.start).abs();
     let is_outside = |sample: &&Sample| (sample.value - run.end).abs() > SETTLED * step;
     let until_s = run.samples.iter().rfind(is_outside)?.at_s;
-    let in_time = predictions
-        .windows(2)
-        .filter(|pair| pair[1].at_s > response.onset_s && pair[1].at_s <= until_s);
+    let in_time = predictions.windows(2).filter(|pair| pair[1].at_s > response.onset_s && pair[1].at_s <= until_s);
     let (mut all_s, mut miss_s) = (0.0, 0.0);
     let mut in_sigmas = Vec::new();
     for pair in in_time {
@@ -303,10 +252,7 @@ pub fn judge(predictions: &[Prediction], run: &IdentifiedStep) -> Option<Judged>
             in_sigmas.push(off / pair[1].sigma);
         }
     }
-    let judged = Judged {
-        mean_miss: miss_s / all_s,
-        bound_factor: quantile(in_sigmas, BOUND_RATE) / BOUND_SIGMAS,
-    };
+    let judged = Judged { mean_miss: miss_s / all_s, bound_factor: quantile(in_sigmas, BOUND_RATE) / BOUND_SIGMAS };
     judged.mean_miss.is_finite().then_some(judged)
 }
 
@@ -314,10 +260,7 @@ pub fn judge(predictions: &[Prediction], run: &IdentifiedStep) -> Option<Judged>
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let count = (share * values.len() as f64).ceil() as usize;
-    values
-        .get(count.saturating_sub(1))
-        .copied()
-        .unwrap_or_default()
+    values.get(count.saturating_sub(1)).copied().unwrap_or_default()
 }
 
 /// Within this share of the step a sensor has settled.

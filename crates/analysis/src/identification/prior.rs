@@ -64,13 +64,7 @@ impl Dynamics {
         if !is_usable {
             return None;
         }
-        Some(Self {
-            order,
-            inverse: covariance.clone().cholesky()?.inverse(),
-            mean,
-            covariance,
-            freedom,
-        })
+        Some(Self { order, inverse: covariance.clone().cholesky()?.inverse(), mean, covariance, freedom })
     }
 
     /// Independent Gaussians.
@@ -101,10 +95,7 @@ impl Dynamics {
     #[must_use]
     pub fn slowest(&self) -> Belief {
         let row = self.order - 1;
-        Belief {
-            mean: self.mean[row],
-            sigma: self.covariance[(row, row)].sqrt(),
-        }
+        Belief { mean: self.mean[row], sigma: self.covariance[(row, row)].sqrt() }
     }
 
     /// Half the logarithm of the determinant of S: how much room there is beforehand.
@@ -118,11 +109,7 @@ impl Dynamics {
     #[must_use]
     pub fn expected(&self, start: f64, step: f64, onset_s: f64) -> StepResponse {
         let rows = self.mean.iter().copied();
-        response_of(
-            &[start, step, onset_s],
-            rows.clone().take(self.order),
-            rows.skip(self.order),
-        )
+        response_of(&[start, step, onset_s], rows.clone().take(self.order), rows.skip(self.order))
     }
 
     /// rho, its slope, and the weight of S^-1 in an equal parabola at this place.
@@ -179,17 +166,9 @@ pub(super) fn response_of(
     let lags = ln_lags.map(|ln_lag| {
         let share = shares.next().flatten().unwrap_or(rest);
         rest -= share;
-        Lag {
-            time_constant_s: ln_lag.exp(),
-            share,
-        }
+        Lag { time_constant_s: ln_lag.exp(), share }
     });
-    StepResponse {
-        lags: lags.collect(),
-        start: first[row::START],
-        step: first[row::STEP],
-        onset_s: first[row::ONSET],
-    }
+    StepResponse { lags: lags.collect(), start: first[row::START], step: first[row::STEP], onset_s: first[row::ONSET] }
 }
 
 #[cfg(test)]
@@ -198,20 +177,12 @@ mod tests {
 
     fn dynamics(freedom: f64) -> Dynamics {
         let mean = DVector::from_vec(vec![1.0, 2.0, 0.4]);
-        let covariance =
-            DMatrix::from_row_slice(3, 3, &[0.04, 0.01, 0.0, 0.01, 0.09, 0.0, 0.0, 0.0, 0.01]);
+        let covariance = DMatrix::from_row_slice(3, 3, &[0.04, 0.01, 0.0, 0.01, 0.09, 0.0, 0.0, 0.0, 0.01]);
         Dynamics::new(mean, covariance, freedom).unwrap()
     }
 
     fn at(off: [f64; 3]) -> DVector<f64> {
-        DVector::from_vec(vec![
-            0.0,
-            0.0,
-            0.0,
-            1.0 + off[0],
-            2.0 + off[1],
-            0.4 + off[2],
-        ])
+        DVector::from_vec(vec![0.0, 0.0, 0.0, 1.0 + off[0], 2.0 + off[1], 0.4 + off[2]])
     }
 
     #[test]
@@ -225,11 +196,7 @@ mod tests {
                 let above = dynamics.cost_at(&at(step)).0;
                 step[i] -= 2e-6;
                 let slope = (above - dynamics.cost_at(&at(step)).0) / 2e-6;
-                assert!(
-                    (slope - pull[i]).abs() < 1e-6,
-                    "{freedom}: {slope} {}",
-                    pull[i]
-                );
+                assert!((slope - pull[i]).abs() < 1e-6, "{freedom}: {slope} {}", pull[i]);
             }
         }
     }
@@ -248,11 +215,7 @@ mod tests {
     #[test]
     fn what_is_no_belief_is_refused() {
         let of = |rows: usize, variance: f64, freedom| {
-            Dynamics::new(
-                DVector::zeros(rows),
-                DMatrix::identity(rows, rows) * variance,
-                freedom,
-            )
+            Dynamics::new(DVector::zeros(rows), DMatrix::identity(rows, rows) * variance, freedom)
         };
         assert!(of(3, 1.0, 1.0).is_some());
         assert!(of(2, 1.0, 1.0).is_none(), "a share without its lag");

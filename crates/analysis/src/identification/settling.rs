@@ -5,11 +5,7 @@
 ///
 /// The series holds instants and values in the order of time. The instant is that of the first value after which none is outside.
 #[must_use]
-pub fn settled_after_s(
-    series: &[(f64, f64)],
-    onset_s: f64,
-    (end, limit): (f64, f64),
-) -> Option<f64> {
+pub fn settled_after_s(series: &[(f64, f64)], onset_s: f64, (end, limit): (f64, f64)) -> Option<f64> {
     let is_inside = |value: f64| (value - end).abs() <= limit;
     let last_outside = series.iter().rposition(|(_, value)| !is_inside(*value));
     let first_inside = last_outside.map_or(0, |index| index + 1);
@@ -24,11 +20,8 @@ mod tests {
 
     #[test]
     fn it_counts_from_the_last_excursion() {
-        let series: Vec<(f64, f64)> = [9.0, 5.0, 3.2, 4.5, 3.1, 2.9]
-            .into_iter()
-            .enumerate()
-            .map(|(k, value)| (10.0 + k as f64, value))
-            .collect();
+        let series: Vec<(f64, f64)> =
+            [9.0, 5.0, 3.2, 4.5, 3.1, 2.9].into_iter().enumerate().map(|(k, value)| (10.0 + k as f64, value)).collect();
         assert_eq!(settled_after_s(&series, 10.0, (3.0, 0.5)), Some(4.0));
         assert_eq!(settled_after_s(&series, 10.0, (3.0, 2.0)), Some(1.0));
         assert_eq!(settled_after_s(&series, 10.0, (3.0, 9.0)), Some(0.0));

@@ -30,12 +30,7 @@ impl SimulatedSensor {
     /// One lag.
     #[must_use]
     pub fn first_order(tau_s: f64, sigma: f64, period_s: f64) -> Self {
-        Self {
-            lags: vec![(tau_s, 1.0)],
-            sigma,
-            last_digit: 0.0,
-            period_s,
-        }
+        Self { lags: vec![(tau_s, 1.0)], sigma, last_digit: 0.0, period_s }
     }
 
     /// What it shows from time 0 on for so many samples, when the quantity is `truth(t)` and was `truth(0)` forever before.
@@ -52,10 +47,7 @@ impl SimulatedSensor {
                 let paths = self.lags.iter().zip(&states);
                 let clean: f64 = paths.map(|((_, share), state)| share * state).sum();
                 let noisy = clean + self.sigma * random.sample::<f64, _>(StandardNormal);
-                Sample {
-                    at_s,
-                    value: self.rounded(noisy),
-                }
+                Sample { at_s, value: self.rounded(noisy) }
             })
             .collect()
     }
@@ -101,11 +93,7 @@ mod tests {
         let sensor = SimulatedSensor::first_order(5.0, 0.0, 0.5);
         for sample in sensor.run(1, 60, step(20.0, 4.0, 10.0)) {
             let since_s = sample.at_s - 10.0;
-            let expected = if since_s > 0.0 {
-                4.0 + 16.0 * (-since_s / 5.0).exp()
-            } else {
-                20.0
-            };
+            let expected = if since_s > 0.0 { 4.0 + 16.0 * (-since_s / 5.0).exp() } else { 20.0 };
             // The step is a ramp of one piece, here 1/32 s.
             assert!((sample.value - expected).abs() < 0.06, "{sample:?}");
         }
@@ -120,19 +108,11 @@ mod tests {
 
     #[test]
     fn noise_is_seeded_and_rounding_leaves_whole_digits() {
-        let sensor = SimulatedSensor {
-            lags: vec![(1.0, 0.5), (9.0, 0.5)],
-            sigma: 0.2,
-            last_digit: 0.0625,
-            period_s: 1.0,
-        };
+        let sensor =
+            SimulatedSensor { lags: vec![(1.0, 0.5), (9.0, 0.5)], sigma: 0.2, last_digit: 0.0625, period_s: 1.0 };
         let run = |seed| sensor.run(seed, 200, step(20.0, 4.0, 10.0));
         assert_eq!(run(3), run(3));
         assert_ne!(run(3), run(4));
-        assert!(
-            run(3)
-                .iter()
-                .all(|sample| (sample.value / 0.0625).fract() == 0.0)
-        );
+        assert!(run(3).iter().all(|sample| (sample.value / 0.0625).fract() == 0.0));
     }
 }

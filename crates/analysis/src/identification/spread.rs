@@ -83,10 +83,7 @@ impl StepNumbers {
         let residuals = Residuals::of(found);
         let covariance = residuals.covariance(found, sampling);
         let response = found.response();
-        let known = |value: f64, slopes: &[(usize, f64)]| Known {
-            value,
-            sigma: sigma_along(&covariance, slopes),
-        };
+        let known = |value: f64, slopes: &[(usize, f64)]| Known { value, sigma: sigma_along(&covariance, slopes) };
         let per_input = |input: f64| {
             let gain = response.step / input;
             known(gain, &[(row::STEP, 1.0 / input)])
@@ -103,15 +100,10 @@ impl StepNumbers {
         });
         Self {
             gain: input_step.map(per_input),
-            delay_s: found
-                .delay_s
-                .map(|delay| known(delay, &[(row::ONSET, 1.0)])),
+            delay_s: found.delay_s.map(|delay| known(delay, &[(row::ONSET, 1.0)])),
             onset_s: known(response.onset_s, &[(row::ONSET, 1.0)]),
             step: known(response.step, &[(row::STEP, 1.0)]),
-            end: known(
-                response.final_value(),
-                &[(row::START, 1.0), (row::STEP, 1.0)],
-            ),
+            end: known(response.final_value(), &[(row::START, 1.0), (row::STEP, 1.0)]),
             lags: lags.collect(),
             mean_lag_s: mean_lag(response, &covariance),
             residual_rms: residuals.rms,
@@ -126,9 +118,7 @@ fn share_slopes(j: usize, order: usize) -> Vec<(usize, f64)> {
     if j + 1 < order {
         return vec![(first + j, 1.0)];
     }
-    (0..order.saturating_sub(1))
-        .map(|free| (first + free, -1.0))
-        .collect()
+    (0..order.saturating_sub(1)).map(|free| (first + free, -1.0)).collect()
 }
 
 fn mean_lag(response: &StepResponse, covariance: &DMatrix<f64>) -> Known {
@@ -148,12 +138,8 @@ fn mean_lag(response: &StepResponse, covariance: &DMatrix<f64>) -> Known {
 
 /// The sigma of a function with these slopes by the rows of p.
 fn sigma_along(covariance: &DMatrix<f64>, slopes: &[(usize, f64)]) -> f64 {
-    let pairs = slopes
-        .iter()
-        .flat_map(|(i, by_i)| slopes.iter().map(move |(j, by_j)| (*i, *j, by_i * by_j)));
-    let variance: f64 = pairs
-        .filter_map(|(i, j, weight)| Some(weight * covariance.get((i, j))?))
-        .sum();
+    let pairs = slopes.iter().flat_map(|(i, by_i)| slopes.iter().map(move |(j, by_j)| (*i, *j, by_i * by_j)));
+    let variance: f64 = pairs.filter_map(|(i, j, weight)| Some(weight * covariance.get((i, j))?)).sum();
     variance.max(0.0).sqrt()
 }
 
@@ -172,11 +158,7 @@ impl Residuals {
         let response = found.response();
         let rows = row::LAGS + 2 * response.lags.len() - 1;
         let chosen = found.chosen();
-        let noise = Noise {
-            sigma: found.sigma,
-            model_share: chosen.model_share,
-            held_s: chosen.held_s,
-        };
+        let noise = Noise { sigma: found.sigma, model_share: chosen.model_share, held_s: chosen.held_s };
         let mut columns = Columns::new();
         let mut weighted = Vec::new();
         let mut slopes = Vec::new();
@@ -191,19 +173,12 @@ impl Residuals {
             let scale = white.weight.sqrt();
             errors.push(error);
             weighted.push(new * scale);
-            slopes.push(DVector::from_iterator(
-                rows,
-                by.into_iter().take(rows).map(|slope| slope * scale),
-            ));
+            slopes.push(DVector::from_iterator(rows, by.into_iter().take(rows).map(|slope| slope * scale)));
         }
         let squares = products(&errors, 0);
         Self {
             rms: (squares / errors.len().max(1) as f64).sqrt(),
-            rho_1: if squares > 0.0 {
-                products(&errors, 1) / squares
-            } else {
-                0.0
-            },
+            rho_1: if squares > 0.0 { products(&errors, 1) / squares } else { 0.0 },
             weighted,
             slopes,
         }
@@ -213,13 +188,8 @@ impl Residuals {
     fn covariance(&self, found: &IdentifiedStep, sampling: Sampling) -> DMatrix<f64> {
         let fit = &found.chosen().fit;
         let is_exact = found.chosen().model_share <= 0.0;
-        let of_readings =
-            sampling == Sampling::Differences && is_exact && self.rho_1 < DIFFERENCES_BELOW;
-        let own = if of_readings {
-            self.by_readings()
-        } else {
-            self.by_samples()
-        };
+        let of_readings = sampling == Sampling::Differences && is_exact && self.rho_1 < DIFFERENCES_BELOW;
+        let own = if of_readings { self.by_readings() } else { self.by_samples() };
         let own = own.unwrap_or_else(|| fit.covariance.clone());
         if is_exact {
             return own;
@@ -228,11 +198,7 @@ impl Residuals {
         // The larger variance of each number, with the correlations of (13).
         let ratios = DVector::from_fn(rows, |i, _| {
             let (ours, theirs) = (own[(i, i)], fit.covariance[(i, i)]);
-            if ours > 0.0 {
-                (theirs / ours).max(1.0).sqrt()
-            } else {
-                1.0
-            }
+            if ours > 0.0 { (theirs / ours).max(1.0).sqrt() } else { 1.0 }
         });
         DMatrix::from_fn(rows, rows, |i, j| own[(i, j)] * ratios[i] * ratios[j])
     }
@@ -242,8 +208,7 @@ impl Residuals {
         let count = self.weighted.len();
         let limit = 2.0 * ((count.max(2) as f64).log10() / count as f64).sqrt();
         let scale = products(&self.weighted, 0);
-        let is_white =
-            (1..=LOOKED_AT).all(|lag| products(&self.weighted, lag).abs() < limit * scale);
+        let is_white = (1..=LOOKED_AT).all(|lag| products(&self.weighted, lag).abs() < limit * scale);
         let lags = if is_white { 0 } else { window(count) };
         let bread = self.bread()?;
         between(&self.weighted, &self.slopes, lags).map(|between| &bread * between * &bread)
@@ -356,10 +321,7 @@ mod tests {
                 *sum += error * error / RUNS as f64;
             }
         }
-        println!(
-            "tau {:.2}, gain {:.2}, delay {:.2}",
-            sums[0], sums[1], sums[2]
-        );
+        println!("tau {:.2}, gain {:.2}, delay {:.2}", sums[0], sums[1], sums[2]);
         sums
     }
 
@@ -394,10 +356,7 @@ mod tests {
             samples
         };
         let found = normalised(draw, (0.1, 4.0, -16.0), Sampling::Readings);
-        assert!(
-            found.iter().all(|one| (0.3..2.0).contains(one)),
-            "{found:?}"
-        );
+        assert!(found.iter().all(|one| (0.3..2.0).contains(one)), "{found:?}");
     }
 
     #[test]
@@ -430,22 +389,15 @@ mod tests {
 
     #[test]
     fn the_mean_lag_and_the_last_share_follow_from_all_others() {
-        let sensor = SimulatedSensor {
-            lags: vec![(2.0, 0.4), (12.0, 0.6)],
-            sigma: 0.02,
-            last_digit: 0.0,
-            period_s: 0.1,
-        };
+        let sensor =
+            SimulatedSensor { lags: vec![(2.0, 0.4), (12.0, 0.6)], sigma: 0.02, last_digit: 0.0, period_s: 0.1 };
         let samples = sensor.run(3, 1_000, step(20.0, 4.0, ONSET_S));
         let sigma = noise_of(&samples).unwrap();
         let found = identify_step(&samples, &StepOptions::with_sigma(sigma)).unwrap();
         let numbers = StepNumbers::of(&found, None, Sampling::Readings);
         assert_eq!(numbers.lags.len(), 2);
         let mean_lag = numbers.mean_lag_s;
-        assert!(
-            (mean_lag.value - 8.0).abs() < 4.0 * mean_lag.sigma,
-            "{mean_lag:?}"
-        );
+        assert!((mean_lag.value - 8.0).abs() < 4.0 * mean_lag.sigma, "{mean_lag:?}");
         // Far better known than the slow lag, whose error the shares make good.
         assert!(mean_lag.sigma < 0.7 * numbers.lags[1].time_constant_sigma_s);
         let (first, last) = (numbers.lags[0], numbers.lags[1]);

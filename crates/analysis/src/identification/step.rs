@@ -48,13 +48,7 @@ impl StepOptions {
     /// Nothing is known but the noise.
     #[must_use]
     pub const fn with_sigma(sigma: f64) -> Self {
-        Self {
-            sigma,
-            order: Order::Chosen,
-            onset_s: None,
-            input_step: None,
-            end: None,
-        }
+        Self { sigma, order: Order::Chosen, onset_s: None, input_step: None, end: None }
     }
 }
 
@@ -180,9 +174,7 @@ pub enum StepError {
         value: f64,
     },
     /// Nothing moves.
-    #[error(
-        "no step: of {samples} usable samples no part moves by more than the noise of {sigma} explains"
-    )]
+    #[error("no step: of {samples} usable samples no part moves by more than the noise of {sigma} explains")]
     NoStep {
         /// Usable samples.
         samples: usize,
@@ -205,25 +197,16 @@ pub enum StepError {
 ///
 /// # Errors
 /// The options make no sense, or there is no step.
-pub fn identify_step(
-    samples: &[Sample],
-    options: &StepOptions,
-) -> Result<IdentifiedStep, StepError> {
+pub fn identify_step(samples: &[Sample], options: &StepOptions) -> Result<IdentifiedStep, StepError> {
     check(options)?;
-    let no_step = || StepError::NoStep {
-        samples: in_order(samples).len(),
-        sigma: options.sigma,
-    };
+    let no_step = || StepError::NoStep { samples: in_order(samples).len(), sigma: options.sigma };
     let found = find_step(samples, options.sigma).ok_or_else(no_step)?;
     let orders = match options.order {
         Order::Chosen => 1..=MAX_ORDER,
         Order::Fixed(order) => order..=order,
     };
     let work = Work::new(&found, options);
-    let mut candidates: Vec<Candidate> = orders
-        .clone()
-        .filter_map(|order| work.candidate(order))
-        .collect();
+    let mut candidates: Vec<Candidate> = orders.clone().filter_map(|order| work.candidate(order)).collect();
     work.judge(&mut candidates);
     let best = candidates
         .iter()
@@ -231,10 +214,7 @@ pub fn identify_step(
         .filter(|(index, candidate)| *index == 0 || IdentifiedStep::is_resolved(candidate))
         .min_by(|(_, a), (_, b)| a.criterion.total_cmp(&b.criterion));
     let Some((chosen, best)) = best else {
-        return Err(StepError::TooFew {
-            samples: work.moving,
-            order: *orders.start(),
-        });
+        return Err(StepError::TooFew { samples: work.moving, order: *orders.start() });
     };
     let response = &best.fit.response;
     let step = response.step;
@@ -280,11 +260,8 @@ const LOOSE_LN_LAG_SIGMA: f64 = 1.5;
 /// The onset is known to a few hundredths of the step's duration.
 const LOOSE_ONSET_SHARE: f64 = 0.03;
 /// Lags from which the fits begin, as shares of the duration: for each order close ones and distant ones.
-const FIRST_LAGS: [[&[f64]; 2]; MAX_ORDER] = [
-    [&[0.12], &[0.3]],
-    [&[0.04, 0.14], &[0.01, 0.15]],
-    [&[0.02, 0.06, 0.16], &[0.005, 0.04, 0.15]],
-];
+const FIRST_LAGS: [[&[f64]; 2]; MAX_ORDER] =
+    [[&[0.12], &[0.3]], [&[0.04, 0.14], &[0.01, 0.15]], [&[0.02, 0.06, 0.16], &[0.005, 0.04, 0.15]]];
 /// The end of a step is known to this share of it at best.
 const END_SHARE: f64 = 0.002;
 
@@ -305,10 +282,7 @@ impl<'a> Work<'a> {
         let last_s = found.samples.last().map_or(0.0, |sample| sample.at_s);
         let duration_s = last_s - found.onset_s;
         let step = (found.end - found.start).abs();
-        let known = |mean| Belief {
-            mean,
-            sigma: (END_SHARE * step).max(1e-12),
-        };
+        let known = |mean| Belief { mean, sigma: (END_SHARE * step).max(1e-12) };
         Self {
             found,
             sigma: options.sigma,
@@ -329,11 +303,7 @@ impl<'a> Work<'a> {
         let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         let residuals = self.residuals(&best.response);
         let (model_share, held_s) = self.model_error(&best.response, &residuals);
-        let noise = Noise {
-            sigma: self.sigma,
-            model_share,
-            held_s,
-        };
+        let noise = Noise { sigma: self.sigma, model_share, held_s };
         let prior = self.loose(starts[0])?;
         let honest = fit(&self.found.samples, &noise, &prior, &best.response).unwrap_or(best);
         let squares: f64 = residuals.iter().map(|e| e * e).sum();
@@ -352,9 +322,7 @@ impl<'a> Work<'a> {
         let noise = Noise::white(self.sigma);
         let mut found = fit(&self.found.samples, &noise, &prior, &guess)?;
         let mut sorted = found.response.clone();
-        sorted
-            .lags
-            .sort_by(|a, b| a.time_constant_s.total_cmp(&b.time_constant_s));
+        sorted.lags.sort_by(|a, b| a.time_constant_s.total_cmp(&b.time_constant_s));
         if sorted != found.response {
             found = fit(&self.found.samples, &noise, &prior, &sorted)?;
         }
@@ -364,15 +332,9 @@ impl<'a> Work<'a> {
     /// What is known next to nothing about.
     fn loose(&self, shares_of_duration: &[f64]) -> Option<Prior> {
         let order = shares_of_duration.len();
-        let ln_lag = |share: &f64| Belief {
-            mean: (share * self.duration_s).ln(),
-            sigma: LOOSE_LN_LAG_SIGMA,
-        };
+        let ln_lag = |share: &f64| Belief { mean: (share * self.duration_s).ln(), sigma: LOOSE_LN_LAG_SIGMA };
         let ln_lags: Vec<Belief> = shares_of_duration.iter().map(ln_lag).collect();
-        let share = Belief {
-            mean: 1.0 / order as f64,
-            sigma: LOOSE_SHARE_SIGMA,
-        };
+        let share = Belief { mean: 1.0 / order as f64, sigma: LOOSE_SHARE_SIGMA };
         Some(Prior {
             onset: Belief {
                 mean: self.found.onset_s,
@@ -388,9 +350,7 @@ impl<'a> Work<'a> {
     fn residuals(&self, response: &StepResponse) -> Vec<f64> {
         let moving = self.found.samples.iter();
         let moving = moving.filter(|sample| sample.at_s > self.found.onset_s);
-        moving
-            .map(|sample| sample.value - response.value_at(sample.at_s))
-            .collect()
+        moving.map(|sample| sample.value - response.value_at(sample.at_s)).collect()
     }
 
     /// delta and T in seconds, equation (8).
@@ -446,17 +406,9 @@ impl Held {
             .collect();
         let sum: f64 = common.iter().sum();
         let Some(&next) = common.first() else {
-            return Self {
-                model_variance: 0.0,
-                of_model: 1.0,
-                of_all: 1.0,
-            };
+            return Self { model_variance: 0.0, of_model: 1.0, of_all: 1.0 };
         };
-        Self {
-            model_variance: next,
-            of_model: 1.0 + 2.0 * sum / next,
-            of_all: 1.0 + 2.0 * sum / all,
-        }
+        Self { model_variance: next, of_model: 1.0 + 2.0 * sum / next, of_all: 1.0 + 2.0 * sum / all }
     }
 }
 

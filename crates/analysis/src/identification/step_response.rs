@@ -80,16 +80,8 @@ mod tests {
     use super::*;
 
     fn response() -> StepResponse {
-        let lag = |time_constant_s, share| Lag {
-            time_constant_s,
-            share,
-        };
-        StepResponse {
-            start: 20.0,
-            step: -16.0,
-            onset_s: 5.0,
-            lags: vec![lag(2.0, 0.25), lag(8.0, 0.75)],
-        }
+        let lag = |time_constant_s, share| Lag { time_constant_s, share };
+        StepResponse { start: 20.0, step: -16.0, onset_s: 5.0, lags: vec![lag(2.0, 0.25), lag(8.0, 0.75)] }
     }
 
     #[test]

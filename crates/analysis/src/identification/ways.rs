@@ -42,23 +42,14 @@ pub fn compare_ways(steps: &[(Way, Known)]) -> Option<WaysCompared> {
         mean(&own.map(|(_, known)| *known).collect::<Vec<_>>())
     };
     let (up, down) = (of(Way::Up)?, of(Way::Down)?);
-    Some(WaysCompared {
-        z: (up.value - down.value) / up.sigma.hypot(down.sigma),
-        up,
-        down,
-    })
+    Some(WaysCompared { z: (up.value - down.value) / up.sigma.hypot(down.sigma), up, down })
 }
 
 fn mean(all: &[Known]) -> Option<Known> {
     let weights: f64 = all.iter().map(|known| known.sigma.powi(-2)).sum();
-    let sum: f64 = all
-        .iter()
-        .map(|known| known.value * known.sigma.powi(-2))
-        .sum();
+    let sum: f64 = all.iter().map(|known| known.value * known.sigma.powi(-2)).sum();
     let value = sum / weights;
-    let off = all
-        .iter()
-        .map(|known| ((known.value - value) / known.sigma).powi(2));
+    let off = all.iter().map(|known| ((known.value - value) / known.sigma).powi(2));
     let scatter = off.sum::<f64>() / (all.len().max(2) - 1) as f64;
     let sigma = weights.sqrt().recip() * scatter.max(1.0).sqrt();
     (value.is_finite() && sigma > 0.0 && sigma.is_finite()).then_some(Known { value, sigma })
@@ -74,12 +65,9 @@ mod tests {
 
     #[test]
     fn ways_that_differ_are_told_apart_and_others_are_not() {
-        let found = compare_ways(&[
-            (Way::Up, known(2.0, 0.1)),
-            (Way::Down, known(2.5, 0.1)),
-            (Way::Up, known(2.1, 0.1)),
-        ])
-        .unwrap();
+        let found =
+            compare_ways(&[(Way::Up, known(2.0, 0.1)), (Way::Down, known(2.5, 0.1)), (Way::Up, known(2.1, 0.1))])
+                .unwrap();
         assert!((found.up.value - 2.05).abs() < 1e-12);
         assert!((found.up.sigma - 0.1 / 2.0_f64.sqrt()).abs() < 1e-12);
         assert!((found.z + 0.45 / 0.015_f64.sqrt()).abs() < 1e-9);

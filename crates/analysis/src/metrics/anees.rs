@@ -92,11 +92,7 @@ pub fn nees(error: [f64; 3], covariance: &[[f64; 3]; 3]) -> Result<f64, NeesErro
         whitened[row] = (error[row] - known) / factor[row][row];
     }
     let value: f64 = whitened.iter().map(|w| w * w).sum();
-    if value.is_finite() {
-        Ok(value)
-    } else {
-        Err(NeesError::NotFinite)
-    }
+    if value.is_finite() { Ok(value) } else { Err(NeesError::NotFinite) }
 }
 
 /// The lower triangular L with L L' = P.
@@ -147,37 +143,15 @@ mod tests {
     #[test]
     fn a_covariance_that_is_not_positive_definite_names_its_row() {
         let flat = [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        assert_eq!(
-            nees([0.0; 3], &flat),
-            Err(NeesError::NotPositiveDefinite { row: 1, pivot: 0.0 })
-        );
-        assert_eq!(
-            nees([0.0; 3], &[[f64::NAN; 3]; 3]),
-            Err(NeesError::NotFinite)
-        );
+        assert_eq!(nees([0.0; 3], &flat), Err(NeesError::NotPositiveDefinite { row: 1, pivot: 0.0 }));
+        assert_eq!(nees([0.0; 3], &[[f64::NAN; 3]; 3]), Err(NeesError::NotFinite));
     }
 
     #[test]
     fn broken_claims_are_counted_beside_the_mean() {
-        let sample = |covariance| PoseError {
-            dx_m: 3.0,
-            dy_m: 0.0,
-            heading_rad: Some(0.0),
-            covariance,
-        };
+        let sample = |covariance| PoseError { dx_m: 3.0, dy_m: 0.0, heading_rad: Some(0.0), covariance };
         let unit = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let outcome = anees(&[
-            sample(Some(unit)),
-            sample(Some([[0.0; 3]; 3])),
-            sample(None),
-        ]);
-        assert_eq!(
-            outcome,
-            Anees {
-                value: Some(3.0),
-                samples: 1,
-                refused: 1
-            }
-        );
+        let outcome = anees(&[sample(Some(unit)), sample(Some([[0.0; 3]; 3])), sample(None)]);
+        assert_eq!(outcome, Anees { value: Some(3.0), samples: 1, refused: 1 });
     }
 }

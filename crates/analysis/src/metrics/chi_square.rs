@@ -66,8 +66,7 @@ fn ln_gamma(z: f64) -> f64 {
     }
     let inverse = 1.0 / shifted;
     let square = inverse * inverse;
-    let correction =
-        inverse * (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)));
+    let correction = inverse * (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)));
     (shifted - 0.5) * shifted.ln() - shifted + TAU.ln() / 2.0 + correction - product.ln()
 }
 
@@ -98,10 +97,7 @@ mod tests {
             (0.975, 100, 129.561),
         ] {
             let value = quantile(probability, degrees_of_freedom).unwrap();
-            assert!(
-                (value - printed).abs() < 6e-4,
-                "{probability} {degrees_of_freedom}: {value}"
-            );
+            assert!((value - printed).abs() < 6e-4, "{probability} {degrees_of_freedom}: {value}");
         }
     }
 

@@ -106,10 +106,7 @@ mod tests {
     fn the_bands_for_20_50_and_100_runs_are_the_published_ones() {
         for (runs, low, high) in [(20, 0.67, 1.39), (50, 0.79, 1.24), (100, 0.85, 1.17)] {
             let band = ConsistencyBand::of_runs(runs).unwrap();
-            assert!(
-                (band.low - low).abs() < 0.006 && (band.high - high).abs() < 0.006,
-                "{runs}: {band:?}"
-            );
+            assert!((band.low - low).abs() < 0.006 && (band.high - high).abs() < 0.006, "{runs}: {band:?}");
         }
     }
 
@@ -125,14 +122,7 @@ mod tests {
 
     #[test]
     fn a_broken_covariance_is_never_called_consistent() {
-        let anees = Anees {
-            value: Some(1.0),
-            samples: 20,
-            refused: 1,
-        };
-        assert_eq!(
-            Consistency::of_anees(&anees, 20),
-            Consistency::OverConfident
-        );
+        let anees = Anees { value: Some(1.0), samples: 20, refused: 1 };
+        assert_eq!(Consistency::of_anees(&anees, 20), Consistency::OverConfident);
     }
 }

@@ -36,18 +36,10 @@ impl PoseError {
     pub fn of_estimate(estimate: &Estimate, truth: Pose<Arena>) -> Self {
         let error = Self::between(estimate.pose, truth);
         if !estimate.validity.heading {
-            return Self {
-                heading_rad: None,
-                ..error
-            };
+            return Self { heading_rad: None, ..error };
         }
-        let claimed = std::array::from_fn(|row| {
-            std::array::from_fn(|column| estimate.covariance[row][column])
-        });
-        Self {
-            covariance: Some(claimed),
-            ..error
-        }
+        let claimed = std::array::from_fn(|row| std::array::from_fn(|column| estimate.covariance[row][column]));
+        Self { covariance: Some(claimed), ..error }
     }
 
     /// The straight distance, in metres.
@@ -76,9 +68,5 @@ pub fn errors_of_estimates(estimates: &[Estimate], truth: &Track) -> Vec<PoseErr
 
 /// The errors of a track that claims no covariance, such as the brick's own odometry, at its own stamps.
 pub fn errors_of_track(track: &Track, truth: &Track) -> Vec<PoseError> {
-    track
-        .samples()
-        .iter()
-        .filter_map(|sample| Some(PoseError::between(sample.pose, truth.at(sample.stamp)?)))
-        .collect()
+    track.samples().iter().filter_map(|sample| Some(PoseError::between(sample.pose, truth.at(sample.stamp)?))).collect()
 }

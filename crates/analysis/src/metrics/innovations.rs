@@ -68,11 +68,7 @@ impl InnovationTest {
                     self.add_innovation(record);
                 }
             }
-            Verdict::TooOld
-            | Verdict::Malformed
-            | Verdict::Rebased
-            | Verdict::ResetTo
-            | Verdict::Unused => {}
+            Verdict::TooOld | Verdict::Malformed | Verdict::Rebased | Verdict::ResetTo | Verdict::Unused => {}
         }
     }
 
@@ -141,9 +137,7 @@ fn normalised(record: &FusionRecord) -> [Option<f64>; 3] {
     let components = normalised.iter_mut().zip(record.innovation).enumerate();
     for (component, (slot, innovation)) in components.take(record.degrees_of_freedom.into()) {
         let variance = variance(record, component);
-        *slot = (variance > 0.0)
-            .then(|| innovation / variance.sqrt())
-            .filter(|value| value.is_finite());
+        *slot = (variance > 0.0).then(|| innovation / variance.sqrt()).filter(|value| value.is_finite());
     }
     normalised
 }
@@ -151,9 +145,7 @@ fn normalised(record: &FusionRecord) -> [Option<f64>; 3] {
 /// The claimed variance of a component of an innovation, SI units squared; 0 where there is none.
 pub(crate) fn variance(record: &FusionRecord, component: usize) -> f64 {
     let row = record.innovation_covariance.get(component);
-    row.and_then(|row| row.get(component))
-        .copied()
-        .unwrap_or(0.0)
+    row.and_then(|row| row.get(component)).copied().unwrap_or(0.0)
 }
 
 fn find(mean: f64, band: ConsistencyBand) -> Finding {
@@ -263,10 +255,7 @@ impl fmt::Display for Judgement {
             let (how, cause) = if rho > 0.0 {
                 ("alike", "something slow is missing from the model")
             } else {
-                (
-                    "opposed",
-                    "the filter follows each observation too far, or two sources disagree",
-                )
+                ("opposed", "the filter follows each observation too far, or two sources disagree")
             };
             let bound = self.correlation_bound.unwrap_or(0.0);
             write!(
@@ -275,11 +264,7 @@ impl fmt::Display for Judgement {
             )?;
         }
         if let Some(share) = self.gated_share.filter(|_| self.has_many_gated()) {
-            write!(
-                f,
-                "; the gate turned {:.0} % away: outliers, or a noise that is set too small",
-                share * 100.0
-            )?;
+            write!(f, "; the gate turned {:.0} % away: outliers, or a noise that is set too small", share * 100.0)?;
         }
         Ok(())
     }
@@ -296,25 +281,17 @@ fn write_size(f: &mut fmt::Formatter<'_>, judgement: &Judgement) -> fmt::Result 
     let factor = mean.sqrt();
     match judgement.finding {
         Finding::TooFew | Finding::Consistent => {
-            write!(
-                f,
-                "{word}: NIS {mean:.2}, due {:.2} to {:.2}",
-                band.low, band.high
-            )
+            write!(f, "{word}: NIS {mean:.2}, due {:.2} to {:.2}", band.low, band.high)
         }
         Finding::Nearly => write!(
             f,
             "{word}: NIS {mean:.2} where 1 is due; its noise is right within {:.0} %",
             ((factor - 1.0).abs() * 100.0).ceil()
         ),
-        Finding::TooSure => write!(
-            f,
-            "{word}: NIS {mean:.2} where 1 is due; raise its noise {factor:.1} times"
-        ),
-        Finding::TooCareful => write!(
-            f,
-            "{word}: NIS {mean:.2} where 1 is due; lower its noise to {factor:.2} of what it is"
-        ),
+        Finding::TooSure => write!(f, "{word}: NIS {mean:.2} where 1 is due; raise its noise {factor:.1} times"),
+        Finding::TooCareful => {
+            write!(f, "{word}: NIS {mean:.2} where 1 is due; lower its noise to {factor:.2} of what it is")
+        }
     }
 }
 
@@ -367,10 +344,7 @@ mod tests {
         let judgement = judged(&sequence(2_000, 0.0), 1.0);
         assert_eq!(judgement.finding, Finding::Consistent, "{judgement}");
         assert!(!judgement.has_pattern() && judgement.tone() == Tone::Good);
-        assert!(
-            judgement.to_string().starts_with("consistent: NIS "),
-            "{judgement}"
-        );
+        assert!(judgement.to_string().starts_with("consistent: NIS "), "{judgement}");
     }
 
     #[test]
@@ -418,10 +392,7 @@ mod tests {
     #[test]
     fn few_say_nothing_and_a_busy_gate_is_told() {
         let judgement = judged(&sequence(8, 0.0), 0.1);
-        assert_eq!(
-            judgement.to_string(),
-            "too few to say: 8 degrees of freedom"
-        );
+        assert_eq!(judgement.to_string(), "too few to say: 8 degrees of freedom");
         assert_eq!(judgement.tone(), Tone::Open);
         assert_eq!(
             InnovationTest::default().judge().to_string(),
@@ -429,15 +400,8 @@ mod tests {
         );
         let mut test = InnovationTest::default();
         for (index, value) in sequence(400, 0.0).into_iter().enumerate() {
-            let verdict = if index % 10 == 0 {
-                Verdict::Gated
-            } else {
-                Verdict::Accepted
-            };
-            test.add(&FusionRecord {
-                verdict,
-                ..record(value, 1.0)
-            });
+            let verdict = if index % 10 == 0 { Verdict::Gated } else { Verdict::Accepted };
+            test.add(&FusionRecord { verdict, ..record(value, 1.0) });
         }
         let said = test.judge().to_string();
         assert!(said.contains("the gate turned 10 % away"), "{said}");
@@ -449,10 +413,7 @@ mod tests {
         let mut test = InnovationTest::default();
         test.add(&record(f64::NAN, 1.0));
         test.add(&record(1.0, 0.0));
-        test.add(&FusionRecord {
-            degrees_of_freedom: 0,
-            ..record(1.0, 1.0)
-        });
+        test.add(&FusionRecord { degrees_of_freedom: 0, ..record(1.0, 1.0) });
         assert_eq!(test.mean_nis_per_dof(), None);
         assert_eq!(test.correlation(), None);
     }

@@ -51,13 +51,5 @@ pub struct Metric {
 }
 
 /// Every metric. To add one: a file beside this one and a line here.
-pub const METRICS: &[Metric] = &[
-    position::RMS,
-    position::MAX,
-    position::END,
-    heading::RMS,
-    anees::ANEES,
-    nis::MEAN_NIS,
-    path::RMS,
-    path::MAX,
-];
+pub const METRICS: &[Metric] =
+    &[position::RMS, position::MAX, position::END, heading::RMS, anees::ANEES, nis::MEAN_NIS, path::RMS, path::MAX];

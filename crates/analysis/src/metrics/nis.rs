@@ -17,10 +17,7 @@ pub const MEAN_NIS: Metric = Metric {
     doc: "Normalised innovation squared of the used observations of all sensors, per degree of freedom; 1 is honest.",
     of: |evidence| {
         let nis_sum: f64 = evidence.tallies.iter().map(|tally| tally.nis_sum).sum();
-        let degrees_of_freedom = evidence
-            .tallies
-            .iter()
-            .map(|tally| tally.degrees_of_freedom);
+        let degrees_of_freedom = evidence.tallies.iter().map(|tally| tally.degrees_of_freedom);
         mean_per_degree(nis_sum, degrees_of_freedom.sum())
     },
 };
@@ -138,9 +135,7 @@ fn mean_per_degree(nis_sum: f64, degrees_of_freedom: u64) -> Option<f64> {
 
 /// Counts one record with its sensor; tallies stand in the order in which their sensors were heard first.
 pub fn count_in(tallies: &mut Vec<SourceTally>, record: &FusionRecord) {
-    let known = tallies
-        .iter_mut()
-        .find(|tally| tally.sensor == record.sensor);
+    let known = tallies.iter_mut().find(|tally| tally.sensor == record.sensor);
     if let Some(tally) = known {
         tally.add(record);
     } else {
@@ -154,10 +149,7 @@ pub fn count_in(tallies: &mut Vec<SourceTally>, record: &FusionRecord) {
 pub fn tally<'a>(records: impl IntoIterator<Item = &'a FusionRecord>) -> Vec<SourceTally> {
     let mut tallies = BTreeMap::new();
     for record in records {
-        tallies
-            .entry(record.sensor)
-            .or_insert(SourceTally::new(record.sensor))
-            .add(record);
+        tallies.entry(record.sensor).or_insert(SourceTally::new(record.sensor)).add(record);
     }
     tallies.into_values().collect()
 }
@@ -191,10 +183,7 @@ mod tests {
         tally.add(&record(SensorId::CAMERA, Verdict::TooOld, 0.0));
         tally.add(&record(SensorId::CAMERA, Verdict::Malformed, f64::NAN));
         assert_eq!(tally.mean_nis_per_dof(), Some(1.5));
-        assert_eq!(
-            (tally.used, tally.gated, tally.too_old, tally.malformed),
-            (2, 1, 1, 1)
-        );
+        assert_eq!((tally.used, tally.gated, tally.too_old, tally.malformed), (2, 1, 1, 1));
         assert_eq!(tally.gated_share(), Some(1.0 / 3.0));
     }
 
@@ -214,10 +203,7 @@ mod tests {
             record(SensorId::CAMERA, Verdict::ResetTo, 2.0),
         ];
         let tallies = tally(&records);
-        assert_eq!(
-            tallies.iter().map(|tally| tally.sensor).collect::<Vec<_>>(),
-            [SensorId::WHEELS, SensorId::CAMERA]
-        );
+        assert_eq!(tallies.iter().map(|tally| tally.sensor).collect::<Vec<_>>(), [SensorId::WHEELS, SensorId::CAMERA]);
         assert_eq!((tallies[0].rebased, tallies[1].reset_to), (1, 1));
     }
 }

@@ -46,18 +46,11 @@ pub fn path_error(positions: &[Point2<Arena>], path: &[Point2<Arena>]) -> PathEr
 /// NaN where the position is not finite or the path has no finite vertex. Vertices that are not finite are left out.
 pub fn deviations_from_path(positions: &[Point2<Arena>], path: &[Point2<Arena>]) -> Vec<f64> {
     let path: Vec<Point2<Arena>> = path.iter().copied().filter(is_finite).collect();
-    positions
-        .iter()
-        .map(|position| deviation_m(*position, &path).unwrap_or(f64::NAN))
-        .collect()
+    positions.iter().map(|position| deviation_m(*position, &path).unwrap_or(f64::NAN)).collect()
 }
 
 fn summarise_deviations(deviations_m: &[f64]) -> PathError {
-    let finite: Vec<f64> = deviations_m
-        .iter()
-        .copied()
-        .filter(|deviation| deviation.is_finite())
-        .collect();
+    let finite: Vec<f64> = deviations_m.iter().copied().filter(|deviation| deviation.is_finite()).collect();
     PathError {
         samples: finite.len(),
         dropped: deviations_m.len() - finite.len(),
@@ -106,12 +99,7 @@ mod tests {
     #[test]
     fn the_nearest_leg_counts_and_ends_are_round() {
         let path = [point(0.0, 0.0), point(3.0, 0.0), point(3.0, 3.0)];
-        let positions = [
-            point(1.0, 0.3),
-            point(3.4, 2.0),
-            point(-3.0, -4.0),
-            point(2.9, 1.0),
-        ];
+        let positions = [point(1.0, 0.3), point(3.4, 2.0), point(-3.0, -4.0), point(2.9, 1.0)];
         let deviations = deviations_from_path(&positions, &path);
         for (deviation, by_hand) in deviations.iter().zip([0.3, 0.4, 5.0, 0.1]) {
             assert!((deviation - by_hand).abs() < 1e-12);
@@ -123,10 +111,7 @@ mod tests {
         let path = [point(0.0, 0.0), point(10.0, 0.0)];
         let positions = [point(1.0, 3.0), point(2.0, -4.0), point(f64::NAN, 0.0)];
         let error = path_error(&positions, &path);
-        assert_eq!(
-            (error.samples, error.dropped, error.max_m),
-            (2, 1, Some(4.0))
-        );
+        assert_eq!((error.samples, error.dropped, error.max_m), (2, 1, Some(4.0)));
         assert!((error.rms_m.unwrap() - 12.5_f64.sqrt()).abs() < 1e-12);
     }
 

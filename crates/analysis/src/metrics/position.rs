@@ -44,9 +44,5 @@ pub fn end_m(errors: &[PoseError]) -> Option<f64> {
 }
 
 fn distances_m(errors: &[PoseError]) -> Vec<f64> {
-    errors
-        .iter()
-        .filter(|error| error.is_finite())
-        .map(PoseError::position_m)
-        .collect()
+    errors.iter().filter(|error| error.is_finite()).map(PoseError::position_m).collect()
 }

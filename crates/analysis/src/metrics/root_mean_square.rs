@@ -2,9 +2,7 @@
 
 /// The root of the mean square; `None` of nothing. Scaled by the largest value, so that squares do not overflow.
 pub(super) fn root_mean_square(values: &[f64]) -> Option<f64> {
-    let largest = values
-        .iter()
-        .fold(0.0_f64, |most, value| most.max(value.abs()));
+    let largest = values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     if values.is_empty() || largest == 0.0 {
         return values.first().map(|_| 0.0);
     }

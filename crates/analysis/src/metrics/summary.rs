@@ -29,11 +29,7 @@ pub struct ErrorSummary {
 impl ErrorSummary {
     /// The verdict on the claimed covariance, over so many independent runs (1 for a single run).
     pub fn consistency(&self, runs: u64) -> Consistency {
-        let outcome = Anees {
-            value: self.anees,
-            samples: self.samples,
-            refused: self.refused_covariances,
-        };
+        let outcome = Anees { value: self.anees, samples: self.samples, refused: self.refused_covariances };
         Consistency::of_anees(&outcome, runs)
     }
 }
@@ -80,12 +76,7 @@ mod tests {
     use super::*;
 
     fn error(dx_m: f64, dy_m: f64, heading_rad: Option<f64>) -> PoseError {
-        PoseError {
-            dx_m,
-            dy_m,
-            heading_rad,
-            covariance: None,
-        }
+        PoseError { dx_m, dy_m, heading_rad, covariance: None }
     }
 
     #[test]

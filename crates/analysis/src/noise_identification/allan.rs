@@ -46,11 +46,7 @@ fn point(angles: &[f64], m: usize, dt_s: f64) -> AllanPoint {
     let (sum, count) = second.fold((0.0, 0.0), |(sum, count), d| (sum + d * d, count + 1.0));
     let deviation = (sum / (2.0 * tau_s * tau_s * count)).sqrt();
     let averages = angles.len() as f64 / m as f64;
-    AllanPoint {
-        tau_s,
-        deviation,
-        sigma: deviation / (2.0 * (averages - 1.0)).sqrt(),
-    }
+    AllanPoint { tau_s, deviation, sigma: deviation / (2.0 * (averages - 1.0)).sqrt() }
 }
 
 #[cfg(test)]
@@ -59,9 +55,7 @@ mod tests {
 
     #[test]
     fn alternating_rates_have_the_deviation_that_the_definition_gives() {
-        let rates: Vec<f64> = (0..100)
-            .map(|i| if i % 2 == 0 { 1.0 } else { -1.0 })
-            .collect();
+        let rates: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let points = allan_deviation(&rates, 0.1);
         // Neighbours differ by 2: sqrt(4 / 2). Averages over two samples are all equal.
         assert!((points[0].deviation - 2.0_f64.sqrt()).abs() < 1e-9);

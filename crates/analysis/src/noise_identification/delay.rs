@@ -71,23 +71,15 @@ const LEAST_CORRELATION: f64 = 0.5;
 ///
 /// # Errors
 /// [`DelayError`].
-pub fn find_delay(
-    levels: &Levels,
-    sightings: &[Sighting],
-    search: &DelaySearch,
-) -> Result<Delay, DelayError> {
-    let is_range =
-        search.from_s.is_finite() && search.to_s.is_finite() && search.from_s < search.to_s;
+pub fn find_delay(levels: &Levels, sightings: &[Sighting], search: &DelaySearch) -> Result<Delay, DelayError> {
+    let is_range = search.from_s.is_finite() && search.to_s.is_finite() && search.from_s < search.to_s;
     if !is_range {
         return Err(DelayError::NoRange);
     }
     let seen = Seen::of(levels, sightings, search)?;
     let points = ((search.to_s - search.from_s) / GRID_S).ceil() as u32;
-    let grid = (0..=points)
-        .map(|i| search.from_s + (search.to_s - search.from_s) * f64::from(i) / f64::from(points));
-    let curve: Vec<(f64, f64)> = grid
-        .map(|delay_s| (delay_s, seen.correlation(delay_s)))
-        .collect();
+    let grid = (0..=points).map(|i| search.from_s + (search.to_s - search.from_s) * f64::from(i) / f64::from(points));
+    let curve: Vec<(f64, f64)> = grid.map(|delay_s| (delay_s, seen.correlation(delay_s))).collect();
     let best = curve.iter().max_by(|a, b| a.1.total_cmp(&b.1)).copied();
     let (coarse_s, correlation) = best.unwrap_or_default();
     if correlation < LEAST_CORRELATION {
@@ -116,11 +108,7 @@ struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    fn of(
-        levels: &'a Levels,
-        sightings: &[Sighting],
-        search: &DelaySearch,
-    ) -> Result<Self, DelayError> {
+    fn of(levels: &'a Levels, sightings: &[Sighting], search: &DelaySearch) -> Result<Self, DelayError> {
         let (first_s, last_s) = levels.span_s().ok_or(DelayError::TooFew(0))?;
         let from_s = first_s + search.to_s.max(0.0) + SLOPE_S;
         let until_s = last_s + search.from_s.min(0.0) - SLOPE_S;
@@ -136,24 +124,13 @@ impl<'a> Seen<'a> {
         if used.len() < LEAST_SIGHTINGS {
             return Err(DelayError::TooFew(used.len()));
         }
-        let headings: Option<Vec<f64>> = used
-            .iter()
-            .map(|sighting| sighting.heading_rad.filter(|rad| rad.is_finite()))
-            .collect();
-        let of = if headings.is_some() {
-            Of::Turn
-        } else {
-            Of::Path
-        };
+        let headings: Option<Vec<f64>> =
+            used.iter().map(|sighting| sighting.heading_rad.filter(|rad| rad.is_finite())).collect();
+        let of = if headings.is_some() { Of::Turn } else { Of::Path };
         let steps: Vec<f64> = match headings {
             Some(headings) => headings
                 .windows(2)
-                .map(|pair| {
-                    pair.iter()
-                        .copied()
-                        .reduce(|a, b| wrap_rad(b - a))
-                        .unwrap_or(0.0)
-                })
+                .map(|pair| pair.iter().copied().reduce(|a, b| wrap_rad(b - a)).unwrap_or(0.0))
                 .collect(),
             None => used
                 .iter()
@@ -167,12 +144,7 @@ impl<'a> Seen<'a> {
             level += step;
             level
         }));
-        Ok(Self {
-            levels,
-            of,
-            at_s: used.iter().map(|sighting| sighting.at_s).collect(),
-            c: without_mean(&c),
-        })
+        Ok(Self { levels, of, at_s: used.iter().map(|sighting| sighting.at_s).collect(), c: without_mean(&c) })
     }
 
     /// What the wheels counted so much earlier, less its moving mean.
@@ -184,11 +156,7 @@ impl<'a> Seen<'a> {
     fn correlation(&self, delay_s: f64) -> f64 {
         let e = self.e(delay_s);
         let both = dot(&e, &e) * dot(&self.c, &self.c);
-        if both > 0.0 {
-            dot(&e, &self.c) / both.sqrt()
-        } else {
-            0.0
-        }
+        if both > 0.0 { dot(&e, &self.c) / both.sqrt() } else { 0.0 }
     }
 
     fn refined(&self, coarse_s: f64) -> f64 {
@@ -215,20 +183,10 @@ impl<'a> Seen<'a> {
             .collect();
         let g = dot(&e, &self.c) / dot(&e, &e);
         let share = dot(&slope, &e) / dot(&e, &e);
-        let scores: Vec<f64> = slope
-            .iter()
-            .zip(&e)
-            .zip(&self.c)
-            .map(|((slope, e), c)| (slope - share * e) * (c - g * e))
-            .collect();
+        let scores: Vec<f64> =
+            slope.iter().zip(&e).zip(&self.c).map(|((slope, e), c)| (slope - share * e) * (c - g * e)).collect();
         let own = dot(&slope, &slope) - share * dot(&slope, &e);
-        let lagged = |lag: usize| {
-            scores
-                .iter()
-                .zip(scores.iter().skip(lag))
-                .map(|(a, b)| a * b)
-                .sum::<f64>()
-        };
+        let lagged = |lag: usize| scores.iter().zip(scores.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>();
         // Bartlett's weights keep the sum above zero.
         let weight = |lag: usize| 2.0 * (1.0 - lag as f64 / (LAGS + 1) as f64);
         let variance = lagged(0) + (1..=LAGS).map(|lag| weight(lag) * lagged(lag)).sum::<f64>();
@@ -243,11 +201,7 @@ fn without_mean(values: &[f64]) -> Vec<f64> {
         let window = values.get(from..until).unwrap_or(&[]);
         window.iter().sum::<f64>() / window.len() as f64
     };
-    values
-        .iter()
-        .enumerate()
-        .map(|(i, value)| value - about(i))
-        .collect()
+    values.iter().enumerate().map(|(i, value)| value - about(i)).collect()
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -24,27 +24,22 @@ pub struct Sighting {
 /// From the wheels' counts, or a foreign odometer where there are none.
 #[must_use]
 pub fn levels_of(observations: &[Observation], geometry: &DriveGeometry) -> Levels {
-    let has_wheels = observations
-        .iter()
-        .any(|observation| matches!(observation.observed, Observed::WheelAngles { .. }));
+    let has_wheels =
+        observations.iter().any(|observation| matches!(observation.observed, Observed::WheelAngles { .. }));
     let mut levels = Levels::default();
     let mut last: Option<[f64; 3]> = None;
     for observation in observations {
         let at_s = observation.stamp.as_secs_f64();
         if let Observed::WheelAngles { left, right } = observation.observed {
-            let (left_m, right_m) = (
-                left.0 * geometry.left_wheel_radius.0,
-                right.0 * geometry.right_wheel_radius.0,
-            );
+            let (left_m, right_m) = (left.0 * geometry.left_wheel_radius.0, right.0 * geometry.right_wheel_radius.0);
             let turn_rad = (right_m - left_m) / geometry.track_width.0;
             levels.push([at_s, turn_rad, 0.5 * (left_m + right_m)]);
         } else if let Observed::OdometerPose(pose) = observation.observed
             && !has_wheels
         {
             let [x, y, heading] = [pose.x.0, pose.y.0, pose.heading.rad()];
-            let (turn, path) = last.map_or((0.0, 0.0), |[x0, y0, heading0]| {
-                (wrap_rad(heading - heading0), (x - x0).hypot(y - y0))
-            });
+            let (turn, path) =
+                last.map_or((0.0, 0.0), |[x0, y0, heading0]| (wrap_rad(heading - heading0), (x - x0).hypot(y - y0)));
             let [_, turned, driven] = levels.samples.last().copied().unwrap_or_default();
             levels.push([at_s, turned + turn, driven + path]);
             last = Some([x, y, heading]);
@@ -101,10 +96,7 @@ mod tests {
             sensor: SensorId::WHEELS,
             stamp: Stamp::from_secs_f64(at_s),
             stamp_sigma: Span::ZERO,
-            observed: Observed::WheelAngles {
-                left: Radians(left),
-                right: Radians(right),
-            },
+            observed: Observed::WheelAngles { left: Radians(left), right: Radians(right) },
         }
     }
 
@@ -116,12 +108,8 @@ mod tests {
             track_width: Meters(0.1),
             tick: Radians(0.01),
         };
-        let observations = [
-            wheels(0.0, 0.0, 0.0),
-            wheels(1.0, 1.0, 2.0),
-            wheels(0.5, 9.0, 9.0),
-            wheels(2.0, f64::NAN, 0.0),
-        ];
+        let observations =
+            [wheels(0.0, 0.0, 0.0), wheels(1.0, 1.0, 2.0), wheels(0.5, 9.0, 9.0), wheels(2.0, f64::NAN, 0.0)];
         let levels = levels_of(&observations, &geometry);
         assert_eq!(levels.span_s(), Some((0.0, 1.0)));
         assert!((levels.at(0.5, Of::Turn).unwrap() - 0.15).abs() < 1e-12);

@@ -36,18 +36,12 @@ impl RestRecord {
         let interval_s = usual_interval_s(stretches).ok_or(RestError::NotFinite)?;
         let longest_s = SILENCE_S.max(SILENCE_INTERVALS * interval_s);
         let is_on = |before: &(f64, f64), after: &(f64, f64)| after.0 - before.0 <= longest_s;
-        let mut record = Self {
-            stretches: Vec::new(),
-            interval_s,
-            silences: Vec::new(),
-        };
+        let mut record = Self { stretches: Vec::new(), interval_s, silences: Vec::new() };
         for stretch in stretches {
             let mut before_s = None;
             for part in stretch.chunk_by(is_on) {
                 let (first, last) = (part.first(), part.last());
-                let silence = first
-                    .zip(before_s)
-                    .map(|(first, before_s)| first.0 - before_s);
+                let silence = first.zip(before_s).map(|(first, before_s)| first.0 - before_s);
                 record.silences.extend(silence);
                 before_s = last.map(|last| last.0);
                 record.stretches.push(part.to_vec());

@@ -47,11 +47,7 @@ impl RestNoise {
     /// Where rounding hides all other noise, the largest that it can be.
     #[must_use]
     pub const fn beside_rounding(&self) -> f64 {
-        if self.white > 0.0 {
-            self.white
-        } else {
-            self.white_sigma
-        }
+        if self.white > 0.0 { self.white } else { self.white_sigma }
     }
 }
 
@@ -65,9 +61,7 @@ pub enum RestError {
     #[error("the samples hold a number that is not finite, or no time passes between them")]
     NotFinite,
     /// Every sample is the same.
-    #[error(
-        "every sample is the same: the sensor's step hides its noise, which is below half a step"
-    )]
+    #[error("every sample is the same: the sensor's step hides its noise, which is below half a step")]
     Silent,
 }
 
@@ -108,11 +102,7 @@ fn without_rounding(found: &WhiteAndWalk, quantum: Option<f64>) -> (f64, f64) {
     let rounding2 = quantum.map_or(0.0, |quantum| quantum * quantum / 12.0);
     let white = (found.white * found.white - rounding2).max(0.0).sqrt();
     // d white = total / white d total
-    let sigma = if white > 0.0 {
-        found.white_sigma * found.white / white
-    } else {
-        found.white
-    };
+    let sigma = if white > 0.0 { found.white_sigma * found.white / white } else { found.white };
     (white, sigma)
 }
 
@@ -129,9 +119,7 @@ mod tests {
 
     fn normal(count: usize, seed: u64) -> Vec<f64> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
-        (0..count)
-            .map(|_| StandardNormal.sample(&mut rng))
-            .collect()
+        (0..count).map(|_| StandardNormal.sample(&mut rng)).collect()
     }
 
     /// Twenty a second.
@@ -143,17 +131,11 @@ mod tests {
 
     #[test]
     fn rounding_is_seen_and_taken_out() {
-        let rounded: Vec<f64> = normal(20_000, 5)
-            .iter()
-            .map(|n| (0.3 + 0.6 * n).round())
-            .collect();
+        let rounded: Vec<f64> = normal(20_000, 5).iter().map(|n| (0.3 + 0.6 * n).round()).collect();
         let found = found(&rounded).unwrap();
         let step = found.quantum.unwrap();
         assert!((step - 1.0).abs() < 1e-9, "{step}");
-        assert!(
-            (found.white - 0.6).abs() < 3.0 * found.white_sigma + 0.005,
-            "{found:?}"
-        );
+        assert!((found.white - 0.6).abs() < 3.0 * found.white_sigma + 0.005, "{found:?}");
         assert_eq!(found.beside_rounding(), found.white);
         assert!((found.total * found.total - 0.36 - 1.0 / 12.0).abs() < 0.02);
         assert!((found.bias - 0.3).abs() < 3.0 * found.bias_sigma);
@@ -165,10 +147,7 @@ mod tests {
     #[test]
     fn a_bias_within_a_step_is_known_to_no_better_than_the_step() {
         // 0.12 steps of noise on a bias of 0.3 steps: five readings of a hundred are not zero.
-        let rounded: Vec<f64> = normal(20_000, 8)
-            .iter()
-            .map(|n| (0.3 + 0.12 * n).round())
-            .collect();
+        let rounded: Vec<f64> = normal(20_000, 8).iter().map(|n| (0.3 + 0.12 * n).round()).collect();
         let found = found(&rounded).unwrap();
         assert!((found.bias - 0.3).abs() > 0.15, "{found:?}");
         assert!((found.bias - 0.3).abs() < 2.0 * found.bias_sigma);

@@ -35,15 +35,9 @@ fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
     let values: Vec<&[f64]> = values.collect();
     let ends = |value: &[f64]| Some((*value.first()?, *value.last()?));
     let ends: Vec<(f64, f64)> = values.iter().filter_map(|value| ends(value)).collect();
-    let distances: Vec<f64> = ends
-        .windows(2)
-        .filter_map(|pair| Some(pair.last()?.0 - pair.first()?.1))
-        .collect();
+    let distances: Vec<f64> = ends.windows(2).filter_map(|pair| Some(pair.last()?.0 - pair.first()?.1)).collect();
     let smallest = distances.iter().copied().min_by(f64::total_cmp)?;
-    let widest = ends
-        .iter()
-        .map(|(low, high)| high - low)
-        .fold(0.0, f64::max);
+    let widest = ends.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
     let is_whole = |distance: &f64| {
         let steps = distance / smallest;
         (steps - steps.round()).abs() <= SAME_STEP * steps.max(1.0)
@@ -66,9 +60,7 @@ fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
 fn slope_through(counts: &[f64], values: &[&[f64]]) -> Option<f64> {
     let all = || counts.iter().zip(values);
     let readings: f64 = values.iter().map(|value| value.len() as f64).sum();
-    let mean = |of: &dyn Fn(f64, &[f64]) -> f64| {
-        all().map(|(count, value)| of(*count, value)).sum::<f64>() / readings
-    };
+    let mean = |of: &dyn Fn(f64, &[f64]) -> f64| all().map(|(count, value)| of(*count, value)).sum::<f64>() / readings;
     let count = mean(&|count, value| count * value.len() as f64);
     let reading = mean(&|_, value| value.iter().sum());
     let along = mean(&|at, value| (at - count).powi(2) * value.len() as f64);
@@ -100,11 +92,7 @@ mod tests {
         let found = step_of(&readings).unwrap();
         assert!((found / step - 1.0).abs() < 0.01, "{found}");
         // Two values alone may be two biases: then the unit of the link is all that is known.
-        let two: Vec<f64> = readings
-            .iter()
-            .copied()
-            .filter(|reading| *reading < 1.5 * step)
-            .collect();
+        let two: Vec<f64> = readings.iter().copied().filter(|reading| *reading < 1.5 * step).collect();
         let found = step_of(&two).unwrap();
         assert!((found - 2e-5).abs() < 1e-9, "{found}");
         // What is fine all over has no step.

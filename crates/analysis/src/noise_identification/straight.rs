@@ -55,16 +55,8 @@ pub fn noise_of_straight(travel: &[(f64, f64)]) -> Result<StraightNoise, Straigh
     let deviations = about_a_line(steady);
     let n = deviations.len() as f64;
     let squares: f64 = deviations.iter().map(|d| d * d).sum();
-    let products: f64 = deviations
-        .iter()
-        .zip(deviations.iter().skip(1))
-        .map(|(a, b)| a * b)
-        .sum();
-    let rho_1 = if squares > 0.0 {
-        products / squares
-    } else {
-        0.0
-    };
+    let products: f64 = deviations.iter().zip(deviations.iter().skip(1)).map(|(a, b)| a * b).sum();
+    let rho_1 = if squares > 0.0 { products / squares } else { 0.0 };
     let sigma = (squares / (n - 2.0)).sqrt();
     Ok(StraightNoise {
         samples: steady.len(),
@@ -88,25 +80,13 @@ pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> 
 
 /// The longest stretch at a steady speed, and where it begins.
 fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
-    let means: Vec<f64> = speeds
-        .windows(MEAN_OVER)
-        .map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64)
-        .collect();
+    let means: Vec<f64> =
+        speeds.windows(MEAN_OVER).map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64).collect();
     // Rest does not count: a robot may stand for longer than it drives.
-    let fastest = means
-        .iter()
-        .fold(0.0_f64, |most, mean| most.max(mean.abs()));
-    let mut moving: Vec<f64> = means
-        .iter()
-        .copied()
-        .filter(|mean| mean.abs() > 0.5 * fastest)
-        .collect();
+    let fastest = means.iter().fold(0.0_f64, |most, mean| most.max(mean.abs()));
+    let mut moving: Vec<f64> = means.iter().copied().filter(|mean| mean.abs() > 0.5 * fastest).collect();
     moving.sort_by(f64::total_cmp);
-    let Some(median) = moving
-        .get(moving.len() / 2)
-        .copied()
-        .filter(|_| fastest > 0.0)
-    else {
+    let Some(median) = moving.get(moving.len() / 2).copied().filter(|_| fastest > 0.0) else {
         return (0, &[]);
     };
     let (mut best, mut start) = ((0, 0), None);
@@ -123,12 +103,7 @@ fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
     if count == 0 {
         return (0, &[]);
     }
-    (
-        first,
-        speeds
-            .get(first..first + count + MEAN_OVER - 1)
-            .unwrap_or(&[]),
-    )
+    (first, speeds.get(first..first + count + MEAN_OVER - 1).unwrap_or(&[]))
 }
 
 /// Deviations from the least-squares line over the index.
@@ -136,12 +111,7 @@ fn about_a_line(values: &[f64]) -> Vec<f64> {
     let n = values.len() as f64;
     let middle = (n - 1.0) / 2.0;
     let mean = values.iter().sum::<f64>() / n;
-    let indexed = || {
-        values
-            .iter()
-            .enumerate()
-            .map(|(i, value)| (i as f64 - middle, value - mean))
-    };
+    let indexed = || values.iter().enumerate().map(|(i, value)| (i as f64 - middle, value - mean));
     let (xy, xx) = indexed().fold((0.0, 0.0), |(xy, xx), (x, y)| (xy + x * y, xx + x * x));
     let slope = if xx > 0.0 { xy / xx } else { 0.0 };
     indexed().map(|(x, y)| y - slope * x).collect()
@@ -158,11 +128,7 @@ mod tests {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
         let interval = |i: usize| {
             let noise: f64 = StandardNormal.sample(&mut rng);
-            let speed = if i < 50 {
-                0.0
-            } else {
-                0.2 + 1e-5 * i as f64 + 0.01 * noise
-            };
+            let speed = if i < 50 { 0.0 } else { 0.2 + 1e-5 * i as f64 + 0.01 * noise };
             (0.05, 0.05 * speed)
         };
         (0..count).map(interval).collect()
@@ -174,10 +140,7 @@ mod tests {
             let found = noise_of_straight(&run(850, seed)).unwrap();
             let off = (found.sigma_m_per_s - 0.01) / found.sigma_sigma_m_per_s;
             assert!(off.abs() < 3.0, "{seed}: {found:?}");
-            assert!(
-                found.from > 40 && found.samples > 750 && found.rho_1.abs() < 0.12,
-                "{found:?}"
-            );
+            assert!(found.from > 40 && found.samples > 750 && found.rho_1.abs() < 0.12, "{found:?}");
         }
     }
 
@@ -185,34 +148,17 @@ mod tests {
     fn rounding_makes_successive_speeds_differ_the_opposite_way() {
         // 2.5 counts an interval: 2, 3, 2, 3 and so on.
         let counts = |i: usize| (2.5 * i as f64).floor();
-        let travel: Vec<_> = (0..200)
-            .map(|i| (0.05, 0.001 * (counts(i + 1) - counts(i))))
-            .collect();
+        let travel: Vec<_> = (0..200).map(|i| (0.05, 0.001 * (counts(i + 1) - counts(i)))).collect();
         let found = noise_of_straight(&travel).unwrap();
-        assert!(
-            (found.sigma_m_per_s - 0.5 * 0.001 / 0.05).abs() < 2e-4,
-            "{found:?}"
-        );
+        assert!((found.sigma_m_per_s - 0.5 * 0.001 / 0.05).abs() < 2e-4, "{found:?}");
         assert!(found.rho_1 < -0.95);
     }
 
     #[test]
     fn what_tells_nothing_says_why() {
-        assert_eq!(
-            noise_of_straight(&[(0.05, 0.0); 100]),
-            Err(StraightError::TooShort(0))
-        );
-        assert_eq!(
-            noise_of_straight(&[(0.05, 0.01); 15]),
-            Err(StraightError::TooShort(15))
-        );
-        assert_eq!(
-            noise_of_straight(&[(0.0, 0.01); 100]),
-            Err(StraightError::NotFinite)
-        );
-        assert_eq!(
-            noise_of_straight(&[(0.05, f64::NAN); 100]),
-            Err(StraightError::NotFinite)
-        );
+        assert_eq!(noise_of_straight(&[(0.05, 0.0); 100]), Err(StraightError::TooShort(0)));
+        assert_eq!(noise_of_straight(&[(0.05, 0.01); 15]), Err(StraightError::TooShort(15)));
+        assert_eq!(noise_of_straight(&[(0.0, 0.01); 100]), Err(StraightError::NotFinite));
+        assert_eq!(noise_of_straight(&[(0.05, f64::NAN); 100]), Err(StraightError::NotFinite));
     }
 }

@@ -36,11 +36,8 @@ const LEAST_GAIN: f64 = 1.92;
 /// Tells them apart; `None` for fewer than ten samples that have one before them, or no noise at all.
 #[must_use]
 pub fn white_and_walk(record: &RestRecord) -> Option<WhiteAndWalk> {
-    let stretches: Vec<Level> = record
-        .stretches()
-        .iter()
-        .filter_map(|stretch| Level::of(stretch, record.interval_s()))
-        .collect();
+    let stretches: Vec<Level> =
+        record.stretches().iter().filter_map(|stretch| Level::of(stretch, record.interval_s())).collect();
     let samples = stretches.as_slice();
     let n = followers(samples);
     if n < 10.0 {
@@ -49,8 +46,7 @@ pub fn white_and_walk(record: &RestRecord) -> Option<WhiteAndWalk> {
     let ln_l = best_ratio(samples);
     let (value, white2) = profile(samples, ln_l)?;
     let near = |by: f64| profile(samples, ln_l + by).map(|(value, _)| value);
-    let curvature =
-        (2.0 * value - near(CURVATURE_STEP)? - near(-CURVATURE_STEP)?) / CURVATURE_STEP.powi(2);
+    let curvature = (2.0 * value - near(CURVATURE_STEP)? - near(-CURVATURE_STEP)?) / CURVATURE_STEP.powi(2);
     let (none, _) = profile(samples, LN_RATIO[0])?;
     let is_told = value - none > LEAST_GAIN && curvature > 0.0;
     let ln_l_variance = if is_told { curvature.recip() } else { 0.0 };
@@ -78,19 +74,13 @@ impl Level {
             let intervals = (after.0 - before.0) / dt_s;
             (intervals.max(0.0), after.1)
         });
-        Some(Self {
-            first: first.1,
-            rest: steps.collect(),
-        })
+        Some(Self { first: first.1, rest: steps.collect() })
     }
 }
 
 /// m of the module's head.
 fn followers(stretches: &[Level]) -> f64 {
-    stretches
-        .iter()
-        .map(|stretch| stretch.rest.len() as f64)
-        .sum()
+    stretches.iter().map(|stretch| stretch.rest.len() as f64).sum()
 }
 
 /// ln l with the largest L: the best of a grid, then a golden section about it.
@@ -98,9 +88,7 @@ fn best_ratio(samples: &[Level]) -> f64 {
     let value = |ln_l: f64| profile(samples, ln_l).map_or(f64::NEG_INFINITY, |(value, _)| value);
     let width = (LN_RATIO[1] - LN_RATIO[0]) / f64::from(GRID - 1);
     let grid = (0..GRID).map(|i| LN_RATIO[0] + width * f64::from(i));
-    let best = grid
-        .map(|ln_l| (ln_l, value(ln_l)))
-        .max_by(|a, b| a.1.total_cmp(&b.1));
+    let best = grid.map(|ln_l| (ln_l, value(ln_l))).max_by(|a, b| a.1.total_cmp(&b.1));
     let centre = best.map_or(LN_RATIO[0], |(ln_l, _)| ln_l);
     let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
     let (mut low, mut high) = (centre - width, centre + width);
@@ -162,11 +150,8 @@ mod tests {
 
     /// A record of these samples, ten a second, in stretches of so many.
     fn record(samples: &[f64], per_stretch: usize) -> RestRecord {
-        let stamped: Vec<(f64, f64)> = samples
-            .iter()
-            .enumerate()
-            .map(|(k, sample)| (0.1 * k as f64, *sample))
-            .collect();
+        let stamped: Vec<(f64, f64)> =
+            samples.iter().enumerate().map(|(k, sample)| (0.1 * k as f64, *sample)).collect();
         let stretches: Vec<_> = stamped.chunks(per_stretch).map(<[_]>::to_vec).collect();
         RestRecord::of(&stretches).unwrap()
     }
@@ -198,10 +183,7 @@ mod tests {
         assert!((record.interval_s() - 0.1).abs() < 1e-9);
         let found = white_and_walk(&record).unwrap();
         let walk = found.walk_per_step.unwrap();
-        assert!(
-            (walk / 0.1).ln().abs() < 3.0 * found.walk_ln_sigma && found.walk_ln_sigma < 0.03,
-            "{found:?}"
-        );
+        assert!((walk / 0.1).ln().abs() < 3.0 * found.walk_ln_sigma && found.walk_ln_sigma < 0.03, "{found:?}");
     }
 
     #[test]

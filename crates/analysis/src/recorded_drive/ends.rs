@@ -16,16 +16,12 @@ const FEWEST_AT_REST: usize = 20;
 const BY_DEFINITION: f64 = 1e-4;
 
 /// The last instant before the wheels turn, and the first one at which they have turned for the last time.
-pub(super) fn moving(
-    observations: &[Observation],
-) -> Result<(Stamp<BrickClock>, Stamp<BrickClock>), DriveError> {
+pub(super) fn moving(observations: &[Observation]) -> Result<(Stamp<BrickClock>, Stamp<BrickClock>), DriveError> {
     let readings: Vec<_> = wheels(observations).collect();
     let (Some(first), Some(last)) = (readings.first(), readings.last()) else {
         return Err(DriveError::NoWheels);
     };
-    let still = DriveError::NeverMoves {
-        readings: readings.len(),
-    };
+    let still = DriveError::NeverMoves { readings: readings.len() };
     let begins = readings.iter().position(|reading| reading.1 != first.1);
     let begins = begins.and_then(|index| readings.get(index.checked_sub(1)?));
     let stopped = readings.iter().rposition(|reading| reading.1 != last.1);
@@ -37,10 +33,7 @@ pub(super) fn moving(
 }
 
 /// What a robot's owner does before a drive: what the accelerometers say while the robot stands is their zero.
-pub(super) fn zero_accelerations(
-    observations: &mut [Observation],
-    stands_until: Stamp<BrickClock>,
-) {
+pub(super) fn zero_accelerations(observations: &mut [Observation], stands_until: Stamp<BrickClock>) {
     let standing = observations.iter().filter(|one| one.stamp <= stands_until);
     let felt: Vec<[f64; 2]> = standing.filter_map(accelerations).collect();
     if felt.len() < FEWEST_AT_REST {
@@ -129,9 +122,7 @@ fn by_chord(
 }
 
 /// Mean place and heading, and of how many fixes.
-fn mean<'a>(
-    fixes: impl Iterator<Item = &'a Fix>,
-) -> Option<(Point2<Arena>, Option<Heading>, usize)> {
+fn mean<'a>(fixes: impl Iterator<Item = &'a Fix>) -> Option<(Point2<Arena>, Option<Heading>, usize)> {
     let (mut x, mut y, mut count) = (0.0, 0.0, 0_usize);
     let (mut sin, mut cos, mut headings) = (0.0, 0.0, 0_usize);
     for fix in fixes {
@@ -161,9 +152,6 @@ pub(super) fn end_by_fixes(
     let last = fixes(observations).last()?;
     let standing = fixes(observations).filter(|(at, _)| *at >= stands_from);
     let known = mean(standing.map(|(_, fix)| fix));
-    let (place, heading) = known
-        .map_or((mid_axle(last.1), last.1.heading), |(place, heading, _)| {
-            (place, heading)
-        });
+    let (place, heading) = known.map_or((mid_axle(last.1), last.1.heading), |(place, heading, _)| (place, heading));
     Some((last.0, place, heading))
 }

@@ -25,8 +25,7 @@ mod ends;
 use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
 use posebridge_estimator::{Filter, FilterConfig, StartPose};
 use posebridge_telemetry::{
-    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Pose,
-    Stamp,
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Pose, Stamp,
 };
 
 use self::ends::{end_by_fixes, moving, start, zero_accelerations};
@@ -47,14 +46,10 @@ pub enum Judge {
 #[non_exhaustive]
 pub enum DriveError {
     /// Nothing tells how the wheels turned.
-    #[error(
-        "it holds no wheel ticks: let the robot send WHEEL_TICKS or WHEEL_DISTANCE and record it again"
-    )]
+    #[error("it holds no wheel ticks: let the robot send WHEEL_TICKS or WHEEL_DISTANCE and record it again")]
     NoWheels,
     /// The wheels never turned.
-    #[error(
-        "its wheels never turn ({readings} readings): record from before the robot starts until it stands again"
-    )]
+    #[error("its wheels never turn ({readings} readings): record from before the robot starts until it stands again")]
     NeverMoves {
         /// How often the wheels were told.
         readings: usize,
@@ -93,13 +88,8 @@ impl RecordedDrive {
     ///
     /// # Errors
     /// See [`DriveError`].
-    pub fn new(
-        observations: &[Observation],
-        config: &FilterConfig,
-        judge: Option<Judge>,
-    ) -> Result<Self, DriveError> {
-        let mut observations: Vec<Observation> =
-            observations.iter().copied().filter(is_finite).collect();
+    pub fn new(observations: &[Observation], config: &FilterConfig, judge: Option<Judge>) -> Result<Self, DriveError> {
+        let mut observations: Vec<Observation> = observations.iter().copied().filter(is_finite).collect();
         observations.sort_by_key(|observation| observation.stamp);
         let moving = moving(&observations)?;
         zero_accelerations(&mut observations, moving.0);
@@ -116,23 +106,13 @@ impl RecordedDrive {
         let last = observations.last().map_or(moving.1, |last| last.stamp);
         let closed = (last, start.pose.origin(), None);
         let (end_stamp, end, end_heading) = known_end.unwrap_or(closed);
-        Ok(Self {
-            observations,
-            start,
-            judge,
-            end_stamp,
-            end,
-            end_heading,
-        })
+        Ok(Self { observations, start, judge, end_stamp, end, end_heading })
     }
 
     /// What a filter is told of a robot, with this drive's start.
     #[must_use]
     pub fn told(&self, config: &FilterConfig) -> FilterConfig {
-        FilterConfig {
-            start: Some(self.start),
-            ..config.clone()
-        }
+        FilterConfig { start: Some(self.start), ..config.clone() }
     }
 
     /// Runs a filter over what it `hears` of the drive and holds its belief against the end.
@@ -158,11 +138,7 @@ impl RecordedDrive {
             if self.end_heading.is_some() {
                 return error;
             }
-            PoseError {
-                heading_rad: None,
-                covariance: None,
-                ..error
-            }
+            PoseError { heading_rad: None, covariance: None, ..error }
         });
         Course { end, way_m }
     }
@@ -187,16 +163,11 @@ pub(crate) fn mid_axle(fix: &Fix) -> Point2<Arena> {
         return fix.position;
     };
     let turned = Pose::<Arena>::new(Meters(0.0), Meters(0.0), heading) * fix.tag_in_body;
-    Point2::new(
-        Meters(fix.position.x.0 - turned.x.0),
-        Meters(fix.position.y.0 - turned.y.0),
-    )
+    Point2::new(Meters(fix.position.x.0 - turned.x.0), Meters(fix.position.y.0 - turned.y.0))
 }
 
 /// The fixes, with their stamps.
-pub(crate) fn fixes(
-    observations: &[Observation],
-) -> impl Iterator<Item = (Stamp<BrickClock>, &Fix)> {
+pub(crate) fn fixes(observations: &[Observation]) -> impl Iterator<Item = (Stamp<BrickClock>, &Fix)> {
     observations.iter().filter_map(|observation| {
         let Observed::Fix(fix) = &observation.observed else {
             return None;
@@ -206,9 +177,7 @@ pub(crate) fn fixes(
 }
 
 /// The wheels' rotations, left and right, with their stamps, in rad.
-pub(crate) fn wheels(
-    observations: &[Observation],
-) -> impl Iterator<Item = (Stamp<BrickClock>, [f64; 2])> {
+pub(crate) fn wheels(observations: &[Observation]) -> impl Iterator<Item = (Stamp<BrickClock>, [f64; 2])> {
     observations.iter().filter_map(|observation| {
         let Observed::WheelAngles { left, right } = observation.observed else {
             return None;
@@ -257,8 +226,7 @@ mod tests {
     use super::*;
     use posebridge_estimator::{Params, filter_named};
     use posebridge_telemetry::{
-        Body, Calibration, MetersPerSecondSquared, Radians, RadiansPerSecond, SensorId,
-        SensorNoise, Span,
+        Body, Calibration, MetersPerSecondSquared, Radians, RadiansPerSecond, SensorId, SensorNoise, Span,
     };
 
     fn config() -> FilterConfig {
@@ -312,9 +280,7 @@ mod tests {
     /// Stands for a second, drives 1 m northwards in ten seconds, stands for a second.
     fn northwards() -> Vec<Observation> {
         let angle = |step: i64| 20.0 * (step - 10).clamp(0, 100) as f64 / 100.0;
-        (0..=120)
-            .map(|step| turned(100 * step, angle(step), angle(step)))
-            .collect()
+        (0..=120).map(|step| turned(100 * step, angle(step), angle(step))).collect()
     }
 
     #[test]
@@ -322,13 +288,7 @@ mod tests {
         let north = std::f64::consts::FRAC_PI_2;
         let mut observations = northwards();
         // Late ones come last and are put in their place; the tag is ahead of the axle.
-        for (millis, y) in [
-            (11_900, 3.11),
-            (11_500, 3.09),
-            (300, 2.09),
-            (600, 2.11),
-            (6_000, 9.0),
-        ] {
+        for (millis, y) in [(11_900, 3.11), (11_500, 3.09), (300, 2.09), (600, 2.11), (6_000, 9.0)] {
             observations.push(seen(millis, (1.0, y), Some(north)));
         }
         observations.push(seen(700, (f64::NAN, 0.0), None));
@@ -341,9 +301,7 @@ mod tests {
         assert_eq!(drive.end_stamp.as_nanos(), 11_900_000_000);
         let told = drive.told(&config());
         let mut filter = (filter_named("odometry").unwrap().build)(&told);
-        let course = drive.course(filter.as_mut(), |observed| {
-            matches!(observed, Observed::WheelAngles { .. })
-        });
+        let course = drive.course(filter.as_mut(), |observed| matches!(observed, Observed::WheelAngles { .. }));
         // The wheels are exact, and the fix at half way would have torn them away.
         assert!(course.end.unwrap().position_m() < 1e-9, "{course:?}");
         assert!((course.way_m.last().unwrap().1 - 3.0).abs() < 1e-9);
@@ -353,10 +311,7 @@ mod tests {
     #[test]
     fn a_closed_path_ends_where_it_began_and_knows_no_heading() {
         let drive = RecordedDrive::new(&northwards(), &config(), None).unwrap();
-        assert_eq!(
-            (drive.judge, drive.end, drive.end_heading),
-            (Judge::Start, Point2::ORIGIN, None)
-        );
+        assert_eq!((drive.judge, drive.end, drive.end_heading), (Judge::Start, Point2::ORIGIN, None));
         let mut filter = (filter_named("odometry").unwrap().build)(&drive.told(&config()));
         let end = drive.course(filter.as_mut(), |_| true).end.unwrap();
         assert!((end.dx_m - 1.0).abs() < 1e-9, "{end:?}");
@@ -378,11 +333,8 @@ mod tests {
         let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
         assert!(drive.start.pose.heading.rad().abs() < 1e-9, "{drive:?}");
         assert!((0.05..0.08).contains(&drive.start.heading_sigma_rad));
-        let near: Vec<Observation> = observations
-            .iter()
-            .filter(|one| one.stamp.as_nanos() < 1_000_000_000)
-            .copied()
-            .collect();
+        let near: Vec<Observation> =
+            observations.iter().filter(|one| one.stamp.as_nanos() < 1_000_000_000).copied().collect();
         let short = RecordedDrive::new(&near, &config(), None);
         assert_eq!(short, Err(DriveError::NoHeading));
     }
@@ -395,23 +347,14 @@ mod tests {
         };
         let with_rest = |readings: i64| {
             let mut observations = northwards();
-            let at_rest =
-                (0..readings).map(|index| felt(10 * index, 0.2 + 0.1 * (index % 2) as f64));
+            let at_rest = (0..readings).map(|index| felt(10 * index, 0.2 + 0.1 * (index % 2) as f64));
             observations.extend(at_rest);
             observations.push(felt(5_000, 1.0));
             let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
-            drive
-                .observations
-                .iter()
-                .rev()
-                .find_map(accelerations)
-                .unwrap()
+            drive.observations.iter().rev().find_map(accelerations).unwrap()
         };
         let [left, right] = with_rest(20);
-        assert!(
-            (left - 0.75).abs() < 1e-12 && right.abs() < 1e-12,
-            "{left} {right}"
-        );
+        assert!((left - 0.75).abs() < 1e-12 && right.abs() < 1e-12, "{left} {right}");
         assert_eq!(with_rest(19), [1.0, -0.5]);
     }
 
@@ -421,28 +364,17 @@ mod tests {
         observations.push(seen(6_000, (0.1, 0.5), Some(0.0)));
         observations.push(seen(11_900, (0.1, 1.0), Some(0.0)));
         let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
-        assert_eq!(
-            drive.observations.first().unwrap().stamp.as_nanos(),
-            6_000_000_000
-        );
+        assert_eq!(drive.observations.first().unwrap().stamp.as_nanos(), 6_000_000_000);
         assert!((drive.start.pose.y.0 - 0.5).abs() < 1e-12);
     }
 
     #[test]
     fn what_is_no_drive_is_refused() {
         let rate = at(5, Observed::TurnRate(RadiansPerSecond(0.1)));
-        let fail = |observations: &[Observation]| {
-            RecordedDrive::new(observations, &config(), None).unwrap_err()
-        };
+        let fail = |observations: &[Observation]| RecordedDrive::new(observations, &config(), None).unwrap_err();
         assert_eq!(fail(&[]), DriveError::NoWheels);
         assert_eq!(fail(&[rate]), DriveError::NoWheels);
-        assert_eq!(
-            fail(&[turned(0, 1.0, 1.0), turned(50, 1.0, 1.0)]),
-            DriveError::NeverMoves { readings: 2 }
-        );
-        assert_eq!(
-            fail(&[turned(0, f64::NAN, 1.0), rate]),
-            DriveError::NoWheels
-        );
+        assert_eq!(fail(&[turned(0, 1.0, 1.0), turned(50, 1.0, 1.0)]), DriveError::NeverMoves { readings: 2 });
+        assert_eq!(fail(&[turned(0, f64::NAN, 1.0), rate]), DriveError::NoWheels);
     }
 }

@@ -74,17 +74,10 @@ fn sources(tallies: &[SourceTally]) -> String {
                 Some(_) | None => String::new(),
             };
             let name = tally.sensor.name();
-            Some(format!(
-                "{name} {mean:.2} {}{gated}",
-                tally.consistency().in_words()
-            ))
+            Some(format!("{name} {mean:.2} {}{gated}", tally.consistency().in_words()))
         })
         .collect();
-    if judged.is_empty() {
-        NO_VALUE.to_owned()
-    } else {
-        judged.join("; ")
-    }
+    if judged.is_empty() { NO_VALUE.to_owned() } else { judged.join("; ") }
 }
 
 fn footnotes(row: &ScoreRow<'_>) -> String {
@@ -92,10 +85,7 @@ fn footnotes(row: &ScoreRow<'_>) -> String {
     let lines = [
         (score.steps_without_estimate(), ", no estimate"),
         (score.steps_not_finite(), ", not finite"),
-        (
-            score.refused_covariances(),
-            " of its claim and its ANEES, covariance not positive definite",
-        ),
+        (score.refused_covariances(), " of its claim and its ANEES, covariance not positive definite"),
     ]
     .into_iter()
     .filter(|(count, _)| *count > 0)
@@ -128,8 +118,7 @@ mod tests {
 
     #[test]
     fn numbers_keep_three_digits_over_five_decades() {
-        let cells =
-            [0.00133, 0.0137, 0.2244, 1.8121, 425.462].map(|metres| millimetres(Some(metres)));
+        let cells = [0.00133, 0.0137, 0.2244, 1.8121, 425.462].map(|metres| millimetres(Some(metres)));
         assert_eq!(cells, ["1.33", "13.7", "224", "1812", "4.3e5"]);
         assert_eq!(three_digits(Some(0.0104)), "0.010");
         assert_eq!(three_digits(None), "-");

@@ -28,9 +28,5 @@ pub(super) fn count(value: Option<impl ToString>) -> String {
 
 /// One digit after the point; powers of ten where that would flood the column.
 fn number(value: f64) -> String {
-    if value.abs() < 1e9 {
-        format!("{value:.1}")
-    } else {
-        format!("{value:.3e}")
-    }
+    if value.abs() < 1e9 { format!("{value:.1}") } else { format!("{value:.3e}") }
 }

@@ -121,10 +121,7 @@ pub struct Picture {
 impl Part {
     /// A table of these columns.
     pub fn table(header: &[&str], rows: Vec<Vec<String>>) -> Self {
-        Self::Table {
-            header: header.iter().map(|name| (*name).to_owned()).collect(),
-            rows,
-        }
+        Self::Table { header: header.iter().map(|name| (*name).to_owned()).collect(), rows }
     }
 }
 
@@ -141,14 +138,8 @@ impl fmt::Display for Page {
         let title = Escaped(&self.title);
         writeln!(f, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>")?;
         writeln!(f, "<meta charset=\"utf-8\"/>\n<title>{title}</title>")?;
-        writeln!(
-            f,
-            "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>"
-        )?;
-        writeln!(
-            f,
-            "<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
-        )?;
+        writeln!(f, "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>")?;
+        writeln!(f, "<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>")?;
         self.parts.iter().try_for_each(|part| write_part(f, part))?;
         writeln!(f, "</body>\n</html>")
     }
@@ -163,14 +154,8 @@ fn write_part(html: &mut fmt::Formatter<'_>, part: &Part) -> fmt::Result {
             writeln!(html, "<pre>{}</pre>", lines.join("\n"))
         }
         Part::List(points) => {
-            let points = points
-                .iter()
-                .map(|point| format!("<li>{}</li>", Escaped(point)));
-            writeln!(
-                html,
-                "<ul>\n{}\n</ul>",
-                points.collect::<Vec<_>>().join("\n")
-            )
+            let points = points.iter().map(|point| format!("<li>{}</li>", Escaped(point)));
+            writeln!(html, "<ul>\n{}\n</ul>", points.collect::<Vec<_>>().join("\n"))
         }
         Part::Subheading(text) => writeln!(html, "<h3>{}</h3>", Escaped(text)),
         Part::Verdict { tone, word, text } => {
@@ -191,17 +176,9 @@ fn write_part(html: &mut fmt::Formatter<'_>, part: &Part) -> fmt::Result {
     }
 }
 
-fn write_table(
-    html: &mut fmt::Formatter<'_>,
-    class: &str,
-    header: &[String],
-    rows: &[Vec<String>],
-) -> fmt::Result {
+fn write_table(html: &mut fmt::Formatter<'_>, class: &str, header: &[String], rows: &[Vec<String>]) -> fmt::Result {
     let header = row(header, "th");
-    writeln!(
-        html,
-        "<div class=\"{class}\"><table>\n<thead>{header}</thead>\n<tbody>"
-    )?;
+    writeln!(html, "<div class=\"{class}\"><table>\n<thead>{header}</thead>\n<tbody>")?;
     for cells in rows {
         writeln!(html, "{}", row(cells, "td"))?;
     }
@@ -211,14 +188,8 @@ fn write_table(
 fn write_pictures(html: &mut fmt::Formatter<'_>, pictures: &[Picture]) -> fmt::Result {
     writeln!(html, "<div class=\"pictures\">")?;
     for picture in pictures {
-        let (svg, caption) = (
-            inline(&picture.svg, &picture.name),
-            Escaped(&picture.caption),
-        );
-        writeln!(
-            html,
-            "<figure>{svg}<figcaption>{caption}</figcaption></figure>"
-        )?;
+        let (svg, caption) = (inline(&picture.svg, &picture.name), Escaped(&picture.caption));
+        writeln!(html, "<figure>{svg}<figcaption>{caption}</figcaption></figure>")?;
     }
     writeln!(html, "</div>")
 }
@@ -232,9 +203,7 @@ const fn class_of(tone: Tone) -> &'static str {
 }
 
 fn row(cells: &[String], tag: &str) -> String {
-    let cells = cells
-        .iter()
-        .map(|cell| format!("<{tag}>{}</{tag}>", Escaped(cell)));
+    let cells = cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", Escaped(cell)));
     format!("<tr>{}</tr>", cells.collect::<String>())
 }
 
@@ -250,21 +219,14 @@ mod tests {
                 Part::Heading("<script>".to_owned()),
                 Part::Lines("x = 1\n  y < 2".to_owned()),
                 Part::List(vec!["one".to_owned(), "two".to_owned()]),
-                Part::Verdict {
-                    tone: Tone::Bad,
-                    word: "no".to_owned(),
-                    text: "a < b".to_owned(),
-                },
+                Part::Verdict { tone: Tone::Bad, word: "no".to_owned(), text: "a < b".to_owned() },
                 Part::Pictures(vec![Picture {
                     name: "p1".to_owned(),
                     svg: "<svg><g id=\"a\"/></svg>".to_owned(),
                     caption: "<i>".to_owned(),
                 }]),
                 Part::table(&["k", "v"], vec![vec!["q".to_owned(), "\"3\"".to_owned()]]),
-                Part::Figure {
-                    svg: "<svg id=\"1\"/>".to_owned(),
-                    caption: "what \"it\" is".to_owned(),
-                },
+                Part::Figure { svg: "<svg id=\"1\"/>".to_owned(), caption: "what \"it\" is".to_owned() },
             ],
         };
         let html = page.html();

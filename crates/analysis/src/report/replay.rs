@@ -26,16 +26,8 @@ pub fn runs_table(rows: &[EstimatorRow<'_>]) -> String {
 }
 
 fn accuracy_table(what: &str, rows: &[EstimatorRow<'_>]) -> String {
-    let mut table = Table::new([
-        what,
-        "samples",
-        "rms mm",
-        "max mm",
-        "end mm",
-        "heading rms deg",
-        "ANEES",
-        "its claims are",
-    ]);
+    let mut table =
+        Table::new([what, "samples", "rms mm", "max mm", "end mm", "heading rms deg", "ANEES", "its claims are"]);
     for row in rows {
         let errors = row.errors;
         table.push([
@@ -88,16 +80,10 @@ pub fn source_table(tallies: &[SourceTally]) -> String {
 /// A line for each row that left something out; nothing when all was judged.
 pub(super) fn footnotes<'a>(rows: impl Iterator<Item = (&'a str, &'a ErrorSummary)>) -> String {
     rows.flat_map(|(name, errors)| {
-        [
-            (errors.dropped, "not finite"),
-            (
-                errors.refused_covariances,
-                "covariance not positive definite",
-            ),
-        ]
-        .into_iter()
-        .filter(|(count, _)| *count > 0)
-        .map(move |(count, what)| format!("{name}: samples left out, {what}: {count}\n"))
+        [(errors.dropped, "not finite"), (errors.refused_covariances, "covariance not positive definite")]
+            .into_iter()
+            .filter(|(count, _)| *count > 0)
+            .map(move |(count, what)| format!("{name}: samples left out, {what}: {count}\n"))
     })
     .collect()
 }

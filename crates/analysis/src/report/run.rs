@@ -17,14 +17,7 @@ pub struct RunRow<'a> {
 /// The accuracy of each row in millimetres and degrees; the last column says how many times smaller the row's rms
 /// position error is than that of the first row.
 pub fn run_table(rows: &[RunRow<'_>]) -> String {
-    let mut table = Table::new([
-        "position error",
-        "rms mm",
-        "max mm",
-        "end mm",
-        "heading rms deg",
-        "better by",
-    ]);
+    let mut table = Table::new(["position error", "rms mm", "max mm", "end mm", "heading rms deg", "better by"]);
     let reference_m = rows.first().and_then(|row| row.errors.position_rms_m);
     for row in rows {
         let errors = row.errors;

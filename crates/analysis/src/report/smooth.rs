@@ -65,11 +65,8 @@ pub fn smooth_table(rows: &[SmoothRow<'_>]) -> String {
             let _ = writeln!(text, "{}: no smoothed path: {reason}", row.run);
         }
         if !row.not_read.is_empty() {
-            let sources: Vec<String> = row
-                .not_read
-                .iter()
-                .map(|(sensor, count)| format!("{sensor} ({count})"))
-                .collect();
+            let sources: Vec<String> =
+                row.not_read.iter().map(|(sensor, count)| format!("{sensor} ({count})")).collect();
             let _ = writeln!(
                 text,
                 "{}: the smoother reads wheels, gyro and fixes only, not: {}",
@@ -95,10 +92,7 @@ mod tests {
             ..ErrorSummary::default()
         };
         let nothing = ErrorSummary::default();
-        let (heard, unheard) = (
-            BTreeMap::new(),
-            BTreeMap::from([("compass", 3), ("range", 20)]),
-        );
+        let (heard, unheard) = (BTreeMap::new(), BTreeMap::from([("compass", 3), ("range", 20)]));
         let table = smooth_table(&[
             SmoothRow {
                 run: "one",
@@ -121,14 +115,8 @@ mod tests {
                 reason: Some("it is empty".to_owned()),
             },
         ]);
-        let lines: Vec<Vec<&str>> = table
-            .lines()
-            .map(|line| line.split_whitespace().collect())
-            .collect();
-        assert_eq!(
-            lines[1],
-            ["one", "17", "12.5", "31.0", "-", "40", "2", "6", "1.23"]
-        );
+        let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
+        assert_eq!(lines[1], ["one", "17", "12.5", "31.0", "-", "40", "2", "6", "1.23"]);
         assert_eq!(lines[2], ["two", "0", "-", "-", "-", "-", "-", "-", "0.00"]);
         let said = "one: the smoother reads wheels, gyro and fixes only, not: compass (3), range (20)\n\
                     two: no smoothed path: it is empty\n";

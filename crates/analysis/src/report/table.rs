@@ -12,9 +12,7 @@ pub struct Table<const COLUMNS: usize> {
 impl<const COLUMNS: usize> Table<COLUMNS> {
     /// A table without rows.
     pub fn new(header: [&str; COLUMNS]) -> Self {
-        Self {
-            rows: vec![header.map(str::to_owned)],
-        }
+        Self { rows: vec![header.map(str::to_owned)] }
     }
 
     /// Adds a row below the others.
@@ -36,11 +34,7 @@ impl<const COLUMNS: usize> Table<COLUMNS> {
 fn line(row: &[String], widths: &[usize]) -> String {
     let mut line = String::new();
     for (column, (cell, width)) in row.iter().zip(widths).enumerate() {
-        let padded = if column == 0 {
-            format!("{cell:<width$}")
-        } else {
-            format!("{GUTTER}{cell:>width$}")
-        };
+        let padded = if column == 0 { format!("{cell:<width$}") } else { format!("{GUTTER}{cell:>width$}") };
         line.push_str(&padded);
     }
     line.trim_end().to_owned() + "\n"

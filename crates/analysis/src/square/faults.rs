@@ -29,9 +29,7 @@ pub(super) const LARGEST: f64 = 1e9;
 #[non_exhaustive]
 pub enum TextError {
     /// There is no line with the names of the columns.
-    #[error(
-        "there is no line with the names of the columns; begin with time_s,left_counts,right_counts"
-    )]
+    #[error("there is no line with the names of the columns; begin with time_s,left_counts,right_counts")]
     NoHeader,
     /// A column is called as none is.
     #[error("line {line}: no column is called `{name}`; there are {}", COLUMNS.join(", "))]
@@ -60,9 +58,7 @@ pub enum TextError {
         advice: &'static str,
     },
     /// A row is longer or shorter than the header.
-    #[error(
-        "line {line} has {found} cells, the header has {expected}; leave a cell empty where a sensor said nothing"
-    )]
+    #[error("line {line} has {found} cells, the header has {expected}; leave a cell empty where a sensor said nothing")]
     Cells {
         /// The line.
         line: usize,

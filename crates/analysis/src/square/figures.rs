@@ -22,10 +22,7 @@ pub struct Example {
 }
 
 fn line(name: &str, points: Vec<(f64, f64)>) -> Curve {
-    Curve {
-        name: name.to_owned(),
-        shape: Shape::Line(points),
-    }
+    Curve { name: name.to_owned(), shape: Shape::Line(points) }
 }
 
 impl Example {
@@ -36,8 +33,7 @@ impl Example {
 
     fn over_time(&self, values: impl Fn(usize) -> Option<f64>) -> Vec<(f64, f64)> {
         let rows = self.table.rows.iter().enumerate();
-        rows.filter_map(|(row, known)| Some((known.time_s, values(row)?)))
-            .collect()
+        rows.filter_map(|(row, known)| Some((known.time_s, values(row)?))).collect()
     }
 
     /// The two wheels' angles and rates, degrees: counted, and filtered with these matrices, row by row.
@@ -75,30 +71,16 @@ impl Example {
             });
             vec![
                 line("differences of counts", counted),
-                line(
-                    "wheel-kf, printed",
-                    self.over_time(|row| Some(printed[row][side].rate)),
-                ),
-                line(
-                    "wheel-kf, own R and Q",
-                    self.over_time(|row| Some(own[row][side].rate)),
-                ),
+                line("wheel-kf, printed", self.over_time(|row| Some(printed[row][side].rate))),
+                line("wheel-kf, own R and Q", self.over_time(|row| Some(own[row][side].rate))),
             ]
         };
-        let angle = |side: usize| {
-            self.over_time(|row| Some((rows[row].encoders[side] - base[side]) * unit_deg))
-        };
+        let angle = |side: usize| self.over_time(|row| Some((rows[row].encoders[side] - base[side]) * unit_deg));
         let angles = vec![
             line("left, counted", angle(0)),
-            line(
-                "left, wheel-kf",
-                self.over_time(|row| Some(printed[row][0].phi)),
-            ),
+            line("left, wheel-kf", self.over_time(|row| Some(printed[row][0].phi))),
             line("right, counted", angle(1)),
-            line(
-                "right, wheel-kf",
-                self.over_time(|row| Some(printed[row][1].phi)),
-            ),
+            line("right, wheel-kf", self.over_time(|row| Some(printed[row][1].phi))),
         ];
         figure(
             "Wheel positions and speeds",
@@ -119,14 +101,10 @@ impl Example {
                 .iter()
                 .map(|name| {
                     let path = self.path(name);
-                    line(
-                        name,
-                        self.over_time(|row| Some(path.get(row)?[state] * factor)),
-                    )
+                    line(name, self.over_time(|row| Some(path.get(row)?[state] * factor)))
                 })
                 .collect();
-            let true_ones =
-                self.over_time(|row| Some(true_speeds(&self.table, row)?[truth] * factor));
+            let true_ones = self.over_time(|row| Some(true_speeds(&self.table, row)?[truth] * factor));
             if !true_ones.is_empty() {
                 curves.push(line("truth", true_ones));
             }
@@ -135,35 +113,19 @@ impl Example {
         figure(
             "Forward speed and turn rate",
             "figure 6 of the paper",
-            vec![
-                ("v [cm/s]", panel(3, 0, 100.0)),
-                ("w [degrees/s]", panel(4, 1, 1f64.to_degrees())),
-            ],
+            vec![("v [cm/s]", panel(3, 0, 100.0)), ("w [degrees/s]", panel(4, 1, 1f64.to_degrees()))],
         )
     }
 
     /// Figure 7: the tracks of some methods with the reference.
     #[must_use]
     pub fn track_figure(&self, title: &str, names: &[&str]) -> String {
-        let seen: Vec<(f64, f64)> = (self.table.references(self.camera_every).into_iter())
-            .flatten()
-            .map(|seen| (seen.x_m, seen.y_m))
-            .collect();
-        let reference = if self.table.has_truth() {
-            "truth"
-        } else {
-            "camera"
-        };
+        let seen: Vec<(f64, f64)> =
+            (self.table.references(self.camera_every).into_iter()).flatten().map(|seen| (seen.x_m, seen.y_m)).collect();
+        let reference = if self.table.has_truth() { "truth" } else { "camera" };
         // Of a closed path nothing is known but its end: a line of one point would not be seen.
-        let shape = if seen.len() > 1 {
-            Shape::Line(seen)
-        } else {
-            Shape::Dots(seen)
-        };
-        let mut curves = vec![Curve {
-            name: reference.to_owned(),
-            shape,
-        }];
+        let shape = if seen.len() > 1 { Shape::Line(seen) } else { Shape::Dots(seen) };
+        let mut curves = vec![Curve { name: reference.to_owned(), shape }];
         curves.extend(names.iter().map(|name| {
             let path = self.path(name).iter().map(|state| (state[0], state[1]));
             line(name, path.collect())
@@ -196,9 +158,5 @@ fn figure(title: &str, key_figures: &str, panels: Vec<(&str, Vec<Curve>)>) -> St
         is_map: false,
         curves,
     });
-    plot(&Plot {
-        title: title.to_owned(),
-        key_figures: key_figures.to_owned(),
-        axes: axes.collect(),
-    })
+    plot(&Plot { title: title.to_owned(), key_figures: key_figures.to_owned(), axes: axes.collect() })
 }

@@ -45,11 +45,7 @@ pub struct SpeedMatrices {
 
 impl WheelMatrices {
     /// Those of the paper: equation 19.
-    pub const PRINTED: Self = Self {
-        process: [0.1, 0.0, 10.0],
-        variances: [1.5, 2.5],
-        start: 10.0,
-    };
+    pub const PRINTED: Self = Self { process: [0.1, 0.0, 10.0], variances: [1.5, 2.5], start: 10.0 };
 
     /// Those that follow from the robot: rounding of the counters, and a wheel whose rate walks as the robot's speed does.
     #[must_use]
@@ -73,11 +69,7 @@ impl SpeedMatrices {
     #[must_use]
     pub fn printed() -> Self {
         let (v, w) = (UNITS[3] * UNITS[3], UNITS[4] * UNITS[4]);
-        Self {
-            process: [2.2 * v, 2.2 * w],
-            variances: [5.1 * v, 1.938 * w],
-            start: [10.0 * v, 10.0 * w],
-        }
+        Self { process: [2.2 * v, 2.2 * w], variances: [5.1 * v, 1.938 * w], start: [10.0 * v, 10.0 * w] }
     }
 
     /// Those that follow from the robot: rounding of two counts, and the accelerometers' noise over an interval.
@@ -93,18 +85,8 @@ impl SpeedMatrices {
         let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
         let count_m_per_s = radius_m * geometry.tick.0 / INTERVAL_S;
         let felt_m_per_s = config.noise.accelerometer_m_per_s2 * INTERVAL_S;
-        let variances = [
-            count_m_per_s.powi(2) / 12.0,
-            (count_m_per_s / b_m).powi(2) / 3.0,
-        ];
-        Self {
-            process: [
-                felt_m_per_s.powi(2) / 2.0,
-                2.0 * (felt_m_per_s / b_m).powi(2),
-            ],
-            variances,
-            start: variances,
-        }
+        let variances = [count_m_per_s.powi(2) / 12.0, (count_m_per_s / b_m).powi(2) / 3.0];
+        Self { process: [felt_m_per_s.powi(2) / 2.0, 2.0 * (felt_m_per_s / b_m).powi(2)], variances, start: variances }
     }
 }
 
@@ -126,11 +108,7 @@ impl Wheel {
     /// At rest at zero.
     #[must_use]
     pub const fn at_rest(start: f64) -> Self {
-        Self {
-            phi: 0.0,
-            rate: 0.0,
-            covariance: [start, 0.0, start],
-        }
+        Self { phi: 0.0, rate: 0.0, covariance: [start, 0.0, start] }
     }
 
     /// Predicts over `dt_s` seconds.
@@ -182,13 +160,7 @@ impl MatchedWheels {
     /// Starts at a pose (x, y, heading), at rest.
     #[must_use]
     pub fn new(matrices: WheelMatrices, geometry: DriveGeometry, pose: [f64; 3]) -> Self {
-        Self {
-            matrices,
-            geometry,
-            wheels: [Wheel::at_rest(matrices.start); 2],
-            pose,
-            base: None,
-        }
+        Self { matrices, geometry, wheels: [Wheel::at_rest(matrices.start); 2], pose, base: None }
     }
 
     /// The wheels, left and right.
@@ -205,9 +177,7 @@ impl MatchedWheels {
         };
         let before = self.wheels.map(|wheel| wheel.phi);
         let wheels = self.wheels.iter_mut().zip(self.matrices.variances);
-        for ((wheel, variance), turned) in
-            wheels.zip([0, 1].map(|i: usize| turned_rad[i] - base[i]))
-        {
+        for ((wheel, variance), turned) in wheels.zip([0, 1].map(|i: usize| turned_rad[i] - base[i])) {
             wheel.predict(dt_s, &self.matrices.process);
             wheel.update(turned.to_degrees(), variance);
         }
@@ -263,24 +233,19 @@ impl MatchedSpeeds {
             let body = body_step(travel, &self.geometry);
             let seen = [body.forward_m / dt_s, body.turn_rad / dt_s];
             for (row, seen) in seen.into_iter().enumerate() {
-                let gain =
-                    self.variances[row] / (self.variances[row] + self.matrices.variances[row]);
+                let gain = self.variances[row] / (self.variances[row] + self.matrices.variances[row]);
                 self.state[3 + row] += gain * (seen - self.state[3 + row]);
                 self.variances[row] *= 1.0 - gain;
             }
         }
-        self.felt = felt.map_or_else(Acceleration::default, |[left, right]| {
-            Acceleration::of_wheels(left, right, &self.geometry)
-        });
+        self.felt = felt
+            .map_or_else(Acceleration::default, |[left, right]| Acceleration::of_wheels(left, right, &self.geometry));
         self.state
     }
 
     fn predict(&mut self, dt_s: f64) {
         let [x, y, heading, v, w] = self.state;
-        let step = BodyStep {
-            forward_m: v * dt_s,
-            turn_rad: w * dt_s,
-        };
+        let step = BodyStep { forward_m: v * dt_s, turn_rad: w * dt_s };
         let [x, y, heading] = moved([x, y, heading], step);
         let v = v + dt_s * self.felt.forward_m_per_s2;
         let w = w + dt_s * self.felt.turn_rad_per_s2;
@@ -295,9 +260,7 @@ impl MatchedSpeeds {
 mod tests {
     use super::*;
     use posebridge_estimator::{Params, StartPose, filter_named};
-    use posebridge_telemetry::{
-        Calibration, Heading, Meters, Pose, Radians, SensorNoise, quantities::wrap_rad,
-    };
+    use posebridge_telemetry::{Calibration, Heading, Meters, Pose, Radians, SensorNoise, quantities::wrap_rad};
 
     use crate::square::table::{Sense, SensorRow, SensorTable};
 
@@ -309,10 +272,7 @@ mod tests {
                 track_width: Meters(0.112),
                 tick: Radians(1.0_f64.to_radians()),
             },
-            noise: SensorNoise {
-                accelerometer_m_per_s2: 0.05,
-                ..SensorNoise::EXACT
-            },
+            noise: SensorNoise { accelerometer_m_per_s2: 0.05, ..SensorNoise::EXACT },
             start: Some(StartPose {
                 pose: Pose::new(Meters(1.0), Meters(-2.0), Heading::from_rad(0.4)),
                 position_sigma_m: 1e-3,
@@ -339,10 +299,7 @@ mod tests {
                 truth: None,
             }
         });
-        SensorTable {
-            rows: rows.collect(),
-            ..SensorTable::default()
-        }
+        SensorTable { rows: rows.collect(), ..SensorTable::default() }
     }
 
     /// Follows the table with a row of the table of filters and with a recursion of this file.
@@ -368,11 +325,7 @@ mod tests {
                 estimate.turn_rate.0 - state[4],
             ];
             for difference in differences {
-                assert!(
-                    difference.abs() < 1e-9,
-                    "{filter} at {} s: {difference}",
-                    row.time_s
-                );
+                assert!(difference.abs() < 1e-9, "{filter} at {} s: {difference}", row.time_s);
             }
         }
     }
@@ -384,9 +337,7 @@ mod tests {
         let mut wheels = MatchedWheels::new(WheelMatrices::PRINTED, geometry, start);
         agree("wheel-kf", |dt_s, turned, _| wheels.step(dt_s, turned));
         let mut speeds = MatchedSpeeds::new(SpeedMatrices::printed(), geometry, start);
-        agree("velocity-kf", |dt_s, turned, felt| {
-            speeds.step(dt_s, turned, felt)
-        });
+        agree("velocity-kf", |dt_s, turned, felt| speeds.step(dt_s, turned, felt));
     }
 
     #[test]

@@ -34,28 +34,13 @@ enum Kind {
 const OWN: &[Sense] = &[Sense::Wheels, Sense::Accelerometers, Sense::Gyro];
 const GYRO: &[Sense] = &[Sense::Wheels, Sense::Gyro];
 const COMPASS: &[Sense] = &[Sense::Wheels, Sense::Gyro, Sense::Compass];
-const OWN_CAMERA: &[Sense] = &[
-    Sense::Wheels,
-    Sense::Accelerometers,
-    Sense::Gyro,
-    Sense::Camera,
-];
+const OWN_CAMERA: &[Sense] = &[Sense::Wheels, Sense::Accelerometers, Sense::Gyro, Sense::Camera];
 const CAMERA: &[Sense] = &[Sense::Wheels, Sense::Gyro, Sense::Camera];
-const ALL: &[Sense] = &[
-    Sense::Wheels,
-    Sense::Accelerometers,
-    Sense::Gyro,
-    Sense::Compass,
-    Sense::Camera,
-];
+const ALL: &[Sense] = &[Sense::Wheels, Sense::Accelerometers, Sense::Gyro, Sense::Compass, Sense::Camera];
 
 /// A row of the table of filters.
 fn row(name: &'static str, filter: &str, senses: &'static [Sense]) -> Option<Method> {
-    filter_named(filter).map(|entry| Method {
-        name,
-        senses,
-        kind: Kind::Filter(entry),
-    })
+    filter_named(filter).map(|entry| Method { name, senses, kind: Kind::Filter(entry) })
 }
 
 fn raw() -> Option<Method> {
@@ -69,12 +54,8 @@ fn raw() -> Option<Method> {
 /// The four of the paper's figure 7 with its matrices, from the worst to the best as it promises.
 #[must_use]
 pub fn printed() -> Vec<Method> {
-    let chain = [
-        raw(),
-        row("wheel-kf", "wheel-kf", OWN),
-        row("velocity-kf", "velocity-kf", OWN),
-        row("ekf5", "ekf5", OWN),
-    ];
+    let chain =
+        [raw(), row("wheel-kf", "wheel-kf", OWN), row("velocity-kf", "velocity-kf", OWN), row("ekf5", "ekf5", OWN)];
     chain.into_iter().flatten().collect()
 }
 
@@ -83,11 +64,7 @@ pub fn printed() -> Vec<Method> {
 pub fn swapped() -> Vec<Method> {
     let mut chain = printed();
     if let Some(last) = chain.last_mut() {
-        *last = Method {
-            name: "ekf5 (v, w swapped)",
-            senses: OWN,
-            kind: Kind::Swapped,
-        };
+        *last = Method { name: "ekf5 (v, w swapped)", senses: OWN, kind: Kind::Swapped };
     }
     chain
 }
@@ -95,11 +72,7 @@ pub fn swapped() -> Vec<Method> {
 /// The same chain with matrices that follow from the sensors, and the EKF whose integrated headings keep their errors.
 #[must_use]
 pub fn corrected() -> Vec<Method> {
-    let own = |name, kind| Method {
-        name,
-        senses: OWN,
-        kind,
-    };
+    let own = |name, kind| Method { name, senses: OWN, kind };
     let chain = [
         raw(),
         Some(own("wheel-kf, own R and Q", Kind::Wheels)),
@@ -126,11 +99,7 @@ pub fn outlook() -> Vec<Method> {
 /// Something that follows a table.
 enum Follower {
     Filter(Box<dyn Filter>),
-    Raw {
-        filter: Box<dyn Filter>,
-        config: Box<FilterConfig>,
-        before: Option<(f64, [f64; 2])>,
-    },
+    Raw { filter: Box<dyn Filter>, config: Box<FilterConfig>, before: Option<(f64, [f64; 2])> },
     Wheels(MatchedWheels),
     Speeds(MatchedSpeeds),
 }
@@ -139,12 +108,7 @@ impl Method {
     /// Follows a table and says what it believed after each row; not a number where it believed nothing. `camera_every`: of how
     /// many images one is given.
     #[must_use]
-    pub fn follow(
-        &self,
-        table: &SensorTable,
-        config: &FilterConfig,
-        camera_every: usize,
-    ) -> Vec<State> {
+    pub fn follow(&self, table: &SensorTable, config: &FilterConfig, camera_every: usize) -> Vec<State> {
         let mut follower = self.follower(config);
         let unit_rad = table.unit.in_rad(&config.geometry);
         let mut before_s = table.rows.first().map_or(0.0, |row| row.time_s);
@@ -162,9 +126,7 @@ impl Method {
     }
 
     fn follower(&self, config: &FilterConfig) -> Follower {
-        let start = config.start.map_or([0.0; 3], |start| {
-            [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()]
-        });
+        let start = config.start.map_or([0.0; 3], |start| [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()]);
         let geometry = config.geometry;
         match self.kind {
             Kind::Filter(entry) => Follower::Filter((entry.build)(config)),
@@ -172,11 +134,9 @@ impl Method {
                 let order = SpeedOrder::Swapped;
                 Follower::Filter(ekf5::build(config, order, Fixes::Unused))
             }
-            Kind::Raw(entry) => Follower::Raw {
-                filter: (entry.build)(config),
-                config: Box::new(config.clone()),
-                before: None,
-            },
+            Kind::Raw(entry) => {
+                Follower::Raw { filter: (entry.build)(config), config: Box::new(config.clone()), before: None }
+            }
             Kind::Wheels => {
                 let matrices = WheelMatrices::of_robot(config);
                 Follower::Wheels(MatchedWheels::new(matrices, geometry, start))
@@ -196,20 +156,13 @@ impl Follower {
             Self::Wheels(wheels) => wheels.step(dt_s, turned_rad),
             Self::Speeds(speeds) => speeds.step(dt_s, turned_rad, row.accelerations_m_per_s2),
             Self::Filter(filter) => observed(filter.as_mut(), row, unit_rad, senses),
-            Self::Raw {
-                filter,
-                config,
-                before,
-            } => {
+            Self::Raw { filter, config, before } => {
                 let mut state = observed(filter.as_mut(), row, unit_rad, senses);
-                let speeds = before.replace((row.time_s, turned_rad)).map_or(
-                    [0.0, 0.0],
-                    |(before_s, before_rad)| {
-                        let dt_s = row.time_s - before_s;
-                        let rolled = [0, 1].map(|i: usize| (turned_rad[i] - before_rad[i]) / dt_s);
-                        speeds_of(rolled, config)
-                    },
-                );
+                let speeds = before.replace((row.time_s, turned_rad)).map_or([0.0, 0.0], |(before_s, before_rad)| {
+                    let dt_s = row.time_s - before_s;
+                    let rolled = [0, 1].map(|i: usize| (turned_rad[i] - before_rad[i]) / dt_s);
+                    speeds_of(rolled, config)
+                });
                 [state[3], state[4]] = speeds;
                 state
             }
@@ -232,18 +185,10 @@ fn observed(filter: &mut dyn Filter, row: &SensorRow, unit_rad: f64, senses: &[S
     for observation in row.observations(unit_rad, senses) {
         let _record = filter.observe(&observation);
     }
-    filter
-        .estimate_at(row.stamp())
-        .map_or([f64::NAN; 5], |estimate| {
-            let pose = estimate.pose;
-            [
-                pose.x.0,
-                pose.y.0,
-                pose.heading.rad(),
-                estimate.forward_speed.0,
-                estimate.turn_rate.0,
-            ]
-        })
+    filter.estimate_at(row.stamp()).map_or([f64::NAN; 5], |estimate| {
+        let pose = estimate.pose;
+        [pose.x.0, pose.y.0, pose.heading.rad(), estimate.forward_speed.0, estimate.turn_rate.0]
+    })
 }
 
 #[cfg(test)]

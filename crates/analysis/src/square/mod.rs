@@ -58,14 +58,9 @@ fn start(table: &SensorTable, base: &FilterConfig) -> StartPose {
         heading_sigma_rad: EXACT_START,
     };
     if let Some(truth) = first.and_then(|row| row.truth) {
-        return StartPose {
-            pose: truth.pose(),
-            ..exact
-        };
+        return StartPose { pose: truth.pose(), ..exact };
     }
-    let placed = first
-        .and_then(|row| row.camera)
-        .filter(|seen| seen.theta_deg.is_some());
+    let placed = first.and_then(|row| row.camera).filter(|seen| seen.theta_deg.is_some());
     if let Some(seen) = placed {
         return StartPose {
             pose: seen.pose(),
@@ -86,8 +81,5 @@ fn bias_at_rest(table: &SensorTable, base: &FilterConfig) -> Option<Known> {
     let n = readings.len() as f64;
     let noise = &base.noise;
     let variance = noise.gyro_rad_per_s.powi(2) + noise.gyro_resolution_rad_per_s.powi(2) / 12.0;
-    Some(Known {
-        value: (readings.iter().sum::<f64>() / n).to_radians(),
-        sigma: (variance / n).sqrt(),
-    })
+    Some(Known { value: (readings.iter().sum::<f64>() / n).to_radians(), sigma: (variance / n).sqrt() })
 }

@@ -99,17 +99,10 @@ fn is_straight(table: &SensorTable, row: usize, geometry: &DriveGeometry) -> boo
     let (forward_m, turn_rad) = driven(table, before, after, geometry);
     let count_m = table.unit.in_rad(geometry) * geometry.left_wheel_radius.0;
     let moves = forward_m.abs() > 2.0 * WINDOW as f64 * count_m;
-    moves
-        && turn_rad.abs()
-            <= MOST_TURN_RAD_PER_M * forward_m.abs() + count_m / geometry.track_width.0
+    moves && turn_rad.abs() <= MOST_TURN_RAD_PER_M * forward_m.abs() + count_m / geometry.track_width.0
 }
 
-fn driven(
-    table: &SensorTable,
-    from: &SensorRow,
-    to: &SensorRow,
-    geometry: &DriveGeometry,
-) -> (f64, f64) {
+fn driven(table: &SensorTable, from: &SensorRow, to: &SensorRow, geometry: &DriveGeometry) -> (f64, f64) {
     let unit_rad = table.unit.in_rad(geometry);
     let turned = |wheel: usize| (to.encoders[wheel] - from.encoders[wheel]) * unit_rad;
     let travel = WheelTravel {
@@ -120,12 +113,7 @@ fn driven(
     (body.forward_m, body.turn_rad)
 }
 
-fn record(
-    table: &SensorTable,
-    from: usize,
-    count: usize,
-    geometry: &DriveGeometry,
-) -> Option<Record> {
+fn record(table: &SensorTable, from: usize, count: usize, geometry: &DriveGeometry) -> Option<Record> {
     let rows = table.rows.get(from..from + count)?;
     if rows.len() < FEWEST {
         return None;
@@ -133,11 +121,8 @@ fn record(
     let first = rows.first()?;
     let unit_deg = table.unit.in_rad(geometry).to_degrees();
     let times: Vec<f64> = rows.iter().map(|row| row.time_s).collect();
-    let all = |pick: &dyn Fn(&SensorRow) -> Option<f64>| -> Vec<Option<f64>> {
-        rows.iter().map(pick).collect()
-    };
-    let counter =
-        |wheel: usize| about_line(&times, &all(&|row| Some(row.encoders[wheel] * unit_deg)));
+    let all = |pick: &dyn Fn(&SensorRow) -> Option<f64>| -> Vec<Option<f64>> { rows.iter().map(pick).collect() };
+    let counter = |wheel: usize| about_line(&times, &all(&|row| Some(row.encoders[wheel] * unit_deg)));
     let speeds: Vec<(f64, f64)> = rows
         .windows(2)
         .map(|pair| {
@@ -147,8 +132,7 @@ fn record(
         })
         .collect();
     let heading = |row: &SensorRow| Some(driven(table, first, row, geometry).1.to_degrees());
-    let acceleration =
-        |wheel: usize| about_mean(&all(&|row| Some(row.accelerations_m_per_s2?[wheel])));
+    let acceleration = |wheel: usize| about_mean(&all(&|row| Some(row.accelerations_m_per_s2?[wheel])));
     Some(Record {
         from,
         rows: rows.len(),
@@ -190,41 +174,23 @@ fn about_mean(values: &[Option<f64>]) -> Option<Spread> {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    Some(Spread {
-        mean,
-        variance: squares / (n - 1.0),
-    })
+    Some(Spread { mean, variance: squares / (n - 1.0) })
 }
 
 fn about_line(times: &[f64], values: &[Option<f64>]) -> Option<Spread> {
-    let points: Vec<(f64, f64)> = times
-        .iter()
-        .zip(values)
-        .filter_map(|(time, value)| Some((*time, (*value)?)))
-        .collect();
+    let points: Vec<(f64, f64)> =
+        times.iter().zip(values).filter_map(|(time, value)| Some((*time, (*value)?))).collect();
     if points.len() < FEWEST {
         return None;
     }
     let n = points.len() as f64;
     let middle_s = points.iter().map(|(time, _)| time).sum::<f64>() / n;
     let mean = points.iter().map(|(_, value)| value).sum::<f64>() / n;
-    let spread: f64 = points
-        .iter()
-        .map(|(time, _)| (time - middle_s).powi(2))
-        .sum();
-    let shared: f64 = points
-        .iter()
-        .map(|(time, value)| (time - middle_s) * (value - mean))
-        .sum();
+    let spread: f64 = points.iter().map(|(time, _)| (time - middle_s).powi(2)).sum();
+    let shared: f64 = points.iter().map(|(time, value)| (time - middle_s) * (value - mean)).sum();
     let slope = shared / spread;
-    let squares: f64 = points
-        .iter()
-        .map(|(time, value)| (value - mean - slope * (time - middle_s)).powi(2))
-        .sum();
-    Some(Spread {
-        mean: slope,
-        variance: squares / (n - 2.0),
-    })
+    let squares: f64 = points.iter().map(|(time, value)| (value - mean - slope * (time - middle_s)).powi(2)).sum();
+    Some(Spread { mean: slope, variance: squares / (n - 2.0) })
 }
 
 #[cfg(test)]
@@ -255,10 +221,7 @@ mod tests {
                 truth: None,
             }
         });
-        SensorTable {
-            rows: rows.collect(),
-            ..SensorTable::default()
-        }
+        SensorTable { rows: rows.collect(), ..SensorTable::default() }
     }
 
     #[test]
@@ -269,10 +232,7 @@ mod tests {
         let gyro = rest.gyro.unwrap();
         assert!((gyro.mean - 1.0).abs() < 0.05 && (gyro.variance - 1.0).abs() < 0.05);
         let straight = straight(&drive(), &GEOMETRY).unwrap();
-        assert!(
-            straight.from > 40 && straight.from + straight.rows < 121,
-            "{straight:?}"
-        );
+        assert!(straight.from > 40 && straight.from + straight.rows < 121, "{straight:?}");
         let [left, right] = straight.counters.unwrap();
         assert!((left.variance - 1.0 / 12.0).abs() < 0.02, "{left:?}");
         assert!((left.mean - 20.317 / 0.05).abs() < 1.0);

@@ -65,17 +65,8 @@ struct NoiseRow {
     pick: fn(&Record) -> Option<Spread>,
 }
 
-const fn noise_row(
-    name: &'static str,
-    printed: Option<f64>,
-    pick: fn(&Record) -> Option<Spread>,
-) -> NoiseRow {
-    NoiseRow {
-        name,
-        printed,
-        rounding: None,
-        pick,
-    }
+const fn noise_row(name: &'static str, printed: Option<f64>, pick: fn(&Record) -> Option<Spread>) -> NoiseRow {
+    NoiseRow { name, printed, rounding: None, pick }
 }
 
 impl NoiseRow {
@@ -92,28 +83,18 @@ const DEG2_PER_RAD2: f64 = 1.0 / (DEGREE * DEGREE);
 
 /// The paper's R, equations 19, 23 and 26, and the sensors behind them.
 const NOISE_ROWS: [NoiseRow; 9] = [
-    noise_row("left counter [deg^2]", Some(1.5), |record| {
-        Some(record.counters?[0])
-    })
-    .rounded(|config| WheelMatrices::of_robot(config).variances[0]),
-    noise_row("right counter [deg^2]", Some(2.5), |record| {
-        Some(record.counters?[1])
-    })
-    .rounded(|config| WheelMatrices::of_robot(config).variances[1]),
-    noise_row("v by counters [(cm/s)^2]", Some(5.1), |record| {
-        record.forward
-    })
-    .rounded(|config| SpeedMatrices::of_robot(config).variances[0] * CM2_PER_M2),
-    noise_row("w by counters [(deg/s)^2]", Some(1.938), |record| {
-        record.turn
-    })
-    .rounded(|config| SpeedMatrices::of_robot(config).variances[1] * DEG2_PER_RAD2),
+    noise_row("left counter [deg^2]", Some(1.5), |record| Some(record.counters?[0]))
+        .rounded(|config| WheelMatrices::of_robot(config).variances[0]),
+    noise_row("right counter [deg^2]", Some(2.5), |record| Some(record.counters?[1]))
+        .rounded(|config| WheelMatrices::of_robot(config).variances[1]),
+    noise_row("v by counters [(cm/s)^2]", Some(5.1), |record| record.forward)
+        .rounded(|config| SpeedMatrices::of_robot(config).variances[0] * CM2_PER_M2),
+    noise_row("w by counters [(deg/s)^2]", Some(1.938), |record| record.turn)
+        .rounded(|config| SpeedMatrices::of_robot(config).variances[1] * DEG2_PER_RAD2),
     noise_row("th_enc [deg^2]", Some(0.938), |record| record.wheel_heading),
     noise_row("th_gyro [deg^2]", Some(0.332), |record| record.gyro_heading),
     noise_row("gyro [(deg/s)^2]", None, |record| record.gyro),
-    noise_row("accelerometer left [(m/s^2)^2]", None, |record| {
-        Some(record.accelerometers?[0])
-    }),
+    noise_row("accelerometer left [(m/s^2)^2]", None, |record| Some(record.accelerometers?[0])),
     noise_row("camera x [cm^2]", None, |record| Some(record.camera?[0])),
 ];
 
@@ -127,12 +108,8 @@ impl Chain {
     /// Root mean square of one method's error over the drives that have it; `None` where none has it.
     #[must_use]
     pub fn rms(&self, method: usize, metric: Metric) -> Option<f64> {
-        let squares: Vec<f64> = self
-            .runs
-            .iter()
-            .filter_map(|run| run.get(method)?.of(metric))
-            .map(|error| error * error)
-            .collect();
+        let squares: Vec<f64> =
+            self.runs.iter().filter_map(|run| run.get(method)?.of(metric)).map(|error| error * error).collect();
         let count = squares.len() as f64;
         (count > 0.0).then(|| (squares.iter().sum::<f64>() / count).sqrt())
     }
@@ -149,17 +126,11 @@ impl Report {
     /// The page.
     #[must_use]
     pub fn page(&self) -> Page {
-        let mut parts = vec![
-            Part::Text(self.source.clone()),
-            Part::Lines(self.command.clone()),
-        ];
+        let mut parts = vec![Part::Text(self.source.clone()), Part::Lines(self.command.clone())];
         parts.extend(self.tables());
         parts.push(Part::Heading("Pictures of one drive".to_owned()));
         parts.extend(self.pictures());
-        Page {
-            title: "The square: encoders, wheel filter, speed filter, EKF".to_owned(),
-            parts,
-        }
+        Page { title: "The square: encoders, wheel filter, speed filter, EKF".to_owned(), parts }
     }
 
     /// The tables as text for a terminal.
@@ -187,10 +158,7 @@ impl Report {
         let mut rows: Vec<Vec<String>> = Vec::new();
         for chain in self.chains.iter().chain([&self.outlook]) {
             for (method, name) in chain.names.iter().enumerate() {
-                if rows
-                    .iter()
-                    .any(|row| row.first().is_some_and(|known| known == name))
-                {
+                if rows.iter().any(|row| row.first().is_some_and(|known| known == name)) {
                     continue;
                 }
                 let cell = |metric, factor: f64, digits: usize| {
@@ -208,14 +176,7 @@ impl Report {
             }
         }
         Part::table(
-            &[
-                "method",
-                "position rms [mm]",
-                "at the end [mm]",
-                "heading rms [deg]",
-                "v rms [mm/s]",
-                "w rms [deg/s]",
-            ],
+            &["method", "position rms [mm]", "at the end [mm]", "heading rms [deg]", "v rms [mm/s]", "w rms [deg/s]"],
             rows,
         )
     }
@@ -228,9 +189,7 @@ impl Report {
                 let count = chain.diverged(method);
                 if count > 0 && told.iter().all(|(known, _)| known != name) {
                     let drives = chain.runs.len();
-                    let line = format!(
-                        "{name} diverged in {count} of {drives} drives, which its figures leave out"
-                    );
+                    let line = format!("{name} diverged in {count} of {drives} drives, which its figures leave out");
                     told.push((name, line));
                 }
             }
@@ -299,9 +258,8 @@ impl Report {
     }
 
     fn noise_row(&self, row: &NoiseRow) -> Vec<String> {
-        let number = |value: Option<f64>, digits: usize| {
-            value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.digits$}"))
-        };
+        let number =
+            |value: Option<f64>, digits: usize| value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.digits$}"));
         let variance = |record: &Option<Record>| {
             let spread = record.as_ref().and_then(row.pick);
             number(spread.map(|spread| spread.variance), 4)
@@ -319,18 +277,9 @@ impl Report {
 
     fn pictures(&self) -> Vec<Part> {
         let example = &self.example;
-        let chain: Vec<&str> = self
-            .chains
-            .first()
-            .map_or(Vec::new(), |chain| chain.names.clone());
-        let own: Vec<&str> = self
-            .chains
-            .get(1)
-            .map_or(Vec::new(), |chain| chain.names.clone());
-        let figure = |svg, caption: &str| Part::Figure {
-            svg,
-            caption: caption.to_owned(),
-        };
+        let chain: Vec<&str> = self.chains.first().map_or(Vec::new(), |chain| chain.names.clone());
+        let own: Vec<&str> = self.chains.get(1).map_or(Vec::new(), |chain| chain.names.clone());
+        let figure = |svg, caption: &str| Part::Figure { svg, caption: caption.to_owned() };
         vec![
             figure(
                 example.wheel_figure(),
@@ -359,21 +308,11 @@ impl Report {
 fn order_parts(chain: &Chain) -> Vec<Part> {
     let order = chain.order(Metric::Position);
     let mut rows: Vec<Vec<String>> = order.steps.iter().map(order_row).collect();
-    rows.push(vec![
-        "all of them together".to_owned(),
-        percent(share(order.all_hold, order.drives)),
-    ]);
+    rows.push(vec!["all of them together".to_owned(), percent(share(order.all_hold, order.drives))]);
     let mut parts = vec![
         Part::Heading(format!("The order, {}", chain.setting)),
         Part::table(
-            &[
-                "worse than, by position rms",
-                "share of drives",
-                "sign test p",
-                "ratio",
-                "95 % interval",
-                "verdict",
-            ],
+            &["worse than, by position rms", "share of drives", "sign test p", "ratio", "95 % interval", "verdict"],
             rows,
         ),
     ];
@@ -393,12 +332,10 @@ fn left_out(order: &Order) -> Option<String> {
 }
 
 fn order_row(step: &OrderStep) -> Vec<String> {
-    let [ratio, interval] =
-        step.ratio
-            .map_or([NO_VALUE.to_owned(), NO_VALUE.to_owned()], |ratio| {
-                let [mean, low, high] = ratio;
-                [format!("{mean:.3}"), format!("{low:.3} to {high:.3}")]
-            });
+    let [ratio, interval] = step.ratio.map_or([NO_VALUE.to_owned(), NO_VALUE.to_owned()], |ratio| {
+        let [mean, low, high] = ratio;
+        [format!("{mean:.3}"), format!("{low:.3} to {high:.3}")]
+    });
     vec![
         format!("{} > {}", step.worse, step.better),
         percent(step.share()),
@@ -441,13 +378,11 @@ fn aligned(header: &[String], rows: &[Vec<String>]) -> String {
     let mut text = String::new();
     for line in lines() {
         let cells = line.iter().zip(&widths).enumerate();
-        let cells = cells.map(|(column, (cell, width))| {
-            if column == 0 {
-                format!("{cell:<width$}")
-            } else {
-                format!("  {cell:>width$}")
-            }
-        });
+        let cells = cells.map(
+            |(column, (cell, width))| {
+                if column == 0 { format!("{cell:<width$}") } else { format!("  {cell:>width$}") }
+            },
+        );
         text += cells.collect::<String>().trim_end();
         text.push('\n');
     }

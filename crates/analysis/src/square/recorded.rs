@@ -37,10 +37,7 @@ pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable 
         encoders: angles.map(|angle| angle / geometry.tick.0),
         ..SensorRow::silent(*stamp)
     });
-    let mut table = SensorTable {
-        unit: EncoderUnit::Counts,
-        rows: rows.collect(),
-    };
+    let mut table = SensorTable { unit: EncoderUnit::Counts, rows: rows.collect() };
     add_rates(&mut table, &told, &drive.observations);
     add_accelerations(&mut table, &told, &drive.observations);
     add_images(&mut table, &told, &drive.observations, geometry);
@@ -54,10 +51,7 @@ pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable 
             first.truth = Some(start);
         }
         if let Some(last) = table.rows.last_mut() {
-            last.truth = Some(SeenPose {
-                theta_deg: None,
-                ..start
-            });
+            last.truth = Some(SeenPose { theta_deg: None, ..start });
         }
     }
     table
@@ -69,11 +63,7 @@ fn row_of(told: &[(Stamp<BrickClock>, [f64; 2])], stamp: Stamp<BrickClock>) -> O
     (row < told.len()).then_some(row)
 }
 
-fn add_rates(
-    table: &mut SensorTable,
-    told: &[(Stamp<BrickClock>, [f64; 2])],
-    observations: &[Observation],
-) {
+fn add_rates(table: &mut SensorTable, told: &[(Stamp<BrickClock>, [f64; 2])], observations: &[Observation]) {
     let mut sums = vec![(0.0, 0.0); table.rows.len()];
     let mut before: Option<Stamp<BrickClock>> = None;
     for observation in observations {
@@ -94,11 +84,7 @@ fn add_rates(
     }
 }
 
-fn add_accelerations(
-    table: &mut SensorTable,
-    told: &[(Stamp<BrickClock>, [f64; 2])],
-    observations: &[Observation],
-) {
+fn add_accelerations(table: &mut SensorTable, told: &[(Stamp<BrickClock>, [f64; 2])], observations: &[Observation]) {
     let mut sums = vec![([0.0; 2], 0_u32); table.rows.len()];
     for observation in observations {
         let Observed::WheelAccelerations { left, right } = observation.observed else {
@@ -111,8 +97,7 @@ fn add_accelerations(
         }
     }
     for (row, (sum, count)) in table.rows.iter_mut().zip(sums) {
-        row.accelerations_m_per_s2 =
-            (count > 0).then(|| sum.map(|component| component / f64::from(count)));
+        row.accelerations_m_per_s2 = (count > 0).then(|| sum.map(|component| component / f64::from(count)));
     }
 }
 
@@ -125,29 +110,20 @@ fn add_images(
     let seen: Vec<(Stamp<BrickClock>, &Fix)> = fixes(observations).collect();
     for (index, (stamp, fix)) in seen.iter().enumerate() {
         let after = told.partition_point(|(at, _)| at < stamp);
-        let (Some(later), Some(earlier)) = (
-            told.get(after),
-            after.checked_sub(1).and_then(|index| told.get(index)),
-        ) else {
+        let (Some(later), Some(earlier)) = (told.get(after), after.checked_sub(1).and_then(|index| told.get(index)))
+        else {
             continue;
         };
         let whole_s = (later.0 - earlier.0).as_secs_f64();
         let until_later_s = (later.0 - *stamp).as_secs_f64();
         let is_later_near = until_later_s <= 0.5 * whole_s;
         // Time from the image to its row: negative where the row is the earlier one.
-        let (row, carried_s) = if is_later_near {
-            (after, until_later_s)
-        } else {
-            (after - 1, until_later_s - whole_s)
-        };
+        let (row, carried_s) =
+            if is_later_near { (after, until_later_s) } else { (after - 1, until_later_s - whole_s) };
         let step = moved(earlier.1, later.1, geometry);
         let share = carried_s / whole_s;
         let along = course(&seen, index);
-        let carried = carried(
-            fix,
-            (share * step.forward_m, share * step.turn_rad),
-            fix.heading.or(along),
-        );
+        let carried = carried(fix, (share * step.forward_m, share * step.turn_rad), fix.heading.or(along));
         if let Some(row) = table.rows.get_mut(row) {
             row.camera = Some(carried);
         }
@@ -167,16 +143,10 @@ fn course(seen: &[(Stamp<BrickClock>, &Fix)], index: usize) -> Option<Heading> {
 /// A fix after the body went `forward` and turned.
 fn carried(fix: &Fix, (forward_m, turn_rad): (f64, f64), along: Option<Heading>) -> SeenPose {
     let place = mid_axle(fix);
-    let theta_deg = fix
-        .heading
-        .map(|heading| (heading + Radians(turn_rad)).rad().to_degrees());
+    let theta_deg = fix.heading.map(|heading| (heading + Radians(turn_rad)).rad().to_degrees());
     let middle = along.map_or(0.0, |along| along.rad() + 0.5 * turn_rad);
     let forward_m = if along.is_some() { forward_m } else { 0.0 };
-    SeenPose {
-        x_m: place.x.0 + forward_m * middle.cos(),
-        y_m: place.y.0 + forward_m * middle.sin(),
-        theta_deg,
-    }
+    SeenPose { x_m: place.x.0 + forward_m * middle.cos(), y_m: place.y.0 + forward_m * middle.sin(), theta_deg }
 }
 
 #[cfg(test)]
@@ -249,17 +219,11 @@ mod tests {
             }
             observations.push(seen(1_050, 0.2, heading));
             let config = FilterConfig {
-                start: heading
-                    .is_none()
-                    .then_some(posebridge_estimator::StartPose {
-                        pose: posebridge_telemetry::Pose::new(
-                            Meters(1.0),
-                            Meters(0.0),
-                            Heading::from_rad(1.57),
-                        ),
-                        position_sigma_m: 0.01,
-                        heading_sigma_rad: 0.01,
-                    }),
+                start: heading.is_none().then_some(posebridge_estimator::StartPose {
+                    pose: posebridge_telemetry::Pose::new(Meters(1.0), Meters(0.0), Heading::from_rad(1.57)),
+                    position_sigma_m: 0.01,
+                    heading_sigma_rad: 0.01,
+                }),
                 ..config()
             };
             let drive = RecordedDrive::new(&observations, &config, None).unwrap();
@@ -268,11 +232,7 @@ mod tests {
             assert!((y(4) - 0.04).abs() < 1e-9, "{heading:?}: {}", y(4));
             assert!((y(8) - 0.12).abs() < 1e-9, "{heading:?}: {}", y(8));
             let with_image = table.rows.iter().filter(|row| row.camera.is_some());
-            assert_eq!(
-                with_image.count(),
-                3,
-                "one judged row each, none at the start"
-            );
+            assert_eq!(with_image.count(), 3, "one judged row each, none at the start");
         }
     }
 

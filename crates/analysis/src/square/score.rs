@@ -211,17 +211,13 @@ impl Order {
 /// same order, for each drive; a drive in which one has none is left out.
 #[must_use]
 pub fn order(names: &[&'static str], runs: &[Vec<Errors>], metric: Metric) -> Order {
-    let figures: Vec<Vec<f64>> = runs
-        .iter()
-        .filter_map(|run| run.iter().map(|errors| errors.of(metric)).collect())
-        .collect();
+    let figures: Vec<Vec<f64>> =
+        runs.iter().filter_map(|run| run.iter().map(|errors| errors.of(metric)).collect()).collect();
     let steps = names.windows(2).enumerate();
     let steps = steps.filter_map(|(index, pair)| {
         let [worse, better] = pair else { return None };
-        let pairs: Vec<[f64; 2]> = figures
-            .iter()
-            .filter_map(|run| Some([*run.get(index)?, *run.get(index + 1)?]))
-            .collect();
+        let pairs: Vec<[f64; 2]> =
+            figures.iter().filter_map(|run| Some([*run.get(index)?, *run.get(index + 1)?])).collect();
         Some(step(worse, better, &pairs))
     });
     let falls = |run: &&Vec<f64>| run.windows(2).all(|pair| pair[0] > pair[1]);
@@ -236,10 +232,7 @@ pub fn order(names: &[&'static str], runs: &[Vec<Errors>], metric: Metric) -> Or
 fn step(worse: &'static str, better: &'static str, pairs: &[[f64; 2]]) -> OrderStep {
     let holds = pairs.iter().filter(|[one, other]| one > other).count() as u64;
     let fails = pairs.iter().filter(|[one, other]| one < other).count() as u64;
-    let logs: Vec<f64> = pairs
-        .iter()
-        .map(|[one, other]| (one / other).ln())
-        .collect();
+    let logs: Vec<f64> = pairs.iter().map(|[one, other]| (one / other).ln()).collect();
     OrderStep {
         worse,
         better,
@@ -281,37 +274,24 @@ mod tests {
     use crate::square::table::{SeenPose, SensorRow};
 
     fn table(truth: &[(f64, f64, f64)]) -> SensorTable {
-        let rows = truth
-            .iter()
-            .enumerate()
-            .map(|(index, (x, y, theta))| SensorRow {
-                time_s: 0.1 * index as f64,
-                encoders: [0.0; 2],
-                gyro_deg_per_s: None,
-                accelerations_m_per_s2: None,
-                camera: None,
-                compass_deg: None,
-                truth: Some(SeenPose {
-                    x_m: *x,
-                    y_m: *y,
-                    theta_deg: Some(*theta),
-                }),
-            });
-        SensorTable {
-            rows: rows.collect(),
-            ..SensorTable::default()
-        }
+        let rows = truth.iter().enumerate().map(|(index, (x, y, theta))| SensorRow {
+            time_s: 0.1 * index as f64,
+            encoders: [0.0; 2],
+            gyro_deg_per_s: None,
+            accelerations_m_per_s2: None,
+            camera: None,
+            compass_deg: None,
+            truth: Some(SeenPose { x_m: *x, y_m: *y, theta_deg: Some(*theta) }),
+        });
+        SensorTable { rows: rows.collect(), ..SensorTable::default() }
     }
 
     #[test]
     fn errors_are_those_computed_by_hand() {
         // Northwards at 1 m/s, turning at 100 degrees/s.
         let table = table(&[(0.0, 0.0, 80.0), (0.0, 0.1, 90.0), (0.0, 0.2, 100.0)]);
-        let path = [
-            [9.0; 5],
-            [0.3, 0.5, 92.0_f64.to_radians(), 1.5, 0.0],
-            [0.0, 0.2, -258.0_f64.to_radians(), 9.0, 9.0],
-        ];
+        let path =
+            [[9.0; 5], [0.3, 0.5, 92.0_f64.to_radians(), 1.5, 0.0], [0.0, 0.2, -258.0_f64.to_radians(), 9.0, 9.0]];
         let errors = errors(&table, &path, 10);
         assert!((errors.position_m.unwrap() - f64::sqrt(0.125)).abs() < 1e-12);
         assert!(errors.end_m.unwrap() < 1e-12);
@@ -322,20 +302,8 @@ mod tests {
 
     #[test]
     fn an_order_counts_drives_and_ties_do_not_hold() {
-        let run = |a, b, c| {
-            [a, b, c]
-                .map(|m| Errors {
-                    position_m: Some(m),
-                    ..Errors::default()
-                })
-                .to_vec()
-        };
-        let runs = [
-            run(3.0, 2.0, 1.0),
-            run(3.0, 2.0, 2.0),
-            run(1.0, 2.0, 1.0),
-            vec![Errors::default(); 3],
-        ];
+        let run = |a, b, c| [a, b, c].map(|m| Errors { position_m: Some(m), ..Errors::default() }).to_vec();
+        let runs = [run(3.0, 2.0, 1.0), run(3.0, 2.0, 2.0), run(1.0, 2.0, 1.0), vec![Errors::default(); 3]];
         let order = order(&["a", "b", "c"], &runs, Metric::Position);
         assert_eq!((order.all_hold, order.drives, order.left_out), (1, 3, 1));
         assert_eq!((order.steps[0].holds, order.steps[1].holds), (2, 2));
@@ -346,16 +314,10 @@ mod tests {
         let verdict = |pairs: &[[f64; 2]]| step("a", "b", pairs).in_words();
         assert_eq!(verdict(&[[2.0, 1.0]]), "one drive");
         assert_eq!(verdict(&[[2.0, 1.0], [3.0, 2.0]]), "holds");
-        assert_eq!(
-            verdict(&[[2.0, 1.0], [2.1, 1.0], [0.9, 1.0], [2.0, 1.0], [2.0, 1.0]]),
-            "on average only"
-        );
+        assert_eq!(verdict(&[[2.0, 1.0], [2.1, 1.0], [0.9, 1.0], [2.0, 1.0], [2.0, 1.0]]), "on average only");
         assert_eq!(verdict(&[[1.0, 2.0], [1.0, 2.1]]), "the other way round");
         let exact = step("a", "b", &[[2.0, 1.0], [0.0, 1.0], [2.0, 1.0]]);
-        assert_eq!(
-            (exact.ratio, exact.in_words()),
-            (None, "no ratio on average")
-        );
+        assert_eq!((exact.ratio, exact.in_words()), (None, "no ratio on average"));
     }
 
     #[test]
@@ -373,19 +335,11 @@ mod tests {
 
     #[test]
     fn an_order_holds_on_average_if_each_step_does() {
-        let error = |position_m: f64| Errors {
-            position_m: Some(position_m),
-            ..Errors::default()
-        };
+        let error = |position_m: f64| Errors { position_m: Some(position_m), ..Errors::default() };
         let run = |all: [f64; 3]| all.map(error).to_vec();
         let names = ["a", "b", "c"];
         // One drive falls out, and the ratios of both steps stay above one.
-        let falls = [
-            [3.0, 2.0, 1.0],
-            [3.1, 2.1, 1.0],
-            [3.0, 2.1, 1.1],
-            [1.9, 2.0, 1.0],
-        ];
+        let falls = [[3.0, 2.0, 1.0], [3.1, 2.1, 1.0], [3.0, 2.1, 1.1], [1.9, 2.0, 1.0]];
         let falls = order(&names, &falls.map(run), Metric::Position);
         assert!(falls.holds_on_average());
         assert_eq!(falls.all_hold, 3);

@@ -4,8 +4,8 @@
 //! Units are those of the file and of the paper's brick (counts, degrees); they become SI in [`SensorTable::observations`].
 
 use posebridge_telemetry::{
-    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, Observation,
-    Observed, Point2, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, Observation, Observed, Point2,
+    Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
 };
 
 const NANOS_PER_S: f64 = 1e9;
@@ -131,20 +131,11 @@ impl SensorRow {
     }
 
     /// What the sensors among `senses` said, wheels first. `unit_rad` is one of the table's encoder unit, in rad.
-    pub fn observations(
-        &self,
-        unit_rad: f64,
-        senses: &[Sense],
-    ) -> impl Iterator<Item = Observation> {
+    pub fn observations(&self, unit_rad: f64, senses: &[Sense]) -> impl Iterator<Item = Observation> {
         let stamp = self.stamp();
         let said = senses.iter().filter_map(move |sense| {
             let (sensor, observed) = self.said(*sense, unit_rad)?;
-            Some(Observation {
-                sensor,
-                stamp,
-                stamp_sigma: Span::ZERO,
-                observed,
-            })
+            Some(Observation { sensor, stamp, stamp_sigma: Span::ZERO, observed })
         });
         said.collect::<Vec<_>>().into_iter()
     }
@@ -183,11 +174,7 @@ impl SeenPose {
     /// A pose as it stands in a table.
     #[must_use]
     pub fn of(pose: Pose<Arena>) -> Self {
-        Self {
-            x_m: pose.x.0,
-            y_m: pose.y.0,
-            theta_deg: Some(pose.heading.rad().to_degrees()),
-        }
+        Self { x_m: pose.x.0, y_m: pose.y.0, theta_deg: Some(pose.heading.rad().to_degrees()) }
     }
 
     /// The same as a pose of the arena; a heading that was not seen is zero.
@@ -200,9 +187,7 @@ impl SeenPose {
     fn fix(&self) -> Fix {
         Fix {
             position: Point2::<Arena>::new(Meters(self.x_m), Meters(self.y_m)),
-            heading: self
-                .theta_deg
-                .map(|theta_deg| Heading::from_rad(theta_deg.to_radians())),
+            heading: self.theta_deg.map(|theta_deg| Heading::from_rad(theta_deg.to_radians())),
             covariance: None,
             tag_in_body: Point2::ORIGIN,
             reset_counter: 0,
@@ -266,14 +251,8 @@ mod tests {
         let stamp = Stamp::from_nanos(1_050_000_000);
         let tick_rad = 1.0_f64.to_radians();
         let said = [
-            Observed::WheelAngles {
-                left: Radians(3.0 * tick_rad),
-                right: Radians(-4.0 * tick_rad),
-            },
-            Observed::WheelAccelerations {
-                left: MetersPerSecondSquared(0.1),
-                right: MetersPerSecondSquared(-0.2),
-            },
+            Observed::WheelAngles { left: Radians(3.0 * tick_rad), right: Radians(-4.0 * tick_rad) },
+            Observed::WheelAccelerations { left: MetersPerSecondSquared(0.1), right: MetersPerSecondSquared(-0.2) },
             Observed::TurnRate(RadiansPerSecond(2.0_f64.to_radians())),
         ];
         let mut row = SensorRow::silent(stamp);
@@ -282,12 +261,7 @@ mod tests {
         }
         row.hear(&Observed::WallRange(Meters(1.0)), tick_rad);
         assert_eq!((row.time_s, row.encoders), (1.05, [3.0, -4.0]));
-        let all = [
-            Sense::Wheels,
-            Sense::Accelerometers,
-            Sense::Gyro,
-            Sense::Camera,
-        ];
+        let all = [Sense::Wheels, Sense::Accelerometers, Sense::Gyro, Sense::Camera];
         let again: Vec<Observation> = row.observations(tick_rad, &all).collect();
         assert_eq!(again.len(), 3, "the camera said nothing");
         for (observation, observed) in again.iter().zip(said) {
@@ -297,32 +271,20 @@ mod tests {
 
     #[test]
     fn an_image_either_helps_or_judges() {
-        let seen = SeenPose {
-            x_m: 1.0,
-            y_m: 2.0,
-            theta_deg: None,
-        };
+        let seen = SeenPose { x_m: 1.0, y_m: 2.0, theta_deg: None };
         let rows = (0..9).map(|step| {
             let mut row = SensorRow::silent(Stamp::from_nanos(50_000_000 * step));
             row.camera = Some(seen);
             row
         });
-        let table = SensorTable {
-            rows: rows.collect(),
-            ..SensorTable::default()
-        };
+        let table = SensorTable { rows: rows.collect(), ..SensorTable::default() };
         let helps = |table: &SensorTable, every| -> Vec<usize> {
             let given = table.images_given(every).into_iter().enumerate();
-            given
-                .filter(|(_, given)| *given)
-                .map(|(row, _)| row)
-                .collect()
+            given.filter(|(_, given)| *given).map(|(row, _)| row).collect()
         };
         let judges = |table: &SensorTable| -> Vec<usize> {
             let seen = table.references(4).into_iter().enumerate();
-            seen.filter(|(_, seen)| seen.is_some())
-                .map(|(row, _)| row)
-                .collect()
+            seen.filter(|(_, seen)| seen.is_some()).map(|(row, _)| row).collect()
         };
         assert_eq!(helps(&table, 4), [4, 8]);
         assert_eq!(judges(&table), [1, 2, 3, 5, 6, 7]);
@@ -330,11 +292,7 @@ mod tests {
         for row in [1, 4, 6] {
             sparse.rows[row].camera = None;
         }
-        assert_eq!(
-            helps(&sparse, 4),
-            [7],
-            "the fourth image, not the fourth row"
-        );
+        assert_eq!(helps(&sparse, 4), [7], "the fourth image, not the fourth row");
         assert_eq!(judges(&sparse), [2, 3, 5, 8]);
         let mut known = table;
         known.rows[0].truth = Some(seen);

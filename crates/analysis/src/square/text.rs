@@ -34,11 +34,7 @@ pub fn parse(text: &str) -> Result<SensorTable, TextError> {
         }
         let row = layout.row(line, text)?;
         if let Some(before) = rows.last().filter(|before| before.time_s >= row.time_s) {
-            return Err(TextError::Time {
-                line,
-                time_s: row.time_s,
-                before_s: before.time_s,
-            });
+            return Err(TextError::Time { line, time_s: row.time_s, before_s: before.time_s });
         }
         rows.push(row);
     }
@@ -131,11 +127,7 @@ impl Layout {
             }
             width += 1;
         }
-        let mut layout = Self {
-            places,
-            width,
-            unit: EncoderUnit::Counts,
-        };
+        let mut layout = Self { places, width, unit: EncoderUnit::Counts };
         layout.unit = layout.check(line)?;
         Ok(layout)
     }
@@ -148,37 +140,26 @@ impl Layout {
     fn check(&self, line: usize) -> Result<EncoderUnit, TextError> {
         let missing = |name, advice| Err(TextError::MissingColumn { line, name, advice });
         if !self.has("time_s") {
-            return missing(
-                "time_s",
-                "the filters need the time of each row, in seconds",
-            );
+            return missing("time_s", "the filters need the time of each row, in seconds");
         }
-        for (one, other) in [
-            ("accel_left_m_per_s2", "accel_right_m_per_s2"),
-            ("camera_x_m", "camera_y_m"),
-            ("truth_x_m", "truth_y_m"),
-        ] {
+        for (one, other) in
+            [("accel_left_m_per_s2", "accel_right_m_per_s2"), ("camera_x_m", "camera_y_m"), ("truth_x_m", "truth_y_m")]
+        {
             for (present, absent) in [(one, other), (other, one)] {
                 if self.has(present) && !self.has(absent) {
                     return missing(absent, "its partner stands there alone; give both or none");
                 }
             }
         }
-        let unit = if self.has("left_deg") || self.has("right_deg") {
-            EncoderUnit::Degrees
-        } else {
-            EncoderUnit::Counts
-        };
+        let unit =
+            if self.has("left_deg") || self.has("right_deg") { EncoderUnit::Degrees } else { EncoderUnit::Counts };
         let wanted = match unit {
             EncoderUnit::Degrees => ["left_deg", "right_deg"],
             EncoderUnit::Counts => ["left_counts", "right_counts"],
         };
         for name in wanted {
             if !self.has(name) {
-                return missing(
-                    name,
-                    "both wheels are needed, both in counts or both in degrees",
-                );
+                return missing(name, "both wheels are needed, both in counts or both in degrees");
             }
         }
         Ok(unit)
@@ -187,17 +168,9 @@ impl Layout {
     fn row(&self, line: usize, text: &str) -> Result<SensorRow, TextError> {
         let cells: Vec<&str> = text.split(',').map(str::trim).collect();
         if cells.len() != self.width {
-            return Err(TextError::Cells {
-                line,
-                found: cells.len(),
-                expected: self.width,
-            });
+            return Err(TextError::Cells { line, found: cells.len(), expected: self.width });
         }
-        let at = Cells {
-            layout: self,
-            line,
-            said: cells,
-        };
+        let at = Cells { layout: self, line, said: cells };
         let reason = "wheels and time are what every filter lives on";
         let [left, right] = match self.unit {
             EncoderUnit::Counts => ["left_counts", "right_counts"],
@@ -207,27 +180,19 @@ impl Layout {
             let reason = "its partner has one";
             match (at.number(one)?, at.number(other)?) {
                 (None, None) => Ok(None),
-                (one_value, other_value) => Ok(Some([
-                    at.needed(one, one_value, reason)?,
-                    at.needed(other, other_value, reason)?,
-                ])),
+                (one_value, other_value) => {
+                    Ok(Some([at.needed(one, one_value, reason)?, at.needed(other, other_value, reason)?]))
+                }
             }
         };
         let seen = |x, y, theta| -> Result<Option<SeenPose>, TextError> {
             let theta_deg = at.number(theta)?;
-            let seen = pair(x, y)?.map(|[x_m, y_m]| SeenPose {
-                x_m,
-                y_m,
-                theta_deg,
-            });
+            let seen = pair(x, y)?.map(|[x_m, y_m]| SeenPose { x_m, y_m, theta_deg });
             Ok(seen)
         };
         Ok(SensorRow {
             time_s: at.needed("time_s", at.number("time_s")?, reason)?,
-            encoders: [
-                at.needed(left, at.number(left)?, reason)?,
-                at.needed(right, at.number(right)?, reason)?,
-            ],
+            encoders: [at.needed(left, at.number(left)?, reason)?, at.needed(right, at.number(right)?, reason)?],
             gyro_deg_per_s: at.number("gyro_deg_per_s")?,
             accelerations_m_per_s2: pair("accel_left_m_per_s2", "accel_right_m_per_s2")?,
             camera: seen("camera_x_m", "camera_y_m", "camera_theta_deg")?,
@@ -257,25 +222,12 @@ impl Cells<'_> {
         }
         match text.parse::<f64>() {
             Ok(number) if number.abs() <= LARGEST => Ok(Some(number)),
-            _ => Err(TextError::Number {
-                line: self.line,
-                column: name,
-                text: (*text).to_owned(),
-            }),
+            _ => Err(TextError::Number { line: self.line, column: name, text: (*text).to_owned() }),
         }
     }
 
-    fn needed(
-        &self,
-        column: &'static str,
-        value: Option<f64>,
-        reason: &'static str,
-    ) -> Result<f64, TextError> {
-        value.ok_or(TextError::Empty {
-            line: self.line,
-            column,
-            reason,
-        })
+    fn needed(&self, column: &'static str, value: Option<f64>, reason: &'static str) -> Result<f64, TextError> {
+        value.ok_or(TextError::Empty { line: self.line, column, reason })
     }
 }
 
@@ -301,17 +253,9 @@ mod tests {
             encoders: [x, -x],
             gyro_deg_per_s: Some(x / 3.0),
             accelerations_m_per_s2: Some([x * 1e-17, -0.1]),
-            camera: Some(SeenPose {
-                x_m: x.sqrt(),
-                y_m: 1e300_f64.ln(),
-                theta_deg: None,
-            }),
+            camera: Some(SeenPose { x_m: x.sqrt(), y_m: 1e300_f64.ln(), theta_deg: None }),
             compass_deg: None,
-            truth: Some(SeenPose {
-                x_m: 0.1 + 0.2,
-                y_m: -x / 7.0,
-                theta_deg: Some(x),
-            }),
+            truth: Some(SeenPose { x_m: 0.1 + 0.2, y_m: -x / 7.0, theta_deg: Some(x) }),
         };
         for unit in [EncoderUnit::Counts, EncoderUnit::Degrees] {
             let mut rows = vec![row(-0.1, 0.3), row(1.0 / 3.0, 1e9)];
@@ -327,34 +271,13 @@ mod tests {
     fn every_fault_of_the_header_is_named_with_its_line() {
         let cases = [
             ("", "no line with the names"),
-            (
-                "time_s,left_counts,right\n",
-                "line 1: no column is called `right`",
-            ),
-            (
-                "time_s,time_s\n",
-                "line 1: the column `time_s` stands there twice",
-            ),
-            (
-                "left_deg,right_deg\n",
-                "line 1: there is no column `time_s`",
-            ),
-            (
-                "time_s,left_counts\n",
-                "line 1: there is no column `right_counts`",
-            ),
-            (
-                "time_s,left_deg,right_counts\n",
-                "line 1: there is no column `right_deg`",
-            ),
-            (
-                "time_s,left_deg,right_deg,camera_y_m\n",
-                "line 1: there is no column `camera_x_m`",
-            ),
-            (
-                "time_s,left_deg,right_deg\n0,1\n",
-                "line 2 has 2 cells, the header has 3",
-            ),
+            ("time_s,left_counts,right\n", "line 1: no column is called `right`"),
+            ("time_s,time_s\n", "line 1: the column `time_s` stands there twice"),
+            ("left_deg,right_deg\n", "line 1: there is no column `time_s`"),
+            ("time_s,left_counts\n", "line 1: there is no column `right_counts`"),
+            ("time_s,left_deg,right_counts\n", "line 1: there is no column `right_deg`"),
+            ("time_s,left_deg,right_deg,camera_y_m\n", "line 1: there is no column `camera_x_m`"),
+            ("time_s,left_deg,right_deg\n0,1\n", "line 2 has 2 cells, the header has 3"),
         ];
         for (text, expected) in cases {
             let said = parse(text).unwrap_err().to_string();
@@ -366,27 +289,12 @@ mod tests {
     fn every_fault_of_a_row_is_named_with_line_and_column() {
         let header = "time_s,left_counts,right_counts,camera_x_m,camera_y_m\n";
         let rows = [
-            (
-                "0,1,1,,\n0,2,2,,\n",
-                "line 3, column `time_s`: 0 s does not come after 0 s",
-            ),
-            (
-                "0,1,1,,\nnan,2,2,,\n",
-                "line 3, column `time_s`: `nan` is not",
-            ),
+            ("0,1,1,,\n0,2,2,,\n", "line 3, column `time_s`: 0 s does not come after 0 s"),
+            ("0,1,1,,\nnan,2,2,,\n", "line 3, column `time_s`: `nan` is not"),
             ("0,1,inf,,\n", "line 2, column `right_counts`: `inf` is not"),
-            (
-                "0,1,1e10,,\n",
-                "line 2, column `right_counts`: `1e10` is not",
-            ),
-            (
-                "0,,1,,\n",
-                "line 2, column `left_counts`: a number is needed",
-            ),
-            (
-                "0,1,1,0.5,\n",
-                "line 2, column `camera_y_m`: a number is needed",
-            ),
+            ("0,1,1e10,,\n", "line 2, column `right_counts`: `1e10` is not"),
+            ("0,,1,,\n", "line 2, column `left_counts`: a number is needed"),
+            ("0,1,1,0.5,\n", "line 2, column `camera_y_m`: a number is needed"),
             ("0,1,1,,\n", "there are 1 rows"),
         ];
         for (text, expected) in rows {

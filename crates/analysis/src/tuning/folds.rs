@@ -52,11 +52,7 @@ impl Blocks {
     pub fn of(observations: &[Observation], count: usize) -> Self {
         let stamps = || observations.iter().map(|observation| observation.stamp);
         let first = stamps().min().unwrap_or(Stamp::ZERO);
-        Self {
-            first,
-            length: stamps().max().unwrap_or(Stamp::ZERO) - first,
-            count: count.max(1),
-        }
+        Self { first, length: stamps().max().unwrap_or(Stamp::ZERO) - first, count: count.max(1) }
     }
 
     /// How many there are.
@@ -162,22 +158,14 @@ pub fn choose(folds: &[FoldScore]) -> Choice {
         }
         all.mean_m2().map(f64::sqrt)
     });
-    let all_of_it = Choice {
-        index: SHARES.len() - 1,
-        gains,
-        standard_error: 0.0,
-        position_rms_m,
-        reason: Reason::NoFolds,
-    };
+    let all_of_it =
+        Choice { index: SHARES.len() - 1, gains, standard_error: 0.0, position_rms_m, reason: Reason::NoFolds };
     if folds.len() < 2 {
         return all_of_it;
     }
     let best = best_of(&gains);
     let mean = gains[best] / folds.len() as f64;
-    let squares: f64 = folds
-        .iter()
-        .map(|fold| (gain(fold, best) - mean).powi(2))
-        .sum();
+    let squares: f64 = folds.iter().map(|fold| (gain(fold, best) - mean).powi(2)).sum();
     let count = folds.len() as f64;
     let standard_error = (count / (count - 1.0) * squares).sqrt();
     let enough = gains[best] - standard_error;
@@ -190,11 +178,7 @@ pub fn choose(folds: &[FoldScore]) -> Choice {
     Choice {
         index,
         standard_error,
-        reason: if index == by_likelihood {
-            Reason::Likelihood
-        } else {
-            Reason::Position
-        },
+        reason: if index == by_likelihood { Reason::Likelihood } else { Reason::Position },
         ..all_of_it
     }
 }
@@ -311,10 +295,7 @@ mod tests {
         let heights = [4.0, 6.0, 9.0, 11.0, 14.0, 16.0];
         let differing = choose(&heights.map(|height| fold(height, 1.0, |_| 0.01)));
         assert!((differing.standard_error - 127.2_f64.sqrt()).abs() < 1e-9);
-        assert_eq!(
-            (differing.share(), differing.reason),
-            (0.625, Reason::Likelihood)
-        );
+        assert_eq!((differing.share(), differing.reason), (0.625, Reason::Likelihood));
     }
 
     #[test]
@@ -342,23 +323,14 @@ mod tests {
 
     #[test]
     fn numbers_that_lose_on_what_was_held_out_are_told_in_what() {
-        let worth = |ln_p_each, rms_m| Worth {
-            ln_p_each: Some(ln_p_each),
-            position_rms_m: Some(rms_m),
-        };
+        let worth = |ln_p_each, rms_m| Worth { ln_p_each: Some(ln_p_each), position_rms_m: Some(rms_m) };
         let start = worth(2.0, 0.010);
         assert_eq!(start.loss_against(&start), None);
         assert_eq!(worth(2.1, 0.009).loss_against(&start), None);
-        assert_eq!(
-            worth(1.9, 0.009).loss_against(&start),
-            Some(Loss::Likelihood)
-        );
+        assert_eq!(worth(1.9, 0.009).loss_against(&start), Some(Loss::Likelihood));
         assert_eq!(worth(2.1, 0.011).loss_against(&start), Some(Loss::Position));
         assert_eq!(worth(1.9, f64::NAN).loss_against(&start), Some(Loss::Both));
-        let blind = Worth {
-            position_rms_m: None,
-            ..worth(2.1, 0.0)
-        };
+        let blind = Worth { position_rms_m: None, ..worth(2.1, 0.0) };
         assert_eq!(blind.loss_against(&start), None);
     }
 }

@@ -54,10 +54,7 @@ noise_keys! {
 }
 
 const fn is_motion(seen: &Observed) -> bool {
-    matches!(
-        seen,
-        Observed::WheelAngles { .. } | Observed::OdometerPose(_) | Observed::BodyVelocity { .. }
-    )
+    matches!(seen, Observed::WheelAngles { .. } | Observed::OdometerPose(_) | Observed::BodyVelocity { .. })
 }
 
 /// One parameter that is tuned.
@@ -71,9 +68,7 @@ pub enum TunedKey {
 
 /// There is nothing to tune under this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "`{key}` cannot be tuned; there are {known}, and filter.KEY for the tunables of `[filter]`"
-)]
+#[error("`{key}` cannot be tuned; there are {known}, and filter.KEY for the tunables of `[filter]`")]
 pub struct UnknownKey {
     key: String,
     known: String,
@@ -95,11 +90,7 @@ impl TunedKey {
         };
         found.ok_or_else(|| UnknownKey {
             key: text.to_owned(),
-            known: NOISE_KEYS
-                .iter()
-                .map(|row| row.key)
-                .collect::<Vec<_>>()
-                .join(", "),
+            known: NOISE_KEYS.iter().map(|row| row.key).collect::<Vec<_>>().join(", "),
         })
     }
 
@@ -145,11 +136,7 @@ pub fn usual_keys(observations: &[Observation], noise: &SensorNoise) -> Vec<Tune
         let mut seen = observations.iter();
         seen.any(|observation| (row.told_by)(&observation.observed))
     };
-    NOISE_KEYS
-        .iter()
-        .filter(|row| (row.read)(noise) > 0.0 && is_told(row))
-        .map(TunedKey::Noise)
-        .collect()
+    NOISE_KEYS.iter().filter(|row| (row.read)(noise) > 0.0 && is_told(row)).map(TunedKey::Noise).collect()
 }
 
 #[cfg(test)]
@@ -158,23 +145,13 @@ mod tests {
 
     #[test]
     fn a_key_is_found_under_every_way_to_write_it_and_an_unknown_one_lists_the_others() {
-        for text in [
-            "gyro_rad_per_s",
-            "noise.gyro_rad_per_s",
-            "robot.noise.gyro_rad_per_s",
-        ] {
-            assert_eq!(
-                TunedKey::named(text).unwrap().name(),
-                "noise.gyro_rad_per_s"
-            );
+        for text in ["gyro_rad_per_s", "noise.gyro_rad_per_s", "robot.noise.gyro_rad_per_s"] {
+            assert_eq!(TunedKey::named(text).unwrap().name(), "noise.gyro_rad_per_s");
         }
         let filter = TunedKey::named("filter.accel_m_s2").unwrap();
         assert_eq!(filter.name(), "filter.accel_m_s2");
         let said = TunedKey::named("noise.gyro").err().unwrap().to_string();
-        assert!(
-            said.contains("`noise.gyro`") && said.contains("fix_heading_rad"),
-            "{said}"
-        );
+        assert!(said.contains("`noise.gyro`") && said.contains("fix_heading_rad"), "{said}");
     }
 
     #[test]

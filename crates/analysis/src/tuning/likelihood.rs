@@ -19,12 +19,7 @@ const OUTLIER_SPREAD: f64 = 10.0;
 /// ```
 #[must_use]
 pub const fn offline_params(params: Params) -> Params {
-    Params {
-        adapt_gain: 0.0,
-        slip_nis: f64::INFINITY,
-        gate_probability: 0.999_999,
-        ..params
-    }
+    Params { adapt_gain: 0.0, slip_nis: f64::INFINITY, gate_probability: 0.999_999, ..params }
 }
 
 /// The innovations of one sensor over one run or many.
@@ -124,10 +119,7 @@ impl RunFit {
         for theirs in &other.sources {
             match self.source_mut(theirs.sensor) {
                 Some(own) => own.absorb(theirs),
-                None => self.sources.push(SourceFit {
-                    last: [None; 3],
-                    ..*theirs
-                }),
+                None => self.sources.push(SourceFit { last: [None; 3], ..*theirs }),
             }
         }
     }
@@ -153,11 +145,7 @@ impl RunFit {
 
 /// Gives a run to a filter, in the order of arrival, and judges each block of time by itself: one entry per block. The filter runs
 /// through.
-pub fn fit_in_blocks(
-    observations: &[Observation],
-    filter: &mut dyn Filter,
-    blocks: &Blocks,
-) -> Vec<RunFit> {
+pub fn fit_in_blocks(observations: &[Observation], filter: &mut dyn Filter, blocks: &Blocks) -> Vec<RunFit> {
     let mut fits = vec![RunFit::default(); blocks.count()];
     for observation in observations {
         let record = filter.observe(observation);
@@ -234,9 +222,8 @@ mod tests {
     #[test]
     fn the_density_integrates_to_one() {
         let (s, step) = (0.3, 0.01);
-        let total: f64 = (-10_000..=10_000)
-            .map(|i| ln_density(&record(f64::from(i) * step, s)).unwrap().exp() * step)
-            .sum();
+        let total: f64 =
+            (-10_000..=10_000).map(|i| ln_density(&record(f64::from(i) * step, s)).unwrap().exp() * step).sum();
         assert!((total - 1.0).abs() < 1e-6, "{total}");
     }
 
@@ -245,10 +232,7 @@ mod tests {
         let (near, far) = (record(0.0, 1.0), record(20.0, 1.0));
         let lost = ln_density(&near).unwrap() - ln_density(&far).unwrap();
         // ln(1/0.01) + ln 10 + 20^2 / 200
-        assert!(
-            (lost - (100.0_f64.ln() + 10.0_f64.ln() + 2.0)).abs() < 0.02,
-            "{lost}"
-        );
+        assert!((lost - (100.0_f64.ln() + 10.0_f64.ln() + 2.0)).abs() < 0.02, "{lost}");
     }
 
     #[test]
@@ -265,10 +249,7 @@ mod tests {
     #[test]
     fn what_was_not_predicted_or_is_not_finite_says_nothing() {
         let mut fit = RunFit::default();
-        fit.add(&FusionRecord {
-            degrees_of_freedom: 0,
-            ..record(0.0, 1.0)
-        });
+        fit.add(&FusionRecord { degrees_of_freedom: 0, ..record(0.0, 1.0) });
         fit.add(&record(f64::NAN, 1.0));
         fit.add(&record(f64::INFINITY, 1.0));
         assert_eq!(fit, RunFit::default());

@@ -31,13 +31,8 @@ mod likelihood;
 mod search;
 mod synthetic;
 
-pub use folds::{
-    Blocks, Choice, FoldScore, Loss, Reason, SHARES, Squares, Worth, blocks_per_run, choose,
-    folds_of,
-};
+pub use folds::{Blocks, Choice, FoldScore, Loss, Reason, SHARES, Squares, Worth, blocks_per_run, choose, folds_of};
 pub use keys::{NOISE_KEYS, NoiseKey, TunedKey, UnknownKey, usual_keys};
-pub use likelihood::{
-    PRIOR_SIGMA, RunFit, SourceFit, fit_in_blocks, fit_run, joint_rms, ln_prior, offline_params,
-};
+pub use likelihood::{PRIOR_SIGMA, RunFit, SourceFit, fit_in_blocks, fit_run, joint_rms, ln_prior, offline_params};
 pub use search::{Ending, Found, Round, Search, maximise};
 pub use synthetic::{Glimpses, fixes_from_truth};

@@ -77,27 +77,16 @@ pub struct Found {
 const CURVATURE_STEP: f64 = 0.2;
 
 /// Searches from zero. `evaluate` gets all points of a round and gives one value for each; what is not finite counts as the worst.
-pub fn maximise(
-    variables: usize,
-    search: &Search,
-    mut evaluate: impl FnMut(&[Vec<f64>]) -> Vec<f64>,
-) -> Found {
+pub fn maximise(variables: usize, search: &Search, mut evaluate: impl FnMut(&[Vec<f64>]) -> Vec<f64>) -> Found {
     let mut ask = |points: &[Vec<f64>]| -> Vec<f64> {
         let values = evaluate(points);
         let finite = |value: f64| {
-            if value.is_finite() {
-                value
-            } else {
-                f64::NEG_INFINITY
-            }
+            if value.is_finite() { value } else { f64::NEG_INFINITY }
         };
         values.into_iter().map(finite).collect()
     };
     let start = vec![0.0; variables];
-    let start_value = ask(std::slice::from_ref(&start))
-        .first()
-        .copied()
-        .unwrap_or(f64::NEG_INFINITY);
+    let start_value = ask(std::slice::from_ref(&start)).first().copied().unwrap_or(f64::NEG_INFINITY);
     let mut best = (start, start_value);
     let mut step = search.first_step;
     let mut rounds = Vec::new();
@@ -111,30 +100,16 @@ pub fn maximise(
         let values = ask(&polled);
         let combined = combinations(&best, &polled, &values, search);
         let more = ask(&combined);
-        let all = polled
-            .into_iter()
-            .zip(values)
-            .chain(combined.into_iter().zip(more));
+        let all = polled.into_iter().zip(values).chain(combined.into_iter().zip(more));
         let top = all.max_by(|a, b| a.1.total_cmp(&b.1));
         match top.filter(|top| top.1 > best.1 + search.least_gain) {
             Some(top) => best = top,
             None => step *= 0.5,
         }
-        rounds.push(Round {
-            value: best.1,
-            at: best.0.clone(),
-            step,
-        });
+        rounds.push(Round { value: best.1, at: best.0.clone(), step });
     }
     let sigma = sigmas(&best, &mut ask);
-    Found {
-        start_value,
-        at: best.0,
-        value: best.1,
-        rounds,
-        sigma,
-        ending,
-    }
+    Found { start_value, at: best.0, value: best.1, rounds, sigma, ending }
 }
 
 /// One step up and one down along each axis: points 2 j and 2 j + 1.
@@ -146,9 +121,7 @@ fn polls(centre: &[f64], step: f64, bound: f64) -> Vec<Vec<f64>> {
         }
         point
     };
-    (0..centre.len())
-        .flat_map(|j| [along(j, step), along(j, -step)])
-        .collect()
+    (0..centre.len()).flat_map(|j| [along(j, step), along(j, -step)]).collect()
 }
 
 /// All steps that helped, the same twice, and the best single one twice; nothing where nothing helped.
@@ -162,14 +135,10 @@ fn combinations(
     let mut single: Option<(f64, &Vec<f64>)> = None;
     for (j, (points, values)) in polled.chunks(2).zip(values.chunks(2)).enumerate() {
         let better = points.iter().zip(values).max_by(|a, b| a.1.total_cmp(b.1));
-        let Some((point, gained)) =
-            better.filter(|(_, gained)| **gained > value + search.least_gain)
-        else {
+        let Some((point, gained)) = better.filter(|(_, gained)| **gained > value + search.least_gain) else {
             continue;
         };
-        if let (Some(to), Some(end), Some(from)) =
-            (together.get_mut(j), point.get(j), centre.get(j))
-        {
+        if let (Some(to), Some(end), Some(from)) = (together.get_mut(j), point.get(j), centre.get(j)) {
             *to = end - from;
         }
         if single.is_none_or(|(best, _)| *gained > best) {
@@ -181,26 +150,13 @@ fn combinations(
     };
     let beyond = |by: &[f64], times: f64| -> Vec<f64> {
         let moved = centre.iter().zip(by).map(|(from, by)| from + times * by);
-        moved
-            .map(|value| value.clamp(-search.bound, search.bound))
-            .collect()
+        moved.map(|value| value.clamp(-search.bound, search.bound)).collect()
     };
-    let alone: Vec<f64> = single
-        .iter()
-        .zip(centre)
-        .map(|(end, from)| end - from)
-        .collect();
-    vec![
-        beyond(&together, 1.0),
-        beyond(&together, 2.0),
-        beyond(&alone, 2.0),
-    ]
+    let alone: Vec<f64> = single.iter().zip(centre).map(|(end, from)| end - from).collect();
+    vec![beyond(&together, 1.0), beyond(&together, 2.0), beyond(&alone, 2.0)]
 }
 
-fn sigmas(
-    (centre, value): &(Vec<f64>, f64),
-    ask: &mut impl FnMut(&[Vec<f64>]) -> Vec<f64>,
-) -> Vec<Option<f64>> {
+fn sigmas((centre, value): &(Vec<f64>, f64), ask: &mut impl FnMut(&[Vec<f64>]) -> Vec<f64>) -> Vec<Option<f64>> {
     let values = ask(&polls(centre, CURVATURE_STEP, f64::INFINITY));
     let pairs = values.chunks(2).map(|pair| {
         let [up, down] = pair else { return None };
@@ -222,67 +178,36 @@ mod tests {
 
     #[test]
     fn the_top_of_a_ridge_is_found_with_its_curvature() {
-        let found = maximise(2, &Search::default(), |points| {
-            points.iter().map(|point| ridge(point)).collect()
-        });
-        assert!(
-            (found.at[0] - 2.3).abs() < 0.06 && (found.at[1] + 1.1).abs() < 0.06,
-            "{found:?}"
-        );
+        let found = maximise(2, &Search::default(), |points| points.iter().map(|point| ridge(point)).collect());
+        assert!((found.at[0] - 2.3).abs() < 0.06 && (found.at[1] + 1.1).abs() < 0.06, "{found:?}");
         assert_eq!(found.ending, Ending::Settled);
         assert!((found.sigma[0].unwrap() - 0.1).abs() < 1e-9);
-        assert!(
-            found
-                .rounds
-                .windows(2)
-                .all(|pair| pair[0].value <= pair[1].value)
-        );
+        assert!(found.rounds.windows(2).all(|pair| pair[0].value <= pair[1].value));
     }
 
     #[test]
     fn a_flat_direction_stays_and_has_no_sigma() {
         let search = Search::default();
-        let found = maximise(2, &search, |points| {
-            points.iter().map(|point| -point[0] * point[0]).collect()
-        });
+        let found = maximise(2, &search, |points| points.iter().map(|point| -point[0] * point[0]).collect());
         assert_eq!(found.at, [0.0, 0.0]);
         assert_eq!(found.sigma[1], None);
     }
 
     #[test]
     fn no_variable_leaves_its_bounds_and_what_is_no_number_is_avoided() {
-        let search = Search {
-            bound: 2.0,
-            ..Search::default()
-        };
+        let search = Search { bound: 2.0, ..Search::default() };
         let found = maximise(1, &search, |points| {
-            points
-                .iter()
-                .map(|point| {
-                    if point[0] > 1.5 {
-                        f64::NAN
-                    } else {
-                        10.0 * point[0]
-                    }
-                })
-                .collect()
+            points.iter().map(|point| if point[0] > 1.5 { f64::NAN } else { 10.0 * point[0] }).collect()
         });
         assert!(found.at[0] > 1.3 && found.at[0] <= 1.5, "{found:?}");
-        let up = maximise(1, &search, |points| {
-            points.iter().map(|point| 10.0 * point[0]).collect()
-        });
+        let up = maximise(1, &search, |points| points.iter().map(|point| 10.0 * point[0]).collect());
         assert_eq!(up.at, [2.0]);
     }
 
     #[test]
     fn it_ends_when_the_rounds_are_used_up() {
-        let search = Search {
-            most_rounds: 2,
-            ..Search::default()
-        };
-        let found = maximise(2, &search, |points| {
-            points.iter().map(|point| ridge(point)).collect()
-        });
+        let search = Search { most_rounds: 2, ..Search::default() };
+        let found = maximise(2, &search, |points| points.iter().map(|point| ridge(point)).collect());
         assert_eq!((found.rounds.len(), found.ending), (2, Ending::OutOfRounds));
         let none = maximise(0, &search, |points| vec![1.0; points.len()]);
         assert_eq!((none.at.len(), none.ending), (0, Ending::Settled));

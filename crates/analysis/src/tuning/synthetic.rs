@@ -1,8 +1,6 @@
 //! Fixes drawn from a recorded truth: a recording of wheels alone has nothing that a prediction could be held against.
 
-use posebridge_telemetry::{
-    Arena, BrickClock, Fix, Meters, Observation, Observed, Point2, SensorId, Span, Stamp,
-};
+use posebridge_telemetry::{Arena, BrickClock, Fix, Meters, Observation, Observed, Point2, SensorId, Span, Stamp};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -19,10 +17,7 @@ pub struct Glimpses {
 
 /// Positions out of the truth, with seeded normal noise, as a camera would have seen them.
 #[must_use]
-pub fn fixes_from_truth(
-    truth: &[(Stamp<BrickClock>, Point2<Arena>)],
-    glimpses: &Glimpses,
-) -> Vec<Observation> {
+pub fn fixes_from_truth(truth: &[(Stamp<BrickClock>, Point2<Arena>)], glimpses: &Glimpses) -> Vec<Observation> {
     let mut rng = Pcg64::seed_from_u64(glimpses.seed);
     let mut due: Option<Stamp<BrickClock>> = None;
     let mut fixes = Vec::new();
@@ -32,10 +27,8 @@ pub fn fixes_from_truth(
         }
         due = Some(*stamp + glimpses.every);
         let [dx, dy] = normal_pair(rng.random(), rng.random());
-        let position = Point2::new(
-            Meters(place.x.0 + glimpses.sigma_m * dx),
-            Meters(place.y.0 + glimpses.sigma_m * dy),
-        );
+        let position =
+            Point2::new(Meters(place.x.0 + glimpses.sigma_m * dx), Meters(place.y.0 + glimpses.sigma_m * dy));
         fixes.push(Observation {
             sensor: SensorId::CAMERA,
             stamp: *stamp,
@@ -67,19 +60,9 @@ mod tests {
 
     #[test]
     fn the_fixes_have_the_noise_and_the_rate_that_were_asked_for() {
-        let truth: Vec<_> = (0..20_000)
-            .map(|i| {
-                (
-                    Stamp::from_millis(50 * i),
-                    Point2::new(Meters(1.0), Meters(-2.0)),
-                )
-            })
-            .collect();
-        let glimpses = Glimpses {
-            every: Span::from_millis(1_000),
-            sigma_m: 0.02,
-            seed: 3,
-        };
+        let truth: Vec<_> =
+            (0..20_000).map(|i| (Stamp::from_millis(50 * i), Point2::new(Meters(1.0), Meters(-2.0)))).collect();
+        let glimpses = Glimpses { every: Span::from_millis(1_000), sigma_m: 0.02, seed: 3 };
         let fixes = fixes_from_truth(&truth, &glimpses);
         assert_eq!(fixes.len(), 1_000);
         let squares: f64 = fixes
@@ -95,15 +78,6 @@ mod tests {
         // Standard deviation of it: 0.02 / sqrt(2 * 2000) = 0.0003.
         assert!((sigma_m - 0.02).abs() < 0.001, "{sigma_m}");
         assert_eq!(fixes, fixes_from_truth(&truth, &glimpses));
-        assert_ne!(
-            fixes,
-            fixes_from_truth(
-                &truth,
-                &Glimpses {
-                    seed: 4,
-                    ..glimpses
-                }
-            )
-        );
+        assert_ne!(fixes, fixes_from_truth(&truth, &Glimpses { seed: 4, ..glimpses }));
     }
 }

@@ -4,8 +4,8 @@ use posebridge_estimator::filters::range_kf::{RangeFilter, Variant};
 use posebridge_estimator::models::wall_approach::WallApproach;
 use posebridge_estimator::{Filter, FilterConfig, Params};
 use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, FusionRecord, Meters, MetersPerSecond, Observation,
-    Observed, Radians, RadiansPerSecond, SensorId, SensorNoise, Span, Stamp,
+    BrickClock, Calibration, DriveGeometry, FusionRecord, Meters, MetersPerSecond, Observation, Observed, Radians,
+    RadiansPerSecond, SensorId, SensorNoise, Span, Stamp,
 };
 
 /// What is believed of an instant.
@@ -60,10 +60,7 @@ impl Believer for LastReading {
     fn input(&mut self, _: f64, _: f64) {}
     fn belief(&self, _: f64) -> Option<Belief> {
         let (_, distance_m) = self.0.last?;
-        Some(Belief {
-            distance_m,
-            towards_m_per_s: self.0.towards_m_per_s(),
-        })
+        Some(Belief { distance_m, towards_m_per_s: self.0.towards_m_per_s() })
     }
 }
 
@@ -79,10 +76,7 @@ impl Believer for LineThrough {
     fn belief(&self, at_s: f64) -> Option<Belief> {
         let (last_s, range_m) = self.0.last?;
         let towards_m_per_s = self.0.towards_m_per_s();
-        Some(Belief {
-            distance_m: range_m - towards_m_per_s * (at_s - last_s),
-            towards_m_per_s,
-        })
+        Some(Belief { distance_m: range_m - towards_m_per_s * (at_s - last_s), towards_m_per_s })
     }
 }
 
@@ -97,10 +91,7 @@ pub struct KalmanNoise {
 
 impl KalmanNoise {
     /// The paper's: 50 mm and 20 mm.
-    pub const PAPER: Self = Self {
-        process_m: 0.05,
-        range_m: 0.02,
-    };
+    pub const PAPER: Self = Self { process_m: 0.05, range_m: 0.02 };
 }
 
 /// The wall filter of the estimator.
@@ -115,10 +106,7 @@ impl Kalman {
     pub fn new(model: WallApproach, noise: KalmanNoise, variant: Variant) -> Self {
         let config = FilterConfig {
             geometry: UNUSED_GEOMETRY,
-            noise: SensorNoise {
-                wall_range_m: noise.range_m,
-                ..SensorNoise::EXACT
-            },
+            noise: SensorNoise { wall_range_m: noise.range_m, ..SensorNoise::EXACT },
             start: None,
             params: Params {
                 wall_drag_s_per_m: model.drag_s_per_m,
@@ -129,10 +117,7 @@ impl Kalman {
             calibration: Calibration::default(),
             world: std::sync::Arc::default(),
         };
-        Self {
-            filter: RangeFilter::new(&config, variant),
-            drag_s_per_m: model.drag_s_per_m,
-        }
+        Self { filter: RangeFilter::new(&config, variant), drag_s_per_m: model.drag_s_per_m }
     }
 
     /// Takes a reading, in m, and tells what became of it.
@@ -157,19 +142,14 @@ impl Believer for Kalman {
 
     /// The filter takes commands in the speed at which the car would settle.
     fn input(&mut self, at_s: f64, input: f64) {
-        let observed = Observed::BodyVelocity {
-            forward: MetersPerSecond(input / self.drag_s_per_m),
-            turn: RadiansPerSecond(0.0),
-        };
+        let observed =
+            Observed::BodyVelocity { forward: MetersPerSecond(input / self.drag_s_per_m), turn: RadiansPerSecond(0.0) };
         self.observe(at_s, observed);
     }
 
     fn belief(&self, at_s: f64) -> Option<Belief> {
         let scalar = self.filter.scalar_at(stamp(at_s))?;
-        Some(Belief {
-            distance_m: scalar.value,
-            towards_m_per_s: -scalar.rate_per_s,
-        })
+        Some(Belief { distance_m: scalar.value, towards_m_per_s: -scalar.rate_per_s })
     }
 }
 
@@ -209,9 +189,6 @@ mod tests {
         kalman.range(0.0, 9.0);
         kalman.input(0.0, 1.0);
         let settled = kalman.belief(5.0).unwrap();
-        assert!(
-            (settled.towards_m_per_s - 1.225).abs() < 1e-4,
-            "{settled:?}"
-        );
+        assert!((settled.towards_m_per_s - 1.225).abs() < 1e-4, "{settled:?}");
     }
 }

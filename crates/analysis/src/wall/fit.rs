@@ -40,10 +40,7 @@ impl StepFit {
     /// The drive as the filter's model has it.
     #[must_use]
     pub const fn model(&self) -> WallApproach {
-        WallApproach {
-            drag_s_per_m: self.drag_s_per_m.0,
-            mass_s2_per_m: self.mass_s2_per_m.0,
-        }
+        WallApproach { drag_s_per_m: self.drag_s_per_m.0, mass_s2_per_m: self.mass_s2_per_m.0 }
     }
 }
 
@@ -57,10 +54,7 @@ impl StepFit {
     /// Time, reading and what this drive makes of it, in s, m and m; the distance at rest is the one that fits the log best.
     #[must_use]
     pub fn explained(&self, log: &WallLog) -> Vec<(f64, f64, f64)> {
-        let (steady, rate_per_s) = (
-            self.steady_m_per_s.0,
-            std::f64::consts::LN_10 / self.rise_90_s.0,
-        );
+        let (steady, rate_per_s) = (self.steady_m_per_s.0, std::f64::consts::LN_10 / self.rise_90_s.0);
         let readings = responses(log, rate_per_s);
         let Some((way_m, range_m)) = means(&readings) else {
             return Vec::new();
@@ -84,10 +78,7 @@ pub fn fit_steps(logs: &[WallLog]) -> Result<StepFit, StepError> {
     let readings: usize = logs.iter().map(|log| log.readings().count()).sum();
     let needed = (3 * logs.len()).max(5);
     if readings < needed {
-        return Err(StepError::TooFewReadings {
-            found: readings,
-            needed,
-        });
+        return Err(StepError::TooFewReadings { found: readings, needed });
     }
     let rate_per_s = best_rate(logs);
     let best = Linear::of(logs, rate_per_s).ok_or(StepError::NoMotion)?;
@@ -99,21 +90,11 @@ pub fn fit_steps(logs: &[WallLog]) -> Result<StepFit, StepError> {
     let variance_m2 = best.cost_m2 / freedom.max(1) as f64;
     let covariance = covariance(logs, rate_per_s, best.steady_m_per_s, variance_m2);
     let covariance = covariance.ok_or(StepError::NoMotion)?;
-    Ok(described(
-        (best.steady_m_per_s, rate_per_s),
-        covariance,
-        variance_m2.sqrt(),
-        readings,
-    ))
+    Ok(described((best.steady_m_per_s, rate_per_s), covariance, variance_m2.sqrt(), readings))
 }
 
 /// From v_ss and a with their covariance [vv, va, aa] to what people call them.
-fn described(
-    (v, a): (f64, f64),
-    [vv, va, aa]: [f64; 3],
-    range_sigma_m: f64,
-    readings: usize,
-) -> StepFit {
+fn described((v, a): (f64, f64), [vv, va, aa]: [f64; 3], range_sigma_m: f64, readings: usize) -> StepFit {
     let mass = 1.0 / (v * a);
     // d = 1/v, m = 1/(v a): relative errors add up.
     let relative = vv / (v * v) + aa / (a * a) + 2.0 * va / (v * a);
@@ -165,10 +146,8 @@ impl Linear {
                 heights += (reading.range_m - range_m).powi(2);
             }
         }
-        (along > 0.0).then_some(Self {
-            steady_m_per_s: -across / along,
-            cost_m2: (heights - across * across / along).max(0.0),
-        })
+        (along > 0.0)
+            .then_some(Self { steady_m_per_s: -across / along, cost_m2: (heights - across * across / along).max(0.0) })
     }
 }
 
@@ -187,9 +166,7 @@ fn covariance(logs: &[WallLog], a: f64, v: f64, variance_m2: f64) -> Option<[f64
     for log in logs {
         let [here, ahead, behind] = [a, a + h, a - h].map(|rate| responses(log, rate));
         let by_a = ahead.iter().zip(&behind);
-        let by_a: Vec<f64> = by_a
-            .map(|(ahead, behind)| v * (ahead.way_m - behind.way_m) / (2.0 * h))
-            .collect();
+        let by_a: Vec<f64> = by_a.map(|(ahead, behind)| v * (ahead.way_m - behind.way_m) / (2.0 * h)).collect();
         let mean_a = by_a.iter().sum::<f64>() / by_a.len() as f64;
         let (mean_v, _) = means(&here)?;
         for (reading, by_a) in here.iter().zip(by_a) {
@@ -220,15 +197,9 @@ mod tests {
             let t = (at_s - 0.241_f64).max(0.0);
             let way = 1.225 * (t - tau_s * (1.0 - (-t / tau_s).exp()));
             let noise: f64 = normals.sample(StandardNormal);
-            WallEntry {
-                at_s,
-                said: Said::Range(2.0 - way + sigma_m * noise),
-            }
+            WallEntry { at_s, said: Said::Range(2.0 - way + sigma_m * noise) }
         });
-        let inputs = [(0.0, 0.0), (0.241, 1.0)].map(|(at_s, input)| WallEntry {
-            at_s,
-            said: Said::Input(input),
-        });
+        let inputs = [(0.0, 0.0), (0.241, 1.0)].map(|(at_s, input)| WallEntry { at_s, said: Said::Input(input) });
         WallLog::new(inputs.into_iter().chain(readings).collect())
     }
 
@@ -271,10 +242,7 @@ mod tests {
         assert_eq!(fit_steps(&[WallLog::default()]), Err(StepError::NoInput));
         let backwards = drawn(1, 0.0).entries().to_vec();
         let backwards = backwards.into_iter().map(|entry| match entry.said {
-            Said::Range(range_m) => WallEntry {
-                said: Said::Range(4.0 - range_m),
-                ..entry
-            },
+            Said::Range(range_m) => WallEntry { said: Said::Range(4.0 - range_m), ..entry },
             Said::Input(_) => entry,
         });
         let backwards = WallLog::new(backwards.collect());

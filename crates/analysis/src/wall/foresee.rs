@@ -55,19 +55,14 @@ pub fn foresee(log: &WallLog, search: PlantSearch) -> Vec<Foreseen> {
         if let Some((plant, runner)) = &mut known {
             let foretold = runner.distance_m(entry.at_s);
             let record = runner.fuse(entry.at_s, range_m);
-            foreseen.extend(foretold.map(|kalman_m| {
-                Foreseen {
-                    at_s: entry.at_s,
-                    range_m,
-                    kalman_m,
-                    line_m: line
-                        .belief(entry.at_s)
-                        .map(|belief| belief.distance_m)
-                        .filter(|_| readings >= 2),
-                    plant: *plant,
-                    gate_m: spread(&record).map(|s_m2| least_gate_m.max(GATE_SIGMAS * s_m2.sqrt())),
-                    is_refused: record.verdict == Verdict::Gated,
-                }
+            foreseen.extend(foretold.map(|kalman_m| Foreseen {
+                at_s: entry.at_s,
+                range_m,
+                kalman_m,
+                line_m: line.belief(entry.at_s).map(|belief| belief.distance_m).filter(|_| readings >= 2),
+                plant: *plant,
+                gate_m: spread(&record).map(|s_m2| least_gate_m.max(GATE_SIGMAS * s_m2.sqrt())),
+                is_refused: record.verdict == Verdict::Gated,
             }));
         }
         line.range(entry.at_s, range_m);
@@ -114,10 +109,8 @@ pub struct Score {
 
 /// Scores the filter against somebody else; `other` gives what that one foretold. `None` if there is no common reading.
 pub fn score(foreseen: &[Foreseen], other: impl Fn(&Foreseen) -> Option<f64>) -> Option<Score> {
-    let common: Vec<(&Foreseen, f64)> = foreseen
-        .iter()
-        .filter_map(|foreseen| Some((foreseen, other(foreseen)?)))
-        .collect();
+    let common: Vec<(&Foreseen, f64)> =
+        foreseen.iter().filter_map(|foreseen| Some((foreseen, other(foreseen)?))).collect();
     if common.is_empty() {
         return None;
     }
@@ -138,26 +131,21 @@ mod tests {
     use super::*;
 
     fn log(ranges: &[f64]) -> WallLog {
-        let ranges = ranges.iter().enumerate().map(|(index, range_m)| WallEntry {
-            at_s: 0.1 * index as f64,
-            said: Said::Range(*range_m),
-        });
+        let ranges = ranges
+            .iter()
+            .enumerate()
+            .map(|(index, range_m)| WallEntry { at_s: 0.1 * index as f64, said: Said::Range(*range_m) });
         WallLog::new(ranges.collect()).with_assumed_drive()
     }
 
-    const SEARCH: PlantSearch = PlantSearch {
-        range_sigma_m: 0.01,
-    };
+    const SEARCH: PlantSearch = PlantSearch { range_sigma_m: 0.01 };
 
     #[test]
     fn what_is_foretold_does_not_depend_on_what_comes_later() {
         let ranges = [3.0, 2.98, 2.93, 2.86, 2.77, 2.66, 2.52, 2.39, 2.21, 2.04];
         let mut changed = ranges;
         changed[8..].fill(9.0);
-        let (before, after) = (
-            foresee(&log(&ranges), SEARCH),
-            foresee(&log(&changed), SEARCH),
-        );
+        let (before, after) = (foresee(&log(&ranges), SEARCH), foresee(&log(&changed), SEARCH));
         assert_eq!(before.len(), 9);
         for (before, after) in before.iter().zip(&after).take(7) {
             assert_eq!(before, after);
@@ -174,9 +162,7 @@ mod tests {
         let mut ranges: Vec<f64> = (0..24).map(|index| 3.0 - 0.05 * f64::from(index)).collect();
         ranges[16] = 0.1;
         let foreseen = foresee(&log(&ranges), SEARCH);
-        let refused: Vec<usize> = (0..23)
-            .filter(|index| foreseen[*index].is_refused)
-            .collect();
+        let refused: Vec<usize> = (0..23).filter(|index| foreseen[*index].is_refused).collect();
         // The first reading is foretold by nobody.
         assert_eq!(refused, [15]);
         let off_m = (foreseen[15].range_m - foreseen[15].kalman_m).abs();

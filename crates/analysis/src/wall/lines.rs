@@ -18,9 +18,7 @@ pub struct SpeedAt {
 #[non_exhaustive]
 pub enum StepError {
     /// There are too few readings since the drive began.
-    #[error(
-        "{found} readings since the drive began, {needed} are needed; drive longer or read faster"
-    )]
+    #[error("{found} readings since the drive began, {needed} are needed; drive longer or read faster")]
     TooFewReadings {
         /// Readings there are.
         found: usize,
@@ -90,10 +88,7 @@ fn slope(piece: &[(f64, f64)]) -> Option<SpeedAt> {
         across += (time_s - at_s) * (range_m - mean_m);
         along += (time_s - at_s).powi(2);
     }
-    (along > 0.0).then_some(SpeedAt {
-        at_s,
-        towards_m_per_s: -across / along,
-    })
+    (along > 0.0).then_some(SpeedAt { at_s, towards_m_per_s: -across / along })
 }
 
 /// Evaluates a step by hand: lines through pieces of so many readings.
@@ -105,22 +100,14 @@ fn slope(piece: &[(f64, f64)]) -> Option<SpeedAt> {
 /// [`StepError`] as it says.
 pub fn by_hand(log: &WallLog, piece: usize) -> Result<HandStep, StepError> {
     let start_s = log.drives_from_s().ok_or(StepError::NoInput)?;
-    let readings: Vec<(f64, f64)> = log
-        .readings()
-        .filter(|(at_s, _)| *at_s >= start_s)
-        .collect();
+    let readings: Vec<(f64, f64)> = log.readings().filter(|(at_s, _)| *at_s >= start_s).collect();
     let needed = piece.max(2) + 1;
     if readings.len() < needed {
-        return Err(StepError::TooFewReadings {
-            found: readings.len(),
-            needed,
-        });
+        return Err(StepError::TooFewReadings { found: readings.len(), needed });
     }
     let lines = pieces(&readings, piece).filter_map(|piece| Some((slope(piece)?, piece)));
     let lines: Vec<(SpeedAt, &[(f64, f64)])> = lines.collect();
-    let steepest = lines
-        .iter()
-        .max_by(|a, b| a.0.towards_m_per_s.total_cmp(&b.0.towards_m_per_s));
+    let steepest = lines.iter().max_by(|a, b| a.0.towards_m_per_s.total_cmp(&b.0.towards_m_per_s));
     let (steady, of) = steepest.ok_or(StepError::NoMotion)?;
     let steady_m_per_s = steady.towards_m_per_s;
     let [first, .., last] = of else {
@@ -181,15 +168,9 @@ mod tests {
         let readings = (0..count).map(|index| {
             let t = f64::from(index) * period_s;
             let way = 1.225 * (t - tau_s * (1.0 - (-t / tau_s).exp()));
-            WallEntry {
-                at_s: 0.241 + t,
-                said: Said::Range(4.0 - way),
-            }
+            WallEntry { at_s: 0.241 + t, said: Said::Range(4.0 - way) }
         });
-        let drive = WallEntry {
-            at_s: 0.241,
-            said: Said::Input(1.0),
-        };
+        let drive = WallEntry { at_s: 0.241, said: Said::Input(1.0) };
         WallLog::new([drive].into_iter().chain(readings).collect())
     }
 
@@ -197,10 +178,7 @@ mod tests {
     fn lines_and_differences_come_to_the_texts_car_when_readings_are_dense() {
         let log = noise_free(0.01, 280);
         let found = by_hand(&log, 6).unwrap();
-        assert!(
-            (found.steady_m_per_s / 1.225 - 1.0).abs() < 0.003,
-            "{found:?}"
-        );
+        assert!((found.steady_m_per_s / 1.225 - 1.0).abs() < 0.003, "{found:?}");
         assert!((found.steady_by_difference_m_per_s / found.steady_m_per_s - 1.0).abs() < 0.003);
         assert!((found.rise_90_s / 0.997 - 1.0).abs() < 0.02, "{found:?}");
         assert!((found.start_s - 0.241).abs() < 1e-12);
@@ -235,21 +213,12 @@ mod tests {
     #[test]
     fn what_is_no_step_is_refused_with_the_reason() {
         let full = noise_free(0.1, 4);
-        let few = StepError::TooFewReadings {
-            found: 4,
-            needed: 5,
-        };
+        let few = StepError::TooFewReadings { found: 4, needed: 5 };
         assert_eq!(by_hand(&full, 4), Err(few));
         let undriven: Vec<WallEntry> = full.entries()[1..].to_vec();
         assert_eq!(by_hand(&WallLog::new(undriven), 3), Err(StepError::NoInput));
-        let standing = (0..9).map(|index| WallEntry {
-            at_s: f64::from(index),
-            said: Said::Range(1.0),
-        });
-        let drive = WallEntry {
-            at_s: 0.0,
-            said: Said::Input(1.0),
-        };
+        let standing = (0..9).map(|index| WallEntry { at_s: f64::from(index), said: Said::Range(1.0) });
+        let drive = WallEntry { at_s: 0.0, said: Said::Input(1.0) };
         let standing = WallLog::new([drive].into_iter().chain(standing).collect());
         assert_eq!(by_hand(&standing, 3), Err(StepError::NoMotion));
     }

@@ -37,11 +37,7 @@ impl WallLog {
             is_sound && entry.at_s.is_finite()
         });
         let kind = |entry: &WallEntry| matches!(entry.said, Said::Range(_));
-        entries.sort_by(|a, b| {
-            a.at_s
-                .total_cmp(&b.at_s)
-                .then_with(|| kind(a).cmp(&kind(b)))
-        });
+        entries.sort_by(|a, b| a.at_s.total_cmp(&b.at_s).then_with(|| kind(a).cmp(&kind(b))));
         Self { entries }
     }
 
@@ -71,9 +67,7 @@ impl WallLog {
     #[must_use]
     pub fn drives_from_s(&self) -> Option<f64> {
         let mut inputs = self.inputs();
-        inputs
-            .find(|(_, input)| *input != 0.0)
-            .map(|(at_s, _)| at_s)
+        inputs.find(|(_, input)| *input != 0.0).map(|(at_s, _)| at_s)
     }
 
     /// The same log, with full drive from its first instant on if it holds no input other than zero: of a car that was driven and
@@ -86,14 +80,8 @@ impl WallLog {
         if self.drives_from_s().is_some() {
             return self;
         }
-        let driven = WallEntry {
-            at_s: first.at_s,
-            said: Said::Input(1.0),
-        };
-        let readings = self
-            .entries
-            .into_iter()
-            .filter(|entry| matches!(entry.said, Said::Range(_)));
+        let driven = WallEntry { at_s: first.at_s, said: Said::Input(1.0) };
+        let readings = self.entries.into_iter().filter(|entry| matches!(entry.said, Said::Range(_)));
         Self::new(std::iter::once(driven).chain(readings).collect())
     }
 
@@ -102,9 +90,7 @@ impl WallLog {
     pub fn loop_intervals_s(&self) -> Option<(f64, f64, f64)> {
         let times: Vec<f64> = self.inputs().map(|(at_s, _)| at_s).collect();
         let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
-        let (low, high) = gaps.fold((f64::INFINITY, 0.0_f64), |(low, high), gap| {
-            (low.min(gap), high.max(gap))
-        });
+        let (low, high) = gaps.fold((f64::INFINITY, 0.0_f64), |(low, high), gap| (low.min(gap), high.max(gap)));
         let (first, last) = (times.first()?, times.last()?);
         let count = times.len().checked_sub(1).filter(|count| *count > 0)?;
         Some(((last - first) / count as f64, low, high))
@@ -138,10 +124,7 @@ mod tests {
 
     #[test]
     fn a_log_without_inputs_is_taken_for_full_drive() {
-        let log = WallLog::new(vec![
-            entry(1.0, Said::Range(3.0)),
-            entry(1.1, Said::Input(0.0)),
-        ]);
+        let log = WallLog::new(vec![entry(1.0, Said::Range(3.0)), entry(1.1, Said::Input(0.0))]);
         let assumed = log.with_assumed_drive();
         assert_eq!(assumed.inputs().collect::<Vec<_>>(), [(1.0, 1.0)]);
         assert_eq!(WallLog::default().with_assumed_drive(), WallLog::default());

@@ -27,9 +27,7 @@ mod validate;
 pub use believe::{Belief, Believer, Kalman, KalmanNoise, LastReading, LineThrough};
 pub use fit::{StepFit, fit_steps};
 pub use foresee::{Foreseen, GateUse, Score, foresee, gate_use, score};
-pub use lines::{
-    HandStep, SpeedAt, StepError, by_hand, differences, mean_by_hand, overlapping_lines,
-};
+pub use lines::{HandStep, SpeedAt, StepError, by_hand, differences, mean_by_hand, overlapping_lines};
 pub use log::{Said, WallEntry, WallLog};
 pub use periods::{loop_period, reading_period};
 pub use plant::{Plant, PlantSearch};

@@ -45,10 +45,7 @@ fn mean(intervals: &[f64]) -> Option<Known> {
     let value = intervals.iter().sum::<f64>() / count as f64;
     let squares: f64 = intervals.iter().map(|gap| (gap - value).powi(2)).sum();
     let variance = squares / (count - 1) as f64;
-    Some(Known {
-        value,
-        sigma: (variance / count as f64).sqrt(),
-    })
+    Some(Known { value, sigma: (variance / count as f64).sqrt() })
 }
 
 #[cfg(test)]
@@ -57,19 +54,13 @@ mod tests {
     use super::*;
 
     fn log(times: &[f64], said: fn(f64) -> Said) -> WallLog {
-        let entries = times.iter().map(|&at_s| WallEntry {
-            at_s,
-            said: said(1.0),
-        });
+        let entries = times.iter().map(|&at_s| WallEntry { at_s, said: said(1.0) });
         WallLog::new(entries.collect())
     }
 
     #[test]
     fn the_mean_is_over_all_logs_and_not_over_the_time_between_them() {
-        let logs = [
-            log(&[0.0, 0.01, 0.03], Said::Input),
-            log(&[100.0, 100.01, 100.03], Said::Input),
-        ];
+        let logs = [log(&[0.0, 0.01, 0.03], Said::Input), log(&[100.0, 100.01, 100.03], Said::Input)];
         let found = loop_period(&logs).unwrap();
         assert!((found.value - 0.015).abs() < 1e-9);
         // Four intervals of 10, 20, 10, 20 ms: 5 ms off each, over 3, over 4.

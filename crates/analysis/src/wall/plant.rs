@@ -68,14 +68,9 @@ impl PlantSearch {
                         process_m: share * KalmanNoise::PAPER.process_m,
                         range_m: factor * self.range_sigma_m,
                     };
-                    let plant = Plant {
-                        steady_m_per_s: steady(&steps, noise),
-                        time_constant_s,
-                        noise,
-                    };
-                    let unusual = (time_constant_s / USUAL_TIME_CONSTANT_S).log2().abs()
-                        + share.log2().abs()
-                        + factor.log2();
+                    let plant = Plant { steady_m_per_s: steady(&steps, noise), time_constant_s, noise };
+                    let unusual =
+                        (time_constant_s / USUAL_TIME_CONSTANT_S).log2().abs() + share.log2().abs() + factor.log2();
                     let (cost, runner) = run(log, plant);
                     let prior = 0.5 * (plant.steady_m_per_s / STEADY_SIGMA_M_PER_S).powi(2);
                     let cost = cost + prior + PER_DOUBLING * unusual;
@@ -93,10 +88,7 @@ impl PlantSearch {
         let plant = Plant {
             steady_m_per_s: 0.0,
             time_constant_s: USUAL_TIME_CONSTANT_S,
-            noise: KalmanNoise {
-                range_m: self.range_sigma_m,
-                ..KalmanNoise::PAPER
-            },
+            noise: KalmanNoise { range_m: self.range_sigma_m, ..KalmanNoise::PAPER },
         };
         (plant, Runner::new(plant))
     }
@@ -111,14 +103,8 @@ pub(super) struct Runner {
 impl Runner {
     fn new(plant: Plant) -> Self {
         // The filter wants to know the ratio d/m only: commands come as speeds. So d = 1 serves every steady speed, zero included.
-        let model = WallApproach {
-            drag_s_per_m: 1.0,
-            mass_s2_per_m: plant.time_constant_s,
-        };
-        Self {
-            kalman: Kalman::new(model, plant.noise, Variant::Corrected),
-            steady_m_per_s: plant.steady_m_per_s,
-        }
+        let model = WallApproach { drag_s_per_m: 1.0, mass_s2_per_m: plant.time_constant_s };
+        Self { kalman: Kalman::new(model, plant.noise, Variant::Corrected), steady_m_per_s: plant.steady_m_per_s }
     }
 
     /// Takes an entry; gives what it costs.
@@ -160,11 +146,7 @@ fn steps(log: &WallLog, rate_per_s: f64) -> Vec<(f64, f64, f64)> {
     pairs
         .map(|pair| {
             let (from, to) = (pair[0], pair[1]);
-            (
-                to.at_s - from.at_s,
-                to.range_m - from.range_m,
-                to.way_m - from.way_m,
-            )
+            (to.at_s - from.at_s, to.range_m - from.range_m, to.way_m - from.way_m)
         })
         .collect()
 }
@@ -189,9 +171,7 @@ mod tests {
     use rand_distr::StandardNormal;
     use rand_pcg::Pcg64;
 
-    const SEARCH: PlantSearch = PlantSearch {
-        range_sigma_m: 0.01,
-    };
+    const SEARCH: PlantSearch = PlantSearch { range_sigma_m: 0.01 };
 
     /// A car of 2 m/s and 0.9 s under full drive, read ten times a second with 10 mm of noise.
     fn driven(input: f64, readings: u32) -> WallLog {
@@ -200,15 +180,9 @@ mod tests {
             let t = 0.1 * f64::from(index);
             let way_m = 2.0 * (t - 0.9 * (1.0 - (-t / 0.9).exp()));
             let noise: f64 = normals.sample(StandardNormal);
-            WallEntry {
-                at_s: t,
-                said: Said::Range(5.0 - way_m + 0.01 * noise),
-            }
+            WallEntry { at_s: t, said: Said::Range(5.0 - way_m + 0.01 * noise) }
         });
-        let drive = WallEntry {
-            at_s: 0.0,
-            said: Said::Input(input),
-        };
+        let drive = WallEntry { at_s: 0.0, said: Said::Input(input) };
         WallLog::new([drive].into_iter().chain(ranges).collect())
     }
 
@@ -216,10 +190,7 @@ mod tests {
     fn a_car_is_recognised_by_what_it_has_done_whatever_the_sign_of_its_input() {
         for input in [1.0, -0.5] {
             let (plant, _) = SEARCH.best(&driven(input, 25));
-            assert!(
-                (plant.steady_m_per_s * input / 2.0 - 1.0).abs() < 0.15,
-                "{plant:?}"
-            );
+            assert!((plant.steady_m_per_s * input / 2.0 - 1.0).abs() < 0.15, "{plant:?}");
             assert_eq!(plant.time_constant_s, 0.9, "{plant:?}");
             assert!(plant.noise.process_m <= 0.01 && plant.noise.range_m <= 0.02);
         }

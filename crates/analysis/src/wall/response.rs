@@ -25,11 +25,7 @@ pub(super) fn responses(log: &WallLog, rate_per_s: f64) -> Vec<Responded> {
         at_s = entry.at_s;
         match entry.said {
             Said::Input(next) => input = next,
-            Said::Range(range_m) => readings.push(Responded {
-                at_s,
-                range_m,
-                way_m,
-            }),
+            Said::Range(range_m) => readings.push(Responded { at_s, range_m, way_m }),
         }
     }
     readings
@@ -43,14 +39,8 @@ mod tests {
     #[test]
     fn the_way_is_that_of_the_differential_equation() {
         let inputs = [(0.0, 1.0), (0.7, -0.4), (0.9, 0.2)];
-        let entries = inputs.map(|(at_s, input)| WallEntry {
-            at_s,
-            said: Said::Input(input),
-        });
-        let reading = WallEntry {
-            at_s: 1.4,
-            said: Said::Range(2.0),
-        };
+        let entries = inputs.map(|(at_s, input)| WallEntry { at_s, said: Said::Input(input) });
+        let reading = WallEntry { at_s: 1.4, said: Said::Range(2.0) };
         let log = WallLog::new(entries.into_iter().chain([reading]).collect());
         let found = responses(&log, 2.3)[0].way_m;
         let (mut way, mut speed, parts) = (0.0, 0.0, 1_400_000);

@@ -38,10 +38,7 @@ pub struct StopSummary {
 /// Sums up approaches; `None` is one that did not end.
 #[must_use]
 pub fn summarise_stops(stops: &[Option<Stopped>]) -> StopSummary {
-    let mut sum = StopSummary {
-        runs: stops.len(),
-        ..StopSummary::default()
-    };
+    let mut sum = StopSummary { runs: stops.len(), ..StopSummary::default() };
     let mut squares = 0.0;
     for stop in stops.iter().flatten() {
         sum.stopped += 1;
@@ -93,11 +90,7 @@ mod tests {
     use super::*;
 
     const fn stop(error_m: f64, time_s: f64) -> Stopped {
-        Stopped {
-            error_m,
-            time_s,
-            approach_m_per_s: 3.0 / time_s,
-        }
+        Stopped { error_m, time_s, approach_m_per_s: 3.0 / time_s }
     }
 
     #[test]
@@ -112,25 +105,9 @@ mod tests {
 
     #[test]
     fn runs_are_compared_one_by_one() {
-        let ours = [
-            Some(stop(0.01, 2.0)),
-            Some(stop(-0.05, 2.0)),
-            None,
-            Some(stop(0.2, 9.0)),
-            Some(stop(0.0, 1.0)),
-        ];
-        let theirs = [
-            Some(stop(-0.02, 3.0)),
-            Some(stop(0.04, 3.0)),
-            Some(stop(0.9, 9.0)),
-            None,
-            Some(stop(0.05, 2.0)),
-        ];
-        let expected = Paired {
-            nearer: 3,
-            faster: 4,
-            both: 3,
-        };
+        let ours = [Some(stop(0.01, 2.0)), Some(stop(-0.05, 2.0)), None, Some(stop(0.2, 9.0)), Some(stop(0.0, 1.0))];
+        let theirs = [Some(stop(-0.02, 3.0)), Some(stop(0.04, 3.0)), Some(stop(0.9, 9.0)), None, Some(stop(0.05, 2.0))];
+        let expected = Paired { nearer: 3, faster: 4, both: 3 };
         assert_eq!(paired(&ours, &theirs), expected);
     }
 }

@@ -42,12 +42,7 @@ impl Validation {
 
 /// Runs the filter over a log. The first reading starts it and is not counted.
 #[must_use]
-pub fn validate(
-    log: &WallLog,
-    model: WallApproach,
-    noise: KalmanNoise,
-    variant: Variant,
-) -> Validation {
+pub fn validate(log: &WallLog, model: WallApproach, noise: KalmanNoise, variant: Variant) -> Validation {
     let mut kalman = Kalman::new(model, noise, variant);
     let mut found = Validation::default();
     let (mut predicted, mut squares) = (0.0, 0.0);
@@ -145,10 +140,7 @@ mod tests {
             let at_s = 0.0076 * f64::from(turn);
             let way_m = 1.225 * (at_s - tau_s * (1.0 - (-at_s / tau_s).exp()));
             let reading = ((turn * 19) % 84 < 19).then_some(Said::Range(2.0 - way_m));
-            [Some(Said::Input(1.0)), reading]
-                .into_iter()
-                .flatten()
-                .map(move |said| WallEntry { at_s, said })
+            [Some(Said::Input(1.0)), reading].into_iter().flatten().map(move |said| WallEntry { at_s, said })
         });
         WallLog::new(entries.collect())
     }
@@ -160,10 +152,7 @@ mod tests {
     #[test]
     fn the_papers_loop_is_mostly_prediction_and_its_sigmas_have_their_gains() {
         for (process_m, gain) in [(0.01, 0.620), (0.05, 0.963), (0.5, 0.999_6)] {
-            let noise = KalmanNoise {
-                process_m,
-                range_m: 0.02,
-            };
+            let noise = KalmanNoise { process_m, range_m: 0.02 };
             let found = validate(&paper_log(), model(), noise, Variant::Paper);
             assert_eq!(found.turns, 84);
             // The first of the 19 readings starts the filter.

@@ -4,9 +4,7 @@
 //! It is made to be looked at and measured, not to be realistic: the simulator does that.
 
 use posebridge_analysis::{FixMark, RunLayers, TimedPose, Track};
-use posebridge_telemetry::{
-    Arena, Estimate, Heading, Meters, Point2, Pose, Radians, Span, Stamp, Verdict,
-};
+use posebridge_telemetry::{Arena, Estimate, Heading, Meters, Point2, Pose, Radians, Span, Stamp, Verdict};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_distr::{Distribution as _, StandardNormal};
 use rand_pcg::Pcg64Mcg;
@@ -68,17 +66,9 @@ pub(crate) fn two_laps(seed: u64) -> Scene {
         }
         estimates.push(estimate_near(sample, &wander, variance_m2));
     }
-    let corners = [
-        (0.0, 0.0),
-        (SIDE_M, 0.0),
-        (SIDE_M, SIDE_M),
-        (0.0, SIDE_M),
-        (0.0, 0.0),
-    ];
+    let corners = [(0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M), (0.0, 0.0)];
     Scene {
-        ideal: corners
-            .map(|(x_m, y_m)| Point2::new(Meters(x_m), Meters(y_m)))
-            .to_vec(),
+        ideal: corners.map(|(x_m, y_m)| Point2::new(Meters(x_m), Meters(y_m))).to_vec(),
         truth: Track::new(truth, Span::from_millis(200)),
         odometry: Track::new(odometry, Span::from_millis(200)),
         estimates,
@@ -116,11 +106,7 @@ fn fix_of(sample: &TimedPose, random: &mut Pcg64Mcg) -> FixMark {
             Meters(sample.pose.x.0 + sigma_m * normal(random)),
             Meters(sample.pose.y.0 + sigma_m * normal(random)),
         ),
-        verdict: if is_outlier {
-            Verdict::Gated
-        } else {
-            Verdict::Accepted
-        },
+        verdict: if is_outlier { Verdict::Gated } else { Verdict::Accepted },
     }
 }
 

@@ -58,10 +58,7 @@ impl Field {
             Kind::Simulated => {
                 let known = NUMBER_FIELDS.iter().find(is_it);
                 // None but a table with a slip of the pen; a test goes through it.
-                known.map_or(Kind::Simulated, |known| Kind::Number {
-                    least: known.least,
-                    most: known.most,
-                })
+                known.map_or(Kind::Simulated, |known| Kind::Number { least: known.least, most: known.most })
             }
             Kind::Number { .. }
             | Kind::Finite
@@ -92,14 +89,10 @@ impl Kind {
 
     fn takes(self, value: &Value) -> bool {
         match self {
-            Self::Number { least, most } => value
-                .as_f64()
-                .is_some_and(|number| (least..=most).contains(&number)),
+            Self::Number { least, most } => value.as_f64().is_some_and(|number| (least..=most).contains(&number)),
             Self::Finite => value.as_f64().is_some_and(f64::is_finite),
             Self::Simulated => false,
-            Self::Whole { least, most } => value
-                .as_u64()
-                .is_some_and(|number| (least..=most).contains(&number)),
+            Self::Whole { least, most } => value.as_u64().is_some_and(|number| (least..=most).contains(&number)),
             Self::Choice(words) => value.as_str().is_some_and(|word| words.contains(&word)),
             Self::Switch => value.is_boolean(),
             Self::Name => value.as_str().is_some_and(is_name),
@@ -166,11 +159,7 @@ impl<'a> Values<'a> {
     }
 
     pub(super) fn switch(&self, name: &str) -> Switch {
-        if self.value(name).as_bool().unwrap_or(false) {
-            Switch::On
-        } else {
-            Switch::Off
-        }
+        if self.value(name).as_bool().unwrap_or(false) { Switch::On } else { Switch::Off }
     }
 }
 

@@ -88,9 +88,7 @@ pub enum CommandError {
 /// # Errors
 /// It makes no sense; the text names the field.
 pub fn read(text: &[u8]) -> Result<(&'static str, Command), CommandError> {
-    let value: Value = serde_json::from_slice(text).map_err(|error| CommandError::NoJson {
-        why: error.to_string(),
-    })?;
+    let value: Value = serde_json::from_slice(text).map_err(|error| CommandError::NoJson { why: error.to_string() })?;
     let Value::Object(mut fields) = value else {
         return Err(CommandError::NoObject);
     };
@@ -111,10 +109,7 @@ fn row_of(name: Option<Value>) -> Result<&'static CommandRow, CommandError> {
         Some(other) => fields::shown(&other),
     };
     let row = COMMANDS.iter().find(|row| row.name == name);
-    row.ok_or_else(|| CommandError::UnknownName {
-        name: fields::cut(&name),
-        known: known(),
-    })
+    row.ok_or_else(|| CommandError::UnknownName { name: fields::cut(&name), known: known() })
 }
 
 fn refuse_unknown(row: &CommandRow, found: &Map<String, Value>) -> Result<(), CommandError> {
@@ -126,11 +121,7 @@ fn refuse_unknown(row: &CommandRow, found: &Map<String, Value>) -> Result<(), Co
     Err(CommandError::UnknownField {
         command: row.name,
         field: fields::cut(unknown),
-        known: if known.is_empty() {
-            "none".to_owned()
-        } else {
-            known.join(", ")
-        },
+        known: if known.is_empty() { "none".to_owned() } else { known.join(", ") },
     })
 }
 

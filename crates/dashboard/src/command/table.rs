@@ -2,8 +2,7 @@
 
 use posebridge_telemetry::simulator::{ProfileName, SlippingWheel, SteeringSource};
 use posebridge_telemetry::{
-    Command, Heading, Learning, Meters, ParameterName, ParameterStorage, Pose, SensorId,
-    SimulatorCommand, Span,
+    Command, Heading, Learning, Meters, ParameterName, ParameterStorage, Pose, SensorId, SimulatorCommand, Span,
 };
 
 use super::fields::{Field, Kind, Values};
@@ -38,26 +37,15 @@ const fn field(name: &'static str, kind: Kind) -> Field {
     Field { name, kind }
 }
 
-const fn plain(
-    name: &'static str,
-    help: &'static str,
-    make: fn(&Values<'_>) -> Command,
-) -> CommandRow {
-    CommandRow {
-        name,
-        help,
-        fields: &[],
-        make,
-    }
+const fn plain(name: &'static str, help: &'static str, make: fn(&Values<'_>) -> Command) -> CommandRow {
+    CommandRow { name, help, fields: &[], make }
 }
 
 /// Every command. Adding one: a row here.
 pub const COMMANDS: &[CommandRow] = &[
-    plain(
-        "reset-pose",
-        "forget where the robot is: its configured start, or the next fix, decides",
-        |_| Command::ResetPose,
-    ),
+    plain("reset-pose", "forget where the robot is: its configured start, or the next fix, decides", |_| {
+        Command::ResetPose
+    }),
     CommandRow {
         name: "set-pose",
         help: "the robot is there",
@@ -87,68 +75,33 @@ pub const COMMANDS: &[CommandRow] = &[
             value: values.number("value"),
         },
     },
-    plain(
-        "save-parameters",
-        "write all tunables into parameters.toml in the run's folder",
-        |_| Command::Parameters(ParameterStorage::Save),
-    ),
-    plain(
-        "reload-parameters",
-        "go back to the tunables that were saved last, or with which the run began",
-        |_| Command::Parameters(ParameterStorage::Reload),
-    ),
-    plain(
-        "default-parameters",
-        "go back to the defaults of all tunables",
-        |_| Command::Parameters(ParameterStorage::Default),
-    ),
-    plain(
-        "freeze-calibration",
-        "take the robot's constants as they stand",
-        |_| Command::Learning(Learning::Frozen),
-    ),
-    plain(
-        "learn-calibration",
-        "go on learning the robot's constants",
-        |_| Command::Learning(Learning::Free),
-    ),
-    plain(
-        "reset-calibration",
-        "forget what was learned about the robot",
-        |_| Command::ResetCalibration,
-    ),
+    plain("save-parameters", "write all tunables into parameters.toml in the run's folder", |_| {
+        Command::Parameters(ParameterStorage::Save)
+    }),
+    plain("reload-parameters", "go back to the tunables that were saved last, or with which the run began", |_| {
+        Command::Parameters(ParameterStorage::Reload)
+    }),
+    plain("default-parameters", "go back to the defaults of all tunables", |_| {
+        Command::Parameters(ParameterStorage::Default)
+    }),
+    plain("freeze-calibration", "take the robot's constants as they stand", |_| Command::Learning(Learning::Frozen)),
+    plain("learn-calibration", "go on learning the robot's constants", |_| Command::Learning(Learning::Free)),
+    plain("reset-calibration", "forget what was learned about the robot", |_| Command::ResetCalibration),
     CommandRow {
         name: "switch-source",
         help: "use what a sensor says, or leave it out",
-        fields: &[
-            field(
-                "sensor",
-                Kind::Whole {
-                    least: 0,
-                    most: u8::MAX as u64,
-                },
-            ),
-            field("on", Kind::Switch),
-        ],
+        fields: &[field("sensor", Kind::Whole { least: 0, most: u8::MAX as u64 }), field("on", Kind::Switch)],
         make: |values| Command::SwitchSource {
             sensor: SensorId(values.whole("sensor") as u8),
             to: values.switch("on"),
         },
     },
-    plain("start-recording", "begin a new recording", |_| {
-        Command::StartRecording
-    }),
-    plain("stop-recording", "end the recording", |_| {
-        Command::StopRecording
-    }),
+    plain("start-recording", "begin a new recording", |_| Command::StartRecording),
+    plain("stop-recording", "end the recording", |_| Command::StopRecording),
     CommandRow {
         name: "kidnap",
         help: "the simulated robot is lifted and put down there, relative to itself; its wheels spin in the air and count",
-        fields: &[
-            simulated("forward_m"),
-            simulated("left_m"),
-            simulated("turn_rad"),
-        ],
+        fields: &[simulated("forward_m"), simulated("left_m"), simulated("turn_rad")],
         make: |values| {
             Command::Simulator(SimulatorCommand::Kidnap {
                 forward_m: values.number("forward_m"),
@@ -160,11 +113,7 @@ pub const COMMANDS: &[CommandRow] = &[
     CommandRow {
         name: "slip",
         help: "wheels of the simulated robot lose grip; a factor of 1 spins on the spot",
-        fields: &[
-            field("wheel", Kind::Choice(&["left", "right", "both"])),
-            simulated("factor"),
-            simulated("seconds"),
-        ],
+        fields: &[field("wheel", Kind::Choice(&["left", "right", "both"])), simulated("factor"), simulated("seconds")],
         make: |values| {
             Command::Simulator(SimulatorCommand::Slip {
                 wheel: wheel(values.text("wheel")),
@@ -183,21 +132,13 @@ pub const COMMANDS: &[CommandRow] = &[
         name: "camera-delay",
         help: "the simulated camera tells what it has seen so much later",
         fields: &[simulated("delay_ms")],
-        make: |values| {
-            Command::Simulator(SimulatorCommand::CameraDelay {
-                delay: millis(values.number("delay_ms")),
-            })
-        },
+        make: |values| Command::Simulator(SimulatorCommand::CameraDelay { delay: millis(values.number("delay_ms")) }),
     },
     CommandRow {
         name: "gyro-bias-step",
         help: "the simulated gyro shows so much more from here on",
         fields: &[simulated("rad_per_s")],
-        make: |values| {
-            Command::Simulator(SimulatorCommand::GyroBiasStep {
-                rad_per_s: values.number("rad_per_s"),
-            })
-        },
+        make: |values| Command::Simulator(SimulatorCommand::GyroBiasStep { rad_per_s: values.number("rad_per_s") }),
     },
     CommandRow {
         name: "link-profile",
@@ -214,9 +155,7 @@ pub const COMMANDS: &[CommandRow] = &[
         help: "the simulated brick's cable is out for so long",
         fields: &[simulated("seconds")],
         make: |values| {
-            Command::Simulator(SimulatorCommand::PullCable {
-                duration: Span::from_secs_f64(values.number("seconds")),
-            })
+            Command::Simulator(SimulatorCommand::PullCable { duration: Span::from_secs_f64(values.number("seconds")) })
         },
     },
     CommandRow {
@@ -236,25 +175,21 @@ pub const COMMANDS: &[CommandRow] = &[
             })
         },
     },
-    plain(
-        "path",
-        "the simulated robot drives its path again, from where it is nearest",
-        |_| Command::Simulator(SimulatorCommand::Path),
-    ),
+    plain("path", "the simulated robot drives its path again, from where it is nearest", |_| {
+        Command::Simulator(SimulatorCommand::Path)
+    }),
 ];
 
 /// Of a word that was checked; a test compares the words with the vocabulary's.
 fn wheel(word: &str) -> SlippingWheel {
     let mut all = SlippingWheel::ALL.into_iter();
-    all.find(|wheel| wheel.word() == word)
-        .unwrap_or(SlippingWheel::Both)
+    all.find(|wheel| wheel.word() == word).unwrap_or(SlippingWheel::Both)
 }
 
 /// As [`wheel`].
 fn steering(word: &str) -> SteeringSource {
     let mut all = SteeringSource::ALL.into_iter();
-    all.find(|source| source.word() == word)
-        .unwrap_or(SteeringSource::Estimate)
+    all.find(|source| source.word() == word).unwrap_or(SteeringSource::Estimate)
 }
 
 /// Rounded to nanoseconds once, so that the ends of ranges stay in them.

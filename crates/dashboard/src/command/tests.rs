@@ -1,9 +1,7 @@
 use super::*;
 
 use posebridge_telemetry::simulator::NUMBER_FIELDS;
-use posebridge_telemetry::{
-    SensorId, SimulatorCommand, SlippingWheel, Span, SteeringSource, Switch,
-};
+use posebridge_telemetry::{SensorId, SimulatorCommand, SlippingWheel, Span, SteeringSource, Switch};
 use serde_json::json;
 
 fn refused(text: &str) -> String {
@@ -57,10 +55,7 @@ fn every_row_reads_its_own_fields_and_misses_each_of_them() {
             let mut wrong = given.clone();
             wrong.insert(field.name.to_owned(), json!([1, "\u{1b}[2J"]));
             let why = refused(&text_of(wrong));
-            assert!(
-                why.contains(&format!("the field `{}` is [", field.name)),
-                "{why}"
-            );
+            assert!(why.contains(&format!("the field `{}` is [", field.name)), "{why}");
             assert!(!why.contains('\u{1b}'), "{why}");
         }
         let mut more = given;
@@ -93,37 +88,23 @@ fn the_words_are_those_of_the_vocabulary() {
         };
         words.to_vec()
     };
-    assert_eq!(
-        words("slip", "wheel"),
-        SlippingWheel::ALL.map(SlippingWheel::word)
-    );
-    assert_eq!(
-        words("steering", "by"),
-        SteeringSource::ALL.map(SteeringSource::word)
-    );
+    assert_eq!(words("slip", "wheel"), SlippingWheel::ALL.map(SlippingWheel::word));
+    assert_eq!(words("steering", "by"), SteeringSource::ALL.map(SteeringSource::word));
 }
 
 #[test]
 fn commands_are_what_their_fields_say() {
     let read = |text: &str| read(text.as_bytes()).unwrap().1;
-    let Command::SetPose {
-        pose,
-        position_sigma_m,
-        heading_sigma_rad,
-    } = read(
+    let Command::SetPose { pose, position_sigma_m, heading_sigma_rad } = read(
         r#"{"command":"set-pose","x_m":1.5,"y_m":-2,"heading_rad":0.5,"position_sigma_m":0.1,"heading_sigma_rad":0.2}"#,
-    )
-    else {
+    ) else {
         panic!("it sets the pose");
     };
     assert_eq!((pose.x.0, pose.y.0, pose.heading.rad()), (1.5, -2.0, 0.5));
     assert_eq!((position_sigma_m, heading_sigma_rad), (0.1, 0.2));
     assert_eq!(
         read(r#"{"command":"switch-source","sensor":3,"on":false}"#),
-        Command::SwitchSource {
-            sensor: SensorId::CAMERA,
-            to: Switch::Off
-        }
+        Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::Off }
     );
     assert_eq!(
         read(r#"{"command":"slip","wheel":"right","factor":0.5,"seconds":2}"#),
@@ -135,9 +116,7 @@ fn commands_are_what_their_fields_say() {
     );
     assert_eq!(
         read(r#"{"command":"camera-delay","delay_ms":5000}"#),
-        Command::Simulator(SimulatorCommand::CameraDelay {
-            delay: Span::from_millis(5_000)
-        })
+        Command::Simulator(SimulatorCommand::CameraDelay { delay: Span::from_millis(5_000) })
     );
     let profile = |text: &str| {
         let command = read(text);
@@ -146,26 +125,15 @@ fn commands_are_what_their_fields_say() {
         };
         profile.map(|name| name.to_string())
     };
-    assert_eq!(
-        profile(r#"{"command":"link-profile","profile":"bluetooth-spp"}"#).as_deref(),
-        Some("bluetooth-spp")
-    );
-    assert_eq!(
-        profile(r#"{"command":"link-profile","profile":null}"#),
-        None
-    );
+    assert_eq!(profile(r#"{"command":"link-profile","profile":"bluetooth-spp"}"#).as_deref(), Some("bluetooth-spp"));
+    assert_eq!(profile(r#"{"command":"link-profile","profile":null}"#), None);
 }
 
 #[test]
 fn what_makes_no_sense_is_refused_with_what_may_stand_there() {
     assert!(refused("{").starts_with("the command is no JSON: "));
-    assert_eq!(
-        refused("[]"),
-        "a command is an object such as {\"command\": \"reset-pose\"}"
-    );
-    assert!(
-        refused("{}").starts_with("the field `command` is missing; it is one of: reset-pose, ")
-    );
+    assert_eq!(refused("[]"), "a command is an object such as {\"command\": \"reset-pose\"}");
+    assert!(refused("{}").starts_with("the field `command` is missing; it is one of: reset-pose, "));
     assert!(refused(r#"{"command":7}"#).starts_with("`command` is `7`; there are: "));
     assert!(refused(r#"{"command":"fly"}"#).starts_with("`command` is `fly`; there are: "));
     assert_eq!(

@@ -37,11 +37,7 @@ pub struct Frame {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<SimulatorNow>,
     /// The recording that is being written, `null` if none is; once a second, else absent.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "present"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub recording: Option<Option<RecordingNow>>,
     /// So many messages this reader has missed because it was slow.
     pub dropped: u64,
@@ -107,10 +103,7 @@ pub struct RobotFrame {
 
 impl RobotFrame {
     fn of(id: &str) -> Self {
-        Self {
-            id: id.to_owned(),
-            ..Self::default()
-        }
+        Self { id: id.to_owned(), ..Self::default() }
     }
 }
 

@@ -46,9 +46,7 @@ pub struct SimulatorFacts {
 }
 
 /// A sensor.
-#[derive(
-    Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, PartialOrd, Ord, Serialize,
-)]
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct SourceRow {
     /// The number of `switch-source`.

@@ -6,9 +6,8 @@ mod number;
 mod state;
 
 pub use frame::{
-    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow,
-    LogLine, ParameterValue, RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint,
-    TruthPoint,
+    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, ParameterValue,
+    RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint, TruthPoint,
 };
 pub use hello::{Hello, ParameterRow, RecordingRow, SimulatorFacts, SourceRow};
 pub use number::Number;

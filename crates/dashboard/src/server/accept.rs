@@ -18,9 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::seat::Seat;
 use crate::counts::{Count, Counts};
-use crate::limits::{
-    HEAD_BYTES, HEAD_TIMEOUT, MOST_CONNECTIONS, SEND_TIMEOUT, SOCKET_BUFFER_BYTES,
-};
+use crate::limits::{HEAD_BYTES, HEAD_TIMEOUT, MOST_CONNECTIONS, SEND_TIMEOUT, SOCKET_BUFFER_BYTES};
 
 /// What whoever comes too many is told.
 const BUSY: &[u8] =
@@ -30,12 +28,7 @@ const BUSY: &[u8] =
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// Takes connections until it is told to stop.
-pub(crate) async fn serve(
-    listener: TcpListener,
-    router: Router,
-    counts: Arc<Counts>,
-    stop: CancellationToken,
-) {
+pub(crate) async fn serve(listener: TcpListener, router: Router, counts: Arc<Counts>, stop: CancellationToken) {
     let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     loop {
         let accepted = tokio::select! {
@@ -52,11 +45,7 @@ pub(crate) async fn serve(
             drop(stream.try_write(BUSY));
             continue;
         };
-        let connection = Connection {
-            router: router.clone(),
-            counts: Arc::clone(&counts),
-            seat: Arc::new(seat),
-        };
+        let connection = Connection { router: router.clone(), counts: Arc::clone(&counts), seat: Arc::new(seat) };
         // A connection ends by itself, or with the runtime.
         drop(tokio::spawn(connection.serve(stream)));
     }
@@ -72,11 +61,7 @@ struct Connection {
 
 impl Connection {
     async fn serve(self, stream: TcpStream) {
-        let Self {
-            router,
-            counts,
-            seat,
-        } = &self;
+        let Self { router, counts, seat } = &self;
         let socket = SockRef::from(&stream);
         // Whatever of these the system refuses, the connection works without.
         drop(stream.set_nodelay(true));

@@ -11,8 +11,8 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::header::{
-    ACCEPT, AUTHORIZATION, CONTENT_SECURITY_POLICY, COOKIE, HOST, ORIGIN, REFERRER_POLICY,
-    SET_COOKIE, X_CONTENT_TYPE_OPTIONS,
+    ACCEPT, AUTHORIZATION, CONTENT_SECURITY_POLICY, COOKIE, HOST, ORIGIN, REFERRER_POLICY, SET_COOKIE,
+    X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
@@ -27,8 +27,7 @@ use crate::model::Refusal;
 use crate::token::Token;
 
 /// Scripts, styles, images and connections of this station only, and nobody may put the page into a frame.
-const POLICY: &str =
-    "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+const POLICY: &str = "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// The port of a Host that names none.
 const HTTP_PORT: u16 = 80;
 
@@ -64,11 +63,7 @@ pub(super) async fn admit(State(app): State<Arc<App>>, request: Request, next: N
     let admitted = app.guard.check(&request);
     let mut response = match admitted {
         Ok(admission) => {
-            let patience = if request.uri().path().ends_with("/replay") {
-                REPLAY_TIMEOUT
-            } else {
-                REQUEST_TIMEOUT
-            };
+            let patience = if request.uri().path().ends_with("/replay") { REPLAY_TIMEOUT } else { REQUEST_TIMEOUT };
             let answer = timeout(patience, next.run(request)).await;
             let mut response = answer.unwrap_or_else(|_too_slow| {
                 app.counts.one(Count::BadRequest);
@@ -94,10 +89,7 @@ pub(super) async fn admit(State(app): State<Arc<App>>, request: Request, next: N
         (CONTENT_SECURITY_POLICY, POLICY),
         (X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (REFERRER_POLICY, "no-referrer"),
-        (
-            HeaderName::from_static("cross-origin-resource-policy"),
-            "same-origin",
-        ),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
@@ -143,11 +135,7 @@ impl Guard {
             return Err(self.wrong_host("missing or there more than once"));
         };
         let is_right = Authority::from_str(host).is_ok_and(|named| self.is_here(&named));
-        if is_right {
-            Ok(host.to_ascii_lowercase())
-        } else {
-            Err(self.wrong_host(host))
-        }
+        if is_right { Ok(host.to_ascii_lowercase()) } else { Err(self.wrong_host(host)) }
     }
 
     fn is_here(&self, named: &Authority) -> bool {
@@ -181,9 +169,7 @@ impl Guard {
         let bearer = headers.get(AUTHORIZATION);
         let bearer = bearer.and_then(|value| value.to_str().ok()?.split_once(' '));
         // The name of a scheme has no case (RFC 9110, section 11.1).
-        if bearer.is_some_and(|(scheme, said)| {
-            scheme.eq_ignore_ascii_case("bearer") && token.is(said.trim())
-        }) {
+        if bearer.is_some_and(|(scheme, said)| scheme.eq_ignore_ascii_case("bearer") && token.is(said.trim())) {
             return Ok(Admission::Plain);
         }
         let name = self.cookie_name();

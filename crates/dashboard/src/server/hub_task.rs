@@ -118,10 +118,7 @@ fn answer(hub: &Hub, counts: &Counts, question: Question, frames: &broadcast::Se
         Question::Hello(recordings, reply) => {
             let hello = text(&Message::Hello(Box::new(hub.hello(recordings))));
             // Whoever asked may have gone.
-            drop(reply.send(Greeting {
-                hello: hello.into(),
-                frames: frames.subscribe(),
-            }));
+            drop(reply.send(Greeting { hello: hello.into(), frames: frames.subscribe() }));
         }
         Question::Text(subject, reply) => drop(reply.send(about(hub, counts, subject))),
         Question::Recording(reply) => drop(reply.send(hub.recording.clone())),

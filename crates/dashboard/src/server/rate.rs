@@ -31,9 +31,7 @@ impl Rate {
             let due = Stamp::from_nanos(due_nanos).max(now);
             (due - now <= self.slack).then(|| (due + self.period).as_nanos())
         };
-        let taken = self
-            .due_nanos
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, due);
+        let taken = self.due_nanos.fetch_update(Ordering::Relaxed, Ordering::Relaxed, due);
         taken.is_ok()
     }
 }

@@ -56,10 +56,7 @@ pub(super) fn schema() -> Ready<Response> {
 
 pub(super) async fn recordings(State(app): Shared) -> Response {
     let rows = app.recording_rows().await;
-    typed(
-        JSON,
-        serde_json::to_string(&rows).unwrap_or_default().into(),
-    )
+    typed(JSON, serde_json::to_string(&rows).unwrap_or_default().into())
 }
 
 /// A whole recording; of the one that is being written, what is there.
@@ -79,10 +76,7 @@ pub(super) async fn download(State(app): Shared, name: Named) -> Response {
     let Ok((file, bytes)) = opened.await else {
         return app.no_recording();
     };
-    let mut response = typed(
-        "application/octet-stream",
-        Body::from_stream(ReaderStream::new(file.take(bytes))),
-    );
+    let mut response = typed("application/octet-stream", Body::from_stream(ReaderStream::new(file.take(bytes))));
     let headers = response.headers_mut();
     headers.insert(CONTENT_LENGTH, bytes.into());
     // The name is one of the folder's; what does not fit into a header the browser makes up itself.
@@ -124,11 +118,7 @@ pub(super) async fn replay(State(app): Shared, name: Named) -> Response {
 }
 
 /// Hands a command to the engine; what becomes of it stands in the log.
-pub(super) async fn command(
-    State(app): Shared,
-    headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
-) -> Response {
+pub(super) async fn command(State(app): Shared, headers: HeaderMap, body: Result<Bytes, BytesRejection>) -> Response {
     if !is_json(&headers) {
         let why = "a command has the header Content-Type: application/json".to_owned();
         return app.bad_request(StatusCode::UNSUPPORTED_MEDIA_TYPE, why);
@@ -139,9 +129,7 @@ pub(super) async fn command(
     };
     match app.give(&body) {
         Ok(name) => {
-            let accepted = Accepted {
-                accepted: name.to_owned(),
-            };
+            let accepted = Accepted { accepted: name.to_owned() };
             (StatusCode::ACCEPTED, axum::Json(accepted)).into_response()
         }
         Err((status, why)) => refusal(status, why),
@@ -190,9 +178,7 @@ impl App {
         })?;
         if !self.command_rate.admits((self.clock)()) {
             self.counts.one(Count::CommandRate);
-            let why = format!(
-                "more than {COMMANDS_PER_S} commands a second come to this station; try again"
-            );
+            let why = format!("more than {COMMANDS_PER_S} commands a second come to this station; try again");
             return Err((StatusCode::SERVICE_UNAVAILABLE, why));
         }
         match self.commands.try_send(command) {
@@ -233,12 +219,7 @@ impl App {
         let (reply, answer) = oneshot::channel();
         drop(self.questions.send(Question::Text(subject, reply)).await);
         answer.await.map_or_else(
-            |_gone| {
-                refusal(
-                    StatusCode::SERVICE_UNAVAILABLE,
-                    "the station is ending".to_owned(),
-                )
-            },
+            |_gone| refusal(StatusCode::SERVICE_UNAVAILABLE, "the station is ending".to_owned()),
             |text| typed(kind, text.into()),
         )
     }
@@ -250,8 +231,7 @@ impl App {
     }
 
     fn wrong_method(&self) -> Response {
-        let why =
-            "wrong method: commands are posted to /v1/commands, everything else is got".to_owned();
+        let why = "wrong method: commands are posted to /v1/commands, everything else is got".to_owned();
         self.bad_request(StatusCode::METHOD_NOT_ALLOWED, why)
     }
 

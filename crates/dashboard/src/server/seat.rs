@@ -18,11 +18,7 @@ impl Seat {
     pub(super) fn take(room: &Arc<Semaphore>, counts: &Arc<Counts>, count: Count) -> Option<Self> {
         let permit = Arc::clone(room).try_acquire_owned().ok()?;
         counts.one(count);
-        Some(Self {
-            counts: Arc::clone(counts),
-            count,
-            _permit: permit,
-        })
+        Some(Self { counts: Arc::clone(counts), count, _permit: permit })
     }
 }
 

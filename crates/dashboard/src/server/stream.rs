@@ -54,12 +54,7 @@ pub(super) async fn open(
 }
 
 async fn serve(app: Arc<App>, socket: WebSocket) {
-    let mut client = Client {
-        app: Arc::clone(&app),
-        socket,
-        missed: 0,
-        is_heard: true,
-    };
+    let mut client = Client { app: Arc::clone(&app), socket, missed: 0, is_heard: true };
     if client.talk().await == Farewell::Dropped {
         app.counts.one(Count::ClientsDropped);
     }
@@ -120,8 +115,7 @@ impl Client {
             },
             Some(Ok(Packet::Binary(_))) => {
                 self.app.counts.one(Count::BadCommand);
-                self.refuse("commands are JSON in text messages".to_owned())
-                    .await
+                self.refuse("commands are JSON in text messages".to_owned()).await
             }
             Some(Ok(Packet::Ping(_) | Packet::Pong(_))) => Ok(()),
             Some(Err(error)) => Err(farewell_of(error)),
@@ -154,8 +148,7 @@ impl Client {
 
     async fn refuse(&mut self, error: String) -> Result<(), Farewell> {
         let text = serde_json::to_string(&Message::Error(Refusal { error }));
-        self.send(Packet::Text(text.unwrap_or_default().into()))
-            .await
+        self.send(Packet::Text(text.unwrap_or_default().into())).await
     }
 
     async fn send(&mut self, packet: Packet) -> Result<(), Farewell> {
@@ -170,11 +163,7 @@ impl Client {
 /// How a stream ended that cannot be read any further.
 fn farewell_of(error: axum::Error) -> Farewell {
     let cause = error.into_inner().downcast::<tungstenite::Error>();
-    if cause.is_ok_and(|cause| has_gone(&cause)) {
-        Farewell::Left
-    } else {
-        Farewell::Dropped
-    }
+    if cause.is_ok_and(|cause| has_gone(&cause)) { Farewell::Left } else { Farewell::Dropped }
 }
 
 /// Whether somebody just went: a browser whose tab is closed, or whose computer sleeps, says nothing.

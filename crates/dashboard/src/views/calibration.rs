@@ -24,12 +24,7 @@ impl Calibrations {
             Keep::Latest { span, .. } => Keep::Latest { span, most: 1 },
             Keep::Whole { most } => Keep::Whole { most: most / SHARE },
         };
-        Self {
-            robot: None,
-            rows: Vec::new(),
-            kept: Trail::new(keep),
-            has_news: false,
-        }
+        Self { robot: None, rows: Vec::new(), kept: Trail::new(keep), has_news: false }
     }
 }
 

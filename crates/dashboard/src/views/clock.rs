@@ -18,19 +18,11 @@ impl Clock {
 
 impl View for Clock {
     fn take(&mut self, _now: Stamp<HostClock>, told: Told<'_>) {
-        let Told::Event(Event::BrickClockAligned {
-            offset,
-            skew_ppm,
-            uncertainty,
-            round_trip,
-            ..
-        }) = told
-        else {
+        let Told::Event(Event::BrickClockAligned { offset, skew_ppm, uncertainty, round_trip, .. }) = told else {
             return;
         };
         // Between two answers the alignment is also refined by what arrives by itself.
-        let has_answered =
-            round_trip.is_some() || self.row.as_ref().is_some_and(|row| row.method == TWO_WAY);
+        let has_answered = round_trip.is_some() || self.row.as_ref().is_some_and(|row| row.method == TWO_WAY);
         let method = if has_answered { TWO_WAY } else { ONE_WAY };
         self.row = Some(ClockRow {
             offset_s: offset.as_secs_f64(),

@@ -17,9 +17,7 @@ pub(super) struct Estimates {
 
 impl Estimates {
     pub(super) fn new(setting: &Setting) -> Self {
-        Self {
-            trails: Trails::new(setting.keep, MOST_ROBOTS),
-        }
+        Self { trails: Trails::new(setting.keep, MOST_ROBOTS) }
     }
 }
 
@@ -60,8 +58,7 @@ pub(crate) fn point_of(now: Stamp<HostClock>, estimate: &Estimate) -> EstimatePo
         covariance[row::Y][row::Y],
         ELLIPSE_SIGMAS,
     );
-    let of_ellipse =
-        |read: fn(&Ellipse) -> f64| Number::from(ellipse.as_ref().map_or(f64::NAN, read));
+    let of_ellipse = |read: fn(&Ellipse) -> f64| Number::from(ellipse.as_ref().map_or(f64::NAN, read));
     EstimatePoint {
         t_s: seconds_of(now),
         x_m: estimate.pose.x.0.into(),
@@ -75,9 +72,6 @@ pub(crate) fn point_of(now: Stamp<HostClock>, estimate: &Estimate) -> EstimatePo
         turn_rad_per_s: estimate.turn_rate.0.into(),
         reset_counter: estimate.reset_counter,
         is_dead_reckoning: estimate.is_dead_reckoning,
-        fix_age_s: estimate
-            .fix_age
-            .map_or(f64::NAN, posebridge_telemetry::Span::as_secs_f64)
-            .into(),
+        fix_age_s: estimate.fix_age.map_or(f64::NAN, posebridge_telemetry::Span::as_secs_f64).into(),
     }
 }

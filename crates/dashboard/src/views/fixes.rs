@@ -4,9 +4,7 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{
-    Event, Fix, Heading, HostClock, Observed, RobotId, SensorId, Stamp, Verdict,
-};
+use posebridge_telemetry::{Event, Fix, Heading, HostClock, Observed, RobotId, SensorId, Stamp, Verdict};
 
 use super::trail::{MOST_ROBOTS, Trails, Weight};
 use super::{Pace, Setting, Told, View, robot_name};
@@ -23,10 +21,7 @@ pub(super) struct Fixes {
 
 impl Fixes {
     pub(super) fn new(setting: &Setting) -> Self {
-        Self {
-            trails: Trails::new(setting.keep, MOST_ROBOTS),
-            open: VecDeque::new(),
-        }
+        Self { trails: Trails::new(setting.keep, MOST_ROBOTS), open: VecDeque::new() }
     }
 
     /// The oldest fix of this sensor whose record has not come.
@@ -40,9 +35,7 @@ impl Fixes {
 impl View for Fixes {
     fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
         match told {
-            Told::Event(Event::Observed {
-                robot, observation, ..
-            }) => {
+            Told::Event(Event::Observed { robot, observation, .. }) => {
                 if let Observed::Fix(fix) = observation.observed {
                     if self.open.len() >= MOST_OPEN {
                         self.open.pop_front();
@@ -90,9 +83,5 @@ impl View for Fixes {
 
 /// What was used as foreseen is one of many; everything else is what people look for.
 pub(super) fn weight_of(verdict: Verdict) -> Weight {
-    if matches!(verdict, Verdict::Accepted | Verdict::Unused) {
-        Weight::Usual
-    } else {
-        Weight::Rare
-    }
+    if matches!(verdict, Verdict::Accepted | Verdict::Unused) { Weight::Usual } else { Weight::Rare }
 }

@@ -23,15 +23,10 @@ pub(super) struct Fusion {
 impl Fusion {
     pub(super) fn new(setting: &Setting) -> Self {
         let keep = match setting.keep {
-            Keep::Latest { span, most } => Keep::Latest {
-                span,
-                most: most / SHARE,
-            },
+            Keep::Latest { span, most } => Keep::Latest { span, most: most / SHARE },
             Keep::Whole { most } => Keep::Whole { most: most / SHARE },
         };
-        Self {
-            trails: Trails::new(keep, MOST_SOURCES),
-        }
+        Self { trails: Trails::new(keep, MOST_SOURCES) }
     }
 }
 

@@ -65,11 +65,7 @@ impl Link {
 
 impl Links {
     pub(super) fn new(setting: &Setting) -> Self {
-        Self {
-            setting: setting.clone(),
-            known: BTreeMap::new(),
-            has_news: false,
-        }
+        Self { setting: setting.clone(), known: BTreeMap::new(), has_news: false }
     }
 
     fn link(&mut self, id: LinkId) -> Option<&mut Link> {

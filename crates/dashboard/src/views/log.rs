@@ -29,18 +29,10 @@ pub(super) struct Log {
 impl Log {
     pub(super) fn new(setting: &Setting) -> Self {
         let keep = match setting.keep {
-            Keep::Latest { .. } => Keep::Latest {
-                span: LONGEST,
-                most: MOST_LINES,
-            },
+            Keep::Latest { .. } => Keep::Latest { span: LONGEST, most: MOST_LINES },
             whole @ Keep::Whole { .. } => whole,
         };
-        Self {
-            setting: setting.clone(),
-            trail: Trail::new(keep),
-            repeats: Repeats::default(),
-            severity: NOTICE,
-        }
+        Self { setting: setting.clone(), trail: Trail::new(keep), repeats: Repeats::default(), severity: NOTICE }
     }
 
     /// Over a whole session what robots and ground stations chatter goes first; the last lines are kept as they came.
@@ -53,11 +45,7 @@ impl Log {
 
     fn push(&mut self, now: Stamp<HostClock>, severity: u8, text: String) {
         let t_s = seconds_of(now);
-        let line = LogLine {
-            t_s,
-            severity,
-            text,
-        };
+        let line = LogLine { t_s, severity, text };
         self.trail.push(now, line, self.weight_of(severity));
     }
 
@@ -71,10 +59,7 @@ impl Log {
             }
             Event::BrickRestarted { robot } => {
                 let robot = robot_name(*robot);
-                (
-                    WARNING,
-                    format!("{robot} was restarted: clock and counters re-based"),
-                )
+                (WARNING, format!("{robot} was restarted: clock and counters re-based"))
             }
             Event::Link { link, state } => {
                 let name = self.setting.link_name(*link);
@@ -83,11 +68,7 @@ impl Log {
                     LinkState::Down => (WARNING, format!("link {name} is down")),
                 }
             }
-            Event::Text {
-                source,
-                severity,
-                text,
-            } => (*severity, said(*source, text)),
+            Event::Text { source, severity, text } => (*severity, said(*source, text)),
             Event::Observed { .. }
             | Event::Fused { .. }
             | Event::Estimated { .. }

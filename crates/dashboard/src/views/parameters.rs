@@ -13,10 +13,7 @@ pub(super) struct Parameters {
 
 impl Parameters {
     pub(super) const fn new(_setting: &Setting) -> Self {
-        Self {
-            values: Vec::new(),
-            has_news: false,
-        }
+        Self { values: Vec::new(), has_news: false }
     }
 }
 

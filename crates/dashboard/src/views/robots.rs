@@ -15,11 +15,7 @@ pub(super) struct Robots {
 
 impl Robots {
     pub(super) const fn new(_setting: &Setting) -> Self {
-        Self {
-            heard: Vec::new(),
-            ignored: 0,
-            has_news: false,
-        }
+        Self { heard: Vec::new(), ignored: 0, has_news: false }
     }
 }
 

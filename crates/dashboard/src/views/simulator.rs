@@ -13,10 +13,7 @@ pub(super) struct Simulator {
 
 impl Simulator {
     pub(super) const fn new(_setting: &Setting) -> Self {
-        Self {
-            now: None,
-            has_news: false,
-        }
+        Self { now: None, has_news: false }
     }
 }
 

@@ -13,10 +13,7 @@ pub(super) struct Switches {
 
 impl Switches {
     pub(super) const fn new(_setting: &Setting) -> Self {
-        Self {
-            off: None,
-            has_news: false,
-        }
+        Self { off: None, has_news: false }
     }
 }
 

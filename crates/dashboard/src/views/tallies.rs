@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{
-    Event, FusionRecord, HostClock, RobotId, SensorId, Span, Stamp, Verdict,
-};
+use posebridge_telemetry::{Event, FusionRecord, HostClock, RobotId, SensorId, Span, Stamp, Verdict};
 
 use super::trail::{MOST_ROBOTS, Trails, Weight};
 use super::{Keep, Pace, Setting, Told, View, robot_name};
@@ -69,8 +67,7 @@ impl Tallies {
     fn note_second(&mut self) {
         for (source, tally) in &self.counted {
             let point = point_of(self.last, source.1, *tally);
-            self.seconds
-                .push(self.last, *source, (point, Weight::Usual));
+            self.seconds.push(self.last, *source, (point, Weight::Usual));
         }
         // What is told are the counts as they stand.
         drop(self.seconds.take_news());
@@ -115,11 +112,7 @@ impl View for Tallies {
     }
 }
 
-fn point_of(
-    at: Stamp<HostClock>,
-    (sensor, kind): (SensorId, &'static str),
-    tally: Tally,
-) -> TallyPoint {
+fn point_of(at: Stamp<HostClock>, (sensor, kind): (SensorId, &'static str), tally: Tally) -> TallyPoint {
     TallyPoint {
         t_s: seconds_of(at),
         sensor: sensor.name().to_owned(),

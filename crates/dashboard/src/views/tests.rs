@@ -2,9 +2,8 @@ use super::*;
 
 use insta::assert_json_snapshot;
 use posebridge_telemetry::{
-    Address, Arena, Estimate, Fix, FusionRecord, Heading, LinkHealth, LinkState, Meters,
-    MetersPerSecond, Observation, Observed, Point2, Pose, RadiansPerSecond, SensorId, Span,
-    Validity, Verdict,
+    Address, Arena, Estimate, Fix, FusionRecord, Heading, LinkHealth, LinkState, Meters, MetersPerSecond, Observation,
+    Observed, Point2, Pose, RadiansPerSecond, SensorId, Span, Validity, Verdict,
 };
 
 use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
@@ -14,27 +13,15 @@ fn at(millis: i64) -> Stamp<HostClock> {
 }
 
 fn robot() -> RobotId {
-    RobotId {
-        link: LinkId(0),
-        address: Address::new(1, 1),
-    }
+    RobotId { link: LinkId(0), address: Address::new(1, 1) }
 }
 
 fn view(name: &str) -> Box<dyn View> {
-    view_that_keeps(
-        name,
-        Keep::Latest {
-            span: Span::from_millis(60_000),
-            most: 1_200,
-        },
-    )
+    view_that_keeps(name, Keep::Latest { span: Span::from_millis(60_000), most: 1_200 })
 }
 
 fn view_that_keeps(name: &str, keep: Keep) -> Box<dyn View> {
-    let setting = Setting {
-        links: vec!["sim://square".to_owned()],
-        keep,
-    };
+    let setting = Setting { links: vec!["sim://square".to_owned()], keep };
     let entry = VIEWS.iter().find(|entry| entry.name == name).unwrap();
     (entry.build)(&setting)
 }
@@ -63,11 +50,7 @@ pub(crate) fn estimate() -> Estimate {
         forward_speed: MetersPerSecond(0.2),
         turn_rate: RadiansPerSecond(-0.5),
         covariance,
-        validity: Validity {
-            position: true,
-            heading: true,
-            speeds: true,
-        },
+        validity: Validity { position: true, heading: true, speeds: true },
         is_dead_reckoning: false,
         fix_age: Some(Span::from_millis(300)),
         reset_counter: 2,
@@ -76,10 +59,7 @@ pub(crate) fn estimate() -> Estimate {
 }
 
 fn estimated(estimate: &Estimate) -> Event {
-    Event::Estimated {
-        robot: robot(),
-        estimate: *estimate,
-    }
+    Event::Estimated { robot: robot(), estimate: *estimate }
 }
 
 fn seen() -> Event {
@@ -133,10 +113,7 @@ fn an_estimate_has_the_ellipse_of_95_per_cent() {
 #[test]
 fn an_estimate_whose_place_is_unknown_is_not_drawn() {
     let mut view = view("estimates");
-    let lost = Estimate {
-        validity: Validity::default(),
-        ..estimate()
-    };
+    let lost = Estimate { validity: Validity::default(), ..estimate() };
     view.take(at(1_000), Told::Event(&estimated(&lost)));
     assert!(news(&mut *view, Pace::News).is_empty());
 }
@@ -159,10 +136,7 @@ fn numbers_that_are_none_are_null() {
 fn a_fix_stands_where_it_was_seen_with_what_became_of_it() {
     let mut view = view("fixes");
     view.take(at(1_000), Told::Event(&seen()));
-    assert!(
-        news(&mut *view, Pace::News).is_empty(),
-        "its record has not come"
-    );
+    assert!(news(&mut *view, Pace::News).is_empty(), "its record has not come");
     view.take(at(1_000), Told::Event(&fused(Verdict::Gated, 2)));
     let frame = news(&mut *view, Pace::News);
     assert_json_snapshot!("fix", frame.robots[0].fixes);
@@ -190,15 +164,9 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
             sigma: 0.002,
             unit: "rad/s".to_owned(),
         }],
-        parameters: vec![ParameterValue {
-            name: "gate_prob".to_owned(),
-            value: 0.999,
-        }],
+        parameters: vec![ParameterValue { name: "gate_prob".to_owned(), value: 0.999 }],
         switched_off: vec![3],
-        simulator: Some(SimulatorNow {
-            steering: "odometry".to_owned(),
-            link_profile: Some("usb".to_owned()),
-        }),
+        simulator: Some(SimulatorNow { steering: "odometry".to_owned(), link_profile: Some("usb".to_owned()) }),
         ..Standing::default()
     };
     let mut parameters = view("parameters");
@@ -234,11 +202,7 @@ fn truth(stamp_millis: i64, x_m: f64) -> TruthSample {
         now: at(stamp_millis - 4_000),
         stamp: Stamp::from_millis(stamp_millis),
         pose: Pose::<Arena>::new(Meters(x_m), Meters(-0.28), Heading::from_rad(0.6)),
-        odometry: Some(Pose::new(
-            Meters(x_m + 0.3),
-            Meters(0.12),
-            Heading::from_rad(0.4),
-        )),
+        odometry: Some(Pose::new(Meters(x_m + 0.3), Meters(0.12), Heading::from_rad(0.4))),
     }
 }
 
@@ -251,11 +215,7 @@ fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     late.take(at(960), Told::Truth(&samples[0]));
     late.take(at(1_000), Told::Event(&estimated));
     let before = news(&mut *late, Pace::News).errors.unwrap();
-    assert_eq!(
-        before.estimate_m.get(),
-        None,
-        "the sample behind it has not come"
-    );
+    assert_eq!(before.estimate_m.get(), None, "the sample behind it has not come");
     late.take(at(1_040), Told::Truth(&samples[1]));
     let frame = news(&mut *late, Pace::News);
     assert_json_snapshot!("truth", (&frame.errors, frame.truth, frame.robots));
@@ -288,11 +248,7 @@ fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
         if step % 2 == 0 {
             let mut estimate = estimate();
             estimate.stamp = Stamp::from_millis(4_000 + millis);
-            estimate.pose = Pose::new(
-                Meters(0.001 * millis as f64),
-                Meters(-0.28 + 0.002),
-                Heading::from_rad(0.6),
-            );
+            estimate.pose = Pose::new(Meters(0.001 * millis as f64), Meters(-0.28 + 0.002), Heading::from_rad(0.6));
             // They come 0.3 s later than they hold: whoever compares by arrival is 0.3 m off.
             view.take(at(millis + 300), Told::Event(&estimated(&estimate)));
         }
@@ -307,11 +263,7 @@ fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
         assert!((odometry_m - 0.5).abs() < 1e-6, "{score:?}");
     }
     assert_eq!(scores[0].t_s, 0.3);
-    assert_eq!(
-        history(&*view).robots[0].scores.len(),
-        33,
-        "50 ms apart or more"
-    );
+    assert_eq!(history(&*view).robots[0].scores.len(), 33, "50 ms apart or more");
 }
 
 #[test]
@@ -359,11 +311,7 @@ fn tallies_count_what_is_thinned_as_well() {
     let mut live = view("tallies");
     let mut whole = view_that_keeps("tallies", Keep::Whole { most: 20_000 });
     for step in 0..1_000 {
-        let verdict = if step % 100 == 0 {
-            Verdict::Gated
-        } else {
-            Verdict::Accepted
-        };
+        let verdict = if step % 100 == 0 { Verdict::Gated } else { Verdict::Accepted };
         for view in [&mut live, &mut whole] {
             view.take(at(20 * step), Told::Event(&fused(verdict, 2)));
         }
@@ -381,11 +329,7 @@ fn tallies_count_what_is_thinned_as_well() {
 #[test]
 fn of_a_recording_it_is_kept_how_what_was_learned_went() {
     let standing = |value| Standing {
-        calibration: vec![CalibrationRow {
-            name: "radius_scale".to_owned(),
-            value,
-            ..CalibrationRow::default()
-        }],
+        calibration: vec![CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() }],
         ..Standing::default()
     };
     let mut live = view("calibration");
@@ -422,10 +366,7 @@ fn of_a_long_recording_warnings_outlive_the_chatter() {
 #[test]
 fn rates_of_a_link_are_differences_of_its_counts() {
     let mut view = view("links");
-    let up = Event::Link {
-        link: LinkId(0),
-        state: LinkState::Up,
-    };
+    let up = Event::Link { link: LinkId(0), state: LinkState::Up };
     view.take(at(0), Told::Event(&up));
     for (millis, bytes_in, frames_in) in [(1_000, 500, 10), (3_000, 2_500, 50)] {
         let health = LinkHealth {
@@ -435,11 +376,7 @@ fn rates_of_a_link_are_differences_of_its_counts() {
             round_trip: Some(Span::from_micros(4_500)),
             ..LinkHealth::default()
         };
-        let event = Event::Health {
-            link: LinkId(0),
-            health,
-            sources: vec![],
-        };
+        let event = Event::Health { link: LinkId(0), health, sources: vec![] };
         view.take(at(millis), Told::Event(&event));
     }
     let frame = news(&mut *view, Pace::Second);
@@ -471,17 +408,10 @@ fn a_clock_that_was_answered_once_is_two_way() {
 #[test]
 fn the_log_tells_of_robots_links_and_texts_and_cuts_what_is_endless() {
     let mut view = view("log");
-    let text = |text: String| Event::Text {
-        source: Address::new(1, 197),
-        severity: 6,
-        text,
-    };
+    let text = |text: String| Event::Text { source: Address::new(1, 197), severity: 6, text };
     let events = [
         Event::RobotSeen { robot: robot() },
-        Event::Link {
-            link: LinkId(0),
-            state: LinkState::Down,
-        },
+        Event::Link { link: LinkId(0), state: LinkState::Down },
         text("gate_prob set to 0.9 (was 0.999)".to_owned()),
         estimated(&estimate()),
     ];
@@ -498,10 +428,7 @@ fn the_log_tells_of_robots_links_and_texts_and_cuts_what_is_endless() {
 fn robots_are_named_in_the_order_in_which_they_were_heard_and_no_flood_of_them() {
     let mut view = view("robots");
     for system in 0..=255 {
-        let robot = RobotId {
-            link: LinkId(2),
-            address: Address::new(255 - system, 1),
-        };
+        let robot = RobotId { link: LinkId(2), address: Address::new(255 - system, 1) };
         let estimate = estimate();
         view.take(at(0), Told::Event(&Event::Estimated { robot, estimate }));
     }

@@ -68,11 +68,7 @@ struct Thinned {
 }
 
 impl Thinned {
-    const NONE: Self = Self {
-        stride: 1,
-        seen: 0,
-        kept: 0,
-    };
+    const NONE: Self = Self { stride: 1, seen: 0, kept: 0 };
 
     /// Whether the next point is one that is kept.
     fn takes_next(&mut self) -> bool {
@@ -155,12 +151,7 @@ impl<T: Clone> Trail<T> {
         }
         self.last = Some(now);
         self.kept.push_back(one);
-        while self.kept.len() > most
-            || self
-                .kept
-                .front()
-                .is_some_and(|oldest| now - oldest.at > span)
-        {
+        while self.kept.len() > most || self.kept.front().is_some_and(|oldest| now - oldest.at > span) {
             self.kept.pop_front();
         }
     }
@@ -172,11 +163,7 @@ impl<T: Clone> Trail<T> {
         if self.kept.len() >= most {
             // Where a quarter or more is usual, halving that makes room for long enough.
             let is_usual_enough = self.usual.kept >= most.div_ceil(4);
-            self.halve(if is_usual_enough {
-                Weight::Usual
-            } else {
-                Weight::Rare
-            });
+            self.halve(if is_usual_enough { Weight::Usual } else { Weight::Rare });
         }
     }
 
@@ -218,29 +205,16 @@ pub(super) struct Trails<K, T> {
 impl<K: Ord + Copy, T: Clone> Trails<K, T> {
     /// For so many trails at most.
     pub(super) const fn new(keep: Keep, most: usize) -> Self {
-        Self {
-            keep,
-            kept_by_key: BTreeMap::new(),
-            most,
-            ignored: 0,
-        }
+        Self { keep, kept_by_key: BTreeMap::new(), most, ignored: 0 }
     }
 
-    pub(super) fn push(
-        &mut self,
-        now: Stamp<HostClock>,
-        key: (RobotId, K),
-        (point, weight): (T, Weight),
-    ) {
+    pub(super) fn push(&mut self, now: Stamp<HostClock>, key: (RobotId, K), (point, weight): (T, Weight)) {
         if !self.kept_by_key.contains_key(&key) && self.kept_by_key.len() >= self.most {
             self.ignored += 1;
             return;
         }
         let keep = self.keep;
-        let trail = self
-            .kept_by_key
-            .entry(key)
-            .or_insert_with(|| Trail::new(keep));
+        let trail = self.kept_by_key.entry(key).or_insert_with(|| Trail::new(keep));
         trail.push(now, point, weight);
     }
 
@@ -254,9 +228,7 @@ impl<K: Ord + Copy, T: Clone> Trails<K, T> {
     /// What is kept of each robot.
     pub(super) fn kept(&self) -> Vec<(RobotId, Vec<T>)> {
         let trails = self.kept_by_key.iter();
-        trails
-            .map(|((robot, _), trail)| (*robot, trail.kept()))
-            .collect()
+        trails.map(|((robot, _), trail)| (*robot, trail.kept())).collect()
     }
 
     pub(super) fn dropped(&self) -> u64 {
@@ -275,10 +247,7 @@ mod tests {
 
     #[test]
     fn the_last_minute_is_kept_evenly_and_never_grows() {
-        let mut trail = Trail::new(Keep::Latest {
-            span: Span::from_millis(60_000),
-            most: 1_200,
-        });
+        let mut trail = Trail::new(Keep::Latest { span: Span::from_millis(60_000), most: 1_200 });
         for millis in (0..300_000).step_by(5) {
             trail.push(at(millis), millis, Weight::Usual);
         }
@@ -319,11 +288,7 @@ mod tests {
     fn what_is_rare_outlives_the_thinning_of_a_whole_session() {
         let mut trail = Trail::new(Keep::Whole { most: 1_000 });
         let weight_of = |millis: i64| {
-            if millis % 1_000 == 7 {
-                Weight::Rare
-            } else {
-                Weight::Usual
-            }
+            if millis % 1_000 == 7 { Weight::Rare } else { Weight::Usual }
         };
         for millis in 0..90_000 {
             trail.push(at(millis), millis, weight_of(millis));
@@ -361,10 +326,7 @@ mod tests {
     fn robots_beyond_the_most_are_counted_and_not_kept() {
         let mut trails = Trails::new(Keep::Whole { most: 10 }, 2);
         for system in 0..5 {
-            let robot = RobotId {
-                address: posebridge_telemetry::Address::new(system, 1),
-                ..RobotId::default()
-            };
+            let robot = RobotId { address: posebridge_telemetry::Address::new(system, 1), ..RobotId::default() };
             trails.push(at(0), (robot, ()), (system, Weight::Usual));
         }
         assert_eq!(trails.kept().len(), 2);

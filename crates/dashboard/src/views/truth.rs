@@ -2,9 +2,7 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{
-    Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, Span, Stamp,
-};
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, Span, Stamp};
 
 use super::estimates;
 use super::trail::{MOST_ROBOTS, Trail, Trails, Weight};
@@ -97,11 +95,7 @@ impl Truth {
             return;
         }
         self.estimate_m = f64::NAN;
-        let score = ScorePoint {
-            t_s: seconds_of(now),
-            odometry_m: self.odometry_m.into(),
-            ..ScorePoint::default()
-        };
+        let score = ScorePoint { t_s: seconds_of(now), odometry_m: self.odometry_m.into(), ..ScorePoint::default() };
         self.scores.push(now, (robot, ()), (score, Weight::Usual));
     }
 
@@ -134,8 +128,7 @@ impl Truth {
             claim_m: estimated.claim_m,
         };
         let key = (estimated.robot, ());
-        self.scores
-            .push(estimated.made, key, (score, Weight::Usual));
+        self.scores.push(estimated.made, key, (score, Weight::Usual));
     }
 
     /// Where the robot was at an instant and how far off its odometry, on the straight line between the samples around it.
@@ -154,18 +147,13 @@ impl Truth {
         let share = (stamp - before.stamp).as_secs_f64() / gap.as_secs_f64();
         let really = between(before.pose, next.pose, share);
         let odometry = before.odometry.zip(next.odometry);
-        let off_m = odometry.map_or(f64::NAN, |(from, to)| {
-            between(from, to, share).distance(really).0
-        });
+        let off_m = odometry.map_or(f64::NAN, |(from, to)| between(from, to, share).distance(really).0);
         Some((really, off_m.into()))
     }
 
     fn errors(&self) -> Option<ErrorsRow> {
         let is_known = !self.samples.is_empty();
-        is_known.then(|| ErrorsRow {
-            odometry_m: self.odometry_m.into(),
-            estimate_m: self.estimate_m.into(),
-        })
+        is_known.then(|| ErrorsRow { odometry_m: self.odometry_m.into(), estimate_m: self.estimate_m.into() })
     }
 }
 
@@ -224,11 +212,5 @@ impl View for Truth {
 fn point_of(sample: &TruthSample) -> TruthPoint {
     let numbers = |pose: Pose<Arena>| [pose.x.0, pose.y.0, pose.heading.rad()].map(Number::from);
     let [x_m, y_m, heading_rad] = numbers(sample.pose);
-    TruthPoint {
-        t_s: seconds_of(sample.now),
-        x_m,
-        y_m,
-        heading_rad,
-        odometry: sample.odometry.map(numbers),
-    }
+    TruthPoint { t_s: seconds_of(sample.now), x_m, y_m, heading_rad, odometry: sample.odometry.map(numbers) }
 }

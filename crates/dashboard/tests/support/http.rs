@@ -6,10 +6,7 @@
     dead_code,
     reason = "helpers of several test files; they stop where the set-up is broken"
 )]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a helper is used depends on the file that includes it"
-)]
+#![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -45,10 +42,7 @@ impl Answer {
     /// Why a request was refused.
     pub(crate) fn error(&self) -> String {
         let json = self.json();
-        json["error"]
-            .as_str()
-            .expect("a refusal says why")
-            .to_owned()
+        json["error"].as_str().expect("a refusal says why").to_owned()
     }
 
     /// The value of a header.
@@ -75,16 +69,8 @@ pub(crate) fn exchange(address: SocketAddr, request: &[u8]) -> Option<Answer> {
     drop(stream.read_to_end(&mut bytes));
     let end = bytes.windows(4).position(|window| window == b"\r\n\r\n")?;
     let head = String::from_utf8(bytes[..end].to_vec()).expect("a head is text");
-    let status = head
-        .split(' ')
-        .nth(1)?
-        .parse()
-        .expect("a status is a number");
-    Some(Answer {
-        status,
-        head: head.to_ascii_lowercase().replace("\r\n", "\n"),
-        body: bytes[end + 4..].to_vec(),
-    })
+    let status = head.split(' ').nth(1)?.parse().expect("a status is a number");
+    Some(Answer { status, head: head.to_ascii_lowercase().replace("\r\n", "\n"), body: bytes[end + 4..].to_vec() })
 }
 
 /// A request with these further header lines.
@@ -133,8 +119,7 @@ impl Reader {
     pub(crate) fn open(address: SocketAddr) -> Self {
         let url = format!("ws://{address}/v1/stream");
         let request = url.into_client_request().expect("a request");
-        let (socket, _) =
-            tungstenite::client(request, connect(address)).expect("the stream is opened");
+        let (socket, _) = tungstenite::client(request, connect(address)).expect("the stream is opened");
         Self { socket }
     }
 

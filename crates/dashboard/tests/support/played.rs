@@ -5,10 +5,7 @@
     dead_code,
     reason = "helpers of several test files; they stop where the set-up is broken"
 )]
-#![allow(
-    clippy::allow_attributes,
-    reason = "whether a helper is used depends on the file that includes it"
-)]
+#![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -16,9 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
 use posebridge_dashboard::model::{Frame, RobotFrame};
-use posebridge_dashboard::{
-    Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Taps, TokenPolicy,
-};
+use posebridge_dashboard::{Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Taps, TokenPolicy};
 use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
 use tokio::sync::mpsc;
 
@@ -32,10 +27,7 @@ pub(crate) struct Clock {
 impl Clock {
     /// One that goes on by 20 ms whenever somebody looks.
     pub(crate) fn going() -> Self {
-        Self {
-            step_ms: 20,
-            ..Self::default()
-        }
+        Self { step_ms: 20, ..Self::default() }
     }
 
     /// Goes on.
@@ -66,13 +58,7 @@ pub(crate) fn sources(folder: &Path, clock: &Clock) -> Sources {
                 return Err("it is no recording".to_owned());
             }
             let id = format!("{} bytes", bytes.len());
-            Ok(Frame {
-                robots: vec![RobotFrame {
-                    id,
-                    ..RobotFrame::default()
-                }],
-                ..Frame::default()
-            })
+            Ok(Frame { robots: vec![RobotFrame { id, ..RobotFrame::default() }], ..Frame::default() })
         }),
         ui_dir: None,
         taps: Taps::default(),
@@ -81,10 +67,7 @@ pub(crate) fn sources(folder: &Path, clock: &Clock) -> Sources {
 
 impl Played {
     pub(crate) fn start(token: TokenPolicy) -> Self {
-        let facts = Facts {
-            token,
-            ..Facts::default()
-        };
+        let facts = Facts { token, ..Facts::default() };
         Self::with(facts, Clock::going())
     }
 
@@ -95,13 +78,7 @@ impl Played {
         let sources = sources(folder.path(), &clock);
         let bound = Bound::new(Listen::Exactly("127.0.0.1:0".parse().unwrap())).unwrap();
         let (dashboard, feed, commands) = Dashboard::start(Some(bound), facts, sources).unwrap();
-        Self {
-            dashboard,
-            feed,
-            commands,
-            clock,
-            folder,
-        }
+        Self { dashboard, feed, commands, clock, folder }
     }
 
     pub(crate) fn address(&self) -> SocketAddr {
@@ -124,9 +101,5 @@ impl Played {
 
 /// A line that somebody says.
 pub(crate) fn says(text: &str) -> Event {
-    Event::Text {
-        source: Address::new(1, 1),
-        severity: 6,
-        text: text.to_owned(),
-    }
+    Event::Text { source: Address::new(1, 1), severity: 6, text: text.to_owned() }
 }

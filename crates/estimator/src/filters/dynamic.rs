@@ -19,8 +19,7 @@
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Stamp,
-    Verdict,
+    BrickClock, Estimate, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Stamp, Verdict,
 };
 
 use super::intake;
@@ -59,8 +58,7 @@ impl DynamicFilter {
     #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
         let tau_s = config.params.dynamic_tau_s;
-        let model = DynamicModel::first_order(SensorId::THERMOMETER, tau_s)
-            .unwrap_or_else(|_| DynamicModel::empty());
+        let model = DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty());
         Self::with_model(config, model)
     }
 
@@ -124,12 +122,7 @@ impl DynamicFilter {
             by_row,
             variance: self.sigma * self.sigma,
         };
-        let outcome = use_scalar(
-            &mut state.mean,
-            &mut state.covariance,
-            &scalar,
-            f64::INFINITY,
-        );
+        let outcome = use_scalar(&mut state.mean, &mut state.covariance, &scalar, f64::INFINITY);
         if outcome.usage != Usage::Used {
             // The row led back over many time constants is beyond all numbers: nothing is left to learn from it.
             record.verdict = Verdict::TooOld;
@@ -144,11 +137,7 @@ impl DynamicFilter {
     /// Paper 2's start: the first sample for the quantity, nothing for the states, and next to no trust in either.
     fn started(&self, stamp: Stamp<BrickClock>, quantity: f64) -> State {
         let variance = self.prior_sigma.powi(2);
-        let mut state = State {
-            stamp,
-            mean: SVector::zeros(),
-            covariance: SMatrix::zeros(),
-        };
+        let mut state = State { stamp, mean: SVector::zeros(), covariance: SMatrix::zeros() };
         state.mean[QUANTITY] = quantity;
         for row in 0..=self.model.states() {
             state.covariance[(row, row)] = variance;
@@ -183,19 +172,13 @@ impl DynamicFilter {
 
     /// Each sensor's samples are used in their order and once.
     fn refuse_repeated(&self, observation: &Observation) -> Option<Verdict> {
-        let (_, last) = self
-            .last_samples
-            .iter()
-            .flatten()
-            .find(|(sensor, _)| *sensor == observation.sensor)?;
+        let (_, last) = self.last_samples.iter().flatten().find(|(sensor, _)| *sensor == observation.sensor)?;
         intake::refuse_repeated(Some(*last), observation.stamp)
     }
 
     fn remember(&mut self, observation: &Observation) {
-        let slot = self
-            .last_samples
-            .iter_mut()
-            .find(|slot| slot.is_none_or(|(sensor, _)| sensor == observation.sensor));
+        let slot =
+            self.last_samples.iter_mut().find(|slot| slot.is_none_or(|(sensor, _)| sensor == observation.sensor));
         if let Some(slot) = slot {
             *slot = Some((observation.sensor, observation.stamp));
         }
@@ -244,11 +227,7 @@ impl Filter for DynamicFilter {
         let walked = self.walk_per_sqrt_s.powi(2) * ahead_s.abs();
         let variance = state.covariance[(QUANTITY, QUANTITY)].max(0.0) + walked;
         Some(ScalarEstimate {
-            stamp,
-            value: state.mean[QUANTITY],
-            sigma: variance.sqrt(),
-            rate_per_s: 0.0,
-            unit: "°C",
+            stamp, value: state.mean[QUANTITY], sigma: variance.sqrt(), rate_per_s: 0.0, unit: "°C"
         })
     }
 }

@@ -136,10 +136,7 @@ impl Maths for FiveStates {
     }
 
     fn belief(&self, _context: &Context) -> Belief {
-        Belief {
-            mean: self.mean,
-            covariance: self.covariance,
-        }
+        Belief { mean: self.mean, covariance: self.covariance }
     }
 
     fn place(&mut self, start: &StartPose) {
@@ -156,10 +153,7 @@ impl Maths for FiveStates {
     }
 
     fn advance(&mut self, dt_s: f64, felt: Acceleration, _context: &Context) {
-        let step = Step {
-            interval_s: dt_s,
-            variances: process_noise(self.order, dt_s).diagonal().into(),
-        };
+        let step = Step { interval_s: dt_s, variances: process_noise(self.order, dt_s).diagonal().into() };
         step.predict(&mut self.mean, &mut self.covariance, felt);
     }
 
@@ -180,34 +174,18 @@ impl Maths for FiveStates {
         self.gyro_heading_rad = self.mean[HEADING];
     }
 
-    fn use_wheels(
-        &mut self,
-        step: &WheelStep,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_wheels(&mut self, step: &WheelStep, context: &Context, record: &mut FusionRecord) -> Verdict {
         let body = step.body(&context.config.geometry);
         self.wheel_heading_rad += body.turn_rad;
         let speed_m_per_s = body.forward_m / step.interval.as_secs_f64();
         let scalars = [
             observe(&self.mean, FORWARD, speed_m_per_s, FORWARD_VARIANCE),
-            observe(
-                &self.mean,
-                HEADING,
-                self.wheel_heading_rad,
-                WHEEL_HEADING_VARIANCE,
-            ),
+            observe(&self.mean, HEADING, self.wheel_heading_rad, WHEEL_HEADING_VARIANCE),
         ];
         innovation::use_all(&mut self.mean, &mut self.covariance, &scalars, record)
     }
 
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_gyro(&mut self, rate_rad_per_s: f64, dt_s: f64, context: &Context, record: &mut FusionRecord) -> Verdict {
         let known_bias = context.config.calibration.gyro_bias_rad_per_s.value;
         self.gyro_heading_rad += (rate_rad_per_s - known_bias) * dt_s;
         let seen_rad = self.gyro_heading_rad;
@@ -215,13 +193,7 @@ impl Maths for FiveStates {
         innovation::use_all(&mut self.mean, &mut self.covariance, &[scalar], record)
     }
 
-    fn use_fix(
-        &mut self,
-        fix: &Fix,
-        stamp_sigma_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_fix(&mut self, fix: &Fix, stamp_sigma_s: f64, context: &Context, record: &mut FusionRecord) -> Verdict {
         let circumstances = Circumstances {
             stamp_sigma_s,
             forward_m_per_s: self.mean[FORWARD],
@@ -231,11 +203,7 @@ impl Maths for FiveStates {
         let noise = noise_of(fix, &context.config.noise, [1.0, 1.0], &circumstances);
         let rows = [X, Y, HEADING];
         let (innovation, jacobian) = position_in_arena(rows.map(|row| self.mean[row]), rows, fix);
-        let position = Measurement {
-            innovation,
-            jacobian,
-            noise: noise.position,
-        };
+        let position = Measurement { innovation, jacobian, noise: noise.position };
         match fix.heading {
             None => self.use_if_near(&position, context, record),
             Some(heading) => {
@@ -249,10 +217,5 @@ impl Maths for FiveStates {
 
 /// A row that is observed directly, with a variance in the paper's unit of that row.
 fn observe(mean: &Mean, row: usize, seen: f64, variance: f64) -> Scalar<1> {
-    Scalar {
-        innovation: seen - mean[row],
-        rows: [row],
-        by_row: [1.0],
-        variance: variance * UNITS[row] * UNITS[row],
-    }
+    Scalar { innovation: seen - mean[row], rows: [row], by_row: [1.0], variance: variance * UNITS[row] * UNITS[row] }
 }

@@ -75,11 +75,7 @@ struct Corrected {
 /// Builds the filter.
 pub(super) fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let bias = config.calibration.gyro_bias_rad_per_s;
-    let bias_sigma = if bias.sigma > 0.0 {
-        bias.sigma
-    } else {
-        config.noise.gyro_bias_rad_per_s
-    };
+    let bias_sigma = if bias.sigma > 0.0 { bias.sigma } else { config.noise.gyro_bias_rad_per_s };
     let mut mean = Mean::zeros();
     mean[GYRO_BIAS] = bias.value;
     let mut covariance = Covariance::zeros();
@@ -121,8 +117,7 @@ pub fn jacobian(mean: &SVector<f64, N>, dt_s: f64) -> SMatrix<f64, N, N> {
 #[must_use]
 pub fn advance(mean: &SVector<f64, N>, felt: Acceleration, dt_s: f64) -> SVector<f64, N> {
     let mut next = *mean;
-    next.fixed_rows_mut::<5>(0)
-        .copy_from(&planar_speeds::advance(&five(mean), felt, dt_s));
+    next.fixed_rows_mut::<5>(0).copy_from(&planar_speeds::advance(&five(mean), felt, dt_s));
     next[PATH] += mean[FORWARD] * dt_s;
     next[GYRO_ERROR] += mean[GYRO_BIAS] * dt_s;
     next
@@ -144,26 +139,11 @@ impl Corrected {
         let mut about = Mean::zeros();
         about[HEADING] = 1.0;
         let mut q = Covariance::zeros();
-        walk(
-            &mut q,
-            &along,
-            FORWARD,
-            config.params.acceleration_m_per_s2,
-            dt_s,
-        );
-        walk(
-            &mut q,
-            &about,
-            TURN,
-            config.params.turn_acceleration_rad_per_s2,
-            dt_s,
-        );
+        walk(&mut q, &along, FORWARD, config.params.acceleration_m_per_s2, dt_s);
+        walk(&mut q, &about, TURN, config.params.turn_acceleration_rad_per_s2, dt_s);
         let forward_m = self.mean[FORWARD] * dt_s;
         let half_turn_m = 0.5 * self.mean[TURN] * dt_s * config.geometry.track_width.0;
-        let travel = WheelTravel {
-            left_m: forward_m - half_turn_m,
-            right_m: forward_m + half_turn_m,
-        };
+        let travel = WheelTravel { left_m: forward_m - half_turn_m, right_m: forward_m + half_turn_m };
         let slip = step_noise(travel, &config.geometry, &config.noise);
         q[(PATH, PATH)] += slip.forward_var_m2;
         q[(WHEEL_ERROR, WHEEL_ERROR)] += slip.turn_var_rad2;
@@ -231,17 +211,11 @@ impl Maths for Corrected {
     }
 
     fn belief(&self, _context: &Context) -> Belief {
-        Belief {
-            mean: five(&self.mean),
-            covariance: self.covariance.fixed_view::<5, 5>(0, 0).into_owned(),
-        }
+        Belief { mean: five(&self.mean), covariance: self.covariance.fixed_view::<5, 5>(0, 0).into_owned() }
     }
 
     fn gyro_bias(&self) -> Option<Known> {
-        Some(Known {
-            value: self.mean[GYRO_BIAS],
-            sigma: self.covariance[(GYRO_BIAS, GYRO_BIAS)].max(0.0).sqrt(),
-        })
+        Some(Known { value: self.mean[GYRO_BIAS], sigma: self.covariance[(GYRO_BIAS, GYRO_BIAS)].max(0.0).sqrt() })
     }
 
     fn place(&mut self, start: &StartPose) {
@@ -278,10 +252,9 @@ impl Maths for Corrected {
         rows::unseen(&mut self.covariance, dt_s);
         self.let_path_walk(rows::UNSEEN_M_PER_SQRT_S.powi(2) * dt_s);
         // The speeds afterwards owe nothing to what was predicted before: a path that was missed is no error of theirs.
-        for (row, density) in [
-            (FORWARD, config.params.acceleration_m_per_s2),
-            (TURN, config.params.turn_acceleration_rad_per_s2),
-        ] {
+        for (row, density) in
+            [(FORWARD, config.params.acceleration_m_per_s2), (TURN, config.params.turn_acceleration_rad_per_s2)]
+        {
             let variance = self.covariance[(row, row)] + density * density * dt_s;
             rows::set_alone(&mut self.covariance, row, variance);
         }
@@ -305,12 +278,7 @@ impl Maths for Corrected {
         self.begin_gyro();
     }
 
-    fn use_wheels(
-        &mut self,
-        step: &WheelStep,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_wheels(&mut self, step: &WheelStep, context: &Context, record: &mut FusionRecord) -> Verdict {
         let body = step.body(&context.config.geometry);
         self.counted_path_m += body.forward_m;
         self.wheel_heading_rad += body.turn_rad;
@@ -332,13 +300,7 @@ impl Maths for Corrected {
         innovation::use_all(&mut self.mean, &mut self.covariance, &scalars, record)
     }
 
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_gyro(&mut self, rate_rad_per_s: f64, dt_s: f64, context: &Context, record: &mut FusionRecord) -> Verdict {
         let noise = &context.config.noise;
         self.covariance[(GYRO_ERROR, GYRO_ERROR)] += gyro_variance(noise, dt_s * dt_s);
         self.gyro_heading_rad += rate_rad_per_s * dt_s;

@@ -4,8 +4,8 @@
 use std::cmp::Reverse;
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionRecord, Observation, Observed, Pose, PoseJump, Radians, SensorId,
-    Span, Stamp, Verdict, quantities::wrap_rad,
+    Arena, BrickClock, Fix, FusionRecord, Observation, Observed, Pose, PoseJump, Radians, SensorId, Span, Stamp,
+    Verdict, quantities::wrap_rad,
 };
 
 use super::StartPose;
@@ -62,10 +62,7 @@ pub(crate) fn sound_in_time(observations: &[Observation]) -> Vec<&Observation> {
 
 /// Why a reading cannot follow the one before it, if so: readings of one kind are used in their order and once, and the interval
 /// between two of them must be more than zero.
-pub(super) fn refuse_repeated(
-    before: Option<Stamp<BrickClock>>,
-    stamp: Stamp<BrickClock>,
-) -> Option<Verdict> {
+pub(super) fn refuse_repeated(before: Option<Stamp<BrickClock>>, stamp: Stamp<BrickClock>) -> Option<Verdict> {
     let before = before?;
     if stamp == before {
         return Some(Verdict::Malformed);
@@ -75,9 +72,7 @@ pub(super) fn refuse_repeated(
 
 /// How far an observation is behind the latest one.
 pub(super) fn lag_of(observation: &Observation, latest: Option<Stamp<BrickClock>>) -> Span {
-    latest.map_or(Span::ZERO, |latest| {
-        (latest - observation.stamp).max(Span::ZERO)
-    })
+    latest.map_or(Span::ZERO, |latest| (latest - observation.stamp).max(Span::ZERO))
 }
 
 /// The change from one pose to another.
@@ -110,12 +105,8 @@ fn is_finite(observed: &Observed) -> bool {
         Observed::TurnRate(rate) => bearable(&[rate.0]),
         Observed::WheelAccelerations { left, right } => bearable(&[left.0, right.0]),
         Observed::Fix(fix) => is_finite_fix(&fix),
-        Observed::Landmark { range, bearing, .. } => {
-            bearable(&[range.0, bearing.0]) && range.0 >= 0.0
-        }
-        Observed::BeaconRange { range, .. } | Observed::WallRange(range) => {
-            bearable(&[range.0]) && range.0 >= 0.0
-        }
+        Observed::Landmark { range, bearing, .. } => bearable(&[range.0, bearing.0]) && range.0 >= 0.0,
+        Observed::BeaconRange { range, .. } | Observed::WallRange(range) => bearable(&[range.0]) && range.0 >= 0.0,
         Observed::CompassHeading(heading) => bearable(&[heading.rad()]),
         Observed::Temperature(temperature) => bearable(&[temperature.0]),
     }

@@ -20,8 +20,8 @@ pub mod wheel_kf;
 use std::sync::Arc;
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, DriveGeometry, Estimate, FusionRecord, Learning, Observation,
-    Pose, ScalarEstimate, SensorNoise, Stamp, Verdict, World,
+    Arena, BrickClock, Calibration, DriveGeometry, Estimate, FusionRecord, Learning, Observation, Pose, ScalarEstimate,
+    SensorNoise, Stamp, Verdict, World,
 };
 
 use self::ekf5::{Fixes, SpeedOrder};
@@ -256,12 +256,7 @@ pub const FILTERS: &[FilterEntry] = &[
         estimates: Estimates::Scalar,
         late: Late::OnArrival,
         placing: Placing::Nowhere,
-        build: |config| {
-            Box::new(range_kf::RangeFilter::new(
-                config,
-                range_kf::Variant::Corrected,
-            ))
-        },
+        build: |config| Box::new(range_kf::RangeFilter::new(config, range_kf::Variant::Corrected)),
     },
     FilterEntry {
         name: "indirect",

@@ -7,8 +7,8 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix2, SMatrix};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose,
-    PoseJump, RadiansPerSecond, Span, Stamp, Validity, Verdict,
+    Arena, BrickClock, Estimate, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose, PoseJump,
+    RadiansPerSecond, Span, Stamp, Validity, Verdict,
 };
 
 use super::intake::{self, RESTART_HEADING_RAD, RESTART_POSITION_M};
@@ -58,9 +58,7 @@ impl OdometryFilter {
     /// Starts at the configured pose, or at the arena's origin.
     #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
-        let start = config
-            .start
-            .map_or_else(Reckoned::at_origin, |start| reckoned_at(&start));
+        let start = config.start.map_or_else(Reckoned::at_origin, |start| reckoned_at(&start));
         Self {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
@@ -72,10 +70,7 @@ impl OdometryFilter {
     }
 
     fn last(&self) -> Reckoned {
-        self.reckoned
-            .back()
-            .copied()
-            .unwrap_or_else(Reckoned::at_origin)
+        self.reckoned.back().copied().unwrap_or_else(Reckoned::at_origin)
     }
 
     /// Carries a belief forward over what the wheels did, and stands still where nothing is known.
@@ -107,14 +102,9 @@ impl OdometryFilter {
             0.0,
             1.0,
         );
-        let q = Matrix2::new(
-            noise.forward_var_m2,
-            noise.forward_turn_m_rad,
-            noise.forward_turn_m_rad,
-            noise.turn_var_rad2,
-        );
-        next.covariance =
-            by_state * from.covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
+        let q =
+            Matrix2::new(noise.forward_var_m2, noise.forward_turn_m_rad, noise.forward_turn_m_rad, noise.turn_var_rad2);
+        next.covariance = by_state * from.covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
         symmetrise(&mut next.covariance);
         next.forward_m_per_s = step.forward_m / dt_s;
         next.turn_rad_per_s = step.turn_rad / dt_s;
@@ -139,28 +129,17 @@ impl OdometryFilter {
     /// In place, because a step must not allocate: the queue has grown to the length of the history by then.
     fn reckon_anew_from(&mut self, stamp: Stamp<BrickClock>) {
         // The oldest belief is where everything starts, and stays.
-        let first_later = self
-            .reckoned
-            .partition_point(|belief| belief.stamp <= Some(stamp))
-            .max(1);
+        let first_later = self.reckoned.partition_point(|belief| belief.stamp <= Some(stamp)).max(1);
         let mut belief = self.reckoned[first_later - 1];
-        let slot = Reckoned {
-            stamp: Some(stamp),
-            ..belief
-        };
+        let slot = Reckoned { stamp: Some(stamp), ..belief };
         self.reckoned.insert(first_later, slot);
         for index in first_later..self.reckoned.len() {
             let at = self.reckoned[index].stamp.unwrap_or(stamp);
             belief = self.carried(&belief, at);
             self.reckoned[index] = belief;
         }
-        let horizon =
-            self.last().stamp.unwrap_or(stamp) - Span::from_secs_f64(self.config.params.history_s);
-        while self
-            .reckoned
-            .get(1)
-            .is_some_and(|second| second.stamp <= Some(horizon))
-        {
+        let horizon = self.last().stamp.unwrap_or(stamp) - Span::from_secs_f64(self.config.params.history_s);
+        while self.reckoned.get(1).is_some_and(|second| second.stamp <= Some(horizon)) {
             self.reckoned.pop_front();
         }
         self.track.forget_before(horizon);
@@ -181,11 +160,7 @@ fn reckoned_at(start: &StartPose) -> Reckoned {
 fn doubt(position_sigma_m: f64, heading_sigma_rad: f64) -> SMatrix<f64, 3, 3> {
     let position_m2 = position_sigma_m.powi(2);
     let heading_rad2 = heading_sigma_rad.powi(2);
-    SMatrix::from_diagonal(&nalgebra::Vector3::new(
-        position_m2,
-        position_m2,
-        heading_rad2,
-    ))
+    SMatrix::from_diagonal(&nalgebra::Vector3::new(position_m2, position_m2, heading_rad2))
 }
 
 impl Filter for OdometryFilter {
@@ -206,10 +181,7 @@ impl Filter for OdometryFilter {
         }
         let last = self.last();
         self.reckoned.clear();
-        self.reckoned.push_back(Reckoned {
-            stamp: last.stamp,
-            ..reckoned_at(start)
-        });
+        self.reckoned.push_back(Reckoned { stamp: last.stamp, ..reckoned_at(start) });
         self.is_placed = true;
         self.reset_counter = self.reset_counter.wrapping_add(1);
         self.last_jump = Some(intake::jump_between(last.pose, start.pose));
@@ -220,15 +192,11 @@ impl Filter for OdometryFilter {
         match adjustment {
             Adjustment::Params(params) => {
                 self.config.params = *params;
-                self.track
-                    .set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
+                self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
             }
             Adjustment::ForgetPose => {
-                let _ = self.set_pose(&StartPose {
-                    pose: Pose::default(),
-                    position_sigma_m: 0.0,
-                    heading_sigma_rad: 0.0,
-                });
+                let _ =
+                    self.set_pose(&StartPose { pose: Pose::default(), position_sigma_m: 0.0, heading_sigma_rad: 0.0 });
                 self.is_placed = false;
             }
             // It learns nothing.
@@ -241,12 +209,7 @@ impl Filter for OdometryFilter {
         let mut last = self.last();
         last.covariance += doubt(RESTART_POSITION_M, RESTART_HEADING_RAD);
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
-        self.reckoned = VecDeque::from([Reckoned {
-            stamp: None,
-            forward_m_per_s: 0.0,
-            turn_rad_per_s: 0.0,
-            ..last
-        }]);
+        self.reckoned = VecDeque::from([Reckoned { stamp: None, forward_m_per_s: 0.0, turn_rad_per_s: 0.0, ..last }]);
     }
 
     fn latest(&self) -> Option<Stamp<BrickClock>> {
@@ -254,9 +217,7 @@ impl Filter for OdometryFilter {
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
-        let index = self
-            .reckoned
-            .partition_point(|belief| belief.stamp <= Some(stamp));
+        let index = self.reckoned.partition_point(|belief| belief.stamp <= Some(stamp));
         let from = self.reckoned.get(index.checked_sub(1)?)?;
         from.stamp?;
         let belief = self.carried(from, stamp);
@@ -275,9 +236,7 @@ impl Filter for OdometryFilter {
             validity: Validity {
                 position: self.is_placed,
                 heading: self.is_placed,
-                speeds: self
-                    .latest()
-                    .is_some_and(|latest| stamp - latest <= SPEEDS_VALID),
+                speeds: self.latest().is_some_and(|latest| stamp - latest <= SPEEDS_VALID),
             },
             is_dead_reckoning: true,
             fix_age: None,

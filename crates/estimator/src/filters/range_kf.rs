@@ -83,17 +83,10 @@ impl RangeFilter {
     pub fn new(config: &FilterConfig, variant: Variant) -> Self {
         let params = &config.params;
         let sigma_m = config.noise.wall_range_m;
-        let sigma_m = if sigma_m > 0.0 {
-            sigma_m
-        } else {
-            PAPER_RANGE_SIGMA_M
-        };
+        let sigma_m = if sigma_m > 0.0 { sigma_m } else { PAPER_RANGE_SIGMA_M };
         Self {
             variant,
-            model: WallApproach {
-                drag_s_per_m: params.wall_drag_s_per_m,
-                mass_s2_per_m: params.wall_mass_s2_per_m,
-            },
+            model: WallApproach { drag_s_per_m: params.wall_drag_s_per_m, mass_s2_per_m: params.wall_mass_s2_per_m },
             range_var_m2: sigma_m * sigma_m,
             process_var: params.wall_process_m.powi(2),
             gate_min_m: params.wall_gate_m,
@@ -114,11 +107,7 @@ impl RangeFilter {
         let is_euler = self.variant == Variant::Paper
             && dt_s <= LONGEST_EULER_STEP_S
             && self.model.rate_per_s() * dt_s <= LONGEST_EULER_STEP;
-        let step = if is_euler {
-            self.model.euler(dt_s)
-        } else {
-            self.model.exact(dt_s)
-        };
+        let step = if is_euler { self.model.euler(dt_s) } else { self.model.exact(dt_s) };
         let input = self.model.drag_s_per_m * state.command_m_per_s;
         state.stamp = to;
         state.mean = step.a * state.mean + step.b * input;
@@ -163,11 +152,7 @@ impl RangeFilter {
             return;
         };
         let is_matched = self.variant == Variant::Paper && stamp - state.stamp <= MATCHED;
-        let mut next = if is_matched {
-            state
-        } else {
-            self.predicted(state, stamp)
-        };
+        let mut next = if is_matched { state } else { self.predicted(state, stamp) };
         let Some(scalar) = self.innovation(&next, stamp, range_m) else {
             record.verdict = Verdict::TooOld;
             return;
@@ -186,33 +171,21 @@ impl RangeFilter {
     }
 
     /// A reading against a state that may be later; `None` when it is too late to be used.
-    fn innovation(
-        &self,
-        state: &State,
-        stamp: Stamp<BrickClock>,
-        range_m: f64,
-    ) -> Option<Scalar<2>> {
+    fn innovation(&self, state: &State, stamp: Stamp<BrickClock>, range_m: f64) -> Option<Scalar<2>> {
         let lag = (state.stamp - stamp).max(Span::ZERO);
         if lag > MATCHED {
             return None;
         }
-        let (mut by_row, mut predicted_m, mut variance) =
-            ([1.0, 0.0], state.mean[DISTANCE], self.range_var_m2);
+        let (mut by_row, mut predicted_m, mut variance) = ([1.0, 0.0], state.mean[DISTANCE], self.range_var_m2);
         if self.variant == Variant::Corrected && lag > Span::ZERO {
             let lag_s = lag.as_secs_f64();
             let back = self.model.exact(-lag_s);
-            let then =
-                back.a * state.mean + back.b * (self.model.drag_s_per_m * state.command_m_per_s);
+            let then = back.a * state.mean + back.b * (self.model.drag_s_per_m * state.command_m_per_s);
             by_row = [back.a[(0, DISTANCE)], back.a[(0, SPEED)]];
             predicted_m = then[DISTANCE];
             variance += self.noise(lag_s)[(DISTANCE, DISTANCE)];
         }
-        Some(Scalar {
-            innovation: range_m - predicted_m,
-            rows: [DISTANCE, SPEED],
-            by_row,
-            variance,
-        })
+        Some(Scalar { innovation: range_m - predicted_m, rows: [DISTANCE, SPEED], by_row, variance })
     }
 
     /// The paper's gate as a bound of the NIS: nu^2 > max(GATE_MIN^2, 9 S).

@@ -39,17 +39,12 @@ pub(super) fn add_innovation(record: &mut FusionRecord, innovation: f64, outcome
     record.innovation_covariance[i][i] = outcome.innovation_variance;
     record.nis += outcome.nis;
     record.degrees_of_freedom += 1;
-    record.log_likelihood -=
-        0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
+    record.log_likelihood -= 0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
 }
 
 /// What a filter of one quantity says to a pose: it has none to set.
 pub(super) fn verdict_without_pose(start: &StartPose) -> Verdict {
-    if intake::is_usable(start) {
-        Verdict::Unused
-    } else {
-        Verdict::Malformed
-    }
+    if intake::is_usable(start) { Verdict::Unused } else { Verdict::Malformed }
 }
 
 #[cfg(test)]
@@ -67,11 +62,8 @@ mod tests {
         };
         let mut record = intake::bare_record(&observation, Span::ZERO, Verdict::Accepted);
         for (innovation, s) in [(0.5_f64, 4.0), (-2.0, 1.0)] {
-            let outcome = ScalarOutcome {
-                innovation_variance: s,
-                nis: innovation * innovation / s,
-                usage: Usage::Used,
-            };
+            let outcome =
+                ScalarOutcome { innovation_variance: s, nis: innovation * innovation / s, usage: Usage::Used };
             add_innovation(&mut record, innovation, &outcome);
         }
         let s = nalgebra::Matrix2::new(4.0, 0.0, 0.0, 1.0);

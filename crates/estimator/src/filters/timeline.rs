@@ -15,10 +15,7 @@ pub(super) struct Timeline<T> {
 impl<T: Copy> Timeline<T> {
     /// An empty one that reaches back so far.
     pub(super) fn new(length_s: f64) -> Self {
-        Self {
-            entries: VecDeque::new(),
-            length: Span::from_secs_f64(length_s),
-        }
+        Self { entries: VecDeque::new(), length: Span::from_secs_f64(length_s) }
     }
 
     /// Adds the belief for an instant that is not before the last one; takes the place of what was believed for the same.
@@ -29,11 +26,7 @@ impl<T: Copy> Timeline<T> {
         self.entries.push_back((stamp, belief));
         let horizon = stamp - self.length;
         // One belief at or before the horizon stays, to start from.
-        while self
-            .entries
-            .get(1)
-            .is_some_and(|(second, _)| *second <= horizon)
-        {
+        while self.entries.get(1).is_some_and(|(second, _)| *second <= horizon) {
             self.entries.pop_front();
         }
     }
@@ -64,11 +57,7 @@ mod tests {
         let at = |millis| timeline.up_to(Stamp::from_millis(millis));
         assert_eq!(at(5_000).map(|(_, belief)| belief), Some(90));
         assert_eq!(at(899).map(|(_, belief)| belief), Some(8));
-        assert_eq!(
-            at(650).map(|(_, belief)| belief),
-            Some(6),
-            "kept to start from"
-        );
+        assert_eq!(at(650).map(|(_, belief)| belief), Some(6), "kept to start from");
         assert_eq!(at(599), None);
     }
 }

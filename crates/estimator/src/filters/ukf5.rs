@@ -121,8 +121,7 @@ impl Maths for SigmaPoints {
             states.covariance = covariance + process_noise(states.order, dt_s);
         } else {
             // Without a square root of P nothing can be spread. The correlations are dropped, which leaves a covariance.
-            states.covariance =
-                Covariance::from_diagonal(&states.covariance.diagonal().map(f64::abs));
+            states.covariance = Covariance::from_diagonal(&states.covariance.diagonal().map(f64::abs));
             states.advance(dt_s, felt, context);
         }
     }
@@ -159,22 +158,11 @@ impl Maths for SigmaPoints {
         self.0.rebase_gyro();
     }
 
-    fn use_wheels(
-        &mut self,
-        step: &WheelStep,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_wheels(&mut self, step: &WheelStep, context: &Context, record: &mut FusionRecord) -> Verdict {
         self.0.use_wheels(step, context, record)
     }
 
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_gyro(&mut self, rate_rad_per_s: f64, dt_s: f64, context: &Context, record: &mut FusionRecord) -> Verdict {
         self.0.use_gyro(rate_rad_per_s, dt_s, context, record)
     }
 }

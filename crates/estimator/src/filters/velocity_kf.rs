@@ -40,10 +40,7 @@ struct VelocityKf {
 
 /// Builds the filter.
 pub(super) fn build(config: &FilterConfig) -> Box<dyn Filter> {
-    let maths = VelocityKf {
-        mean: Mean::zeros(),
-        covariance: covariance_si(START),
-    };
+    let maths = VelocityKf { mean: Mean::zeros(), covariance: covariance_si(START) };
     Box::new(OnArrival::new(maths, config))
 }
 
@@ -67,10 +64,7 @@ impl Maths for VelocityKf {
     }
 
     fn belief(&self, _context: &Context) -> Belief {
-        Belief {
-            mean: self.mean,
-            covariance: self.covariance,
-        }
+        Belief { mean: self.mean, covariance: self.covariance }
     }
 
     fn place(&mut self, start: &StartPose) {
@@ -85,10 +79,8 @@ impl Maths for VelocityKf {
     }
 
     fn advance(&mut self, dt_s: f64, felt: Acceleration, _context: &Context) {
-        let step = Step {
-            interval_s: dt_s,
-            variances: variances_si(PROCESS).map(|variance| variance * (dt_s / INTERVAL_S)),
-        };
+        let step =
+            Step { interval_s: dt_s, variances: variances_si(PROCESS).map(|variance| variance * (dt_s / INTERVAL_S)) };
         step.predict(&mut self.mean, &mut self.covariance, felt);
     }
 
@@ -105,18 +97,10 @@ impl Maths for VelocityKf {
 
     fn rebase_gyro(&mut self) {}
 
-    fn use_wheels(
-        &mut self,
-        step: &WheelStep,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_wheels(&mut self, step: &WheelStep, context: &Context, record: &mut FusionRecord) -> Verdict {
         let body = step.body(&context.config.geometry);
         let dt_s = step.interval.as_secs_f64();
-        let seen = [
-            (FORWARD, body.forward_m / dt_s),
-            (TURN, body.turn_rad / dt_s),
-        ];
+        let seen = [(FORWARD, body.forward_m / dt_s), (TURN, body.turn_rad / dt_s)];
         let noise: [f64; 2] = [0, 1].map(|i: usize| NOISE[i] * UNITS[seen[i].0].powi(2));
         let nu = SVector::<f64, 2>::from_fn(|i, _| seen[i].1 - self.mean[seen[i].0]);
         let s = Matrix2::new(

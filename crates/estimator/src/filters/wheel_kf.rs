@@ -55,11 +55,7 @@ impl Wheel {
     /// A wheel at rest at zero whose counter has the variance R, in degrees².
     #[must_use]
     pub fn at_rest(variance: f64) -> Self {
-        Self {
-            mean: Vector2::zeros(),
-            covariance: Matrix2::identity() * START,
-            variance,
-        }
+        Self { mean: Vector2::zeros(), covariance: Matrix2::identity() * START, variance }
     }
 
     /// Predicts over `dt_s` seconds.
@@ -73,12 +69,7 @@ impl Wheel {
     /// Uses a reading of the counter, in degrees, and returns innovation and S; `None` when S is no variance.
     pub fn update(&mut self, counted: f64) -> Option<(f64, f64)> {
         let innovation = counted - self.mean[PHI];
-        let scalar = Scalar {
-            innovation,
-            rows: [PHI],
-            by_row: [1.0],
-            variance: self.variance,
-        };
+        let scalar = Scalar { innovation, rows: [PHI], by_row: [1.0], variance: self.variance };
         let outcome = use_scalar(&mut self.mean, &mut self.covariance, &scalar, f64::INFINITY);
         (outcome.usage == Usage::Used).then_some((innovation, outcome.innovation_variance))
     }
@@ -159,8 +150,7 @@ impl WheelKf {
         let radii = [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0];
         let b = geometry.track_width.0;
         let degree = 1.0_f64.to_radians();
-        let [left, right] =
-            [0, 1].map(|wheel: usize| (radii[wheel] * degree).powi(2) * variances[wheel]);
+        let [left, right] = [0, 1].map(|wheel: usize| (radii[wheel] * degree).powi(2) * variances[wheel]);
         StepNoise {
             forward_var_m2: 0.25 * (left + right),
             turn_var_rad2: (left + right) / (b * b),
@@ -170,9 +160,7 @@ impl WheelKf {
 
     /// What of the angles' variance is doubt about the pose, left and right, in degrees².
     fn unsettled(&self) -> [f64; 2] {
-        [0, 1].map(|wheel: usize| {
-            (self.wheels[wheel].covariance[(PHI, PHI)] - self.settled[wheel]).max(0.0)
-        })
+        [0, 1].map(|wheel: usize| (self.wheels[wheel].covariance[(PHI, PHI)] - self.settled[wheel]).max(0.0))
     }
 
     fn move_pose(&mut self, open: StepNoise, context: &Context) {
@@ -205,24 +193,16 @@ impl Maths for WheelKf {
         let geometry = &context.config.geometry;
         let [left, right] = self.wheels.map(|wheel| wheel.mean[RATE].to_radians());
         let step = body_step(
-            WheelTravel {
-                left_m: geometry.left_wheel_radius.0 * left,
-                right_m: geometry.right_wheel_radius.0 * right,
-            },
+            WheelTravel { left_m: geometry.left_wheel_radius.0 * left, right_m: geometry.right_wheel_radius.0 * right },
             geometry,
         );
         let mut covariance = Covariance::zeros();
-        covariance
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&pose_covariance);
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose_covariance);
         covariance[(row::FORWARD, row::FORWARD)] = speeds.forward_var_m2;
         covariance[(row::TURN, row::TURN)] = speeds.turn_var_rad2;
         covariance[(row::FORWARD, row::TURN)] = speeds.forward_turn_m_rad;
         covariance[(row::TURN, row::FORWARD)] = speeds.forward_turn_m_rad;
-        Belief {
-            mean: Mean::new(pose[0], pose[1], pose[2], step.forward_m, step.turn_rad),
-            covariance,
-        }
+        Belief { mean: Mean::new(pose[0], pose[1], pose[2], step.forward_m, step.turn_rad), covariance }
     }
 
     fn place(&mut self, start: &StartPose) {
@@ -264,12 +244,7 @@ impl Maths for WheelKf {
 
     fn rebase_gyro(&mut self) {}
 
-    fn use_wheels(
-        &mut self,
-        step: &WheelStep,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_wheels(&mut self, step: &WheelStep, context: &Context, record: &mut FusionRecord) -> Verdict {
         let turned = [step.left_rad, step.right_rad];
         let mut next = *self;
         let mut nu = SVector::<f64, 2>::zeros();

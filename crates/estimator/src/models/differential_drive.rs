@@ -80,20 +80,8 @@ mod tests {
 
     #[test]
     fn opposite_wheels_turn_in_place() {
-        let step = body_step(
-            WheelTravel {
-                left_m: -0.05,
-                right_m: 0.05,
-            },
-            &GEOMETRY,
-        );
-        assert_eq!(
-            step,
-            BodyStep {
-                forward_m: 0.0,
-                turn_rad: 1.0
-            }
-        );
+        let step = body_step(WheelTravel { left_m: -0.05, right_m: 0.05 }, &GEOMETRY);
+        assert_eq!(step, BodyStep { forward_m: 0.0, turn_rad: 1.0 });
     }
 
     #[test]
@@ -111,18 +99,8 @@ mod tests {
             fix_heading_rad: 1.0,
             ..SensorNoise::EXACT
         };
-        assert_eq!(
-            step_noise(WheelTravel::default(), &GEOMETRY, &noise),
-            StepNoise::default()
-        );
-        let one_wheel = step_noise(
-            WheelTravel {
-                left_m: 0.0,
-                right_m: 0.04,
-            },
-            &GEOMETRY,
-            &noise,
-        );
+        assert_eq!(step_noise(WheelTravel::default(), &GEOMETRY, &noise), StepNoise::default());
+        let one_wheel = step_noise(WheelTravel { left_m: 0.0, right_m: 0.04 }, &GEOMETRY, &noise);
         assert!((one_wheel.forward_turn_m_rad - 0.2).abs() < 1e-12);
     }
 }

@@ -75,12 +75,7 @@ impl DynamicModel {
     /// # Errors
     /// A time constant or the gain is no usable number, two time constants are equal (their shares could not be told apart),
     /// the sensor is in the model already, or there are more than [`MAX_STATES`] states.
-    pub fn with_lags(
-        self,
-        sensor: SensorId,
-        gain: f64,
-        time_constants_s: &[f64],
-    ) -> Result<Self, ModelError> {
+    pub fn with_lags(self, sensor: SensorId, gain: f64, time_constants_s: &[f64]) -> Result<Self, ModelError> {
         let mut block = SMatrix::zeros();
         let mut readout = [0.0; MAX_STATES];
         for (j, &tau_s) in time_constants_s.iter().enumerate().take(MAX_STATES) {
@@ -102,12 +97,7 @@ impl DynamicModel {
     /// # Errors
     /// The equation is not stable (Routh's criterion), the gain is no usable number, the sensor is in the model already, or
     /// there are more than [`MAX_STATES`] states.
-    pub fn with_coefficients(
-        self,
-        sensor: SensorId,
-        gain: f64,
-        coefficients: &[f64],
-    ) -> Result<Self, ModelError> {
+    pub fn with_coefficients(self, sensor: SensorId, gain: f64, coefficients: &[f64]) -> Result<Self, ModelError> {
         let order = coefficients.len();
         if order > MAX_STATES {
             return Err(ModelError::TooManyStates { states: order });
@@ -176,8 +166,7 @@ impl DynamicModel {
     #[must_use]
     pub fn transition(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
         let mut f = SMatrix::<f64, ROWS, ROWS>::identity();
-        f.fixed_view_mut::<MAX_STATES, MAX_STATES>(1, 1)
-            .copy_from(&exponential(&(self.rates * dt_s)));
+        f.fixed_view_mut::<MAX_STATES, MAX_STATES>(1, 1).copy_from(&exponential(&(self.rates * dt_s)));
         f
     }
 
@@ -185,10 +174,7 @@ impl DynamicModel {
     /// against all lags, Q(2 h) = F(h) Q(h) F(h)' + Q(h).
     #[must_use]
     pub fn walk_noise(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
-        let doublings = (row_norm(&self.rates) * dt_s / SHORT_STEP)
-            .log2()
-            .ceil()
-            .clamp(0.0, MOST_DOUBLINGS);
+        let doublings = (row_norm(&self.rates) * dt_s / SHORT_STEP).log2().ceil().clamp(0.0, MOST_DOUBLINGS);
         let short_s = dt_s * (-doublings).exp2();
         let b = SVector::from(self.step);
         let middle = self.transition(0.5 * short_s) * b;
@@ -209,16 +195,11 @@ const MOST_DOUBLINGS: f64 = 42.0;
 
 /// The largest sum of the magnitudes in a row.
 fn row_norm(matrix: &SMatrix<f64, MAX_STATES, MAX_STATES>) -> f64 {
-    matrix
-        .row_iter()
-        .map(|row| row.iter().map(|value| value.abs()).sum::<f64>())
-        .fold(0.0, f64::max)
+    matrix.row_iter().map(|row| row.iter().map(|value| value.abs()).sum::<f64>()).fold(0.0, f64::max)
 }
 
 /// e^M by Taylor's series of M / 2^s, squared s times (Moler and Van Loan 2003, method 3).
-fn exponential(
-    matrix: &SMatrix<f64, MAX_STATES, MAX_STATES>,
-) -> SMatrix<f64, MAX_STATES, MAX_STATES> {
+fn exponential(matrix: &SMatrix<f64, MAX_STATES, MAX_STATES>) -> SMatrix<f64, MAX_STATES, MAX_STATES> {
     // Below 1/4 thirteen terms leave less than 1e-17.
     let squarings = (row_norm(matrix) / 0.25).log2().ceil().clamp(0.0, 1_000.0);
     let small = matrix * (-squarings).exp2();
@@ -252,9 +233,7 @@ fn is_stable(coefficients: &[f64]) -> bool {
             return false;
         }
         let ratio = upper.first().copied().unwrap_or(0.0) / first;
-        let next = (1..upper.len())
-            .map(|k| upper[k] - ratio * lower.get(k).copied().unwrap_or(0.0))
-            .collect();
+        let next = (1..upper.len()).map(|k| upper[k] - ratio * lower.get(k).copied().unwrap_or(0.0)).collect();
         upper = std::mem::replace(&mut lower, next);
     }
     true
@@ -318,9 +297,7 @@ mod tests {
     #[test]
     fn an_oscillating_sensor_goes_by_its_sine() {
         // s^2 + 2 s + 10: e^-t (cos 3t, sin 3t).
-        let model = DynamicModel::empty()
-            .with_coefficients(A, 1.0, &[10.0, 2.0])
-            .unwrap();
+        let model = DynamicModel::empty().with_coefficients(A, 1.0, &[10.0, 2.0]).unwrap();
         let f = model.transition(0.8);
         let (sin, cos) = 2.4_f64.sin_cos();
         let decay = (-0.8_f64).exp();
@@ -365,8 +342,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_a_sensor_is_refused() {
-        let with =
-            |coefficients: &[f64]| DynamicModel::empty().with_coefficients(A, 1.0, coefficients);
+        let with = |coefficients: &[f64]| DynamicModel::empty().with_coefficients(A, 1.0, coefficients);
         // (s + 3)(s^2 - s + 4): positive coefficients, roots on the right.
         assert_eq!(with(&[12.0, 1.0, 2.0]), Err(ModelError::Unstable));
         assert!(with(&[12.0, 7.0, 4.0]).is_ok(), "(s + 3)(s^2 + s + 4)");
@@ -375,21 +351,10 @@ mod tests {
         assert!(DynamicModel::first_order(A, 0.0).is_err());
         assert!(DynamicModel::first_order(A, f64::INFINITY).is_err());
         let twice = DynamicModel::first_order(A, 1.0).unwrap();
-        assert_eq!(
-            twice.clone().with_lags(A, 1.0, &[2.0]),
-            Err(ModelError::SensorTwice { sensor: A })
-        );
+        assert_eq!(twice.clone().with_lags(A, 1.0, &[2.0]), Err(ModelError::SensorTwice { sensor: A }));
         assert!(twice.clone().with_lags(SensorId(7), 0.0, &[2.0]).is_err());
-        assert!(
-            twice
-                .clone()
-                .with_lags(SensorId(7), 1.0, &[2.0, 2.0])
-                .is_err()
-        );
+        assert!(twice.clone().with_lags(SensorId(7), 1.0, &[2.0, 2.0]).is_err());
         let many: Vec<f64> = (1..=8).map(f64::from).collect();
-        assert_eq!(
-            twice.with_lags(SensorId(7), 1.0, &many),
-            Err(ModelError::TooManyStates { states: 9 })
-        );
+        assert_eq!(twice.with_lags(SensorId(7), 1.0, &many), Err(ModelError::TooManyStates { states: 9 }));
     }
 }

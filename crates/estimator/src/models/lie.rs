@@ -30,11 +30,7 @@ impl Se2 {
     #[must_use]
     pub fn exp([forward_m, left_m, turn_rad]: [f64; 3]) -> Self {
         let (s, c) = sine_and_cosine_ratios(turn_rad);
-        Self {
-            x_m: s * forward_m - c * left_m,
-            y_m: c * forward_m + s * left_m,
-            heading_rad: wrap_rad(turn_rad),
-        }
+        Self { x_m: s * forward_m - c * left_m, y_m: c * forward_m + s * left_m, heading_rad: wrap_rad(turn_rad) }
     }
 
     /// The twist whose motion this is, with a turn in (-pi, pi].
@@ -42,11 +38,7 @@ impl Se2 {
     pub fn log(self) -> [f64; 3] {
         let (s, c) = sine_and_cosine_ratios(self.heading_rad);
         let determinant = s * s + c * c;
-        [
-            (s * self.x_m + c * self.y_m) / determinant,
-            (s * self.y_m - c * self.x_m) / determinant,
-            self.heading_rad,
-        ]
+        [(s * self.x_m + c * self.y_m) / determinant, (s * self.y_m - c * self.x_m) / determinant, self.heading_rad]
     }
 
     /// How the motion of a twist changes, seen from its end, with the twist: the right Jacobian of the group.
@@ -54,11 +46,8 @@ impl Se2 {
     pub fn right_jacobian([forward_m, left_m, turn_rad]: [f64; 3]) -> Matrix3<f64> {
         let (s, c) = sine_and_cosine_ratios(turn_rad);
         // (1 - s) / turn and (1 - cos) / turn^2, by series near zero.
-        let (one_less_s, half) = if turn_rad.abs() < 1e-4 {
-            (turn_rad / 6.0, 0.5)
-        } else {
-            ((1.0 - s) / turn_rad, c / turn_rad)
-        };
+        let (one_less_s, half) =
+            if turn_rad.abs() < 1e-4 { (turn_rad / 6.0, 0.5) } else { ((1.0 - s) / turn_rad, c / turn_rad) };
         Matrix3::new(
             s,
             c,
@@ -116,10 +105,7 @@ fn sine_and_cosine_ratios(turn_rad: f64) -> (f64, f64) {
     let (sin, cos) = if half.abs() < 1e-3 {
         // What an update turns a pose by, mostly. The next terms are below 1e-20.
         let squared = half * half;
-        (
-            half * (1.0 - squared / 6.0 * (1.0 - squared / 20.0)),
-            1.0 - 0.5 * squared * (1.0 - squared / 12.0),
-        )
+        (half * (1.0 - squared / 6.0 * (1.0 - squared / 20.0)), 1.0 - 0.5 * squared * (1.0 - squared / 12.0))
     } else {
         half.sin_cos()
     };
@@ -151,11 +137,7 @@ impl ArcStep {
         let along = chord * forward_m;
         let (sin, cos) = (2.0 * sin_half * cos_half, 1.0 - 2.0 * sin_half * sin_half);
         Self {
-            motion: Se2 {
-                x_m: along * cos_half,
-                y_m: along * sin_half,
-                heading_rad: turn_rad,
-            },
+            motion: Se2 { x_m: along * cos_half, y_m: along * sin_half, heading_rad: turn_rad },
             cos,
             sin,
             by_forward: [chord * cos_half, -chord * sin_half],
@@ -179,10 +161,7 @@ fn chord_ratio_of(half: f64, sin: f64, cos: f64) -> (f64, f64) {
     if half.abs() < 1e-3 {
         // The next terms are below 1e-14 of the first.
         let squared = half * half;
-        return (
-            1.0 - squared / 6.0 * (1.0 - squared / 20.0),
-            -half / 6.0 * (1.0 - squared / 10.0),
-        );
+        return (1.0 - squared / 6.0 * (1.0 - squared / 20.0), -half / 6.0 * (1.0 - squared / 10.0));
     }
     (sin / half, 0.5 * (cos * half - sin) / (half * half))
 }
@@ -191,14 +170,8 @@ fn chord_ratio_of(half: f64, sin: f64, cos: f64) -> (f64, f64) {
 mod tests {
     use super::*;
 
-    const TWISTS: [[f64; 3]; 6] = [
-        [0.3, 0.0, 0.0],
-        [-0.1, 0.05, 5e-5],
-        [0.4, -0.3, 1.1e-4],
-        [1.0, -2.0, 0.7],
-        [0.2, 0.4, -3.1],
-        [0.0, 0.0, 2.0],
-    ];
+    const TWISTS: [[f64; 3]; 6] =
+        [[0.3, 0.0, 0.0], [-0.1, 0.05, 5e-5], [0.4, -0.3, 1.1e-4], [1.0, -2.0, 0.7], [0.2, 0.4, -3.1], [0.0, 0.0, 2.0]];
 
     fn distance(a: Se2, b: Se2) -> f64 {
         let apart = a.to(b);
@@ -210,10 +183,7 @@ mod tests {
         for twist in TWISTS {
             let back = Se2::exp(twist).log();
             for (found, expected) in back.iter().zip(twist) {
-                assert!(
-                    (found - expected).abs() < 1e-12,
-                    "{twist:?} became {back:?}"
-                );
+                assert!((found - expected).abs() < 1e-12, "{twist:?} became {back:?}");
             }
             let motion = Se2::exp(twist);
             assert!(distance(motion.then(motion.inverse()), Se2::default()) < 1e-12);
@@ -243,10 +213,7 @@ mod tests {
                 let (ahead, behind) = (moved(h), moved(-h));
                 for row in 0..3 {
                     let expected = (ahead[row] - behind[row]) / (2.0 * h);
-                    assert!(
-                        (jacobian[(row, column)] - expected).abs() < 1e-7,
-                        "{twist:?}"
-                    );
+                    assert!((jacobian[(row, column)] - expected).abs() < 1e-7, "{twist:?}");
                 }
             }
         }
@@ -264,12 +231,9 @@ mod tests {
                 [end.x_m, end.y_m]
             };
             for axis in 0..2 {
-                let by_forward = (moved(forward_m + h, turn_rad)[axis]
-                    - moved(forward_m - h, turn_rad)[axis])
-                    / (2.0 * h);
-                let by_turn = (moved(forward_m, turn_rad + h)[axis]
-                    - moved(forward_m, turn_rad - h)[axis])
-                    / (2.0 * h);
+                let by_forward =
+                    (moved(forward_m + h, turn_rad)[axis] - moved(forward_m - h, turn_rad)[axis]) / (2.0 * h);
+                let by_turn = (moved(forward_m, turn_rad + h)[axis] - moved(forward_m, turn_rad - h)[axis]) / (2.0 * h);
                 assert!((by_forward - step.by_forward[axis]).abs() < 1e-8);
                 assert!((by_turn - step.by_turn[axis]).abs() < 1e-8);
             }

@@ -196,14 +196,8 @@ impl Slope {
 mod tests {
     use super::*;
 
-    const STEP: Step = Step {
-        interval_s: 0.05,
-        variances: [1e-6, 2e-6, 3e-6, 4e-4, 5e-3],
-    };
-    const ACCELERATION: Acceleration = Acceleration {
-        forward_m_per_s2: 0.7,
-        turn_rad_per_s2: -1.9,
-    };
+    const STEP: Step = Step { interval_s: 0.05, variances: [1e-6, 2e-6, 3e-6, 4e-4, 5e-3] };
+    const ACCELERATION: Acceleration = Acceleration { forward_m_per_s2: 0.7, turn_rad_per_s2: -1.9 };
 
     fn states() -> [Mean; 4] {
         [

@@ -59,10 +59,7 @@ pub fn displace(heading_rad: f64, step: BodyStep, rule: StepRule) -> Displacemen
         dy_m: chord * d * sin,
         by_heading: [-chord * d * sin, chord * d * cos],
         by_forward: [chord * cos, chord * sin],
-        by_turn: [
-            chord_by_turn * d * cos - 0.5 * chord * d * sin,
-            chord_by_turn * d * sin + 0.5 * chord * d * cos,
-        ],
+        by_turn: [chord_by_turn * d * cos - 0.5 * chord * d * sin, chord_by_turn * d * sin + 0.5 * chord * d * cos],
     }
 }
 
@@ -73,10 +70,7 @@ mod tests {
 
     #[test]
     fn a_quarter_circle_ends_where_geometry_says() {
-        let step = BodyStep {
-            forward_m: FRAC_PI_2,
-            turn_rad: FRAC_PI_2,
-        };
+        let step = BodyStep { forward_m: FRAC_PI_2, turn_rad: FRAC_PI_2 };
         let moved = displace(0.0, step, StepRule::Arc);
         assert!((moved.dx_m - 1.0).abs() < 1e-12 && (moved.dy_m - 1.0).abs() < 1e-12);
     }
@@ -85,17 +79,9 @@ mod tests {
     fn derivatives_agree_with_central_differences() {
         let h = 1e-6;
         for rule in [StepRule::Arc, StepRule::Midpoint] {
-            for (heading, d, turn) in [
-                (0.3, 0.2, 0.0),
-                (-2.9, -0.1, 1e-4),
-                (PI, 0.05, 2.4),
-                (1.0, 0.3, -1.9e-3),
-            ] {
+            for (heading, d, turn) in [(0.3, 0.2, 0.0), (-2.9, -0.1, 1e-4), (PI, 0.05, 2.4), (1.0, 0.3, -1.9e-3)] {
                 let moved = |heading: f64, forward_m: f64, turn_rad: f64| {
-                    let step = BodyStep {
-                        forward_m,
-                        turn_rad,
-                    };
+                    let step = BodyStep { forward_m, turn_rad };
                     displace(heading, step, rule)
                 };
                 let at = |heading: f64, d: f64, turn: f64| {
@@ -104,20 +90,12 @@ mod tests {
                 };
                 let m = moved(heading, d, turn);
                 for axis in 0..2 {
-                    let by_heading = (at(heading + h, d, turn)[axis]
-                        - at(heading - h, d, turn)[axis])
-                        / (2.0 * h);
-                    let by_forward = (at(heading, d + h, turn)[axis]
-                        - at(heading, d - h, turn)[axis])
-                        / (2.0 * h);
-                    let by_turn = (at(heading, d, turn + h)[axis] - at(heading, d, turn - h)[axis])
-                        / (2.0 * h);
+                    let by_heading = (at(heading + h, d, turn)[axis] - at(heading - h, d, turn)[axis]) / (2.0 * h);
+                    let by_forward = (at(heading, d + h, turn)[axis] - at(heading, d - h, turn)[axis]) / (2.0 * h);
+                    let by_turn = (at(heading, d, turn + h)[axis] - at(heading, d, turn - h)[axis]) / (2.0 * h);
                     assert!((m.by_heading[axis] - by_heading).abs() < 1e-8);
                     assert!((m.by_forward[axis] - by_forward).abs() < 1e-8);
-                    assert!(
-                        (m.by_turn[axis] - by_turn).abs() < 1e-8,
-                        "{rule:?} {turn} {axis}"
-                    );
+                    assert!((m.by_turn[axis] - by_turn).abs() < 1e-8, "{rule:?} {turn} {axis}");
                 }
             }
         }

@@ -50,10 +50,7 @@ impl WallApproach {
     #[must_use]
     pub fn from_step_test(steady_m_per_s: f64, rise_90_s: f64) -> Self {
         let drag_s_per_m = 1.0 / steady_m_per_s;
-        Self {
-            drag_s_per_m,
-            mass_s2_per_m: drag_s_per_m * rise_90_s / std::f64::consts::LN_10,
-        }
+        Self { drag_s_per_m, mass_s2_per_m: drag_s_per_m * rise_90_s / std::f64::consts::LN_10 }
     }
 
     /// a = d / m, 1/s: the inverse of the time constant.
@@ -85,12 +82,7 @@ impl WallApproach {
 
     /// What white noise on distance (m²/s) and on speed (m²/s³) leaves over a step, `dt_s` at least 0.
     #[must_use]
-    pub fn exact_noise(
-        &self,
-        dt_s: f64,
-        distance_density: f64,
-        speed_density: f64,
-    ) -> Matrix2<f64> {
+    pub fn exact_noise(&self, dt_s: f64, distance_density: f64, speed_density: f64) -> Matrix2<f64> {
         let a = self.rate_per_s();
         let g = -(-a * dt_s).exp_m1() / a;
         let g_2 = -(-2.0 * a * dt_s).exp_m1() / (2.0 * a);
@@ -100,11 +92,7 @@ impl WallApproach {
         } else {
             (dt_s - 2.0 * g + g_2) / (a * a)
         };
-        let cross = if a * dt_s < SHORT {
-            0.5 * dt_s * dt_s
-        } else {
-            (g - g_2) / a
-        };
+        let cross = if a * dt_s < SHORT { 0.5 * dt_s * dt_s } else { (g - g_2) / a };
         Matrix2::new(
             distance_density * dt_s + speed_density * through,
             -speed_density * cross,
@@ -121,10 +109,7 @@ const SHORT: f64 = 1e-5;
 mod tests {
     use super::*;
 
-    const PAPER: WallApproach = WallApproach {
-        drag_s_per_m: 0.816_33,
-        mass_s2_per_m: 0.353_46,
-    };
+    const PAPER: WallApproach = WallApproach { drag_s_per_m: 0.816_33, mass_s2_per_m: 0.353_46 };
 
     #[test]
     fn two_exact_steps_are_one_of_their_length_noise_included() {

@@ -40,17 +40,10 @@ impl GyroTrack {
     /// Adds a sample.
     pub fn add(&mut self, stamp: Stamp<BrickClock>, rate_rad_per_s: f64) -> Added {
         let index = count_before(&self.samples, |sample| sample.0 < stamp);
-        if self
-            .samples
-            .get(index)
-            .is_some_and(|sample| sample.0 == stamp)
-        {
+        if self.samples.get(index).is_some_and(|sample| sample.0 == stamp) {
             return Added::Duplicate;
         }
-        let before = index
-            .checked_sub(1)
-            .and_then(|i| self.samples.get(i))
-            .map(|sample| sample.0);
+        let before = index.checked_sub(1).and_then(|i| self.samples.get(i)).map(|sample| sample.0);
         if before.is_none() && self.has_forgotten {
             return Added::TooOld;
         }
@@ -97,10 +90,7 @@ impl GyroTrack {
     /// The turn between two instants of a covered span.
     #[must_use]
     pub fn turn_between(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> GyroTurn {
-        let mut turn = GyroTurn {
-            turn_rad: 0.0,
-            squared_secs: 0.0,
-        };
+        let mut turn = GyroTurn { turn_rad: 0.0, squared_secs: 0.0 };
         let mut at = from;
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let mut held = self.samples.back().map_or(0.0, |sample| sample.1);
@@ -126,10 +116,7 @@ impl GyroTrack {
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let mut last = self.samples.get(next.checked_sub(1)?)?.0;
         let mut held = self.samples.back()?.1;
-        let mut turn = GyroTurn {
-            turn_rad: 0.0,
-            squared_secs: 0.0,
-        };
+        let mut turn = GyroTurn { turn_rad: 0.0, squared_secs: 0.0 };
         let mut at = from;
         for &(stamp, rate) in self.samples.range(next..) {
             if stamp - last > LONGEST_MEAN && to > last + HOLD {
@@ -150,11 +137,7 @@ impl GyroTrack {
 
     /// Forgets what is not needed for instants from `horizon` on; the sample before it stays.
     pub fn forget_before(&mut self, horizon: Stamp<BrickClock>) {
-        while self
-            .samples
-            .get(1)
-            .is_some_and(|second| second.0 <= horizon)
-        {
+        while self.samples.get(1).is_some_and(|second| second.0 <= horizon) {
             self.samples.pop_front();
             self.has_forgotten = true;
         }
@@ -180,11 +163,7 @@ mod tests {
     #[test]
     fn the_gyro_is_held_for_a_moment_and_no_longer() {
         let gyro = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0)]);
-        assert!(
-            gyro.covers(ms(0), ms(100))
-                && !gyro.covers(ms(0), ms(101))
-                && !gyro.covers(ms(-1), ms(40))
-        );
+        assert!(gyro.covers(ms(0), ms(100)) && !gyro.covers(ms(0), ms(101)) && !gyro.covers(ms(-1), ms(40)));
         let turn = gyro.turn_between(ms(10), ms(50));
         assert!((turn.turn_rad - (0.01 + 0.04 + 0.02)).abs() < 1e-12);
         assert!((turn.squared_secs - (1e-4 + 4e-4 + 1e-4)).abs() < 1e-12);
@@ -215,10 +194,7 @@ mod tests {
     fn what_the_track_says_does_not_depend_on_the_order_of_arrival() {
         let in_order = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0)]);
         let backwards = gyro(&[(40, 2.0), (20, 1.0), (0, 9.0)]);
-        assert_eq!(
-            in_order.turn_between(ms(3), ms(39)),
-            backwards.turn_between(ms(3), ms(39))
-        );
+        assert_eq!(in_order.turn_between(ms(3), ms(39)), backwards.turn_between(ms(3), ms(39)));
         assert_eq!(in_order.last_until(ms(39)), Some(ms(20)));
         assert_eq!(in_order.last_until(ms(-1)), None);
     }

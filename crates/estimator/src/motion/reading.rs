@@ -41,15 +41,11 @@ impl MotionReading {
     #[must_use]
     pub fn of(observed: &Observed) -> Option<Self> {
         match *observed {
-            Observed::WheelAngles { left, right } => Some(Self::Wheels {
-                left_rad: left.0,
-                right_rad: right.0,
-            }),
+            Observed::WheelAngles { left, right } => Some(Self::Wheels { left_rad: left.0, right_rad: right.0 }),
             Observed::OdometerPose(pose) => Some(Self::Odometer(pose)),
-            Observed::BodyVelocity { forward, turn } => Some(Self::Velocity {
-                forward_m_per_s: forward.0,
-                turn_rad_per_s: turn.0,
-            }),
+            Observed::BodyVelocity { forward, turn } => {
+                Some(Self::Velocity { forward_m_per_s: forward.0, turn_rad_per_s: turn.0 })
+            }
             Observed::TurnRate(_)
             | Observed::WheelAccelerations { .. }
             | Observed::Fix(_)
@@ -72,36 +68,17 @@ impl MotionReading {
     }
 
     /// Travel from this reading to the next one, `dt_s` later; `None` when they are of different kinds.
-    pub(super) fn travel_to(
-        &self,
-        next: &Self,
-        dt_s: f64,
-        geometry: &DriveGeometry,
-    ) -> Option<WheelTravel> {
+    pub(super) fn travel_to(&self, next: &Self, dt_s: f64, geometry: &DriveGeometry) -> Option<WheelTravel> {
         match (*self, *next) {
             (
-                Self::Wheels {
-                    left_rad: left_before_rad,
-                    right_rad: right_before_rad,
-                },
-                Self::Wheels {
-                    left_rad,
-                    right_rad,
-                },
+                Self::Wheels { left_rad: left_before_rad, right_rad: right_before_rad },
+                Self::Wheels { left_rad, right_rad },
             ) => Some(WheelTravel {
                 left_m: geometry.left_wheel_radius.0 * (left_rad - left_before_rad),
                 right_m: geometry.right_wheel_radius.0 * (right_rad - right_before_rad),
             }),
-            (Self::Odometer(from), Self::Odometer(to)) => {
-                Some(arc_between(from, to, geometry.track_width.0))
-            }
-            (
-                Self::Velocity {
-                    forward_m_per_s,
-                    turn_rad_per_s,
-                },
-                Self::Velocity { .. },
-            ) => {
+            (Self::Odometer(from), Self::Odometer(to)) => Some(arc_between(from, to, geometry.track_width.0)),
+            (Self::Velocity { forward_m_per_s, turn_rad_per_s }, Self::Velocity { .. }) => {
                 let half_m_per_s = 0.5 * turn_rad_per_s * geometry.track_width.0;
                 Some(WheelTravel {
                     left_m: (forward_m_per_s - half_m_per_s) * dt_s,
@@ -121,17 +98,10 @@ fn arc_between(from: Pose<Odom>, to: Pose<Odom>, track_width_m: f64) -> WheelTra
     let chord_m = dx_m.hypot(dy_m);
     let along_m = dx_m * mean_heading.cos() + dy_m * mean_heading.sin();
     let half = 0.5 * turn_rad;
-    let arc_over_chord = if half.abs() < 1e-6 {
-        1.0
-    } else {
-        half / half.sin()
-    };
+    let arc_over_chord = if half.abs() < 1e-6 { 1.0 } else { half / half.sin() };
     let forward_m = (chord_m * arc_over_chord).copysign(along_m);
     let half_turn_m = half * track_width_m;
-    WheelTravel {
-        left_m: forward_m - half_turn_m,
-        right_m: forward_m + half_turn_m,
-    }
+    WheelTravel { left_m: forward_m - half_turn_m, right_m: forward_m + half_turn_m }
 }
 
 #[cfg(test)]
@@ -149,16 +119,9 @@ mod tests {
         };
         let quarter = std::f64::consts::FRAC_PI_2;
         let here = MotionReading::Odometer(Pose::default());
-        let there = MotionReading::Odometer(Pose::new(
-            Meters(-1.0),
-            Meters(-1.0),
-            Heading::from_rad(quarter),
-        ));
+        let there = MotionReading::Odometer(Pose::new(Meters(-1.0), Meters(-1.0), Heading::from_rad(quarter)));
         let travel = here.travel_to(&there, 1.0, &geometry).unwrap();
-        assert!(
-            (0.5 * (travel.left_m + travel.right_m) + quarter).abs() < 1e-9,
-            "backwards along the arc"
-        );
+        assert!((0.5 * (travel.left_m + travel.right_m) + quarter).abs() < 1e-9, "backwards along the arc");
         assert!(((travel.right_m - travel.left_m) / 0.1 - quarter).abs() < 1e-9);
     }
 }

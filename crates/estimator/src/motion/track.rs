@@ -60,13 +60,7 @@ impl MotionTrack {
     /// An empty track for a robot of this geometry whose wheels cannot turn faster than the limit.
     #[must_use]
     pub fn new(geometry: DriveGeometry, max_wheel_rad_per_s: f64) -> Self {
-        Self {
-            geometry,
-            max_wheel_rad_per_s,
-            source: None,
-            samples: VecDeque::new(),
-            has_forgotten: false,
-        }
+        Self { geometry, max_wheel_rad_per_s, source: None, samples: VecDeque::new(), has_forgotten: false }
     }
 
     /// From now on a larger jump than this, in radians per second, re-bases the counters.
@@ -81,11 +75,7 @@ impl MotionTrack {
             return Added::Outranked;
         }
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);
-        if self
-            .samples
-            .get(index)
-            .is_some_and(|sample| sample.stamp == stamp)
-        {
+        if self.samples.get(index).is_some_and(|sample| sample.stamp == stamp) {
             return Added::Duplicate;
         }
         let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
@@ -96,12 +86,7 @@ impl MotionTrack {
             return Added::TooOld;
         }
         self.source = Some(source);
-        let sample = Sample {
-            stamp,
-            reading: *reading,
-            travel: WheelTravel::default(),
-            step: None,
-        };
+        let sample = Sample { stamp, reading: *reading, travel: WheelTravel::default(), step: None };
         self.samples.insert(index, sample);
         self.sum_from(index);
         match before {
@@ -116,11 +101,7 @@ impl MotionTrack {
             let Some(before) = i.checked_sub(1).and_then(|j| self.samples.get(j)).copied() else {
                 continue;
             };
-            let step = if i <= index + 1 {
-                self.step(&before, &self.samples[i])
-            } else {
-                self.samples[i].step
-            };
+            let step = if i <= index + 1 { self.step(&before, &self.samples[i]) } else { self.samples[i].step };
             let sample = &mut self.samples[i];
             sample.step = step;
             sample.travel = sum(before.travel, step.unwrap_or_default());
@@ -157,21 +138,9 @@ impl MotionTrack {
         let length = after.stamp - before.stamp;
         let share = (until - from).as_nanos() as f64 / length.as_nanos() as f64;
         let is_counted = matches!(after.reading, MotionReading::Wheels { .. });
-        let path_var_m2 = if is_counted && length > LONGEST_ARC {
-            share * self.path_variance(step)
-        } else {
-            0.0
-        };
+        let path_var_m2 = if is_counted && length > LONGEST_ARC { share * self.path_variance(step) } else { 0.0 };
         let is_whole = from == before.stamp && until == after.stamp;
-        Leg::Known {
-            until,
-            travel: if is_whole {
-                step
-            } else {
-                self.travel_between(from, until)
-            },
-            path_var_m2,
-        }
+        Leg::Known { until, travel: if is_whole { step } else { self.travel_between(from, until) }, path_var_m2 }
     }
 
     /// When a robot has driven d and turned by dth in unknown order, its way lies in a direction that is uniform within dth.
@@ -184,10 +153,7 @@ impl MotionTrack {
     #[must_use]
     pub fn step_to(&self, stamp: Stamp<BrickClock>) -> Option<(Stamp<BrickClock>, WheelTravel)> {
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);
-        let sample = self
-            .samples
-            .get(index)
-            .filter(|sample| sample.stamp == stamp)?;
+        let sample = self.samples.get(index).filter(|sample| sample.stamp == stamp)?;
         let before = self.samples.get(index.checked_sub(1)?)?.stamp;
         let is_short = stamp - before <= LONGEST_ARC;
         let step = sample.step.filter(|_| is_short)?;
@@ -237,11 +203,7 @@ impl MotionTrack {
 
     /// Forgets what is not needed for instants from `horizon` on; the sample before it stays, for interpolation.
     pub fn forget_before(&mut self, horizon: Stamp<BrickClock>) {
-        while self
-            .samples
-            .get(1)
-            .is_some_and(|second| second.stamp <= horizon)
-        {
+        while self.samples.get(1).is_some_and(|second| second.stamp <= horizon) {
             self.samples.pop_front();
             self.has_forgotten = true;
         }
@@ -249,17 +211,11 @@ impl MotionTrack {
 }
 
 fn sum(a: WheelTravel, b: WheelTravel) -> WheelTravel {
-    WheelTravel {
-        left_m: a.left_m + b.left_m,
-        right_m: a.right_m + b.right_m,
-    }
+    WheelTravel { left_m: a.left_m + b.left_m, right_m: a.right_m + b.right_m }
 }
 
 fn difference(a: WheelTravel, b: WheelTravel) -> WheelTravel {
-    WheelTravel {
-        left_m: a.left_m - b.left_m,
-        right_m: a.right_m - b.right_m,
-    }
+    WheelTravel { left_m: a.left_m - b.left_m, right_m: a.right_m - b.right_m }
 }
 
 #[cfg(test)]
@@ -279,10 +235,7 @@ mod tests {
     }
 
     fn wheels(left_rad: f64, right_rad: f64) -> MotionReading {
-        MotionReading::Wheels {
-            left_rad,
-            right_rad,
-        }
+        MotionReading::Wheels { left_rad, right_rad }
     }
 
     fn track(readings: &[(i64, MotionReading)]) -> MotionTrack {
@@ -302,12 +255,8 @@ mod tests {
 
     #[test]
     fn travel_does_not_depend_on_the_order_of_arrival_not_even_across_a_jump() {
-        let readings = [
-            (0, wheels(70.1, 70.3)),
-            (100, wheels(71.3, 72.7)),
-            (200, wheels(0.1, 0.2)),
-            (300, wheels(1.9, 2.3)),
-        ];
+        let readings =
+            [(0, wheels(70.1, 70.3)), (100, wheels(71.3, 72.7)), (200, wheels(0.1, 0.2)), (300, wheels(1.9, 2.3))];
         let in_order = track(&readings);
         for order in [[3, 2, 1, 0], [2, 0, 3, 1], [1, 3, 0, 2]] {
             let shuffled = track(&order.map(|i| readings[i]));
@@ -329,30 +278,17 @@ mod tests {
     #[test]
     fn counters_that_jump_are_a_new_base_and_not_motion() {
         let mut track = track(&[(0, wheels(500.0, 500.0)), (50, wheels(501.0, 501.0))]);
-        assert_eq!(
-            track.add(ms(100), &wheels(0.0, 0.0)),
-            Added::Rebased(ms(50))
-        );
+        assert_eq!(track.add(ms(100), &wheels(0.0, 0.0)), Added::Rebased(ms(50)));
         track.add(ms(150), &wheels(1.0, 1.0));
         assert!((track.travel_between(ms(0), ms(150)).left_m - 0.06).abs() < 1e-12);
     }
 
     #[test]
     fn wheels_take_over_from_held_speeds_without_a_jump() {
-        let slow = MotionReading::Velocity {
-            forward_m_per_s: 0.1,
-            turn_rad_per_s: 0.0,
-        };
+        let slow = MotionReading::Velocity { forward_m_per_s: 0.1, turn_rad_per_s: 0.0 };
         let mut track = track(&[(0, slow), (1000, slow)]);
-        assert_eq!(
-            track.add(ms(900), &wheels(70.0, 70.0)),
-            Added::TooOld,
-            "a take-over does not rewrite the past"
-        );
-        assert_eq!(
-            track.add(ms(1100), &wheels(77.0, 77.0)),
-            Added::Rebased(ms(1000))
-        );
+        assert_eq!(track.add(ms(900), &wheels(70.0, 70.0)), Added::TooOld, "a take-over does not rewrite the past");
+        assert_eq!(track.add(ms(1100), &wheels(77.0, 77.0)), Added::Rebased(ms(1000)));
         assert_eq!(track.add(ms(1150), &slow), Added::Outranked);
         track.add(ms(1200), &wheels(78.0, 78.0));
         assert!((track.travel_between(ms(0), ms(1200)).left_m - 0.13).abs() < 1e-12);
@@ -364,10 +300,7 @@ mod tests {
         track.add(ms(200), &wheels(2.0, 2.0));
         track.forget_before(ms(150));
         assert_eq!(track.add(ms(50), &wheels(0.5, 0.5)), Added::TooOld);
-        assert_eq!(
-            track.add(ms(150), &wheels(1.5, 1.5)),
-            Added::After(Some(ms(100)))
-        );
+        assert_eq!(track.add(ms(150), &wheels(1.5, 1.5)), Added::After(Some(ms(100))));
         assert_eq!(track.add(ms(150), &wheels(1.5, 1.5)), Added::Duplicate);
     }
 

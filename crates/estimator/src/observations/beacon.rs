@@ -52,9 +52,5 @@ pub fn measurement<const N: usize>(
     }
     jacobian[(0, FORWARD)] = -qx / true_m * scale;
     jacobian[(0, LEFT)] = -qy / true_m * scale;
-    Some(Measurement {
-        innovation: Vector1::new(range_m - predicted_m),
-        jacobian,
-        noise: Matrix1::new(variance_m2),
-    })
+    Some(Measurement { innovation: Vector1::new(range_m - predicted_m), jacobian, noise: Matrix1::new(variance_m2) })
 }

@@ -15,11 +15,7 @@ use crate::update::Measurement;
 
 /// Innovation, H and R of a compass heading.
 #[must_use]
-pub fn measurement<const N: usize>(
-    state: &PoseState<N>,
-    heading_rad: f64,
-    variance_rad2: f64,
-) -> Measurement<N, 1> {
+pub fn measurement<const N: usize>(state: &PoseState<N>, heading_rad: f64, variance_rad2: f64) -> Measurement<N, 1> {
     let mut jacobian = SMatrix::<f64, 1, N>::zeros();
     jacobian[(0, HEADING)] = 1.0;
     Measurement {

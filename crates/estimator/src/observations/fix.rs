@@ -15,9 +15,7 @@
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 use posebridge_telemetry::{Arena, Fix, Heading, Meters, Pose, SensorNoise, quantities::wrap_rad};
 
-use crate::filters::pose::state::{
-    DELAY, FORWARD, HEADING, LEFT, PoseState, TAG_FORWARD, TAG_LEFT,
-};
+use crate::filters::pose::state::{DELAY, FORWARD, HEADING, LEFT, PoseState, TAG_FORWARD, TAG_LEFT};
 use crate::models::lie::Se2;
 use crate::update::Measurement;
 
@@ -56,20 +54,10 @@ pub fn noise_of(
     let configured_heading_rad2 = configured.fix_heading_rad.powi(2);
     let (position, heading_rad2) = match fix.covariance {
         Some(own) => {
-            let heading = if own.heading_rad2.is_finite() {
-                own.heading_rad2
-            } else {
-                configured_heading_rad2
-            };
-            (
-                Matrix2::new(own.xx_m2, own.xy_m2, own.xy_m2, own.yy_m2),
-                heading,
-            )
+            let heading = if own.heading_rad2.is_finite() { own.heading_rad2 } else { configured_heading_rad2 };
+            (Matrix2::new(own.xx_m2, own.xy_m2, own.xy_m2, own.yy_m2), heading)
         }
-        None => (
-            Matrix2::from_diagonal_element(configured.fix_position_m.powi(2)),
-            configured_heading_rad2,
-        ),
+        None => (Matrix2::from_diagonal_element(configured.fix_position_m.powi(2)), configured_heading_rad2),
     };
     FixNoise {
         position: position * of_position + Matrix2::from_diagonal_element(smear_m2),
@@ -87,10 +75,7 @@ pub fn position<const N: usize>(
 ) -> Measurement<N, 2> {
     let moved = circumstances.moved_since;
     let shown = state.pose.then(moved.inverse());
-    let tag = [
-        fix.tag_in_body.x.0 + state.value(TAG_FORWARD),
-        fix.tag_in_body.y.0 + state.value(TAG_LEFT),
-    ];
+    let tag = [fix.tag_in_body.x.0 + state.value(TAG_FORWARD), fix.tag_in_body.y.0 + state.value(TAG_LEFT)];
     let seen = shown.seen_from(fix.position.x.0, fix.position.y.0);
     let (sin, cos) = moved.heading_rad.sin_cos();
     let mut jacobian = SMatrix::<f64, 2, N>::zeros();
@@ -142,19 +127,11 @@ pub fn with_heading<const N: usize>(
     (turn_rad, heading_rad2): (f64, f64),
 ) -> Measurement<N, 3> {
     let mut jacobian = SMatrix::<f64, 3, N>::zeros();
-    jacobian
-        .fixed_rows_mut::<2>(0)
-        .copy_from(&position.jacobian);
+    jacobian.fixed_rows_mut::<2>(0).copy_from(&position.jacobian);
     jacobian[(2, row)] = 1.0;
     let mut noise = Matrix3::from_diagonal_element(heading_rad2);
-    noise
-        .fixed_view_mut::<2, 2>(0, 0)
-        .copy_from(&position.noise);
-    Measurement {
-        innovation: Vector3::new(position.innovation[0], position.innovation[1], turn_rad),
-        jacobian,
-        noise,
-    }
+    noise.fixed_view_mut::<2, 2>(0, 0).copy_from(&position.noise);
+    Measurement { innovation: Vector3::new(position.innovation[0], position.innovation[1], turn_rad), jacobian, noise }
 }
 
 /// Innovation and H of a fix's position for a state that holds x, y and heading themselves, in the arena.
@@ -184,11 +161,7 @@ pub fn position_in_arena<const N: usize>(
 #[must_use]
 pub fn mid_axle(fix: &Fix, heading_rad: f64) -> Pose<Arena> {
     let lever = lever_in_arena(fix, heading_rad);
-    Pose::new(
-        Meters(fix.position.x.0 - lever[0]),
-        Meters(fix.position.y.0 - lever[1]),
-        Heading::from_rad(heading_rad),
-    )
+    Pose::new(Meters(fix.position.x.0 - lever[0]), Meters(fix.position.y.0 - lever[1]), Heading::from_rad(heading_rad))
 }
 
 /// From mid-axle to the tag of a robot with this heading, m.
@@ -199,12 +172,7 @@ fn lever_in_arena(fix: &Fix, heading_rad: f64) -> Vector2<f64> {
 }
 
 /// Sets a derivative, where the state has that row.
-fn set<const M: usize, const N: usize>(
-    jacobian: &mut SMatrix<f64, M, N>,
-    row: usize,
-    column: usize,
-    value: f64,
-) {
+fn set<const M: usize, const N: usize>(jacobian: &mut SMatrix<f64, M, N>, row: usize, column: usize, value: f64) {
     if column < N {
         jacobian[(row, column)] = value;
     }

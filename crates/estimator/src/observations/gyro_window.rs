@@ -40,11 +40,7 @@ impl GyroWindow {
     /// A window that begins now.
     #[must_use]
     pub const fn starting(at: Stamp<BrickClock>) -> Self {
-        Self {
-            start: at,
-            until: at,
-            forward_m: 0.0,
-        }
+        Self { start: at, until: at, forward_m: 0.0 }
     }
 }
 
@@ -77,8 +73,7 @@ pub fn rounding_variance(geometry: &DriveGeometry) -> f64 {
 /// As much of a window's turn can be rounding and no more, rad: one count of either wheel.
 #[must_use]
 pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
-    (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0
-        / geometry.track_width.0
+    (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0 / geometry.track_width.0
 }
 
 /// Innovation, H and R of a window. R holds the rounding at its end where that is another; that at its beginning is a state.
@@ -95,9 +90,7 @@ pub fn measurement<const N: usize>(
         Rounded::Anew { variance_rad2 } => (1.0, variance_rad2),
         Rounded::AsBefore => (0.0, 0.0),
     };
-    let predicted = state.mean[WINDOW_TURN]
-        + state.mean[GYRO_BIAS] * length_s
-        + by_rounding * state.mean[ROUNDING];
+    let predicted = state.mean[WINDOW_TURN] + state.mean[GYRO_BIAS] * length_s + by_rounding * state.mean[ROUNDING];
     Scalar {
         innovation: gyro.turn_rad - predicted,
         rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING],

@@ -11,9 +11,7 @@
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use posebridge_telemetry::{Arena, Point2, quantities::wrap_rad};
 
-use crate::filters::pose::state::{
-    FORWARD, HEADING, LANDMARK_OFFSET, LANDMARK_SCALE, LEFT, PoseState,
-};
+use crate::filters::pose::state::{FORWARD, HEADING, LANDMARK_OFFSET, LANDMARK_SCALE, LEFT, PoseState};
 use crate::update::Measurement;
 
 /// Nearer than this a bearing says nothing, m.

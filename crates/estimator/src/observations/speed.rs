@@ -25,27 +25,15 @@ pub type Reading = (f64, f64);
 
 /// The wheels' forward speed over a step.
 #[must_use]
-pub fn forward(
-    step: BodyStep,
-    step_noise: &StepNoise,
-    dt_s: f64,
-    geometry: &DriveGeometry,
-) -> Reading {
-    let tick_m =
-        0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0;
-    let variance =
-        (tick_m * tick_m / 12.0 + step_noise.forward_var_m2) / (dt_s * dt_s) + FORWARD_FLOOR;
+pub fn forward(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> Reading {
+    let tick_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0;
+    let variance = (tick_m * tick_m / 12.0 + step_noise.forward_var_m2) / (dt_s * dt_s) + FORWARD_FLOOR;
     (step.forward_m / dt_s, variance)
 }
 
 /// The wheels' turn rate over a step.
 #[must_use]
-pub fn turn(
-    step: BodyStep,
-    step_noise: &StepNoise,
-    dt_s: f64,
-    geometry: &DriveGeometry,
-) -> Reading {
+pub fn turn(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> Reading {
     // Both ends are rounded.
     let quantisation = 2.0 * rounding_variance(geometry);
     let variance = (quantisation + step_noise.turn_var_rad2) / (dt_s * dt_s) + TURN_FLOOR;
@@ -54,13 +42,6 @@ pub fn turn(
 
 /// The gyro's rate less its bias, which is known so well.
 #[must_use]
-pub fn gyro(
-    rate_rad_per_s: f64,
-    (bias_rad_per_s, bias_var): Reading,
-    noise: &SensorNoise,
-) -> Reading {
-    (
-        rate_rad_per_s - bias_rad_per_s,
-        gyro_variance(noise, 1.0) + bias_var + TURN_FLOOR,
-    )
+pub fn gyro(rate_rad_per_s: f64, (bias_rad_per_s, bias_var): Reading, noise: &SensorNoise) -> Reading {
+    (rate_rad_per_s - bias_rad_per_s, gyro_variance(noise, 1.0) + bias_var + TURN_FLOOR)
 }

@@ -34,10 +34,7 @@ pub fn measurement<const N: usize>(
     range_m: f64,
     variance_m2: f64,
 ) -> Option<Measurement<N, 1>> {
-    let meeting = walls
-        .iter()
-        .filter_map(|wall| meet(state, wall))
-        .min_by(|a, b| a.range_m.total_cmp(&b.range_m))?;
+    let meeting = walls.iter().filter_map(|wall| meet(state, wall)).min_by(|a, b| a.range_m.total_cmp(&b.range_m))?;
     let mut jacobian = SMatrix::<f64, 1, N>::zeros();
     jacobian[(0, FORWARD)] = -1.0;
     jacobian[(0, LEFT)] = -meeting.slope;

@@ -89,16 +89,10 @@ pub enum OfflineError {
 ///
 /// # Errors
 /// [`OfflineError`]: nothing observed, no convergence, or a configuration that is not finite.
-pub fn batch(
-    config: &FilterConfig,
-    observations: &[Observation],
-) -> Result<Smoothed, OfflineError> {
+pub fn batch(config: &FilterConfig, observations: &[Observation]) -> Result<Smoothed, OfflineError> {
     let run = Run::new(config, observations);
     if run.motion_readings() == 0 {
-        return Err(OfflineError::NothingObserved {
-            motion_readings: 0,
-            fixes: 0,
-        });
+        return Err(OfflineError::NothingObserved { motion_readings: 0, fixes: 0 });
     }
     if !is_sane(config) {
         return Err(OfflineError::NotFinite);
@@ -110,10 +104,7 @@ pub fn batch(
     for round in 0..MOST_ROUNDS {
         let problem = run.problem(state.delay_s);
         if config.start.is_none() && problem.fixes.is_empty() {
-            return Err(OfflineError::NothingObserved {
-                motion_readings: run.motion_readings(),
-                fixes: 0,
-            });
+            return Err(OfflineError::NothingObserved { motion_readings: run.motion_readings(), fixes: 0 });
         }
         let whiteners = whiteners(&problem, &state.constants)?;
         let descended = state.descend(&problem, &whiteners, gates)?;
@@ -140,17 +131,9 @@ pub fn batch(
 /// Whether geometry, start and what is known beforehand are numbers that a robot can have.
 pub(super) fn is_sane(config: &FilterConfig) -> bool {
     let geometry = &config.geometry;
-    let lengths = [
-        geometry.left_wheel_radius.0,
-        geometry.right_wheel_radius.0,
-        geometry.track_width.0,
-    ];
+    let lengths = [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0, geometry.track_width.0];
     let known = constants_of(&config.calibration);
-    lengths
-        .iter()
-        .all(|length| length.is_finite() && *length > 0.0)
+    lengths.iter().all(|length| length.is_finite() && *length > 0.0)
         && config.start.is_none_or(|start| intake::is_usable(&start))
-        && known
-            .iter()
-            .all(|known| known.value.is_finite() && known.sigma.is_finite() && known.sigma >= 0.0)
+        && known.iter().all(|known| known.value.is_finite() && known.sigma.is_finite() && known.sigma >= 0.0)
 }

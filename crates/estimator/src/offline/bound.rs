@@ -86,12 +86,8 @@ pub enum Sees {
 pub fn bound(config: &FilterConfig, run: &TrueRun<'_>) -> Vec<f64> {
     let steps = run.travel.len().min(run.poses.len().saturating_sub(1));
     let mut recursion = Recursion::new(config, run);
-    let mut arrivals: Vec<FixArrival> = run
-        .fixes
-        .iter()
-        .copied()
-        .filter(|fix| (1..=steps).contains(&fix.taken) && fix.arrives >= fix.taken)
-        .collect();
+    let mut arrivals: Vec<FixArrival> =
+        run.fixes.iter().copied().filter(|fix| (1..=steps).contains(&fix.taken) && fix.arrives >= fix.taken).collect();
     arrivals.sort_by_key(|fix| fix.arrives);
     let mut arrivals = arrivals.into_iter().peekable();
     (1..=steps)
@@ -124,9 +120,8 @@ impl<'a> Recursion<'a> {
     fn new(config: &'a FilterConfig, run: &'a TrueRun<'a>) -> Self {
         let calibration: &Calibration = &config.calibration;
         let mut start = SVector::<f64, N>::zeros();
-        let (position, heading) = config.start.map_or((UNKNOWN_M, UNKNOWN_RAD), |start| {
-            (start.position_sigma_m, start.heading_sigma_rad)
-        });
+        let (position, heading) =
+            config.start.map_or((UNKNOWN_M, UNKNOWN_RAD), |start| (start.position_sigma_m, start.heading_sigma_rad));
         start[X] = position;
         start[Y] = position;
         start[HEADING] = heading;
@@ -152,11 +147,7 @@ impl<'a> Recursion<'a> {
         self.move_by(step, &mut covariance);
         let step_s = self.run.step_s;
         let gyro = gyro_variance(&self.config.noise, step_s * step_s);
-        observe(
-            &mut covariance,
-            [(GYRO_BIAS, step_s), (STEP_ERROR, 1.0)],
-            gyro,
-        );
+        observe(&mut covariance, [(GYRO_BIAS, step_s), (STEP_ERROR, 1.0)], gyro);
         let noise = &self.config.noise;
         let position = noise.fix_position_m.powi(2);
         for sees in &self.arrived[step] {
@@ -183,10 +174,7 @@ impl<'a> Recursion<'a> {
         let known = calibrated(travel, self.config, &self.constants);
         let moved = displace(
             before.heading.rad(),
-            BodyStep {
-                forward_m: known.forward_m,
-                turn_rad: (after.heading - before.heading).0,
-            },
+            BodyStep { forward_m: known.forward_m, turn_rad: (after.heading - before.heading).0 },
             StepRule::Arc,
         );
         let mut by_state = Covariance::identity();
@@ -198,13 +186,9 @@ impl<'a> Recursion<'a> {
         }
         by_noise[(HEADING, 1)] = 1.0;
         for constant in 0..3 {
-            let (d, dth) = (
-                known.by_constant[0][constant],
-                known.by_constant[1][constant],
-            );
+            let (d, dth) = (known.by_constant[0][constant], known.by_constant[1][constant]);
             for axis in [X, Y] {
-                by_state[(axis, FIRST_CONSTANT + constant)] =
-                    moved.by_forward[axis] * d + moved.by_turn[axis] * dth;
+                by_state[(axis, FIRST_CONSTANT + constant)] = moved.by_forward[axis] * d + moved.by_turn[axis] * dth;
             }
             by_state[(HEADING, FIRST_CONSTANT + constant)] = dth;
             by_state[(STEP_ERROR, FIRST_CONSTANT + constant)] = dth;
@@ -214,8 +198,7 @@ impl<'a> Recursion<'a> {
         let noise = step_noise(true_travel, &geometry, &self.config.noise);
         let cross = noise.forward_turn_m_rad;
         let q = Matrix2::new(noise.forward_var_m2, cross, cross, noise.turn_var_rad2);
-        *covariance =
-            by_state * *covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
+        *covariance = by_state * *covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
         symmetrise(covariance);
     }
 }
@@ -246,29 +229,12 @@ mod tests {
 
     /// 40 steps straight ahead with a fix after every fourth, `late` steps late.
     fn straight(config: &FilterConfig, late: usize) -> Vec<f64> {
-        let poses: Vec<Pose<Arena>> = (0..=40)
-            .map(|k| Pose::new(Meters(0.01 * f64::from(k)), Meters(0.0), Heading::default()))
-            .collect();
-        let travel = vec![
-            WheelTravel {
-                left_m: 0.01,
-                right_m: 0.01
-            };
-            40
-        ];
-        let fixes: Vec<FixArrival> = (1..=10)
-            .map(|k| FixArrival {
-                taken: 4 * k,
-                arrives: 4 * k + late,
-                sees: Sees::Pose,
-            })
-            .collect();
-        let run = TrueRun {
-            poses: &poses,
-            travel: &travel,
-            step_s: 0.05,
-            fixes: &fixes,
-        };
+        let poses: Vec<Pose<Arena>> =
+            (0..=40).map(|k| Pose::new(Meters(0.01 * f64::from(k)), Meters(0.0), Heading::default())).collect();
+        let travel = vec![WheelTravel { left_m: 0.01, right_m: 0.01 }; 40];
+        let fixes: Vec<FixArrival> =
+            (1..=10).map(|k| FixArrival { taken: 4 * k, arrives: 4 * k + late, sees: Sees::Pose }).collect();
+        let run = TrueRun { poses: &poses, travel: &travel, step_s: 0.05, fixes: &fixes };
         bound(config, &run)
     }
 
@@ -302,11 +268,7 @@ mod tests {
             j = q_inverse - q_inverse * f * inner * f.transpose() * q_inverse
                 + Matrix2::from_diagonal(&nalgebra::Vector2::new(seen / r, seen / r_heading));
             let expected = 1.0 / j_x + j.try_inverse().unwrap()[(0, 0)];
-            assert!(
-                (own / expected - 1.0).abs() < 1e-4,
-                "step {}: {own} against {expected}",
-                index + 1
-            );
+            assert!((own / expected - 1.0).abs() < 1e-4, "step {}: {own} against {expected}", index + 1);
         }
     }
 
@@ -328,13 +290,8 @@ mod tests {
         let own = straight(&config, 1000)[39];
         let start = config.start.unwrap();
         let wheel_var = config.noise.wheel_travel_m_per_sqrt_m.powi(2) * 0.4;
-        let expected = 2.0 * start.position_sigma_m.powi(2)
-            + (0.4 * start.heading_sigma_rad).powi(2)
-            + 0.5 * wheel_var;
-        assert!(
-            (own / expected - 1.0).abs() < 1e-3,
-            "{own} against {expected}"
-        );
+        let expected = 2.0 * start.position_sigma_m.powi(2) + (0.4 * start.heading_sigma_rad).powi(2) + 0.5 * wheel_var;
+        assert!((own / expected - 1.0).abs() < 1e-3, "{own} against {expected}");
     }
 
     #[test]
@@ -342,20 +299,11 @@ mod tests {
         let config = crate::offline::tests::config();
         let poses = [Pose::default(); 3];
         let travel = [WheelTravel::default(); 2];
-        let run = TrueRun {
-            poses: &poses,
-            travel: &travel,
-            step_s: 0.05,
-            fixes: &[],
-        };
+        let run = TrueRun { poses: &poses, travel: &travel, step_s: 0.05, fixes: &[] };
         for variance in bound(&config, &run) {
             assert!((variance - 2e-8).abs() < 1e-20);
         }
-        let nothing = TrueRun {
-            poses: &[],
-            travel: &[],
-            ..run
-        };
+        let nothing = TrueRun { poses: &[], travel: &[], ..run };
         assert!(bound(&config, &nothing).is_empty());
     }
 }

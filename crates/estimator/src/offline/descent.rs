@@ -41,10 +41,7 @@ pub(super) struct Descended {
 /// # Errors
 /// [`OfflineError::Diverged`] when no step lowers the cost, or they do not become small; [`OfflineError::NotFinite`] when the
 /// first guess has no cost.
-pub(super) fn descend(
-    ground: Ground<'_, '_>,
-    mut values: Values,
-) -> Result<Descended, OfflineError> {
+pub(super) fn descend(ground: Ground<'_, '_>, mut values: Values) -> Result<Descended, OfflineError> {
     let layout = ground.problem.layout();
     let mut damping = 0.0;
     let mut here = linearise(ground, &values, damping);
@@ -60,25 +57,13 @@ pub(super) fn descend(
         let is_finite = step.iter().sum::<f64>().is_finite();
         if is_finite && size < CONVERGED && damping == 0.0 {
             let linearised = linearise(ground, &there, 0.0);
-            return Ok(Descended {
-                values: there,
-                linearised,
-                steps,
-            });
+            return Ok(Descended { values: there, linearised, steps });
         }
         let tried = linearise(ground, &there, damping);
         if is_finite && tried.cost <= here.cost * (1.0 + ROUNDING) + ROUNDING {
-            let relaxed = if damping > LEAST_DAMPING {
-                damping / 10.0
-            } else {
-                0.0
-            };
+            let relaxed = if damping > LEAST_DAMPING { damping / 10.0 } else { 0.0 };
             values = there;
-            here = if relaxed == damping {
-                tried
-            } else {
-                linearise(ground, &values, relaxed)
-            };
+            here = if relaxed == damping { tried } else { linearise(ground, &values, relaxed) };
             damping = relaxed;
         } else {
             damping = (damping * 10.0).max(FIRST_DAMPING);

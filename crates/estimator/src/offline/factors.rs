@@ -38,10 +38,7 @@ pub(super) struct Row {
 impl Row {
     /// A row without derivatives yet.
     pub(super) fn of(residual: f64) -> Self {
-        Self {
-            residual,
-            ..Self::default()
-        }
+        Self { residual, ..Self::default() }
     }
 
     /// Adds a derivative; there is room for all that a row of ours has.
@@ -73,12 +70,8 @@ pub(super) fn start_rows(config: &FilterConfig, layout: Layout, first: Placed) -
     let turn_rad = wrap_rad(first.heading_rad - told.heading_rad);
     let (forward, left) = (layout.pose(0, 0), layout.pose(0, 1));
     [
-        Row::of(position * (first.x_m - told.x_m))
-            .with(forward, position * cos)
-            .with(left, -position * sin),
-        Row::of(position * (first.y_m - told.y_m))
-            .with(forward, position * sin)
-            .with(left, position * cos),
+        Row::of(position * (first.x_m - told.x_m)).with(forward, position * cos).with(left, -position * sin),
+        Row::of(position * (first.y_m - told.y_m)).with(forward, position * sin).with(left, position * cos),
         Row::of(heading * turn_rad).with(layout.pose(0, 2), heading),
     ]
 }
@@ -93,11 +86,7 @@ pub(super) fn constant_row(config: &FilterConfig, constant: usize, value: f64) -
 /// The prior of the gyro bias: its mean and one standard deviation, rad/s.
 pub(super) fn bias_prior(config: &FilterConfig) -> (f64, f64) {
     let known = config.calibration.gyro_bias_rad_per_s;
-    let sigma = if known.sigma > 0.0 {
-        known.sigma
-    } else {
-        config.noise.gyro_bias_rad_per_s
-    };
+    let sigma = if known.sigma > 0.0 { known.sigma } else { config.noise.gyro_bias_rad_per_s };
     (known.value, sigma.max(SMALLEST_SIGMA))
 }
 
@@ -125,6 +114,5 @@ pub(super) fn window_row(layout: Layout, window: &Window, index: usize, values: 
     if window.from == window.to {
         return row;
     }
-    row.with(layout.pose(window.from, 2), weight)
-        .with(layout.pose(window.to, 2), -weight)
+    row.with(layout.pose(window.from, 2), weight).with(layout.pose(window.to, 2), -weight)
 }

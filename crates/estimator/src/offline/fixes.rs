@@ -23,11 +23,7 @@ use crate::observations::fix::{Circumstances, FixNoise, noise_of};
 const SMALLEST_VARIANCE: f64 = 1e-12;
 
 /// Rows for x, y and, if there is one, the heading of a fix; the third is empty otherwise. `None` when its covariance is none.
-pub(super) fn fix_rows(
-    problem: &Problem<'_>,
-    seen: &SeenFix,
-    values: &Values,
-) -> Option<([Row; 3], u8)> {
+pub(super) fn fix_rows(problem: &Problem<'_>, seen: &SeenFix, values: &Values) -> Option<([Row; 3], u8)> {
     let noise = noise(problem, seen);
     let white = noise.position.cholesky()?.l().try_inverse()?;
     let at = true_pose(values.poses[seen.node], seen, values);
@@ -58,18 +54,13 @@ pub(super) fn fix_rows(
         return Some((rows, 2));
     };
     let weight = 1.0 / noise.heading_rad2.max(SMALLEST_VARIANCE).sqrt();
-    let row = Row::of(weight * wrap_rad(heading.rad() - at.heading_rad))
-        .with(layout.pose(seen.node, 2), -weight);
+    let row = Row::of(weight * wrap_rad(heading.rad() - at.heading_rad)).with(layout.pose(seen.node, 2), -weight);
     rows[2] = with_free(problem, row, FIX_DELAY, weight * w);
     Some((rows, 3))
 }
 
 fn with_free(problem: &Problem<'_>, row: Row, constant: usize, derivative: f64) -> Row {
-    if problem.is_free[constant] {
-        row.with(constant, derivative)
-    } else {
-        row
-    }
+    if problem.is_free[constant] { row.with(constant, derivative) } else { row }
 }
 
 fn noise(problem: &Problem<'_>, seen: &SeenFix) -> FixNoise {
@@ -91,11 +82,7 @@ fn noise(problem: &Problem<'_>, seen: &SeenFix) -> FixNoise {
 /// Where the robot was when the fix was true.
 fn true_pose(node: Placed, seen: &SeenFix, values: &Values) -> Placed {
     let earlier_s = values.constants[FIX_DELAY] - seen.delay_s;
-    node.moved([
-        -earlier_s * seen.forward_m_per_s,
-        0.0,
-        -earlier_s * seen.turn_rad_per_s,
-    ])
+    node.moved([-earlier_s * seen.forward_m_per_s, 0.0, -earlier_s * seen.turn_rad_per_s])
 }
 
 fn lever_in_arena(seen: &SeenFix, values: &Values, at: Placed) -> Vector2<f64> {
@@ -113,9 +100,5 @@ pub(super) fn suggested(seen: &SeenFix, values: &Values, heading_rad: f64) -> Pl
         heading_rad: seen.fix.heading.map_or(heading_rad, Heading::rad),
     };
     let lever = lever_in_arena(seen, values, at);
-    Placed {
-        x_m: at.x_m - lever.x,
-        y_m: at.y_m - lever.y,
-        ..at
-    }
+    Placed { x_m: at.x_m - lever.x, y_m: at.y_m - lever.y, ..at }
 }

@@ -117,9 +117,7 @@ impl Front {
     pub(super) fn solve(&self) -> Option<[f64; CAPACITY]> {
         let mut solved = [0.0; CAPACITY];
         for (i, row) in self.triangle.iter().enumerate().rev() {
-            let known: f64 = (i + 1..self.variables.len())
-                .map(|j| row[j] * solved[j])
-                .sum();
+            let known: f64 = (i + 1..self.variables.len()).map(|j| row[j] * solved[j]).sum();
             let value = (row[RHS] - known) / row[i];
             if !value.is_finite() {
                 return None;
@@ -157,10 +155,7 @@ fn rotate(upper: &mut Coefficients, lower: &mut Coefficients, column: usize, cou
     let length = (a * a + b * b).sqrt();
     let (c, s) = (a / length, b / length);
     let turned = |up: f64, low: f64| (c * up + s * low, c * low - s * up);
-    for (up, low) in upper[column..count]
-        .iter_mut()
-        .zip(&mut lower[column..count])
-    {
+    for (up, low) in upper[column..count].iter_mut().zip(&mut lower[column..count]) {
         (*up, *low) = turned(*up, *low);
     }
     (upper[RHS], lower[RHS]) = turned(upper[RHS], lower[RHS]);
@@ -187,10 +182,7 @@ struct Conditional {
 impl Chain {
     fn given(&self, index: usize) -> (&[Variable], &[f64]) {
         let first = self.conditionals[index].first;
-        let end = self
-            .conditionals
-            .get(index + 1)
-            .map_or(self.coefficients.len(), |next| next.first);
+        let end = self.conditionals.get(index + 1).map_or(self.coefficients.len(), |next| next.first);
         (&self.variables[first..end], &self.coefficients[first..end])
     }
 
@@ -199,11 +191,8 @@ impl Chain {
         let mut solved = vec![0.0; count];
         for (index, conditional) in self.conditionals.iter().enumerate().rev() {
             let (others, coefficients) = self.given(index);
-            let known: f64 = others
-                .iter()
-                .zip(coefficients)
-                .map(|(other, coefficient)| coefficient * solved[*other])
-                .sum();
+            let known: f64 =
+                others.iter().zip(coefficients).map(|(other, coefficient)| coefficient * solved[*other]).sum();
             solved[conditional.variable] = (conditional.rhs - known) / conditional.diagonal;
         }
         solved
@@ -329,10 +318,7 @@ mod tests {
         eliminated().visit_covariances(|variable, joint| {
             for &other in &joint.variables {
                 let (own, expected) = (joint.between(variable, other), inverse[(variable, other)]);
-                assert!(
-                    (own - expected).abs() < 1e-9,
-                    "{variable} {other}: {own} {expected}"
-                );
+                assert!((own - expected).abs() < 1e-9, "{variable} {other}: {own} {expected}");
                 visited += 1;
             }
         });

@@ -21,8 +21,7 @@ use super::fixes::fix_rows;
 use super::front::Joint;
 use super::problem::Problem;
 use super::values::{
-    CONSTANTS, FIX_DELAY, Meaning, RADIUS_DIFFERENCE, RADIUS_SCALE, TAG_FORWARD, TAG_LEFT,
-    TRACK_SCALE, Values,
+    CONSTANTS, FIX_DELAY, Meaning, RADIUS_DIFFERENCE, RADIUS_SCALE, TAG_FORWARD, TAG_LEFT, TRACK_SCALE, Values,
 };
 use crate::update::consistency;
 
@@ -40,12 +39,7 @@ pub(super) struct Judged {
 
 impl Judged {
     /// Judges an optimum.
-    pub(super) fn of(
-        problem: &Problem<'_>,
-        descended: &Descended,
-        is_used: &[bool],
-        gates: [f64; 3],
-    ) -> Self {
+    pub(super) fn of(problem: &Problem<'_>, descended: &Descended, is_used: &[bool], gates: [f64; 3]) -> Self {
         let layout = problem.layout();
         let mut judged = Self {
             fits: vec![false; is_used.len()],
@@ -54,32 +48,28 @@ impl Judged {
             constants: [0.0; CONSTANTS],
             last_bias: 0.0,
         };
-        descended
-            .linearised
-            .chain
-            .visit_covariances(|variable, joint| match layout.meaning(variable) {
-                Meaning::Constant(constant) => {
-                    judged.constants[constant] = joint.between(variable, variable);
-                }
-                Meaning::Bias(window) if window + 1 == problem.windows.len() => {
-                    judged.last_bias = joint.between(variable, variable);
-                }
-                // A pose's first row is eliminated first and so comes last: the others are there.
-                Meaning::Pose(node, 0) => {
-                    judged.covariances[node] = Matrix3::from_fn(|row, column| {
-                        joint.between(layout.pose(node, row), layout.pose(node, column))
-                    });
-                    for seen in problem.fixes_at(node) {
-                        if let Some((rows, degrees)) = fix_rows(problem, seen, &descended.values) {
-                            let sign = if is_used[seen.index] { -1.0 } else { 1.0 };
-                            let nis = nis_by_the_others(&rows, joint, sign);
-                            judged.nis[seen.index] = nis;
-                            judged.fits[seen.index] = nis <= gates[usize::from(degrees) - 1];
-                        }
+        descended.linearised.chain.visit_covariances(|variable, joint| match layout.meaning(variable) {
+            Meaning::Constant(constant) => {
+                judged.constants[constant] = joint.between(variable, variable);
+            }
+            Meaning::Bias(window) if window + 1 == problem.windows.len() => {
+                judged.last_bias = joint.between(variable, variable);
+            }
+            // A pose's first row is eliminated first and so comes last: the others are there.
+            Meaning::Pose(node, 0) => {
+                judged.covariances[node] =
+                    Matrix3::from_fn(|row, column| joint.between(layout.pose(node, row), layout.pose(node, column)));
+                for seen in problem.fixes_at(node) {
+                    if let Some((rows, degrees)) = fix_rows(problem, seen, &descended.values) {
+                        let sign = if is_used[seen.index] { -1.0 } else { 1.0 };
+                        let nis = nis_by_the_others(&rows, joint, sign);
+                        judged.nis[seen.index] = nis;
+                        judged.fits[seen.index] = nis <= gates[usize::from(degrees) - 1];
                     }
                 }
-                Meaning::Bias(_) | Meaning::Pose(..) => {}
-            });
+            }
+            Meaning::Bias(_) | Meaning::Pose(..) => {}
+        });
         judged
     }
 
@@ -90,8 +80,7 @@ impl Judged {
             .iter()
             .map(|&(stamp, node)| {
                 let (sin, cos) = values.poses[node].heading_rad.sin_cos();
-                let arena_from_body =
-                    SMatrix::<f64, 3, 3>::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+                let arena_from_body = SMatrix::<f64, 3, 3>::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
                 let own = self.covariances[node];
                 let covariance = arena_from_body * own * arena_from_body.transpose();
                 SmoothedPose {
@@ -116,10 +105,7 @@ impl Judged {
         let bias = values
             .biases
             .last()
-            .map_or(Known { value: mean, sigma }, |&value| Known {
-                value,
-                sigma: self.last_bias.max(0.0).sqrt(),
-            });
+            .map_or(Known { value: mean, sigma }, |&value| Known { value, sigma: self.last_bias.max(0.0).sqrt() });
         Calibration {
             radius_scale: known(RADIUS_SCALE),
             radius_difference: known(RADIUS_DIFFERENCE),
@@ -140,9 +126,7 @@ fn nis_by_the_others(rows: &[Row; 3], joint: &Joint, sign: f64) -> f64 {
         let shared: f64 = own
             .map(|(a, by_a)| {
                 let other = rows[j].entries().iter();
-                by_a * other
-                    .map(|(b, by_b)| by_b * joint.between(*a, *b))
-                    .sum::<f64>()
+                by_a * other.map(|(b, by_b)| by_b * joint.between(*a, *b)).sum::<f64>()
             })
             .sum();
         sign * shared + f64::from(u8::from(i == j))
@@ -157,9 +141,7 @@ mod tests {
     use super::*;
     use crate::offline::problem::Run;
     use crate::offline::rounds::{Round, whiteners};
-    use posebridge_telemetry::{
-        Fix, Heading, Meters, Observation, Observed, Point2, Radians, SensorId, Span, Stamp,
-    };
+    use posebridge_telemetry::{Fix, Heading, Meters, Observation, Observed, Point2, Radians, SensorId, Span, Stamp};
 
     /// A robot that goes straight ahead, with four fixes that scatter.
     fn observations() -> Vec<Observation> {
@@ -172,10 +154,7 @@ mod tests {
         let mut all: Vec<Observation> = (0..=20)
             .map(|k| {
                 let turned = Radians(0.5 * f64::from(k));
-                let wheels = Observed::WheelAngles {
-                    left: turned,
-                    right: turned,
-                };
+                let wheels = Observed::WheelAngles { left: turned, right: turned };
                 one(50 * i64::from(k), SensorId::WHEELS, wheels)
             })
             .collect();
@@ -203,9 +182,7 @@ mod tests {
             round.is_used[other] = false;
         }
         let whiteners = whiteners(&problem, &round.constants).unwrap();
-        let descended = round
-            .descend(&problem, &whiteners, [f64::INFINITY; 3])
-            .unwrap();
+        let descended = round.descend(&problem, &whiteners, [f64::INFINITY; 3]).unwrap();
         Judged::of(&problem, &descended, &round.is_used, [10.0; 3]).nis[index]
     }
 
@@ -213,10 +190,7 @@ mod tests {
     fn the_others_say_the_same_of_a_fix_whether_it_was_used_or_not() {
         for index in 0..4 {
             let (used, left_out) = (nis_of(index, &[]), nis_of(index, &[index]));
-            assert!(
-                (used / left_out - 1.0).abs() < 1e-3 && used > 0.1,
-                "fix {index}: {used} against {left_out}"
-            );
+            assert!((used / left_out - 1.0).abs() < 1e-3 && used > 0.1, "fix {index}: {used} against {left_out}");
         }
     }
 }

@@ -29,9 +29,7 @@ pub use rts::rts;
 mod tests {
     use std::sync::Arc;
 
-    use posebridge_telemetry::{
-        Calibration, DriveGeometry, Meters, Pose, Radians, SensorNoise, World,
-    };
+    use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Pose, Radians, SensorNoise, World};
 
     use crate::filters::{FilterConfig, StartPose};
     use crate::params::Params;
@@ -54,11 +52,7 @@ mod tests {
                 fix_heading_rad: 0.02,
                 ..SensorNoise::EXACT
             },
-            start: Some(StartPose {
-                pose: Pose::default(),
-                position_sigma_m: 1e-4,
-                heading_sigma_rad: 1e-4,
-            }),
+            start: Some(StartPose { pose: Pose::default(), position_sigma_m: 1e-4, heading_sigma_rad: 1e-4 }),
             params: Params::default(),
             calibration: Calibration::default(),
             world: Arc::new(World::default()),

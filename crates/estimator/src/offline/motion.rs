@@ -43,28 +43,17 @@ pub(super) struct CalibratedStep {
 }
 
 /// What the wheels did, seen through the calibration.
-pub(super) fn calibrated(
-    travel: WheelTravel,
-    config: &FilterConfig,
-    constants: &[f64; CONSTANTS],
-) -> CalibratedStep {
+pub(super) fn calibrated(travel: WheelTravel, config: &FilterConfig, constants: &[f64; CONSTANTS]) -> CalibratedStep {
     let (true_travel, geometry) = true_travel(travel, config, constants);
     let step = body_step(true_travel, &geometry);
     let track_m = geometry.track_width.0;
-    let (sum_m, difference_m) = (
-        travel.right_m + travel.left_m,
-        travel.right_m - travel.left_m,
-    );
+    let (sum_m, difference_m) = (travel.right_m + travel.left_m, travel.right_m - travel.left_m);
     CalibratedStep {
         forward_m: step.forward_m,
         turn_rad: step.turn_rad,
         by_constant: [
             [0.5 * sum_m, 0.25 * difference_m, 0.0],
-            [
-                difference_m / track_m,
-                0.5 * sum_m / track_m,
-                -step.turn_rad / (1.0 + constants[TRACK_SCALE]),
-            ],
+            [difference_m / track_m, 0.5 * sum_m / track_m, -step.turn_rad / (1.0 + constants[TRACK_SCALE])],
         ],
     }
 }
@@ -90,21 +79,14 @@ pub(super) fn true_travel(
 pub(super) type Whitener = Matrix3<f64>;
 
 /// The whitener of a move, with the noise of the travel that this calibration tells; `None` when the noise is no number.
-pub(super) fn whitener(
-    by: &Move,
-    config: &FilterConfig,
-    constants: &[f64; CONSTANTS],
-) -> Option<Whitener> {
+pub(super) fn whitener(by: &Move, config: &FilterConfig, constants: &[f64; CONSTANTS]) -> Option<Whitener> {
     let covariance = match *by {
         Move::Unseen(secs) => {
             let position_m2 = UNSEEN_M_PER_SQRT_S.powi(2) * secs;
             let heading_rad2 = UNSEEN_RAD_PER_SQRT_S.powi(2) * secs;
             Matrix3::from_diagonal(&Vector3::new(position_m2, heading_rad2, position_m2))
         }
-        Move::Driven {
-            travel,
-            path_var_m2,
-        } => {
+        Move::Driven { travel, path_var_m2 } => {
             let (travel, geometry) = true_travel(travel, config, constants);
             let noise = step_noise(travel, &geometry, &config.noise);
             let path_m = 0.5 * (travel.left_m.abs() + travel.right_m.abs());
@@ -128,12 +110,7 @@ pub(super) fn whitener(
 }
 
 /// Three rows for the motion from one pose to the next.
-pub(super) fn motion_rows(
-    problem: &Problem<'_>,
-    values: &Values,
-    node: usize,
-    whitener: &Whitener,
-) -> [Row; 3] {
+pub(super) fn motion_rows(problem: &Problem<'_>, values: &Values, node: usize, whitener: &Whitener) -> [Row; 3] {
     let (from, to) = (values.poses[node], values.poses[node + 1]);
     let (residual, by_unknown) = match problem.moves[node] {
         Move::Driven { travel, .. } => {
@@ -175,20 +152,13 @@ fn relative(from: Placed, to: Placed) -> ([f64; 2], f64) {
 /// T_k Exp(xi)     u moves by -rho - theta J u, phi by -theta
 /// T_k+1 Exp(xi)   u moves by R(phi) rho,       phi by theta
 /// ```
-fn arc_residual(
-    from: Placed,
-    to: Placed,
-    step: &CalibratedStep,
-) -> (Vector3<f64>, SMatrix<f64, 3, WIDEST>) {
+fn arc_residual(from: Placed, to: Placed, step: &CalibratedStep) -> (Vector3<f64>, SMatrix<f64, 3, WIDEST>) {
     let (u, phi) = relative(from, to);
     let (sin, cos) = (0.5 * phi).sin_cos();
     let along = cos * u[0] + sin * u[1];
     let lateral = cos * u[1] - sin * u[0];
     // Seen along its chord, an arc of length one ends at the ratio of chord to arc.
-    let unit = BodyStep {
-        forward_m: 1.0,
-        turn_rad: phi,
-    };
+    let unit = BodyStep { forward_m: 1.0, turn_rad: phi };
     let seen = displace(-0.5 * phi, unit, StepRule::Arc);
     let (chord, chord_by_turn) = (seen.dx_m, seen.by_turn[0]);
     let length = along / chord;
@@ -235,13 +205,10 @@ fn offset_residual(from: Placed, to: Placed) -> (Vector3<f64>, SMatrix<f64, 3, W
     let (u, phi) = relative(from, to);
     let (sin, cos) = phi.sin_cos();
     let mut by_unknown = SMatrix::zeros();
-    for (row, values) in [
-        [-1.0, 0.0, u[1], cos, -sin, 0.0],
-        [0.0, 0.0, -1.0, 0.0, 0.0, 1.0],
-        [0.0, -1.0, -u[0], sin, cos, 0.0],
-    ]
-    .into_iter()
-    .enumerate()
+    for (row, values) in
+        [[-1.0, 0.0, u[1], cos, -sin, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0], [0.0, -1.0, -u[0], sin, cos, 0.0]]
+            .into_iter()
+            .enumerate()
     {
         for (column, value) in values.into_iter().enumerate() {
             by_unknown[(row, column)] = value;
@@ -256,47 +223,27 @@ mod tests {
 
     const H: f64 = 1e-6;
 
-    fn check(
-        residual: impl Fn(Placed, Placed) -> (Vector3<f64>, SMatrix<f64, 3, WIDEST>),
-        from: Placed,
-        to: Placed,
-    ) {
+    fn check(residual: impl Fn(Placed, Placed) -> (Vector3<f64>, SMatrix<f64, 3, WIDEST>), from: Placed, to: Placed) {
         let (_, by_unknown) = residual(from, to);
         for column in 0..6 {
             let at = |h: f64| {
                 let mut xi = [0.0; 3];
                 xi[column % 3] = h;
-                if column < 3 {
-                    residual(from.moved(xi), to).0
-                } else {
-                    residual(from, to.moved(xi)).0
-                }
+                if column < 3 { residual(from.moved(xi), to).0 } else { residual(from, to.moved(xi)).0 }
             };
             let difference = (at(H) - at(-H)) / (2.0 * H);
             for row in 0..3 {
                 let by = by_unknown[(row, column)];
-                assert!(
-                    (by - difference[row]).abs() < 1e-8,
-                    "({row}, {column}): {by} against {}",
-                    difference[row]
-                );
+                assert!((by - difference[row]).abs() < 1e-8, "({row}, {column}): {by} against {}", difference[row]);
             }
         }
     }
 
     #[test]
     fn derivatives_of_the_motion_agree_with_central_differences() {
-        let from = Placed {
-            x_m: 0.3,
-            y_m: -0.7,
-            heading_rad: 5.1,
-        };
+        let from = Placed { x_m: 0.3, y_m: -0.7, heading_rad: 5.1 };
         for xi in [[0.2, 0.01, 0.4], [-0.1, 0.0, 0.0], [0.01, -0.02, -1.3]] {
-            let step = CalibratedStep {
-                forward_m: 0.19,
-                turn_rad: 0.38,
-                by_constant: [[0.0; 3]; 2],
-            };
+            let step = CalibratedStep { forward_m: 0.19, turn_rad: 0.38, by_constant: [[0.0; 3]; 2] };
             let to = from.moved(xi);
             check(|from, to| arc_residual(from, to, &step), from, to);
             check(offset_residual, from, to);
@@ -305,11 +252,7 @@ mod tests {
 
     #[test]
     fn an_arc_that_the_wheels_told_leaves_no_residual() {
-        let step = CalibratedStep {
-            forward_m: 0.25,
-            turn_rad: -0.45,
-            by_constant: [[0.0; 3]; 2],
-        };
+        let step = CalibratedStep { forward_m: 0.25, turn_rad: -0.45, by_constant: [[0.0; 3]; 2] };
         let from = Placed::default();
         let to = from.moved([step.forward_m, 0.0, step.turn_rad]);
         assert!(arc_residual(from, to, &step).0.norm() < 1e-15);
@@ -317,10 +260,7 @@ mod tests {
 
     #[test]
     fn derivatives_by_the_constants_agree_with_central_differences() {
-        let travel = WheelTravel {
-            left_m: 0.013,
-            right_m: -0.004,
-        };
+        let travel = WheelTravel { left_m: 0.013, right_m: -0.004 };
         let config = crate::offline::tests::config();
         let constants = [0.01, -0.02, 0.05, 0.0, 0.0, 0.0];
         let step = calibrated(travel, &config, &constants);

@@ -119,11 +119,7 @@ impl<'a> Run<'a> {
 
     /// A datagram that came twice must not count twice.
     fn repeats_a_fix(&self, observation: &Observation) -> bool {
-        self.fixes
-            .iter()
-            .rev()
-            .take_while(|other| other.stamp == observation.stamp)
-            .any(|other| other == observation)
+        self.fixes.iter().rev().take_while(|other| other.stamp == observation.stamp).any(|other| other == observation)
     }
 
     /// How many fixes there are, those outside the motion readings included.
@@ -143,11 +139,7 @@ impl<'a> Run<'a> {
             return problem;
         };
         let delay = Span::from_secs_f64(delay_s);
-        let mut stops: Vec<(Stamp<BrickClock>, Stop)> = self
-            .readings
-            .iter()
-            .map(|at| (*at, Stop::Reading))
-            .collect();
+        let mut stops: Vec<(Stamp<BrickClock>, Stop)> = self.readings.iter().map(|at| (*at, Stop::Reading)).collect();
         let seen = self.fixes.iter().enumerate();
         stops.extend(seen.map(|(index, fix)| (fix.stamp - delay, Stop::Fix(index))));
         stops.retain(|stop| (first..=last).contains(&stop.0));
@@ -173,11 +165,7 @@ impl<'a> Run<'a> {
         let mut at = from;
         while at < to {
             at = match self.track.leg(at, to) {
-                Leg::Known {
-                    until,
-                    travel,
-                    path_var_m2,
-                } => {
+                Leg::Known { until, travel, path_var_m2 } => {
                     problem.drive(travel, path_var_m2);
                     until
                 }
@@ -189,13 +177,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn seen(
-        &self,
-        index: usize,
-        at: Stamp<BrickClock>,
-        node: usize,
-        delay_s: f64,
-    ) -> Option<SeenFix> {
+    fn seen(&self, index: usize, at: Stamp<BrickClock>, node: usize, delay_s: f64) -> Option<SeenFix> {
         let observation = self.fixes.get(index)?;
         let Observed::Fix(fix) = observation.observed else {
             return None;
@@ -311,10 +293,7 @@ impl<'a> Problem<'a> {
 
     /// Where the variables are.
     pub(super) fn layout(&self) -> Layout {
-        Layout {
-            biases: self.windows.len(),
-            poses: self.poses,
-        }
+        Layout { biases: self.windows.len(), poses: self.poses }
     }
 
     /// The fixes that saw a pose.
@@ -337,18 +316,13 @@ impl<'a> Problem<'a> {
         let parts = (turn_rad / LONGEST_TURN_RAD).ceil().clamp(1.0, MOST_PARTS);
         for _ in 0..parts as usize {
             self.append(Move::Driven {
-                travel: WheelTravel {
-                    left_m: travel.left_m / parts,
-                    right_m: travel.right_m / parts,
-                },
+                travel: WheelTravel { left_m: travel.left_m / parts, right_m: travel.right_m / parts },
                 path_var_m2: path_var_m2 / parts,
             });
         }
     }
 
     fn has_gap(&self, from: usize, to: usize) -> bool {
-        self.moves[from..to]
-            .iter()
-            .any(|by| matches!(by, Move::Unseen(_)))
+        self.moves[from..to].iter().any(|by| matches!(by, Move::Unseen(_)))
     }
 }

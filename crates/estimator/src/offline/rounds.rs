@@ -21,10 +21,7 @@ const VAGUE_HEADING_RAD: f64 = 0.4;
 /// In how many directions.
 const DIRECTIONS: u32 = 8;
 /// A first guess from all fixes in use.
-const UNGATED: Guess = Guess {
-    gates: [f64::INFINITY; 3],
-    heading_sigma_rad: f64::INFINITY,
-};
+const UNGATED: Guess = Guess { gates: [f64::INFINITY; 3], heading_sigma_rad: f64::INFINITY };
 
 /// What one round leaves to the next.
 pub(super) struct Round {
@@ -49,12 +46,7 @@ impl Round {
     /// Before the first round.
     pub(super) fn first(config: &FilterConfig, fixes: usize) -> Self {
         let constants = constants_of(&config.calibration).map(|known| known.value);
-        Self {
-            constants,
-            delay_s: constants[FIX_DELAY],
-            is_used: vec![true; fixes],
-            last: None,
-        }
+        Self { constants, delay_s: constants[FIX_DELAY], is_used: vec![true; fixes], last: None }
     }
 
     /// Descends to the least cost with the fixes in use; the first round chooses them as well.
@@ -99,16 +91,8 @@ impl Round {
         descend(self.ground(problem, whiteners), values)
     }
 
-    fn ground<'p, 'a>(
-        &'p self,
-        problem: &'p Problem<'a>,
-        whiteners: &'p [Whitener],
-    ) -> Ground<'p, 'a> {
-        Ground {
-            problem,
-            whiteners,
-            is_used: &self.is_used,
-        }
+    fn ground<'p, 'a>(&'p self, problem: &'p Problem<'a>, whiteners: &'p [Whitener]) -> Ground<'p, 'a> {
+        Ground { problem, whiteners, is_used: &self.is_used }
     }
 
     /// Descends from each start with all fixes, and keeps the least cost.
@@ -118,10 +102,7 @@ impl Round {
         whiteners: &[Whitener],
         starts: &[Values],
     ) -> Result<Descended, OfflineError> {
-        let guess = Guess {
-            heading_sigma_rad: VAGUE_HEADING_RAD,
-            ..UNGATED
-        };
+        let guess = Guess { heading_sigma_rad: VAGUE_HEADING_RAD, ..UNGATED };
         let ground = self.ground(problem, whiteners);
         let mut best: Result<Descended, OfflineError> = Err(OfflineError::NotFinite);
         for start in starts {
@@ -161,11 +142,7 @@ impl Round {
 /// Values that know no more than a first pose.
 fn beginning(problem: &Problem<'_>, constants: [f64; CONSTANTS], first: Placed) -> Values {
     let (bias, _) = bias_prior(problem.config);
-    Values {
-        poses: vec![first; problem.poses],
-        biases: vec![bias; problem.windows.len()],
-        constants,
-    }
+    Values { poses: vec![first; problem.poses], biases: vec![bias; problem.windows.len()], constants }
 }
 
 /// Where to begin: one start, or several all around where the heading is not known.
@@ -176,10 +153,7 @@ fn starts(problem: &Problem<'_>, constants: [f64; CONSTANTS]) -> Vec<Values> {
     let at = |heading_rad: f64| {
         let nowhere = beginning(problem, constants, Placed::default());
         let first = match (told, first_fix) {
-            (Some(told), _) => Placed {
-                heading_rad,
-                ..told
-            },
+            (Some(told), _) => Placed { heading_rad, ..told },
             (None, Some(seen)) => suggested(seen, &nowhere, heading_rad),
             (None, None) => Placed::default(),
         };
@@ -189,9 +163,7 @@ fn starts(problem: &Problem<'_>, constants: [f64; CONSTANTS]) -> Vec<Values> {
     let seen = first_fix.and_then(|seen| seen.fix.heading);
     match known.map(|start| start.pose.heading).or(seen) {
         Some(heading) => vec![at(heading.rad())],
-        None => (0..DIRECTIONS)
-            .map(|k| at(std::f64::consts::TAU * f64::from(k) / f64::from(DIRECTIONS)))
-            .collect(),
+        None => (0..DIRECTIONS).map(|k| at(std::f64::consts::TAU * f64::from(k) / f64::from(DIRECTIONS))).collect(),
     }
 }
 
@@ -199,13 +171,6 @@ fn starts(problem: &Problem<'_>, constants: [f64; CONSTANTS]) -> Vec<Values> {
 ///
 /// # Errors
 /// [`OfflineError::NotFinite`] when the noise is no number.
-pub(super) fn whiteners(
-    problem: &Problem<'_>,
-    constants: &[f64; CONSTANTS],
-) -> Result<Vec<Whitener>, OfflineError> {
-    problem
-        .moves
-        .iter()
-        .map(|by| whitener(by, problem.config, constants).ok_or(OfflineError::NotFinite))
-        .collect()
+pub(super) fn whiteners(problem: &Problem<'_>, constants: &[f64; CONSTANTS]) -> Result<Vec<Whitener>, OfflineError> {
+    problem.moves.iter().map(|by| whitener(by, problem.config, constants).ok_or(OfflineError::NotFinite)).collect()
 }

@@ -24,15 +24,9 @@ pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<Smooth
         return Err(OfflineError::NotFinite);
     }
     let smoothing = smooth(config, observations);
-    let fixes = observations
-        .iter()
-        .filter(|observation| matches!(observation.observed, Observed::Fix(_)))
-        .count();
+    let fixes = observations.iter().filter(|observation| matches!(observation.observed, Observed::Fix(_))).count();
     if smoothing.states.is_empty() || (config.start.is_none() && smoothing.used == 0) {
-        return Err(OfflineError::NothingObserved {
-            motion_readings: smoothing.states.len(),
-            fixes,
-        });
+        return Err(OfflineError::NothingObserved { motion_readings: smoothing.states.len(), fixes });
     }
     let is_finite = |hindsight: &Hindsight| {
         let covariance = &hindsight.state.covariance;

@@ -123,20 +123,12 @@ impl Placed {
 
     /// As the vocabulary has it, with a wrapped heading.
     pub(super) fn pose(self) -> Pose<Arena> {
-        Pose::new(
-            Meters(self.x_m),
-            Meters(self.y_m),
-            Heading::from_rad(self.heading_rad),
-        )
+        Pose::new(Meters(self.x_m), Meters(self.y_m), Heading::from_rad(self.heading_rad))
     }
 
     /// From the vocabulary's pose.
     pub(super) fn at(pose: Pose<Arena>) -> Self {
-        Self {
-            x_m: pose.x.0,
-            y_m: pose.y.0,
-            heading_rad: pose.heading.rad(),
-        }
+        Self { x_m: pose.x.0, y_m: pose.y.0, heading_rad: pose.heading.rad() }
     }
 }
 
@@ -174,11 +166,7 @@ mod tests {
 
     #[test]
     fn a_step_with_a_quarter_turn_runs_along_a_quarter_circle() {
-        let start = Placed {
-            x_m: 1.0,
-            y_m: 2.0,
-            heading_rad: FRAC_PI_2,
-        };
+        let start = Placed { x_m: 1.0, y_m: 2.0, heading_rad: FRAC_PI_2 };
         let end = start.moved([FRAC_PI_2, 0.0, FRAC_PI_2]);
         assert!((end.x_m - 0.0).abs() < 1e-12 && (end.y_m - 3.0).abs() < 1e-12);
         assert!((end.heading_rad - 2.0 * FRAC_PI_2).abs() < 1e-12);
@@ -189,10 +177,7 @@ mod tests {
 
     #[test]
     fn every_variable_has_one_number() {
-        let layout = Layout {
-            biases: 3,
-            poses: 4,
-        };
+        let layout = Layout { biases: 3, poses: 4 };
         for variable in 0..layout.count() {
             let again = match layout.meaning(variable) {
                 Meaning::Constant(constant) => constant,

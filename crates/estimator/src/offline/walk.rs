@@ -41,10 +41,7 @@ pub(super) struct Linearised {
 pub(super) fn linearise(ground: Ground<'_, '_>, values: &Values, damping: f64) -> Linearised {
     let mut walk = Walk::new(ground, values.clone(), Purpose::Linearise { damping });
     walk.run();
-    Linearised {
-        cost: walk.cost,
-        chain: walk.chain,
-    }
+    Linearised { cost: walk.cost, chain: walk.chain }
 }
 
 /// How a first guess is made.
@@ -179,13 +176,10 @@ impl<'p, 'a> Walk<'p, 'a> {
         for row in motion_rows(problem, &self.values, before, whitener) {
             self.take(&row);
         }
-        let is_window_start = self
-            .open
-            .is_some_and(|open| problem.windows[open].from == before);
+        let is_window_start = self.open.is_some_and(|open| problem.windows[open].from == before);
         let last = if is_window_start { 2 } else { 3 };
         for row in 0..last {
-            self.front
-                .eliminate(self.layout.pose(before, row), &mut self.chain);
+            self.front.eliminate(self.layout.pose(before, row), &mut self.chain);
         }
     }
 
@@ -215,8 +209,7 @@ impl<'p, 'a> Walk<'p, 'a> {
                 self.correct(node);
                 self.open = None;
                 if window.from != node {
-                    self.front
-                        .eliminate(self.layout.pose(window.from, 2), &mut self.chain);
+                    self.front.eliminate(self.layout.pose(window.from, 2), &mut self.chain);
                 }
             } else {
                 let next = windows.get(self.next_window);

@@ -4,8 +4,7 @@ use std::ops::Range;
 
 use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_telemetry::{
-    Estimate, Fix, FusionRecord, Heading, Meters, Observation, Observed, Pose, Radians, SensorId,
-    Verdict,
+    Estimate, Fix, FusionRecord, Heading, Meters, Observation, Observed, Pose, Radians, SensorId, Verdict,
 };
 
 use crate::drive::{Camera, Drive, STEP_S, Scenario, World, stamp};
@@ -17,29 +16,15 @@ pub(crate) const CORNER: Range<usize> = 366..410;
 pub(crate) const STRAIGHT: Range<usize> = 41..347;
 
 pub(crate) fn camera_10_hz() -> Scenario {
-    Scenario {
-        laps: 1,
-        camera: Some(Camera {
-            every: 2,
-            delay: 2,
-            spread: 1,
-            outliers: 0.0,
-        }),
-    }
+    Scenario { laps: 1, camera: Some(Camera { every: 2, delay: 2, spread: 1, outliers: 0.0 }) }
 }
 
 pub(crate) fn without_start() -> FilterConfig {
-    FilterConfig {
-        start: None,
-        ..config()
-    }
+    FilterConfig { start: None, ..config() }
 }
 
 /// The same drive with other observations; those that become `None` never arrive.
-pub(crate) fn altered(
-    mut drive: Drive,
-    alter: impl Fn(Observation) -> Option<Observation>,
-) -> Drive {
+pub(crate) fn altered(mut drive: Drive, alter: impl Fn(Observation) -> Option<Observation>) -> Drive {
     drive.arrivals.retain_mut(|arrival| {
         alter(arrival.observation).is_some_and(|altered| {
             arrival.observation = altered;
@@ -55,20 +40,12 @@ pub(crate) fn altered_fixes(drive: Drive, alter: impl Fn(usize, Fix) -> Option<F
             return Some(observation);
         };
         let fix = alter(step_of(&observation), fix)?;
-        Some(Observation {
-            observed: Observed::Fix(fix),
-            ..observation
-        })
+        Some(Observation { observed: Observed::Fix(fix), ..observation })
     })
 }
 
 pub(crate) fn without_headings(drive: Drive) -> Drive {
-    altered_fixes(drive, |_, fix| {
-        Some(Fix {
-            heading: None,
-            ..fix
-        })
-    })
+    altered_fixes(drive, |_, fix| Some(Fix { heading: None, ..fix }))
 }
 
 /// Adds to the wheels' rotation what `extra` says of each step, in radians: left, right.
@@ -79,10 +56,7 @@ pub(crate) fn with_slip(drive: Drive, extra: impl Fn(usize) -> (f64, f64)) -> Dr
         };
         let (left_rad, right_rad) = extra(step_of(&observation));
         Some(Observation {
-            observed: Observed::WheelAngles {
-                left: left + Radians(left_rad),
-                right: right + Radians(right_rad),
-            },
+            observed: Observed::WheelAngles { left: left + Radians(left_rad), right: right + Radians(right_rad) },
             ..observation
         })
     })
@@ -111,15 +85,11 @@ pub(crate) fn error_at(drive: &Drive, played: &Played, step: usize) -> (f64, f64
 pub(crate) fn fixes<'a>(played: &'a Played, steps: &Range<usize>) -> Vec<&'a FusionRecord> {
     let during = stamp(steps.start)..stamp(steps.end);
     let records = played.records.iter();
-    records
-        .filter(|record| record.sensor == SensorId::CAMERA && during.contains(&record.stamp))
-        .collect()
+    records.filter(|record| record.sensor == SensorId::CAMERA && during.contains(&record.stamp)).collect()
 }
 
 pub(crate) fn share_accepted(records: &[&FusionRecord]) -> f64 {
-    let accepted = records
-        .iter()
-        .filter(|record| record.verdict == Verdict::Accepted);
+    let accepted = records.iter().filter(|record| record.verdict == Verdict::Accepted);
     accepted.count() as f64 / records.len() as f64
 }
 
@@ -135,15 +105,8 @@ pub(crate) fn started_at(x_m: f64, y_m: f64, heading_rad: f64) -> FilterConfig {
 }
 
 /// A drive with steps of one's own, (distance, turn) each, in a world of one's own.
-pub(crate) fn driven(
-    world: &mut World,
-    steps: impl IntoIterator<Item = (f64, f64)>,
-    camera: Option<Camera>,
-) -> Drive {
-    let mut drive = Drive {
-        poses: vec![],
-        arrivals: vec![],
-    };
+pub(crate) fn driven(world: &mut World, steps: impl IntoIterator<Item = (f64, f64)>, camera: Option<Camera>) -> Drive {
+    let mut drive = Drive { poses: vec![], arrivals: vec![] };
     for step in steps {
         drive.append(world, step, camera);
     }

@@ -5,9 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::{CORE, DIFFERENCE, RADIUS, TRACK, WITH_CAMERA};
 use posebridge_estimator::{Filter, FilterConfig, filter_named};
-use posebridge_telemetry::{
-    Calibration, DriveGeometry, Known, Meters, Observation, Observed, SensorId, Span,
-};
+use posebridge_telemetry::{Calibration, DriveGeometry, Known, Meters, Observation, Observed, SensorId, Span};
 
 use crate::alter::{altered, camera_10_hz, driven};
 use crate::drive::{Camera, Drive, STEP_S, World, drive};
@@ -43,12 +41,7 @@ fn course() -> Vec<(f64, f64)> {
     steps
 }
 
-const CAMERA: Camera = Camera {
-    every: 2,
-    delay: 3,
-    spread: 1,
-    outliers: 0.0,
-};
+const CAMERA: Camera = Camera { every: 2, delay: 3, spread: 1, outliers: 0.0 };
 
 /// A drive of a robot whose geometry is drawn, with the true constants: radius scale, difference, track scale, bias at the end.
 fn drawn(camera: Option<Camera>, seed: u64) -> (Drive, [f64; 4]) {
@@ -73,12 +66,7 @@ fn played<const N: usize>(config: &FilterConfig, drive: &Drive) -> PoseFilter<N>
 }
 
 fn of_robot(calibration: &Calibration) -> [Known; 4] {
-    [
-        calibration.radius_scale,
-        calibration.radius_difference,
-        calibration.track_scale,
-        calibration.gyro_bias_rad_per_s,
-    ]
+    [calibration.radius_scale, calibration.radius_difference, calibration.track_scale, calibration.gyro_bias_rad_per_s]
 }
 
 /// Chi-square with 40 and with 120 degrees of freedom, 0.05 % on either side, divided by these.
@@ -87,12 +75,7 @@ const BAND_OF_120: std::ops::Range<f64> = 0.628..1.481;
 
 #[test]
 fn with_a_camera_the_constants_are_learned_as_well_as_is_claimed() {
-    let names = [
-        "radius_scale",
-        "radius_difference",
-        "track_scale",
-        "gyro_bias",
-    ];
+    let names = ["radius_scale", "radius_difference", "track_scale", "gyro_bias"];
     let mut nees = [0.0; 4];
     let mut sigmas = [0.0; 4];
     for seed in 0..120 {
@@ -101,12 +84,7 @@ fn with_a_camera_the_constants_are_learned_as_well_as_is_claimed() {
         let found = of_robot(&filter.calibration().unwrap());
         for (i, known) in found.into_iter().enumerate() {
             let error = known.value - truth[i];
-            assert!(
-                error.abs() < 4.0 * known.sigma,
-                "seed {seed}, {}: {error} of {}",
-                names[i],
-                known.sigma
-            );
+            assert!(error.abs() < 4.0 * known.sigma, "seed {seed}, {}: {error} of {}", names[i], known.sigma);
             nees[i] += (error / known.sigma).powi(2) / 120.0;
             sigmas[i] = known.sigma;
         }
@@ -161,10 +139,7 @@ fn without_fixes_what_was_learned_is_kept_and_does_not_grow_uncertain() {
     let (before, after) = (before.unwrap(), filter.calibration().unwrap());
     for (before, after) in of_robot(&before).into_iter().zip(of_robot(&after)).take(3) {
         assert!(before.sigma > 0.0);
-        assert!(
-            after.sigma <= before.sigma * (1.0 + 1e-9),
-            "{before:?} {after:?}"
-        );
+        assert!(after.sigma <= before.sigma * (1.0 + 1e-9), "{before:?} {after:?}");
         let moved = (after.value - before.value).abs();
         assert!(moved < 2.0 * before.sigma, "{before:?} {after:?}");
     }
@@ -180,16 +155,10 @@ fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
     let before = filter.calibration().unwrap();
     filter.restart_clock();
     let after = filter.calibration().unwrap();
-    let but_bias = Calibration {
-        gyro_bias_rad_per_s: before.gyro_bias_rad_per_s,
-        ..after
-    };
+    let but_bias = Calibration { gyro_bias_rad_per_s: before.gyro_bias_rad_per_s, ..after };
     assert_eq!(but_bias, before);
     // The gyro warms up anew.
-    assert_eq!(
-        after.gyro_bias_rad_per_s,
-        unknown(NOISE.gyro_bias_rad_per_s)
-    );
+    assert_eq!(after.gyro_bias_rad_per_s, unknown(NOISE.gyro_bias_rad_per_s));
 }
 
 /// Fixes that carry a stamp which is `late` after the instant that they show, of a tag that is not where they say.
@@ -203,11 +172,7 @@ pub(crate) fn delayed(drive: Drive, late: Span, (forward_m, left_m): (f64, f64))
         let (sin, cos) = poses[step - 1].2.sin_cos();
         fix.position.x += Meters(cos * forward_m - sin * left_m);
         fix.position.y += Meters(sin * forward_m + cos * left_m);
-        Some(Observation {
-            stamp: observation.stamp + late,
-            observed: Observed::Fix(fix),
-            ..observation
-        })
+        Some(Observation { stamp: observation.stamp + late, observed: Observed::Fix(fix), ..observation })
     })
 }
 
@@ -226,11 +191,7 @@ fn delay_and_lever_are_learned_as_well_as_is_claimed() {
         let late = Span::from_millis(150);
         let drive = delayed(drive, late, (truth[1], truth[2]));
         let calibration = played::<WITH_CAMERA>(&told, &drive).calibration().unwrap();
-        let found = [
-            calibration.fix_delay_s,
-            calibration.tag_forward_m,
-            calibration.tag_left_m,
-        ];
+        let found = [calibration.fix_delay_s, calibration.tag_forward_m, calibration.tag_left_m];
         for (i, known) in found.into_iter().enumerate() {
             let error = known.value - truth[i];
             nees[i] += (error / known.sigma).powi(2) / 40.0;

@@ -5,8 +5,7 @@ use posebridge_estimator::filters::pose::state::CORE;
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::{Filter, FilterConfig, StartPose};
 use posebridge_telemetry::{
-    Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Verdict,
-    quantities::wrap_rad,
+    Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Verdict, quantities::wrap_rad,
 };
 
 use crate::alter::{altered_fixes, at, driven, error_at, fixes, share_accepted, without_start};
@@ -38,12 +37,7 @@ fn winding(start_rad: f64, tag: Point2<posebridge_telemetry::Body>, seed: u64) -
             (0.2 * STEP_S, 0.3 * (0.5 * t_s).sin() * STEP_S)
         }
     });
-    let camera = Camera {
-        every: 2,
-        delay: 0,
-        spread: 0,
-        outliers: 0.0,
-    };
+    let camera = Camera { every: 2, delay: 0, spread: 0, outliers: 0.0 };
     let drive = driven(&mut world, steps, Some(camera));
     let poses = drive.poses.clone();
     altered_fixes(drive, |step, fix| {
@@ -97,18 +91,10 @@ fn positions_alone_find_any_heading_without_a_reset() {
 #[test]
 fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
     let tag = Point2::new(Meters(0.15), Meters(0.0));
-    for (run, start_deg) in [-179.0, -120.0, -45.0, 60.0, 135.0, 180.0]
-        .into_iter()
-        .enumerate()
-    {
+    for (run, start_deg) in [-179.0, -120.0, -45.0, 60.0, 135.0, 180.0].into_iter().enumerate() {
         let mut world = World::new(run as u64);
         world.heading_rad = start_deg * DEGREE;
-        let camera = Camera {
-            every: 2,
-            delay: 0,
-            spread: 0,
-            outliers: 0.0,
-        };
+        let camera = Camera { every: 2, delay: 0, spread: 0, outliers: 0.0 };
         let turning = (0..100).map(|k| (0.0, if k < 2 { 0.0 } else { 0.5 * STEP_S }));
         let drive = driven(&mut world, turning, Some(camera));
         let poses = drive.poses.clone();
@@ -126,10 +112,7 @@ fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
         let sigma_rad = end.heading_sigma_rad();
         assert!(end.validity.heading, "{start_deg}");
         assert!(error_rad.abs() < 2.0 * DEGREE, "{start_deg}: {error_rad}");
-        assert!(
-            error_rad.abs() < 4.0 * sigma_rad,
-            "{start_deg}: {error_rad} {sigma_rad}"
-        );
+        assert!(error_rad.abs() < 4.0 * sigma_rad, "{start_deg}: {error_rad} {sigma_rad}");
     }
 }
 
@@ -138,12 +121,7 @@ fn a_robot_that_stands_learns_nothing_of_its_heading_from_the_noise_of_its_fixes
     for tag_m in [0.0, 0.1, 0.4] {
         for seed in 0..5 {
             let mut world = World::new(seed);
-            let camera = Camera {
-                every: 2,
-                delay: 0,
-                spread: 0,
-                outliers: 0.0,
-            };
+            let camera = Camera { every: 2, delay: 0, spread: 0, outliers: 0.0 };
             let standing = driven(&mut world, [(0.0, 0.0); 600], Some(camera));
             let drive = altered_fixes(standing, |_, mut fix| {
                 fix.position.x += Meters(tag_m);
@@ -186,25 +164,15 @@ fn a_start_that_is_wrong_by_far_is_left_however_little_is_known_of_the_heading()
 /// Minus twice the logarithm of the likelihood of a pose: how far it is from the start, and how far its tag from where it was seen.
 fn cost(start: Se2, [forward_m, left_m, turn_rad]: [f64; 3], seen: &Fix) -> f64 {
     let pose = start.then(Se2::exp([forward_m, left_m, turn_rad]));
-    let tag = Se2 {
-        x_m: seen.tag_in_body.x.0,
-        y_m: seen.tag_in_body.y.0,
-        heading_rad: 0.0,
-    };
+    let tag = Se2 { x_m: seen.tag_in_body.x.0, y_m: seen.tag_in_body.y.0, heading_rad: 0.0 };
     let at = pose.then(tag);
     let off_m = (seen.position.x.0 - at.x_m).hypot(seen.position.y.0 - at.y_m);
-    (forward_m.hypot(left_m) / 0.3).powi(2)
-        + (turn_rad / 1.8).powi(2)
-        + (off_m / NOISE.fix_position_m).powi(2)
+    (forward_m.hypot(left_m) / 0.3).powi(2) + (turn_rad / 1.8).powi(2) + (off_m / NOISE.fix_position_m).powi(2)
 }
 
 #[test]
 fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
-    let start = Se2 {
-        x_m: 0.3,
-        y_m: -0.2,
-        heading_rad: 0.4,
-    };
+    let start = Se2 { x_m: 0.3, y_m: -0.2, heading_rad: 0.4 };
     let mut config = config();
     config.start = Some(StartPose {
         pose: Pose::new(Meters(0.3), Meters(-0.2), Heading::from_rad(0.4)),
@@ -232,17 +200,13 @@ fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
         assert!((record.nis - least).abs() < 1e-6, "it is the NIS: {least}");
         let s = record.innovation_covariance;
         let determinant = s[0][0] * s[1][1] - s[0][1] * s[1][0];
-        let log_likelihood =
-            -0.5 * (record.nis + (std::f64::consts::TAU.powi(2) * determinant).ln());
+        let log_likelihood = -0.5 * (record.nis + (std::f64::consts::TAU.powi(2) * determinant).ln());
         assert!((record.log_likelihood - log_likelihood).abs() < 1e-9);
         for row in 0..3 {
             for by in [-1e-3, 1e-3] {
                 let mut other = xi;
                 other[row] += by;
-                assert!(
-                    cost(start, other, &seen) > least,
-                    "row {row}, ({x_m}, {y_m})"
-                );
+                assert!(cost(start, other, &seen) > least, "row {row}, ({x_m}, {y_m})");
             }
         }
     }

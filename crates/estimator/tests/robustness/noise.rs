@@ -21,19 +21,12 @@ fn told(times: f64) -> FilterConfig {
 
 fn with_outliers(share: f64) -> Scenario {
     let mut scenario = camera_10_hz();
-    scenario.camera = scenario.camera.map(|camera| Camera {
-        outliers: share,
-        ..camera
-    });
+    scenario.camera = scenario.camera.map(|camera| Camera { outliers: share, ..camera });
     scenario
 }
 
 /// The fixes' source, whose number among the kinds is 0.
-const CAMERA_FIXES: Source = Source {
-    sensor: SensorId::CAMERA,
-    kind: 0,
-    group: 0,
-};
+const CAMERA_FIXES: Source = Source { sensor: SensorId::CAMERA, kind: 0, group: 0 };
 
 /// Geometric mean over seeds, and over the second half of each drive, of the variance scale that was learned.
 fn learned_scale(config: &FilterConfig, scenario: &Scenario, seeds: u64) -> f64 {
@@ -54,18 +47,10 @@ fn learned_scale(config: &FilterConfig, scenario: &Scenario, seeds: u64) -> f64 
 
 #[test]
 fn the_scale_of_a_source_finds_the_true_variance_whichever_way_it_was_told_wrong() {
-    for (times, outliers) in [
-        (0.25, 0.0),
-        (1.0, 0.0),
-        (4.0, 0.0),
-        (0.25, 0.03),
-        (1.0, 0.03),
-    ] {
+    for (times, outliers) in [(0.25, 0.0), (1.0, 0.0), (4.0, 0.0), (0.25, 0.03), (1.0, 0.03)] {
         let found = learned_scale(&told(times), &with_outliers(outliers), 10);
         let ratio = found * times * times;
-        println!(
-            "told {times} times the noise, {outliers} outliers: scale {found:.4}, {ratio:.3} of the truth"
-        );
+        println!("told {times} times the noise, {outliers} outliers: scale {found:.4}, {ratio:.3} of the truth");
         assert!((1.0 / 1.3..1.3).contains(&ratio), "told {times}: {ratio}");
     }
 }

@@ -5,13 +5,12 @@ use posebridge_estimator::filters::pose::state::{DELAY, TAG_FORWARD, TAG_LEFT, W
 use posebridge_estimator::observations::fix::{self, Circumstances};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    Fix, Heading, Known, Meters, Observation, Observed, Point2, PositionCovariance, SensorId, Span,
-    Verdict,
+    Fix, Heading, Known, Meters, Observation, Observed, Point2, PositionCovariance, SensorId, Span, Verdict,
 };
 
 use crate::alter::{
-    CORNER, altered_fixes, at, camera_10_hz, driven, error_at, fixes, share_accepted, started_at,
-    without_headings, without_start,
+    CORNER, altered_fixes, at, camera_10_hz, driven, error_at, fixes, share_accepted, started_at, without_headings,
+    without_start,
 };
 use crate::constants::delayed;
 use crate::drive::{Camera, Drive, STEP_S, World, drive, stamp};
@@ -35,11 +34,7 @@ fn told(mut config: FilterConfig) -> FilterConfig {
 
 /// Fixes of that tag, that late, from a step on.
 fn seen_from(first: usize, seed: u64) -> Drive {
-    let camera = camera_10_hz().camera.map(|camera| Camera {
-        delay: 5,
-        spread: 0,
-        ..camera
-    });
+    let camera = camera_10_hz().camera.map(|camera| Camera { delay: 5, spread: 0, ..camera });
     let scenario = crate::drive::Scenario { laps: 1, camera };
     let drive = delayed(drive(&scenario, seed), LATE, TAG_M);
     altered_fixes(drive, |step, fix| (step >= first).then_some(fix))
@@ -107,12 +102,7 @@ fn lopsided(heading: Option<Heading>) -> Fix {
     Fix {
         position: Point2::new(Meters(1.3), Meters(-0.4)),
         heading,
-        covariance: Some(PositionCovariance {
-            xx_m2: 4e-4,
-            xy_m2: 1e-4,
-            yy_m2: 9e-4,
-            heading_rad2: 1e-2,
-        }),
+        covariance: Some(PositionCovariance { xx_m2: 4e-4, xy_m2: 1e-4, yy_m2: 9e-4, heading_rad2: 1e-2 }),
         tag_in_body: Point2::new(Meters(0.4), Meters(-0.3)),
         reset_counter: 0,
     }
@@ -124,12 +114,7 @@ fn a_robot_that_was_placed_foretells_the_fix_that_placed_it_as_surely_as_it_was_
         let seen = lopsided(heading);
         let filter = placed_by(seen);
         let state = filter.state();
-        let noise = fix::noise_of(
-            &seen,
-            &config().noise,
-            [1.0, 1.0],
-            &Circumstances::default(),
-        );
+        let noise = fix::noise_of(&seen, &config().noise, [1.0, 1.0], &Circumstances::default());
         let found = fix::position(state, &seen, &noise, &Circumstances::default());
         assert!(found.innovation.amax() < 1e-12, "{heading:?}");
         let foretold = found.jacobian * state.covariance * found.jacobian.transpose();
@@ -149,12 +134,7 @@ fn late_fixes_that_agree_are_told_to_agree_while_the_robot_turns_now_and_then() 
     let late = Span::from_millis(500);
     for seed in 0..5 {
         let mut world = World::new(seed);
-        let camera = Camera {
-            every: 2,
-            delay: 12,
-            spread: 0,
-            outliers: 0.0,
-        };
+        let camera = Camera { every: 2, delay: 12, spread: 0, outliers: 0.0 };
         let steps = (0..200).map(|k| (0.0, if k % 20 < 10 { 0.0 } else { 2.0 * STEP_S }));
         let drive = delayed(driven(&mut world, steps, Some(camera)), late, (0.0, 0.0));
         let mut config = started_at(1.0, -0.5, 0.0);

@@ -5,18 +5,13 @@ use posebridge_estimator::filters::pose::state::{BEACONS, WITH_RANGES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{FusionRecord, Known, SensorId, Verdict, quantities::wrap_rad};
 
-use crate::alter::{
-    altered, altered_fixes, at, camera_10_hz, error_at, fixes, share_accepted, started_at, step_of,
-};
+use crate::alter::{altered, altered_fixes, at, camera_10_hz, error_at, fixes, share_accepted, started_at, step_of};
 use crate::drive::{Drive, STEP_S, Scenario, drive, stamp};
 use crate::robot::{DEGREE, config};
 use crate::score::{Played, Score, mean, play, score};
 use crate::senses::{Senses, add, furnished, step_between};
 
-const BLIND: Scenario = Scenario {
-    laps: 1,
-    camera: None,
-};
+const BLIND: Scenario = Scenario { laps: 1, camera: None };
 
 fn verdicts(played: &Played, kind: &str, steps: std::ops::Range<usize>) -> Vec<Verdict> {
     let during = stamp(steps.start)..stamp(steps.end);
@@ -27,26 +22,14 @@ fn verdicts(played: &Played, kind: &str, steps: std::ops::Range<usize>) -> Vec<V
 
 /// Normalised innovations squared of a kind that were used, over their degrees of freedom.
 fn nis_per_dof(played: &Played, kind: &str) -> f64 {
-    let used = played
-        .records
-        .iter()
-        .filter(|record| record.kind == kind && record.verdict == Verdict::Accepted);
-    let (nis, degrees) = used.fold((0.0, 0.0), |(nis, degrees), record| {
-        (
-            nis + record.nis,
-            degrees + f64::from(record.degrees_of_freedom),
-        )
-    });
+    let used = played.records.iter().filter(|record| record.kind == kind && record.verdict == Verdict::Accepted);
+    let (nis, degrees) = used
+        .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
     nis / degrees
 }
 
 /// Scores over seeds of drives with a sensor added; the mean NIS of its kind must be near one.
-fn mean_with(
-    config: &FilterConfig,
-    kind: &str,
-    runs: u64,
-    sense: impl Fn(&mut Drive, &mut Senses),
-) -> Score {
+fn mean_with(config: &FilterConfig, kind: &str, runs: u64, sense: impl Fn(&mut Drive, &mut Senses)) -> Score {
     let (mut scores, mut nis) = (vec![], 0.0);
     for seed in 0..runs {
         let mut drive = drive(&BLIND, seed);
@@ -65,9 +48,7 @@ fn mean_with(
 fn landmarks_alone_keep_the_robot_located_and_honest() {
     let config = furnished(&config());
     let mean = mean_with(&config, "landmark", 40, |drive, senses| {
-        add(drive, SensorId::LANDMARKS, 4, |_, truth| {
-            senses.landmarks(truth)
-        });
+        add(drive, SensorId::LANDMARKS, 4, |_, truth| senses.landmarks(truth));
     });
     assert!(mean.position_rms_m < 0.02, "{mean:?}");
     // 99.9 % of chi-square with 120 degrees of freedom, for the pose of 40 runs.
@@ -89,9 +70,7 @@ fn learning_beacons() -> FilterConfig {
 fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
     let config = learning_beacons();
     let mean = mean_with(&config, "beacon_range", 20, |drive, senses| {
-        add(drive, SensorId::BEACONS, 4, |_, truth| {
-            senses.beacons(truth, &BEACON_ERRORS)
-        });
+        add(drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &BEACON_ERRORS));
     });
     assert!(mean.position_rms_m < 0.04, "{mean:?}");
     assert!((0.55..1.6).contains(&mean.anees), "{mean:?}");
@@ -100,9 +79,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
     for seed in 0..20 {
         let mut drive = drive(&BLIND, seed);
         let mut senses = Senses::new(&config, seed);
-        add(&mut drive, SensorId::BEACONS, 4, |_, truth| {
-            senses.beacons(truth, &BEACON_ERRORS)
-        });
+        add(&mut drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &BEACON_ERRORS));
         let mut filter = PoseFilter::<WITH_RANGES>::new(&config);
         for arrival in &drive.arrivals {
             filter.observe(&arrival.observation);
@@ -114,9 +91,8 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
             let middle_m = 3.5;
             let p = &state.covariance;
             let error_m = state.mean[row] - offset_m + middle_m * (state.mean[row + 1] - scale);
-            let variance = p[(row, row)]
-                + 2.0 * middle_m * p[(row, row + 1)]
-                + middle_m * middle_m * p[(row + 1, row + 1)];
+            let variance =
+                p[(row, row)] + 2.0 * middle_m * p[(row, row + 1)] + middle_m * middle_m * p[(row + 1, row + 1)];
             assert!(variance.sqrt() < 0.06, "seed {seed}, beacon {slot}");
             nees += error_m * error_m / variance / 80.0;
         }
@@ -130,9 +106,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
 fn beacons_whose_errors_are_not_asked_for_are_taken_as_they_are() {
     let config = furnished(&config());
     let mean = mean_with(&config, "beacon_range", 10, |drive, senses| {
-        add(drive, SensorId::BEACONS, 4, |_, truth| {
-            senses.beacons(truth, &[(0.0, 0.0); 4])
-        });
+        add(drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &[(0.0, 0.0); 4]));
     });
     assert!(mean.position_rms_m < 0.03, "{mean:?}");
 }
@@ -164,26 +138,13 @@ fn a_compass_keeps_the_heading_and_what_iron_does_to_it_is_kept_out() {
         });
         let played = play(&drive, &config);
         let of_disturbed = verdicts(&played, "compass_heading", disturbed.clone());
-        assert!(
-            of_disturbed
-                .iter()
-                .all(|verdict| *verdict == Verdict::Gated),
-            "seed {seed}"
-        );
+        assert!(of_disturbed.iter().all(|verdict| *verdict == Verdict::Gated), "seed {seed}");
         let after = verdicts(&played, "compass_heading", disturbed.end..800);
-        let used = after
-            .iter()
-            .filter(|verdict| **verdict == Verdict::Accepted);
-        assert!(
-            used.count() as f64 > 0.97 * after.len() as f64,
-            "seed {seed}"
-        );
+        let used = after.iter().filter(|verdict| **verdict == Verdict::Accepted);
+        assert!(used.count() as f64 > 0.97 * after.len() as f64, "seed {seed}");
         for step in [disturbed.start - 1, disturbed.end, drive.poses.len()] {
             let (_, heading_rad) = error_at(&drive, &played, step);
-            assert!(
-                heading_rad < 2.5 * DEGREE,
-                "seed {seed}, step {step}: {heading_rad}"
-            );
+            assert!(heading_rad < 2.5 * DEGREE, "seed {seed}, step {step}: {heading_rad}");
         }
         assert_eq!(at(&played, drive.poses.len()).reset_counter, 0);
     }
@@ -191,10 +152,7 @@ fn a_compass_keeps_the_heading_and_what_iron_does_to_it_is_kept_out() {
 
 #[test]
 fn a_compass_and_a_wall_that_agree_do_not_silence_the_camera_that_disagrees() {
-    for (kind, sensor) in [
-        ("compass_heading", SensorId::COMPASS),
-        ("wall_range", SensorId::RANGE),
-    ] {
+    for (kind, sensor) in [("compass_heading", SensorId::COMPASS), ("wall_range", SensorId::RANGE)] {
         let mut config = furnished(&started_at(0.0, 0.7, 0.0));
         // A heading that is known so well that the wall ahead tells nothing of where along it the robot is.
         if let Some(start) = &mut config.start {
@@ -222,24 +180,15 @@ fn what_is_seen_of_a_world_that_is_not_told_is_unused() {
     let furnished = furnished(&config());
     let mut drive = drive(&BLIND, 1);
     let mut senses = Senses::new(&furnished, 1);
-    add(&mut drive, SensorId::LANDMARKS, 10, |_, truth| {
-        senses.landmarks(truth)
-    });
-    add(&mut drive, SensorId::BEACONS, 10, |_, truth| {
-        senses.beacons(truth, &[(0.0, 0.0); 4])
-    });
-    add(&mut drive, SensorId::RANGE, 10, |_, truth| {
-        senses.wall(truth)
-    });
+    add(&mut drive, SensorId::LANDMARKS, 10, |_, truth| senses.landmarks(truth));
+    add(&mut drive, SensorId::BEACONS, 10, |_, truth| senses.beacons(truth, &[(0.0, 0.0); 4]));
+    add(&mut drive, SensorId::RANGE, 10, |_, truth| senses.wall(truth));
     let played = play(&drive, &told_nothing);
     let end = drive.poses.len() + 1;
     for kind in ["landmark", "beacon_range", "wall_range"] {
         let found = verdicts(&played, kind, 0..end);
         assert!(found.len() > 10, "{kind}");
-        assert!(
-            found.iter().all(|verdict| *verdict == Verdict::Unused),
-            "{kind}"
-        );
+        assert!(found.iter().all(|verdict| *verdict == Verdict::Unused), "{kind}");
     }
 }
 
@@ -250,28 +199,16 @@ fn wrong_landmarks_are_gated_and_the_camera_stays_in_charge() {
         let mut drive = drive(&camera_10_hz(), seed);
         let mut senses = Senses::new(&config, seed);
         // Every fourth time the landmarks are not where they are taken to be.
-        add(
-            &mut drive,
-            SensorId::LANDMARKS,
-            4,
-            |step, (x, y, heading)| {
-                let off_m = if step.is_multiple_of(16) { 1.5 } else { 0.0 };
-                senses.landmarks((x + off_m, y - off_m, heading))
-            },
-        );
+        add(&mut drive, SensorId::LANDMARKS, 4, |step, (x, y, heading)| {
+            let off_m = if step.is_multiple_of(16) { 1.5 } else { 0.0 };
+            senses.landmarks((x + off_m, y - off_m, heading))
+        });
         let played = play(&drive, &config);
         let end = drive.poses.len();
-        assert!(
-            score(&drive, &played, 0).position_rms_m < 0.0016,
-            "seed {seed}"
-        );
+        assert!(score(&drive, &played, 0).position_rms_m < 0.0016, "seed {seed}");
         assert!(share_accepted(&fixes(&played, &(0..end))) > 0.98);
         let gated = verdicts(&played, "landmark", 0..end);
-        let share = gated
-            .iter()
-            .filter(|verdict| **verdict == Verdict::Gated)
-            .count() as f64
-            / gated.len() as f64;
+        let share = gated.iter().filter(|verdict| **verdict == Verdict::Gated).count() as f64 / gated.len() as f64;
         assert!((0.2..0.3).contains(&share), "seed {seed}: {share}");
     }
 }
@@ -284,9 +221,7 @@ fn a_compass_turns_a_robot_whose_camera_gives_no_heading() {
         Some(fix)
     });
     let mut senses = Senses::new(&config, 2);
-    add(&mut drive, SensorId::COMPASS, 2, |_, truth| {
-        senses.compass(truth)
-    });
+    add(&mut drive, SensorId::COMPASS, 2, |_, truth| senses.compass(truth));
     let played = play(&drive, &config);
     let end = drive.poses.len();
     let error_rad = wrap_rad(at(&played, end).pose.heading.rad() - drive.poses[end - 1].2);

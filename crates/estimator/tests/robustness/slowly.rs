@@ -12,12 +12,7 @@ use crate::drive::{STEP_S, stamp};
 use crate::robot::{DEGREE, NOISE, RADIUS_M, TRACK_M, config};
 
 fn of(sensor: SensorId, step: usize, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: stamp(step),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
+    Observation { sensor, stamp: stamp(step), stamp_sigma: Span::ZERO, observed }
 }
 
 /// Feeds wheels that are floored to counts, and the gyro with its noise, of a robot that turns in place.
@@ -41,10 +36,7 @@ fn turn_by_counts(
         turned_rad += rate_rad_per_s * STEP_S;
         let half_rad = 0.5 * turned_rad * TRACK_M / RADIUS_M;
         let counted = |rad: f64, begun: f64| Radians((rad / DEGREE + begun).floor() * DEGREE);
-        let wheels = Observed::WheelAngles {
-            left: counted(-half_rad, start[0]),
-            right: counted(half_rad, start[1]),
-        };
+        let wheels = Observed::WheelAngles { left: counted(-half_rad, start[0]), right: counted(half_rad, start[1]) };
         let normal: f64 = rng.sample(StandardNormal);
         let rate = rate_rad_per_s + bias_rad_per_s + NOISE.gyro_rad_per_s * normal;
         let rate = Observed::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE));
@@ -69,8 +61,7 @@ fn a_rotation_below_a_count_per_window_is_not_taken_for_bias() {
             worst = worst.max(error.abs());
             let turned = rate_deg_per_s * DEGREE * 1_199.0 * STEP_S;
             let estimate = filter.estimate_at(stamp(1_199)).unwrap();
-            let heading_error =
-                posebridge_telemetry::quantities::wrap_rad(estimate.pose.heading.rad() - turned);
+            let heading_error = posebridge_telemetry::quantities::wrap_rad(estimate.pose.heading.rad() - turned);
             worst_heading = worst_heading.max(heading_error.abs() / DEGREE);
         }
         println!(
@@ -80,10 +71,7 @@ fn a_rotation_below_a_count_per_window_is_not_taken_for_bias() {
         // What bias and heading are known to at rest, three times.
         assert!(sigma < 0.045, "{rate_deg_per_s} degrees/s: {sigma}");
         assert!(worst < 3.0 * sigma, "{rate_deg_per_s} degrees/s: {worst}");
-        assert!(
-            worst_heading < 1.0,
-            "{rate_deg_per_s} degrees/s: {worst_heading}"
-        );
+        assert!(worst_heading < 1.0, "{rate_deg_per_s} degrees/s: {worst_heading}");
     }
 }
 
@@ -97,20 +85,14 @@ fn a_robot_that_brakes_to_a_creep_is_taken_for_resting_no_longer_than_until_its_
             let mut filter = PoseFilter::<CORE>::new(&config());
             let mut heading_rad = 0.0;
             turn_by_counts(&mut filter, bias, seed, |step| {
-                let rate = if step < 32 {
-                    1.0
-                } else {
-                    creep_deg_per_s * DEGREE
-                };
+                let rate = if step < 32 { 1.0 } else { creep_deg_per_s * DEGREE };
                 heading_rad += rate * STEP_S;
                 rate
             });
             let state = filter.state();
             worst_bias = worst_bias.max((state.mean[GYRO_BIAS] - bias).abs() / DEGREE);
             let estimate = filter.estimate_at(stamp(1_199)).unwrap();
-            let error = posebridge_telemetry::quantities::wrap_rad(
-                estimate.pose.heading.rad() - heading_rad,
-            );
+            let error = posebridge_telemetry::quantities::wrap_rad(estimate.pose.heading.rad() - heading_rad);
             worst_heading = worst_heading.max(error.abs() / DEGREE);
         }
         println!("{creep_deg_per_s} degrees/s: bias {worst_bias:.3}, heading {worst_heading:.3}");
@@ -130,15 +112,8 @@ fn after_a_gap_the_rounding_of_a_new_window_is_as_unknown_as_it_can_be() {
     assert!(before.covariance[(ROUNDING, ROUNDING)] < 0.9 * fresh_var);
     // The counters begin again, somewhere within a count.
     for step in [1_200, 1_201] {
-        let again = Observed::WheelAngles {
-            left: Radians(-700.0),
-            right: Radians(700.0),
-        };
-        filter.observe(&of(
-            SensorId::GYRO,
-            step,
-            Observed::TurnRate(RadiansPerSecond(0.0)),
-        ));
+        let again = Observed::WheelAngles { left: Radians(-700.0), right: Radians(700.0) };
+        filter.observe(&of(SensorId::GYRO, step, Observed::TurnRate(RadiansPerSecond(0.0))));
         filter.observe(&of(SensorId::WHEELS, step, again));
     }
     let state = filter.state();

@@ -26,16 +26,9 @@ pub(crate) fn add_accelerations(drive: &mut Drive, laps: usize, sigma: f64, seed
             let noise: f64 = normals.sample(StandardNormal);
             MetersPerSecondSquared((pair[1][wheel] - pair[0][wheel]) / STEP_S + sigma * noise)
         };
-        let observed = Observed::WheelAccelerations {
-            left: felt(0),
-            right: felt(1),
-        };
-        let observation = Observation {
-            sensor: SensorId::ACCELEROMETER,
-            stamp: stamp(step),
-            stamp_sigma: Span::ZERO,
-            observed,
-        };
+        let observed = Observed::WheelAccelerations { left: felt(0), right: felt(1) };
+        let observation =
+            Observation { sensor: SensorId::ACCELEROMETER, stamp: stamp(step), stamp_sigma: Span::ZERO, observed };
         drive.arrivals.push(Arrival { step, observation });
     }
     drive.arrivals.sort_by_key(|arrival| arrival.step);

@@ -5,9 +5,8 @@ use std::sync::Arc;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
-    BeaconId, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
-    Observation, Observed, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId,
-    Span, Stamp, Wall, World,
+    BeaconId, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observation,
+    Observed, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp, Wall, World,
 };
 use proptest::prelude::*;
 
@@ -19,12 +18,7 @@ use super::unknown::all_unknown;
 pub(crate) struct Seen(pub(crate) Observed);
 
 pub(crate) fn of(millis: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: Stamp::from_millis(millis),
-        stamp_sigma: Span::from_millis(1),
-        observed,
-    }
+    Observation { sensor, stamp: Stamp::from_millis(millis), stamp_sigma: Span::from_millis(1), observed }
 }
 
 fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
@@ -35,25 +29,11 @@ fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
 pub(crate) fn without_learning() -> FilterConfig {
     let mut config = config();
     config.world = Arc::new(World {
-        landmarks: [
-            (LandmarkId(1), point(2.0, 1.0)),
-            (LandmarkId(2), point(-1.0, 3.0)),
-        ]
-        .into(),
-        beacons: [
-            (BeaconId(1), point(4.0, 4.0)),
-            (BeaconId(2), point(-3.0, 0.5)),
-        ]
-        .into(),
+        landmarks: [(LandmarkId(1), point(2.0, 1.0)), (LandmarkId(2), point(-1.0, 3.0))].into(),
+        beacons: [(BeaconId(1), point(4.0, 4.0)), (BeaconId(2), point(-3.0, 0.5))].into(),
         walls: vec![
-            Wall {
-                from: point(5.0, -5.0),
-                to: point(5.0, 5.0),
-            },
-            Wall {
-                from: point(-5.0, 5.0),
-                to: point(5.0, 5.0),
-            },
+            Wall { from: point(5.0, -5.0), to: point(5.0, 5.0) },
+            Wall { from: point(-5.0, 5.0), to: point(5.0, 5.0) },
         ],
     });
     config.noise.accelerometer_m_per_s2 = 0.2;
@@ -67,18 +47,10 @@ pub(crate) fn without_learning() -> FilterConfig {
 
 /// The same with every constant to be learned.
 pub(crate) fn learning_everything() -> FilterConfig {
-    FilterConfig {
-        calibration: all_unknown(),
-        ..without_learning()
-    }
+    FilterConfig { calibration: all_unknown(), ..without_learning() }
 }
 
-fn fix(
-    (x_m, y_m): (f64, f64),
-    heading_rad: Option<f64>,
-    covariance: Option<[f64; 4]>,
-    lever_m: f64,
-) -> Observed {
+fn fix((x_m, y_m): (f64, f64), heading_rad: Option<f64>, covariance: Option<[f64; 4]>, lever_m: f64) -> Observed {
     Observed::Fix(Fix {
         position: point(x_m, y_m),
         heading: heading_rad.map(Heading::from_rad),
@@ -111,10 +83,7 @@ pub(crate) fn one_of_each() -> [Observed; 11] {
 }
 
 fn wheels(left_rad: f64, right_rad: f64) -> Observed {
-    Observed::WheelAngles {
-        left: Radians(left_rad),
-        right: Radians(right_rad),
-    }
+    Observed::WheelAngles { left: Radians(left_rad), right: Radians(right_rad) }
 }
 
 fn odometer(x_m: f64, y_m: f64, heading_rad: f64) -> Observed {
@@ -123,43 +92,25 @@ fn odometer(x_m: f64, y_m: f64, heading_rad: f64) -> Observed {
 }
 
 fn velocity(forward: f64, turn: f64) -> Observed {
-    Observed::BodyVelocity {
-        forward: MetersPerSecond(forward),
-        turn: RadiansPerSecond(turn),
-    }
+    Observed::BodyVelocity { forward: MetersPerSecond(forward), turn: RadiansPerSecond(turn) }
 }
 
 fn accelerations(left: f64, right: f64) -> Observed {
-    Observed::WheelAccelerations {
-        left: MetersPerSecondSquared(left),
-        right: MetersPerSecondSquared(right),
-    }
+    Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) }
 }
 
 fn landmark(id: u32, range_m: f64, bearing_rad: f64) -> Observed {
-    Observed::Landmark {
-        id: LandmarkId(id),
-        range: Meters(range_m),
-        bearing: Radians(bearing_rad),
-    }
+    Observed::Landmark { id: LandmarkId(id), range: Meters(range_m), bearing: Radians(bearing_rad) }
 }
 
 fn beacon(id: u32, range_m: f64) -> Observed {
-    Observed::BeaconRange {
-        id: BeaconId(id),
-        range: Meters(range_m),
-    }
+    Observed::BeaconRange { id: BeaconId(id), range: Meters(range_m) }
 }
 
 fn any_fix() -> impl Strategy<Value = Observed> {
     let covariance = (1e-8..4.0, -0.99..0.99, 1e-8..4.0, 1e-8..4.0)
         .prop_map(|(xx, share, yy, heading): (f64, f64, f64, f64)| [xx, share, yy, heading]);
-    (
-        (-5.0..5.0, -5.0..5.0),
-        prop::option::of(-PI..PI),
-        prop::option::of(covariance),
-        -0.5..0.5,
-    )
+    ((-5.0..5.0, -5.0..5.0), prop::option::of(-PI..PI), prop::option::of(covariance), -0.5..0.5)
         .prop_map(|(at, heading, covariance, lever)| fix(at, heading, covariance, lever))
 }
 
@@ -183,10 +134,8 @@ fn any_seen() -> impl Strategy<Value = Observed> {
 
 /// Milliseconds since the observation before, at times none or backwards, who made it, and what it says.
 pub(crate) fn any_observation() -> impl Strategy<Value = (i64, SensorId, Seen)> {
-    let step_ms =
-        prop_oneof![8 => 0_i64..60, 2 => -500_i64..0, 1 => 0_i64..3_000, 1 => Just(-5_000)];
-    (step_ms, 3..5_u8, any_seen())
-        .prop_map(|(step, sensor, seen)| (step, SensorId(sensor), Seen(seen)))
+    let step_ms = prop_oneof![8 => 0_i64..60, 2 => -500_i64..0, 1 => 0_i64..3_000, 1 => Just(-5_000)];
+    (step_ms, 3..5_u8, any_seen()).prop_map(|(step, sensor, seen)| (step, SensorId(sensor), Seen(seen)))
 }
 
 const BAD: [f64; 4] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300];
@@ -198,10 +147,7 @@ pub(crate) fn damages(sound: &Observation) -> Vec<Observation> {
         .flat_map(|bad| damaged_by(&sound.observed, bad))
         .map(|observed| Observation { observed, ..*sound })
         .collect();
-    damaged.push(Observation {
-        stamp_sigma: Span::from_millis(-1),
-        ..*sound
-    });
+    damaged.push(Observation { stamp_sigma: Span::from_millis(-1), ..*sound });
     damaged
 }
 
@@ -219,16 +165,14 @@ fn damaged_by(sound: &Observed, bad: f64) -> Vec<Observed> {
             vec![accelerations(bad, right.0), accelerations(left.0, bad)]
         }
         Observed::Fix(sound) => damaged_fixes(&sound, bad),
-        Observed::Landmark { id, range, bearing } => vec![
-            landmark(id.0, bad, bearing.0),
-            landmark(id.0, range.0, bad),
-            landmark(id.0, -0.001, bearing.0),
-        ],
+        Observed::Landmark { id, range, bearing } => {
+            vec![landmark(id.0, bad, bearing.0), landmark(id.0, range.0, bad), landmark(id.0, -0.001, bearing.0)]
+        }
         Observed::BeaconRange { id, .. } => vec![beacon(id.0, bad), beacon(id.0, -0.001)],
         Observed::WallRange(_) => [bad, -0.001].map(|m| Observed::WallRange(Meters(m))).into(),
-        Observed::CompassHeading(_) => [f64::NAN, f64::INFINITY]
-            .map(|rad| Observed::CompassHeading(Heading::from_rad(rad)))
-            .into(),
+        Observed::CompassHeading(_) => {
+            [f64::NAN, f64::INFINITY].map(|rad| Observed::CompassHeading(Heading::from_rad(rad))).into()
+        }
         Observed::Temperature(_) => vec![Observed::Temperature(Celsius(bad))],
     }
 }
@@ -236,19 +180,11 @@ fn damaged_by(sound: &Observed, bad: f64) -> Vec<Observed> {
 fn damaged_fixes(sound: &Fix, bad: f64) -> Vec<Observed> {
     let y_m = sound.position.y.0;
     let claim = |xx_m2: f64, xy_m2: f64, yy_m2: f64| Fix {
-        covariance: Some(PositionCovariance {
-            xx_m2,
-            xy_m2,
-            yy_m2,
-            heading_rad2: 1e-4,
-        }),
+        covariance: Some(PositionCovariance { xx_m2, xy_m2, yy_m2, heading_rad2: 1e-4 }),
         ..*sound
     };
     let at = |position| Fix { position, ..*sound };
-    let tag = |tag_in_body| Fix {
-        tag_in_body,
-        ..*sound
-    };
+    let tag = |tag_in_body| Fix { tag_in_body, ..*sound };
     [
         at(point(bad, y_m)),
         at(point(0.0, bad)),

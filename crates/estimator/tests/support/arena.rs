@@ -4,9 +4,8 @@ use std::sync::Arc;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
-    Arena, BeaconId, Celsius, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
-    Observation, Observed, Odom, Point2, Pose, Radians, RadiansPerSecond, SensorId, Wall, World,
-    quantities::wrap_rad,
+    Arena, BeaconId, Celsius, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, Observed, Odom,
+    Point2, Pose, Radians, RadiansPerSecond, SensorId, Wall, World, quantities::wrap_rad,
 };
 
 use super::robot::config;
@@ -17,25 +16,14 @@ const LANDMARK: Point2<Arena> = Point2::new(Meters(1.5), Meters(-0.5));
 /// The robot of the tests in an arena with a landmark, which is a beacon as well, and a square of walls.
 pub(crate) fn furnished() -> FilterConfig {
     let corner = |x_m, y_m| Point2::new(Meters(x_m), Meters(y_m));
-    let corners = [
-        corner(-3.0, -3.0),
-        corner(3.0, -3.0),
-        corner(3.0, 3.0),
-        corner(-3.0, 3.0),
-    ];
-    let walls = (0..4).map(|i| Wall {
-        from: corners[i],
-        to: corners[(i + 1) % 4],
-    });
+    let corners = [corner(-3.0, -3.0), corner(3.0, -3.0), corner(3.0, 3.0), corner(-3.0, 3.0)];
+    let walls = (0..4).map(|i| Wall { from: corners[i], to: corners[(i + 1) % 4] });
     let world = World {
         landmarks: [(LandmarkId(1), LANDMARK)].into(),
         beacons: [(BeaconId(1), LANDMARK)].into(),
         walls: walls.collect(),
     };
-    FilterConfig {
-        world: Arc::new(world),
-        ..config()
-    }
+    FilterConfig { world: Arc::new(world), ..config() }
 }
 
 /// Everything else that a sensor may say at the end of a step. The ranges are what they would be.
@@ -47,35 +35,12 @@ pub(crate) fn others(step: i64) -> [Observation; 8] {
     let (id, beacon) = (LandmarkId(1), BeaconId(1));
     let rest = MetersPerSecondSquared(0.0);
     [
-        at(
-            step,
-            SensorId::ACCELEROMETER,
-            Observed::WheelAccelerations {
-                left: rest,
-                right: rest,
-            },
-        ),
-        at(
-            step,
-            SensorId::LANDMARKS,
-            Observed::Landmark { id, range, bearing },
-        ),
-        at(
-            step,
-            SensorId::BEACONS,
-            Observed::BeaconRange { id: beacon, range },
-        ),
+        at(step, SensorId::ACCELEROMETER, Observed::WheelAccelerations { left: rest, right: rest }),
+        at(step, SensorId::LANDMARKS, Observed::Landmark { id, range, bearing }),
+        at(step, SensorId::BEACONS, Observed::BeaconRange { id: beacon, range }),
         at(step, SensorId::RANGE, Observed::WallRange(Meters(1.0))),
-        at(
-            step,
-            SensorId::COMPASS,
-            Observed::CompassHeading(pose.heading),
-        ),
-        at(
-            step,
-            SensorId::THERMOMETER,
-            Observed::Temperature(Celsius(20.0)),
-        ),
+        at(step, SensorId::COMPASS, Observed::CompassHeading(pose.heading)),
+        at(step, SensorId::THERMOMETER, Observed::Temperature(Celsius(20.0))),
         at(
             step,
             SensorId::ODOMETER,
@@ -84,11 +49,7 @@ pub(crate) fn others(step: i64) -> [Observation; 8] {
                 turn: RadiansPerSecond(TURN_RAD_PER_S),
             },
         ),
-        at(
-            step,
-            SensorId::ODOMETER,
-            Observed::OdometerPose(odometer(pose)),
-        ),
+        at(step, SensorId::ODOMETER, Observed::OdometerPose(odometer(pose))),
     ]
 }
 

@@ -57,17 +57,9 @@ impl Bare {
             return;
         };
         self.gyro.add(now, rate.0);
-        let reading = MotionReading::Wheels {
-            left_rad: left.0,
-            right_rad: right.0,
-        };
+        let reading = MotionReading::Wheels { left_rad: left.0, right_rad: right.0 };
         self.track.add(now, &reading);
-        let context = Context {
-            config: &self.config,
-            track: &self.track,
-            gyro: &self.gyro,
-            gates: &self.gates,
-        };
+        let context = Context { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
         self.state.age(now, &self.config);
         fuse::turn_rate(&mut self.state, rate.0, &context);
         self.state.advance(now, &self.track, &self.config);

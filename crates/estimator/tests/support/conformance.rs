@@ -1,9 +1,7 @@
 //! What both suites of every filter of the pose are made of: the filters of the table, a drive straight on, and what is believed.
 
 use posebridge_estimator::{Estimates, FILTERS, Filter, FilterConfig, FilterEntry, StartPose};
-use posebridge_telemetry::{
-    Estimate, Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span,
-};
+use posebridge_telemetry::{Estimate, Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span};
 
 use super::robot::RADIUS_M;
 use super::stamped::{at, gyro, wheels};
@@ -42,19 +40,15 @@ pub(crate) fn drive_straight(filter: &mut dyn Filter, until_ms: i64) {
 }
 
 pub(crate) fn latest(filter: &dyn Filter) -> Estimate {
-    filter
-        .latest()
-        .and_then(|latest| filter.estimate_at(latest))
-        .expect("something was observed")
+    filter.latest().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
 }
 
 /// What a filter believes of the last seconds and of the next, in digits that tell any two numbers apart.
 pub(crate) fn belief(filter: &dyn Filter) -> String {
     let instants = (-20..=20).map(|k| k * 100);
     let latest = filter.latest();
-    let believed: Vec<_> = instants
-        .filter_map(|millis| filter.estimate_at(latest? + Span::from_millis(millis)))
-        .collect();
+    let believed: Vec<_> =
+        instants.filter_map(|millis| filter.estimate_at(latest? + Span::from_millis(millis))).collect();
     format!("{latest:?} {believed:?}")
 }
 

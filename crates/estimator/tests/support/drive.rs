@@ -1,8 +1,8 @@
 //! A robot on a square with the noise that the filter is told: truth and sensors. Seeded, in virtual time.
 
 use posebridge_telemetry::{
-    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, quantities::wrap_rad,
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Radians, RadiansPerSecond,
+    SensorId, Span, Stamp, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -46,10 +46,7 @@ pub(crate) fn stamp(step: usize) -> Stamp<BrickClock> {
 /// Drives the squares of a scenario.
 pub(crate) fn drive(scenario: &Scenario, seed: u64) -> Drive {
     let mut world = World::new(seed);
-    let mut drive = Drive {
-        poses: vec![],
-        arrivals: vec![],
-    };
+    let mut drive = Drive { poses: vec![], arrivals: vec![] };
     for (distance_m, turn_rad) in commands(scenario.laps) {
         drive.append(&mut world, (distance_m, turn_rad), scenario.camera);
     }
@@ -59,25 +56,17 @@ pub(crate) fn drive(scenario: &Scenario, seed: u64) -> Drive {
 
 impl Drive {
     /// Moves the world by one step of (distance, turn) and takes down what happened.
-    pub(crate) fn append(
-        &mut self,
-        world: &mut World,
-        (distance_m, turn_rad): (f64, f64),
-        camera: Option<Camera>,
-    ) {
+    pub(crate) fn append(&mut self, world: &mut World, (distance_m, turn_rad): (f64, f64), camera: Option<Camera>) {
         let step = self.poses.len() + 1;
         let moved_rad = world.move_by(distance_m, turn_rad);
         self.poses.push((world.x_m, world.y_m, world.heading_rad));
         let wheels = world.wheels();
-        self.arrivals
-            .push(arrival(step, step, SensorId::WHEELS, wheels));
+        self.arrivals.push(arrival(step, step, SensorId::WHEELS, wheels));
         let rate = world.gyro(moved_rad);
-        self.arrivals
-            .push(arrival(step, step, SensorId::GYRO, rate));
+        self.arrivals.push(arrival(step, step, SensorId::GYRO, rate));
         if let Some(camera) = camera.filter(|camera| step.is_multiple_of(camera.every)) {
             let (fix, late) = world.look(camera);
-            self.arrivals
-                .push(arrival(step + late, step, SensorId::CAMERA, fix));
+            self.arrivals.push(arrival(step + late, step, SensorId::CAMERA, fix));
         }
     }
 }
@@ -152,11 +141,7 @@ impl World {
         let true_m = 0.5 * (left_m + right_m);
         let mut moved_rad = (right_m - left_m) / self.geometry.track_width.0;
         moved_rad += NOISE.turn_rad_per_sqrt_rad * moved_rad.abs().sqrt() * self.normal();
-        let chord = if moved_rad.abs() < 1e-9 {
-            1.0
-        } else {
-            (0.5 * moved_rad).sin() / (0.5 * moved_rad)
-        };
+        let chord = if moved_rad.abs() < 1e-9 { 1.0 } else { (0.5 * moved_rad).sin() / (0.5 * moved_rad) };
         let middle_rad = self.heading_rad + 0.5 * moved_rad;
         self.x_m += chord * true_m * middle_rad.cos();
         self.y_m += chord * true_m * middle_rad.sin();
@@ -170,16 +155,12 @@ impl World {
 
     fn wheels(&self) -> Observed {
         let floored = |rad: f64| Radians((rad / DEGREE).floor() * DEGREE);
-        Observed::WheelAngles {
-            left: floored(self.left_rad),
-            right: floored(self.right_rad),
-        }
+        Observed::WheelAngles { left: floored(self.left_rad), right: floored(self.right_rad) }
     }
 
     fn gyro(&mut self, moved_rad: f64) -> Observed {
         let rate = moved_rad / STEP_S + self.bias_rad_per_s + NOISE.gyro_rad_per_s * self.normal();
-        self.bias_rad_per_s +=
-            NOISE.gyro_bias_walk_rad_per_s_sqrt_s * STEP_S.sqrt() * self.normal();
+        self.bias_rad_per_s += NOISE.gyro_bias_walk_rad_per_s_sqrt_s * STEP_S.sqrt() * self.normal();
         Observed::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE))
     }
 
@@ -195,10 +176,7 @@ impl World {
         }
         let late = camera.delay - camera.spread + self.uniforms.random_range(0..=2 * camera.spread);
         let fix = Observed::Fix(Fix {
-            position: Point2::<Arena>::new(
-                Meters(self.x_m + noise[0]),
-                Meters(self.y_m + noise[1]),
-            ),
+            position: Point2::<Arena>::new(Meters(self.x_m + noise[0]), Meters(self.y_m + noise[1])),
             heading: Some(Heading::from_rad(self.heading_rad + noise[2])),
             covariance: None,
             tag_in_body: Point2::ORIGIN,
@@ -209,11 +187,6 @@ impl World {
 }
 
 fn arrival(step: usize, taken: usize, sensor: SensorId, observed: Observed) -> Arrival {
-    let observation = Observation {
-        sensor,
-        stamp: stamp(taken),
-        stamp_sigma: Span::ZERO,
-        observed,
-    };
+    let observation = Observation { sensor, stamp: stamp(taken), stamp_sigma: Span::ZERO, observed };
     Arrival { step, observation }
 }

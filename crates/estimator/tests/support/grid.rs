@@ -25,11 +25,7 @@ pub(crate) struct Spread {
 }
 
 /// A kit's wheels and a track that was measured with a ruler.
-pub(crate) const KIT: Spread = Spread {
-    radius_scale: 0.005,
-    radius_difference: 0.005,
-    track_scale: 0.03,
-};
+pub(crate) const KIT: Spread = Spread { radius_scale: 0.005, radius_difference: 0.005, track_scale: 0.03 };
 
 /// The robot's configuration, told how wrong its geometry may be.
 pub(crate) fn config_with(spread: Spread) -> FilterConfig {
@@ -46,12 +42,7 @@ pub(crate) fn config_with(spread: Spread) -> FilterConfig {
 }
 
 /// Drives laps with a geometry that is drawn for the run.
-pub(crate) fn drive_on_grid(
-    laps: usize,
-    spread: Spread,
-    camera: Option<Camera>,
-    seed: u64,
-) -> (Drive, DriveGeometry) {
+pub(crate) fn drive_on_grid(laps: usize, spread: Spread, camera: Option<Camera>, seed: u64) -> (Drive, DriveGeometry) {
     let mut world = World::new(seed);
     let mean = 1.0 + spread.radius_scale * world.normal();
     let half_difference = 0.5 * spread.radius_difference * world.normal();
@@ -62,16 +53,8 @@ pub(crate) fn drive_on_grid(
         ..world.geometry
     };
     let geometry = world.geometry;
-    let mut grid = Grid {
-        world,
-        drive: Drive {
-            poses: vec![],
-            arrivals: vec![],
-        },
-        camera,
-        corner_m: (0.0, 0.0),
-        target_rad: 0.0,
-    };
+    let mut grid =
+        Grid { world, drive: Drive { poses: vec![], arrivals: vec![] }, camera, corner_m: (0.0, 0.0), target_rad: 0.0 };
     grid.rest(40);
     for lap in 0..laps {
         let quarter = if lap % 2 == 0 { FRAC_PI_2 } else { -FRAC_PI_2 };
@@ -99,8 +82,7 @@ struct Grid {
 
 impl Grid {
     fn step(&mut self, distance_m: f64, turn_rad: f64) {
-        self.drive
-            .append(&mut self.world, (distance_m, turn_rad), self.camera);
+        self.drive.append(&mut self.world, (distance_m, turn_rad), self.camera);
     }
 
     fn rest(&mut self, steps: usize) {
@@ -119,13 +101,9 @@ impl Grid {
     fn straight(&mut self) {
         let (sin, cos) = self.target_rad.sin_cos();
         for part in ramped(SIDE_M, SPEED_M_PER_S) {
-            let (dx_m, dy_m) = (
-                self.world.x_m - self.corner_m.0,
-                self.world.y_m - self.corner_m.1,
-            );
+            let (dx_m, dy_m) = (self.world.x_m - self.corner_m.0, self.world.y_m - self.corner_m.1);
             let left_m = cos * dy_m - sin * dx_m;
-            let turn_rad = 0.1 * wrap_rad(self.target_rad - self.world.heading_rad)
-                - 0.5 * left_m * 4.0 * STEP_S;
+            let turn_rad = 0.1 * wrap_rad(self.target_rad - self.world.heading_rad) - 0.5 * left_m * 4.0 * STEP_S;
             self.step(part, turn_rad.clamp(-0.03, 0.03));
         }
         self.corner_m.0 += SIDE_M * cos;
@@ -136,9 +114,7 @@ impl Grid {
 /// The parts of an amount that is covered at a speed, six steps longer for the ramps at both ends.
 fn ramped(amount: f64, speed: f64) -> Vec<f64> {
     let total = (amount / (speed * STEP_S)).round() as usize + 6;
-    let shares: Vec<f64> = (0..total)
-        .map(|k| (k + 1).min(total - k).min(7) as f64 / 7.0)
-        .collect();
+    let shares: Vec<f64> = (0..total).map(|k| (k + 1).min(total - k).min(7) as f64 / 7.0).collect();
     let sum: f64 = shares.iter().sum();
     shares.iter().map(|share| amount * share / sum).collect()
 }

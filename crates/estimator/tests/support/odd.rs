@@ -1,14 +1,11 @@
 //! States of the pose filter at which signs, wraps and levers show, and errors of a state as the filter counts them.
 
 use posebridge_estimator::filters::pose::state::{
-    BEACONS, DELAY, DIFFERENCE, GYRO_BIAS, PoseState, RADIUS, ROUNDING, TAG_FORWARD, TAG_LEFT,
-    TRACK, WINDOW_TURN,
+    BEACONS, DELAY, DIFFERENCE, GYRO_BIAS, PoseState, RADIUS, ROUNDING, TAG_FORWARD, TAG_LEFT, TRACK, WINDOW_TURN,
 };
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::{FilterConfig, Params};
-use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, Meters, Radians, SensorNoise, Stamp,
-};
+use posebridge_telemetry::{BrickClock, Calibration, DriveGeometry, Meters, Radians, SensorNoise, Stamp};
 
 /// Wheels of unequal size, so that left and right cannot be confused.
 pub(crate) const GEOMETRY: DriveGeometry = DriveGeometry {
@@ -46,11 +43,7 @@ pub(crate) fn config(noise: SensorNoise) -> FilterConfig {
         geometry: GEOMETRY,
         noise,
         start: None,
-        params: Params {
-            acceleration_m_per_s2: 0.0,
-            turn_acceleration_rad_per_s2: 0.0,
-            ..Params::default()
-        },
+        params: Params { acceleration_m_per_s2: 0.0, turn_acceleration_rad_per_s2: 0.0, ..Params::default() },
     }
 }
 
@@ -61,11 +54,7 @@ pub(crate) fn odd_states<const N: usize>() -> [PoseState<N>; 6] {
         state.restart_window(ms(0));
         state.stamp = Some(ms(0));
         state.last_motion = Some(ms(0));
-        state.pose = Se2 {
-            x_m,
-            y_m,
-            heading_rad,
-        };
+        state.pose = Se2 { x_m, y_m, heading_rad };
         state.forward.value = forward;
         state.turn.value = turn;
         for (row, value) in CONSTANTS {
@@ -95,11 +84,7 @@ const CONSTANTS: [(usize, f64); 13] = [
 ];
 
 /// The state with an error of `by` in one row: X exp(by e) for the pose's rows, a sum for the others.
-pub(crate) fn with_error<const N: usize>(
-    state: &PoseState<N>,
-    row: usize,
-    by: f64,
-) -> PoseState<N> {
+pub(crate) fn with_error<const N: usize>(state: &PoseState<N>, row: usize, by: f64) -> PoseState<N> {
     let mut moved = *state;
     moved.mean[row] += by;
     moved.inject();

@@ -8,19 +8,11 @@ use posebridge_telemetry::{
 };
 
 pub(crate) fn at(secs: f64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: Stamp::<BrickClock>::from_secs_f64(secs),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
+    Observation { sensor, stamp: Stamp::<BrickClock>::from_secs_f64(secs), stamp_sigma: Span::ZERO, observed }
 }
 
 pub(crate) fn wheels(secs: f64, left_rad: f64, right_rad: f64) -> Observation {
-    let observed = Observed::WheelAngles {
-        left: Radians(left_rad),
-        right: Radians(right_rad),
-    };
+    let observed = Observed::WheelAngles { left: Radians(left_rad), right: Radians(right_rad) };
     at(secs, SensorId::WHEELS, observed)
 }
 
@@ -34,10 +26,7 @@ pub(crate) fn named(name: &str, config: &FilterConfig) -> Box<dyn Filter> {
 }
 
 pub(crate) fn latest(filter: &dyn Filter) -> Estimate {
-    filter
-        .latest()
-        .and_then(|latest| filter.estimate_at(latest))
-        .expect("something was observed")
+    filter.latest().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
 }
 
 /// The published covariance in the paper's units: cm, degrees and these per second.
@@ -47,8 +36,5 @@ pub(crate) fn covariance_in_paper_units(filter: &dyn Filter) -> Covariance {
 }
 
 pub(crate) fn assert_near(what: &str, found: f64, expected: f64, tolerance: f64) {
-    assert!(
-        (found - expected).abs() < tolerance,
-        "{what}: {found} instead of {expected}"
-    );
+    assert!((found - expected).abs() < tolerance, "{what}: {found} instead of {expected}");
 }

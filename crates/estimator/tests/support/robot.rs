@@ -33,11 +33,7 @@ pub(crate) fn config() -> FilterConfig {
     FilterConfig {
         geometry: GEOMETRY,
         noise: NOISE,
-        start: Some(StartPose {
-            pose: Pose::default(),
-            position_sigma_m: 1e-4,
-            heading_sigma_rad: 1e-4,
-        }),
+        start: Some(StartPose { pose: Pose::default(), position_sigma_m: 1e-4, heading_sigma_rad: 1e-4 }),
         params: Params::default(),
         calibration: posebridge_telemetry::Calibration::default(),
         world: std::sync::Arc::default(),

@@ -32,10 +32,7 @@ pub(crate) fn pose_filter(config: &FilterConfig) -> Box<dyn Filter> {
 /// Gives a drive to the pose filter as it arrives.
 pub(crate) fn play(drive: &Drive, config: &FilterConfig) -> Played {
     let mut filter = pose_filter(config);
-    let mut played = Played {
-        estimates: vec![],
-        records: vec![],
-    };
+    let mut played = Played { estimates: vec![], records: vec![] };
     let mut arrivals = drive.arrivals.iter().peekable();
     for step in 1..=drive.poses.len() {
         while let Some(next) = arrivals.next_if(|next| next.step <= step) {
@@ -48,11 +45,7 @@ pub(crate) fn play(drive: &Drive, config: &FilterConfig) -> Played {
 
 /// Errors of an estimate: x, y in m and heading in rad.
 pub(crate) fn error_of(estimate: &Estimate, (x, y, heading): (f64, f64, f64)) -> [f64; 3] {
-    [
-        estimate.pose.x.0 - x,
-        estimate.pose.y.0 - y,
-        wrap_rad(estimate.pose.heading.rad() - heading),
-    ]
+    [estimate.pose.x.0 - x, estimate.pose.y.0 - y, wrap_rad(estimate.pose.heading.rad() - heading)]
 }
 
 /// Scores the steps from `first` on, at which there must be an estimate.
@@ -68,16 +61,9 @@ pub(crate) fn score(drive: &Drive, played: &Played, first: usize) -> Score {
         nees += (error.transpose() * p.try_inverse().expect("positive definite") * error)[0] / 3.0;
         count += 1.0;
     }
-    let used = played
-        .records
-        .iter()
-        .filter(|record| record.verdict == Verdict::Accepted && record.kind == "fix");
-    let (nis, degrees) = used.fold((0.0, 0.0), |(nis, degrees), record| {
-        (
-            nis + record.nis,
-            degrees + f64::from(record.degrees_of_freedom),
-        )
-    });
+    let used = played.records.iter().filter(|record| record.verdict == Verdict::Accepted && record.kind == "fix");
+    let (nis, degrees) = used
+        .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
     Score {
         position_rms_m: f64::sqrt(squares / count),
         heading_rms_rad: f64::sqrt(heading_squares / count),

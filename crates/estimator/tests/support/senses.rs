@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
-    BeaconId, Heading, LandmarkId, Meters, MetersPerSecondSquared, Observation, Observed, Point2,
-    Radians, SensorId, SensorNoise, Span, Wall, World, quantities::wrap_rad,
+    BeaconId, Heading, LandmarkId, Meters, MetersPerSecondSquared, Observation, Observed, Point2, Radians, SensorId,
+    SensorNoise, Span, Wall, World, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -26,20 +26,9 @@ pub(crate) fn furnished(config: &FilterConfig) -> FilterConfig {
     let beacons = PLACES_M.iter().enumerate();
     let next = CORNERS_M.iter().cycle().skip(1);
     let world = World {
-        landmarks: landmarks
-            .map(|(i, at)| (LandmarkId(i as u32), place(*at)))
-            .collect(),
-        beacons: beacons
-            .map(|(i, at)| (BeaconId(10 + i as u32), place(*at)))
-            .collect(),
-        walls: CORNERS_M
-            .iter()
-            .zip(next)
-            .map(|(from, to)| Wall {
-                from: place(*from),
-                to: place(*to),
-            })
-            .collect(),
+        landmarks: landmarks.map(|(i, at)| (LandmarkId(i as u32), place(*at))).collect(),
+        beacons: beacons.map(|(i, at)| (BeaconId(10 + i as u32), place(*at))).collect(),
+        walls: CORNERS_M.iter().zip(next).map(|(from, to)| Wall { from: place(*from), to: place(*to) }).collect(),
     };
     FilterConfig {
         world: Arc::new(world),
@@ -89,32 +78,21 @@ impl Senses {
             if bearing_rad.abs() < 60.0 * DEGREE {
                 let range_m = self.noisy(dx_m.hypot(dy_m), self.noise.landmark_range_m);
                 let bearing_rad = self.noisy(bearing_rad, self.noise.landmark_bearing_rad);
-                seen.push(Observed::Landmark {
-                    id: *id,
-                    range: Meters(range_m),
-                    bearing: Radians(bearing_rad),
-                });
+                seen.push(Observed::Landmark { id: *id, range: Meters(range_m), bearing: Radians(bearing_rad) });
             }
         }
         seen
     }
 
     /// Every beacon; ranges are true ones times (1 + scale) plus offset, each beacon with its own.
-    pub(crate) fn beacons(
-        &mut self,
-        (x_m, y_m, _): Truth,
-        errors: &[(f64, f64); 4],
-    ) -> Vec<Observed> {
+    pub(crate) fn beacons(&mut self, (x_m, y_m, _): Truth, errors: &[(f64, f64); 4]) -> Vec<Observed> {
         let world = Arc::clone(&self.world);
         let of_each = world.beacons.iter().zip(errors);
         of_each
             .map(|((id, place), (offset_m, scale))| {
                 let true_m = (place.x.0 - x_m).hypot(place.y.0 - y_m);
                 let sigma_m = self.noise.beacon_range_m;
-                Observed::BeaconRange {
-                    id: *id,
-                    range: Meters(self.noisy(true_m * (1.0 + scale) + offset_m, sigma_m)),
-                }
+                Observed::BeaconRange { id: *id, range: Meters(self.noisy(true_m * (1.0 + scale) + offset_m, sigma_m)) }
             })
             .collect()
     }
@@ -125,11 +103,7 @@ impl Senses {
         let (low_m, high_m) = (CORNERS_M[0].0, CORNERS_M[2].0);
         let along = |at_m: f64, direction: f64| {
             let side_m = if direction > 0.0 { high_m } else { low_m };
-            if direction == 0.0 {
-                f64::INFINITY
-            } else {
-                (side_m - at_m) / direction
-            }
+            if direction == 0.0 { f64::INFINITY } else { (side_m - at_m) / direction }
         };
         let true_m = along(x_m, cos).min(along(y_m, sin));
         let range_m = self.noisy(true_m, self.noise.wall_range_m);
@@ -169,12 +143,7 @@ pub(crate) fn add(
             continue;
         }
         for observed in see(step, *truth) {
-            let observation = Observation {
-                sensor,
-                stamp: stamp(step),
-                stamp_sigma: Span::ZERO,
-                observed,
-            };
+            let observation = Observation { sensor, stamp: stamp(step), stamp_sigma: Span::ZERO, observed };
             drive.arrivals.push(Arrival { step, observation });
         }
     }

@@ -1,8 +1,8 @@
 //! A robot that drives in a circle for ever, and what its sensors say at each step: no noise, no randomness, no allocation.
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, Heading, Meters, Observation, Observed, Point2, Pose, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp,
+    Arena, BrickClock, Fix, Heading, Meters, Observation, Observed, Point2, Pose, Radians, RadiansPerSecond, SensorId,
+    Span, Stamp,
 };
 
 use super::robot::{DEGREE, RADIUS_M, TRACK_M};
@@ -36,12 +36,7 @@ pub(crate) fn pose(step: i64) -> Pose<Arena> {
 
 /// What a sensor says of the end of a step.
 pub(crate) fn at(step: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation {
-        sensor,
-        stamp: stamp(step),
-        stamp_sigma: Span::ZERO,
-        observed,
-    }
+    Observation { sensor, stamp: stamp(step), stamp_sigma: Span::ZERO, observed }
 }
 
 /// The counters at the end of a step, in whole degrees.
@@ -51,10 +46,7 @@ pub(crate) fn wheels(step: i64) -> Observation {
         let degrees = speed_m_per_s * time_s(step) / RADIUS_M / DEGREE;
         Radians(degrees.floor() * DEGREE)
     };
-    let observed = Observed::WheelAngles {
-        left: angle(-1.0),
-        right: angle(1.0),
-    };
+    let observed = Observed::WheelAngles { left: angle(-1.0), right: angle(1.0) };
     at(step, SensorId::WHEELS, observed)
 }
 

@@ -142,12 +142,7 @@ enum Step {
 }
 
 fn steps() -> impl Strategy<Value = Vec<Step>> {
-    let priority = prop_oneof![
-        Just(Command),
-        Just(Conversation),
-        Just(Forwarded),
-        (0..3_u32).prop_map(estimate),
-    ];
+    let priority = prop_oneof![Just(Command), Just(Conversation), Just(Forwarded), (0..3_u32).prop_map(estimate),];
     let step = prop_oneof![
         3 => (priority, 0..2_u8, 1..40_usize).prop_map(|(p, to, len)| Step::Push(p, to, len)),
         1 => (0..60_usize).prop_map(Step::Write),
@@ -169,12 +164,7 @@ struct Bench {
 
 /// A frame whose every byte says its number, so that a torn or mixed one shows.
 fn numbered(number: u32, length: usize) -> Vec<u8> {
-    number
-        .to_be_bytes()
-        .into_iter()
-        .cycle()
-        .take(length.max(4))
-        .collect()
+    number.to_be_bytes().into_iter().cycle().take(length.max(4)).collect()
 }
 
 impl Bench {

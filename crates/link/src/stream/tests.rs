@@ -45,15 +45,9 @@ impl ByteStream for FakeLine {
 }
 
 impl AsyncWrite for FakeLine {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        _cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<std::io::Result<usize>> {
+    fn poll_write(self: Pin<&mut Self>, _cx: &mut Context<'_>, bytes: &[u8]) -> Poll<std::io::Result<usize>> {
         let mut line = self.line.lock().expect("one thread");
-        let count = bytes
-            .len()
-            .min(DRIVER_BYTES.saturating_sub(self.held(&line)));
+        let count = bytes.len().min(DRIVER_BYTES.saturating_sub(self.held(&line)));
         if count == 0 {
             return Poll::Pending;
         }
@@ -77,11 +71,7 @@ impl AsyncWrite for FakeLine {
 }
 
 impl AsyncRead for FakeLine {
-    fn poll_read(
-        self: Pin<&mut Self>,
-        _cx: &mut Context<'_>,
-        _buffer: &mut ReadBuf<'_>,
-    ) -> Poll<std::io::Result<()>> {
+    fn poll_read(self: Pin<&mut Self>, _cx: &mut Context<'_>, _buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
         Poll::Pending
     }
 }
@@ -96,18 +86,10 @@ struct Arrived {
 }
 
 fn arrived(line: &Line) -> Arrived {
-    let mut arrived = Arrived {
-        oldest_estimate: 0.0,
-        oldest_command: 0.0,
-        commands: Vec::new(),
-        frames: 0,
-    };
+    let mut arrived = Arrived { oldest_estimate: 0.0, oldest_command: 0.0, commands: Vec::new(), frames: 0 };
     let ends = line.left_at.chunks_exact(FRAME_BYTES);
     for (frame, ends) in line.written.chunks_exact(FRAME_BYTES).zip(ends) {
-        assert!(
-            frame[12..].iter().all(|byte| *byte == frame[12]),
-            "torn: {frame:?}"
-        );
+        assert!(frame[12..].iter().all(|byte| *byte == frame[12]), "torn: {frame:?}");
         let number = u32::from_be_bytes(frame[..4].try_into().expect("four bytes"));
         let sent = f64::from_be_bytes(frame[4..12].try_into().expect("eight bytes"));
         let age = ends[FRAME_BYTES - 1] - sent;
@@ -134,12 +116,8 @@ fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
 async fn overload(line_rate: Option<f64>) -> (Arrived, u32, Outstanding) {
     let timer = HostTimer::start();
     let line = Arc::new(Mutex::new(Line::default()));
-    let fake = FakeLine {
-        line: Arc::clone(&line),
-        timer,
-    };
-    let mut connection =
-        StreamConnection::new(fake, StreamLabel::new(String::new()), timer, 65_536);
+    let fake = FakeLine { line: Arc::clone(&line), timer };
+    let mut connection = StreamConnection::new(fake, StreamLabel::new(String::new()), timer, 65_536);
     if let Some(line_rate) = line_rate {
         connection = connection.with_line_rate(line_rate);
     }
@@ -147,11 +125,7 @@ async fn overload(line_rate: Option<f64>) -> (Arrived, u32, Outstanding) {
     let mut commands = 0;
     for tick in 0..2_000_u32 {
         let mut give = |priority, frame: [u8; FRAME_BYTES]| {
-            let out = Outgoing {
-                to: Audience::All,
-                priority,
-                frame: &frame,
-            };
+            let out = Outgoing { to: Audience::All, priority, frame: &frame };
             connection.send(&out, &mut counters);
         };
         for number in 0..6 {
@@ -180,16 +154,8 @@ async fn on_an_overloaded_line_estimates_are_young_and_commands_overtake() {
     // In front of an estimate may lie 20 ms of the line, the frame that was begun there, the other stream's estimate and a
     // command; and a timer is a millisecond or two late.
     let bound = 0.020 + 4.0 * FRAME_BYTES as f64 / BYTES_PER_S + 0.002;
-    assert!(
-        arrived.oldest_estimate <= bound,
-        "{} of {bound}",
-        arrived.oldest_estimate
-    );
-    assert!(
-        arrived.oldest_command <= bound,
-        "{} of {bound}",
-        arrived.oldest_command
-    );
+    assert!(arrived.oldest_estimate <= bound, "{} of {bound}", arrived.oldest_estimate);
+    assert!(arrived.oldest_command <= bound, "{} of {bound}", arrived.oldest_command);
     let heard = arrived.commands.len() as u32;
     assert!(arrived.commands.iter().copied().eq(0..heard));
     assert!(offered - heard <= 1, "{heard} of {offered}");

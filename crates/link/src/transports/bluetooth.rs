@@ -12,11 +12,7 @@ use crate::url::{OptionHelp, OptionKind, TargetKind};
 /// listen on the first.
 const CHANNEL: OptionHelp = OptionHelp {
     name: "channel",
-    kind: OptionKind::Integer {
-        min: 1,
-        max: 30,
-        default: 1,
-    },
+    kind: OptionKind::Integer { min: 1, max: 30, default: 1 },
     help: "RFCOMM channel of the device",
 };
 
@@ -49,9 +45,7 @@ mod radio {
     use super::{OpenError, OpenRequest};
     use crate::connection::Connection;
 
-    pub(super) fn open(
-        _request: OpenRequest,
-    ) -> std::future::Ready<Result<Box<dyn Connection>, OpenError>> {
+    pub(super) fn open(_request: OpenRequest) -> std::future::Ready<Result<Box<dyn Connection>, OpenError>> {
         std::future::ready(Err(OpenError::NotBuilt {
             what: "Bluetooth",
             advice: "build it with `cargo build --release --features bluetooth`, or bind the device with \
@@ -94,32 +88,19 @@ mod radio {
         };
         let stream = with_deadline(&request.url, attempt).await?;
         let detail = format!("connected to {address}, channel {channel}");
-        Ok(Box::new(StreamConnection::new(
-            stream,
-            StreamLabel::new(detail),
-            request.timer,
-            QUEUE_BYTES,
-        )))
+        Ok(Box::new(StreamConnection::new(stream, StreamLabel::new(detail), request.timer, QUEUE_BYTES)))
     }
 
     /// Says what is wrong; all of it may heal: a radio is plugged in, a brick is switched on or paired.
     fn name_error(address: BluetoothAddress, source: io::Error) -> OpenError {
         // The standard library has no kinds for these two.
         let lacks_radio = [nix::libc::EAFNOSUPPORT, nix::libc::ENODEV];
-        if source
-            .raw_os_error()
-            .is_some_and(|code| lacks_radio.contains(&code))
-        {
+        if source.raw_os_error().is_some_and(|code| lacks_radio.contains(&code)) {
             return OpenError::Io {
-                what: format!(
-                    "{address}: this computer has no Bluetooth radio that is switched on"
-                ),
+                what: format!("{address}: this computer has no Bluetooth radio that is switched on"),
                 source,
             };
         }
-        OpenError::Unreachable {
-            peer: address.to_string(),
-            source,
-        }
+        OpenError::Unreachable { peer: address.to_string(), source }
     }
 }

@@ -43,14 +43,8 @@ impl DeviceLink {
             }
             made => made,
         };
-        made.map_err(|source| OpenError::Io {
-            what: format!("a pseudo-terminal at {}", path.display()),
-            source,
-        })?;
-        Ok(Self {
-            path: path.to_owned(),
-            device: device.to_owned(),
-        })
+        made.map_err(|source| OpenError::Io { what: format!("a pseudo-terminal at {}", path.display()), source })?;
+        Ok(Self { path: path.to_owned(), device: device.to_owned() })
     }
 }
 
@@ -102,10 +96,7 @@ fn check_directory(path: &Path) -> Result<(), OpenError> {
     if directory.is_dir() {
         return Ok(());
     }
-    Err(OpenError::NoSuchFile {
-        path: directory.to_owned(),
-        advice: "create the directory first",
-    })
+    Err(OpenError::NoSuchFile { path: directory.to_owned(), advice: "create the directory first" })
 }
 
 /// Refuses to replace anything but a link that a pseudo-terminal has left behind.
@@ -118,9 +109,7 @@ fn check_replaceable(path: &Path, device: &Path) -> Result<(), OpenError> {
     // The number of a dead terminal may have come to us, or to another living brick after the link was made.
     let is_stale = target == device || is_younger(&target, &metadata);
     if names_terminal && !is_stale && is_held(path) {
-        return Err(OpenError::LinkTaken {
-            path: path.to_owned(),
-        });
+        return Err(OpenError::LinkTaken { path: path.to_owned() });
     }
     if names_terminal || (metadata.is_symlink() && !path.exists()) {
         return Ok(());

@@ -21,20 +21,14 @@ use crate::url::{OptionHelp, OptionKind, TargetKind};
 /// What to do with the file.
 const MODE: OptionHelp = OptionHelp {
     name: "mode",
-    kind: OptionKind::Choice {
-        words: &["read", "append"],
-    },
+    kind: OptionKind::Choice { words: &["read", "append"] },
     help: "read plays the file's bytes in, append writes sent frames to its end and makes it if needed",
 };
 
 /// How the file is cut; the default is one page.
 const CHUNK: OptionHelp = OptionHelp {
     name: "chunk",
-    kind: OptionKind::Integer {
-        min: 1,
-        max: 65_536,
-        default: 4_096,
-    },
+    kind: OptionKind::Integer { min: 1, max: 65_536, default: 4_096 },
     help: "bytes per delivered chunk",
 };
 
@@ -81,15 +75,9 @@ fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     } else {
         options.read(true);
     }
-    let file = options
-        .open(path)
-        .map_err(|error| name_error(path, error))?;
+    let file = options.open(path).map_err(|error| name_error(path, error))?;
     if is_appending {
-        return Ok(Box::new(Appended {
-            file,
-            detail: format!("appending to {}", path.display()),
-            failure: None,
-        }));
+        return Ok(Box::new(Appended { file, detail: format!("appending to {}", path.display()), failure: None }));
     }
     Ok(Box::new(Played {
         file,
@@ -102,20 +90,14 @@ fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
 
 fn name_error(path: &Path, source: io::Error) -> OpenError {
     if source.kind() == io::ErrorKind::NotFound {
-        OpenError::NoSuchFile {
-            path: path.to_owned(),
-            advice: "check the name and the directory",
-        }
+        OpenError::NoSuchFile { path: path.to_owned(), advice: "check the name and the directory" }
     } else if source.kind() == io::ErrorKind::PermissionDenied {
         OpenError::PermissionDenied {
             what: path.display().to_string(),
             advice: "check the file's owner and mode".to_owned(),
         }
     } else {
-        OpenError::Io {
-            what: path.display().to_string(),
-            source,
-        }
+        OpenError::Io { what: path.display().to_string(), source }
     }
 }
 
@@ -149,24 +131,14 @@ impl Connection for Played {
     /// What is sent to a played file goes nowhere: nobody is there who could have wanted it.
     fn send(&mut self, _out: &Outgoing<'_>, _counters: &mut PortCounters) {}
 
-    fn poll(
-        &mut self,
-        cx: &mut Context<'_>,
-        _counters: &mut PortCounters,
-    ) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, cx: &mut Context<'_>, _counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
         ready!(self.poll_turn(cx));
         self.owes_turn = true;
         let mut bytes = Vec::with_capacity(self.chunk_bytes);
-        let chunk = (&mut self.file)
-            .take(self.chunk_bytes as u64)
-            .read_to_end(&mut bytes);
+        let chunk = (&mut self.file).take(self.chunk_bytes as u64).read_to_end(&mut bytes);
         Poll::Ready(match chunk {
             Ok(0) => Ok(Incoming::Finished),
-            Ok(_) => Ok(Incoming::Bytes {
-                peer: PeerId(0),
-                arrival: self.timer.now(),
-                bytes,
-            }),
+            Ok(_) => Ok(Incoming::Bytes { peer: PeerId(0), arrival: self.timer.now(), bytes }),
             Err(error) => Err(error.into()),
         })
     }
@@ -199,11 +171,7 @@ impl Connection for Appended {
         }
     }
 
-    fn poll(
-        &mut self,
-        _cx: &mut Context<'_>,
-        _counters: &mut PortCounters,
-    ) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, _cx: &mut Context<'_>, _counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
         match self.failure.take() {
             Some(error) => Poll::Ready(Err(error.into())),
             // A failure is noted by `send`, whose caller polls next; nothing else can happen here.

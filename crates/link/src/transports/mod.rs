@@ -30,15 +30,8 @@ use crate::url::{LinkUrl, OptionHelp, OptionKind, TargetKind};
 pub use udp_socket::RECEIVE_BUFFER_BYTES as UDP_RECEIVE_BUFFER_BYTES;
 
 /// Every transport. Adding one: a file in `transports/` and a line here.
-pub const TRANSPORTS: &[&dyn Transport] = &[
-    SERIAL,
-    &bluetooth::Bluetooth,
-    PTY,
-    &tcp::Tcp,
-    &udp::Udp,
-    &ev3::Ev3,
-    &file::File,
-];
+pub const TRANSPORTS: &[&dyn Transport] =
+    &[SERIAL, &bluetooth::Bluetooth, PTY, &tcp::Tcp, &udp::Udp, &ev3::Ev3, &file::File];
 
 /// Serial ports, for links that are made from a path.
 pub(crate) const SERIAL: &dyn Transport = &serial::Serial;
@@ -56,11 +49,7 @@ pub(crate) const QUEUE_BYTES: usize = 64 * 1024;
 /// The option that every transport has: the port keeps it, not the transport.
 pub(crate) const RATE: OptionHelp = OptionHelp {
     name: "rate",
-    kind: OptionKind::Integer {
-        min: 0,
-        max: 1_000_000_000,
-        default: 0,
-    },
+    kind: OptionKind::Integer { min: 0, max: 1_000_000_000, default: 0 },
     help: "most bytes per second that are sent, counted once per peer; 0 is no limit",
 };
 
@@ -134,8 +123,7 @@ pub struct OpenRequest {
 }
 
 /// An attempt to open a link. Dropping it gives the attempt up.
-pub type OpenFuture =
-    Pin<Box<dyn Future<Output = Result<Box<dyn Connection>, OpenError>> + Send + 'static>>;
+pub type OpenFuture = Pin<Box<dyn Future<Output = Result<Box<dyn Connection>, OpenError>> + Send + 'static>>;
 
 /// One way to reach a robot.
 pub trait Transport: Sync {
@@ -179,10 +167,7 @@ fn bind_error(address: SocketAddr, source: io::Error) -> OpenError {
             advice: "ports below 1024 are reserved: choose a higher one".to_owned(),
         }
     } else {
-        OpenError::Io {
-            what: address.to_string(),
-            source,
-        }
+        OpenError::Io { what: address.to_string(), source }
     }
 }
 
@@ -192,14 +177,8 @@ async fn resolve(host: &str, port: u16) -> Result<Vec<SocketAddr>, OpenError> {
     if host.is_empty() {
         return Ok(vec![SocketAddr::from((Ipv4Addr::LOCALHOST, port))]);
     }
-    let unknown = |source| OpenError::UnknownHost {
-        host: host.to_owned(),
-        source,
-    };
-    let addresses: Vec<_> = tokio::net::lookup_host((host, port))
-        .await
-        .map_err(unknown)?
-        .collect();
+    let unknown = |source| OpenError::UnknownHost { host: host.to_owned(), source };
+    let addresses: Vec<_> = tokio::net::lookup_host((host, port)).await.map_err(unknown)?.collect();
     if addresses.is_empty() {
         return Err(unknown(io::ErrorKind::NotFound.into()));
     }
@@ -221,20 +200,12 @@ fn listening_detail(url: &LinkUrl, address: SocketAddr) -> String {
 }
 
 /// Gives an attempt up after [`OPEN_DEADLINE_SECS`].
-async fn with_deadline<T>(
-    url: &LinkUrl,
-    attempt: impl Future<Output = Result<T, OpenError>>,
-) -> Result<T, OpenError> {
+async fn with_deadline<T>(url: &LinkUrl, attempt: impl Future<Output = Result<T, OpenError>>) -> Result<T, OpenError> {
     let limit = std::time::Duration::from_secs(OPEN_DEADLINE_SECS);
-    tokio::time::timeout(limit, attempt)
-        .await
-        .unwrap_or_else(|_elapsed| Err(timed_out(url)))
+    tokio::time::timeout(limit, attempt).await.unwrap_or_else(|_elapsed| Err(timed_out(url)))
 }
 
 /// What is said about an attempt that takes longer than [`OPEN_DEADLINE_SECS`].
 pub(crate) fn timed_out(url: &LinkUrl) -> OpenError {
-    OpenError::TimedOut {
-        what: url.to_string(),
-        limit_secs: OPEN_DEADLINE_SECS,
-    }
+    OpenError::TimedOut { what: url.to_string(), limit_secs: OPEN_DEADLINE_SECS }
 }

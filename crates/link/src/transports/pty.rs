@@ -52,26 +52,14 @@ impl Transport for Pty {
 
 async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let path = request.url.path();
-    let failed = |source| OpenError::Io {
-        what: format!("a pseudo-terminal at {}", path.display()),
-        source,
-    };
+    let failed = |source| OpenError::Io { what: format!("a pseudo-terminal at {}", path.display()), source };
     let (master, slave, device) = open_terminal().map_err(failed)?;
     let link = DeviceLink::new(path, Path::new(&device))?;
-    let stream = PtyStream {
-        _link: link,
-        master: register(master).map_err(failed)?,
-        _slave: slave,
-    };
+    let stream = PtyStream { _link: link, master: register(master).map_err(failed)?, _slave: slave };
     // The reactor learns that the terminal takes data; without it the very first frame would be dropped.
     drop(stream.master.writable().await.map_err(failed)?);
     let detail = format!("{} is {device}", path.display());
-    Ok(Box::new(StreamConnection::new(
-        stream,
-        StreamLabel::new(detail),
-        request.timer,
-        QUEUE_BYTES,
-    )))
+    Ok(Box::new(StreamConnection::new(stream, StreamLabel::new(detail), request.timer, QUEUE_BYTES)))
 }
 
 /// The master side, with everything that has to live as long as it does.
@@ -111,11 +99,7 @@ fn register(master: PtyMaster) -> io::Result<AsyncFd<PtyMaster>> {
 impl ByteStream for PtyStream {}
 
 impl AsyncRead for PtyStream {
-    fn poll_read(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         loop {
             let mut guard = ready!(self.master.poll_read_ready(cx))?;
             let unfilled = buffer.initialize_unfilled();
@@ -127,11 +111,7 @@ impl AsyncRead for PtyStream {
 }
 
 impl AsyncWrite for PtyStream {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         loop {
             let mut guard = ready!(self.master.poll_write_ready(cx))?;
             if let Ok(result) = guard.try_io(|master| master.get_ref().write(bytes)) {

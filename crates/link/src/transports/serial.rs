@@ -22,32 +22,22 @@ use crate::connection::Connection;
 use crate::error::{FileKind, OpenError};
 use crate::stream::{ByteStream, StreamConnection, StreamLabel};
 use crate::transports::serial_device::{is_pattern, matches, stable_name};
-use crate::transports::serial_line::{
-    Latency, PutBack, keep_dtr_on_close, open_settings, shorten_latency,
-};
-use crate::transports::{
-    DeviceDirectories, LineSettings, OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Transport,
-};
+use crate::transports::serial_line::{Latency, PutBack, keep_dtr_on_close, open_settings, shorten_latency};
+use crate::transports::{DeviceDirectories, LineSettings, OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Transport};
 use crate::url::{OptionHelp, OptionKind, TargetKind};
 
 /// The speed of the line. 115200 is what MAVLink boards and their radios are set to in the factory; the range is that
 /// of Linux's termios constants.
 const BAUD: OptionHelp = OptionHelp {
     name: "baud",
-    kind: OptionKind::Integer {
-        min: 50,
-        max: 4_000_000,
-        default: 115_200,
-    },
+    kind: OptionKind::Integer { min: 50, max: 4_000_000, default: 115_200 },
     help: "speed of the line in bits per second; Bluetooth and pseudo-terminals ignore it",
 };
 
 /// What happens to DTR. Linux raises it when the port is opened, whatever is asked for here.
 const DTR: OptionHelp = OptionHelp {
     name: "dtr",
-    kind: OptionKind::Choice {
-        words: &["keep", "on", "off"],
-    },
+    kind: OptionKind::Choice { words: &["keep", "on", "off"] },
     help: "keep leaves DTR alone once the port is open, on and off set it then; closing never drops it",
 };
 
@@ -130,12 +120,10 @@ async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
         settings: request.line_settings,
         stable_path: request.stable_path,
     };
-    let opened = tokio::task::spawn_blocking(move || attempt.run())
-        .await
-        .map_err(|error| io_error(&path, error.into()))??;
+    let opened =
+        tokio::task::spawn_blocking(move || attempt.run()).await.map_err(|error| io_error(&path, error.into()))??;
     let mut label = StreamLabel::new(opened.detail(baud));
-    let stream =
-        SerialStream::try_from(opened.port).map_err(|error| name_error(&opened.path, error))?;
+    let stream = SerialStream::try_from(opened.port).map_err(|error| name_error(&opened.path, error))?;
     label.stable_path = opened.stable_path;
     let connection = StreamConnection::new(stream, label, request.timer, QUEUE_BYTES)
         .with_line_rate(f64::from(baud) / BITS_PER_BYTE);
@@ -175,9 +163,7 @@ impl Attempt {
                 }
             }
         }
-        Err(failure.unwrap_or_else(|| OpenError::Missing {
-            path: self.path.clone(),
-        }))
+        Err(failure.unwrap_or_else(|| OpenError::Missing { path: self.path.clone() }))
     }
 
     fn open_device(&self, path: &Path) -> Result<Opened, OpenError> {
@@ -190,20 +176,16 @@ impl Attempt {
                 Some(PutBack::new(line).map_err(|error| io_error(path, error))?)
             }
         };
-        let mut builder =
-            serialport::new(device.to_string_lossy(), self.baud).timeout(Duration::ZERO);
+        let mut builder = serialport::new(device.to_string_lossy(), self.baud).timeout(Duration::ZERO);
         if let Some(level) = self.dtr {
             // Fails on lines that have no DTR, which serialport passes over.
             builder = builder.dtr_on_open(level);
         }
-        let mut port = builder
-            .open_native()
-            .map_err(|error| name_error(path, error))?;
+        let mut port = builder.open_native().map_err(|error| name_error(path, error))?;
         if device.starts_with(PTS_DIRECTORY) {
             // TIOCEXCL stays on a pseudo-terminal for as long as its maker holds it open. If we were killed it would
             // lock out our successor for ever, so only the file lock is kept, which dies with us.
-            port.set_exclusive(false)
-                .map_err(|error| name_error(path, error))?;
+            port.set_exclusive(false).map_err(|error| name_error(path, error))?;
         }
         let latency = match self.settings {
             LineSettings::Keep => {
@@ -218,10 +200,7 @@ impl Attempt {
             port,
             put_back,
             path: path.to_owned(),
-            stable_path: self
-                .stable_path
-                .clone()
-                .or_else(|| stable_name(&self.path, &self.directories)),
+            stable_path: self.stable_path.clone().or_else(|| stable_name(&self.path, &self.directories)),
             latency,
         })
     }
@@ -259,41 +238,28 @@ fn discard_stale_input(port: &mut TTYPort) -> serialport::Result<()> {
 /// Turns what serialport says into what a person needs: it calls a busy port "no device", for instance.
 fn name_error(path: &Path, error: serialport::Error) -> OpenError {
     match error.kind {
-        ErrorKind::NoDevice => OpenError::PortInUse {
-            path: path.to_owned(),
-        },
+        ErrorKind::NoDevice => OpenError::PortInUse { path: path.to_owned() },
         ErrorKind::Io(_) => io_error(path, error.into()),
-        ErrorKind::InvalidInput | ErrorKind::Unknown => OpenError::Io {
-            what: path.display().to_string(),
-            source: io::Error::other(error.description),
-        },
+        ErrorKind::InvalidInput | ErrorKind::Unknown => {
+            OpenError::Io { what: path.display().to_string(), source: io::Error::other(error.description) }
+        }
     }
 }
 
 fn errno_error(path: &Path, error: Errno) -> OpenError {
     if error == Errno::EBUSY {
-        return OpenError::PortInUse {
-            path: path.to_owned(),
-        };
+        return OpenError::PortInUse { path: path.to_owned() };
     }
     io_error(path, error.into())
 }
 
 fn io_error(path: &Path, source: io::Error) -> OpenError {
     if source.kind() == io::ErrorKind::NotFound {
-        OpenError::Missing {
-            path: path.to_owned(),
-        }
+        OpenError::Missing { path: path.to_owned() }
     } else if source.kind() == io::ErrorKind::PermissionDenied {
-        OpenError::PermissionDenied {
-            what: path.display().to_string(),
-            advice: access_advice(path),
-        }
+        OpenError::PermissionDenied { what: path.display().to_string(), advice: access_advice(path) }
     } else {
-        OpenError::Io {
-            what: path.display().to_string(),
-            source,
-        }
+        OpenError::Io { what: path.display().to_string(), source }
     }
 }
 
@@ -315,9 +281,7 @@ fn group_name(gid: u32) -> String {
 fn group_advice(metadata: &Metadata, group: &str) -> String {
     const GROUP_READ_WRITE: u32 = 0o060;
     if metadata.mode() & GROUP_READ_WRITE == GROUP_READ_WRITE {
-        format!(
-            "it belongs to group {group}: run `sudo usermod -aG {group} $USER`, then log out and in again"
-        )
+        format!("it belongs to group {group}: run `sudo usermod -aG {group} $USER`, then log out and in again")
     } else {
         format!(
             "its mode {:04o} lets no group write: a udev rule has to open it to group {group}",
@@ -358,10 +322,7 @@ mod tests {
 
     #[test]
     fn refused_and_busy_devices_stop_the_start_but_only_the_busy_one_heals() {
-        let refused = io_error(
-            Path::new("/dev/null"),
-            io::ErrorKind::PermissionDenied.into(),
-        );
+        let refused = io_error(Path::new("/dev/null"), io::ErrorKind::PermissionDenied.into());
         assert!(!refused.can_heal());
         assert!(refused.stops_start());
         let busy = name_error(

@@ -43,12 +43,8 @@ pub(super) fn stable_name(path: &Path, directories: &DeviceDirectories) -> Optio
 
 /// The link in `directory` that leads to `device`; the first in sorted order if there are several.
 fn link_to(device: &Path, directory: &Path) -> Option<PathBuf> {
-    let links = fs::read_dir(directory)
-        .ok()?
-        .filter_map(|entry| Some(entry.ok()?.path()));
-    links
-        .filter(|link| link.canonicalize().is_ok_and(|target| target == device))
-        .min()
+    let links = fs::read_dir(directory).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    links.filter(|link| link.canonicalize().is_ok_and(|target| target == device)).min()
 }
 
 /// A USB device behind a serial port, as sysfs tells of it.
@@ -64,9 +60,7 @@ impl Adapter {
     /// The device behind the port `name`, if it is on USB and has a serial number.
     fn of(name: &OsStr, tty_class: &Path) -> Option<Self> {
         let interface = tty_class.join(name).join("device").canonicalize().ok()?;
-        let place = interface
-            .ancestors()
-            .find(|place| place.join("idVendor").exists())?;
+        let place = interface.ancestors().find(|place| place.join("idVendor").exists())?;
         let says = |file: &str| {
             let text = fs::read_to_string(place.join(file)).ok()?;
             Some(text.trim().to_owned()).filter(|text| !text.is_empty())
@@ -85,15 +79,12 @@ impl Adapter {
             return false;
         };
         let is_twin = |other: &Self| {
-            (&other.vendor, &other.product, &other.serial)
-                == (&own.vendor, &own.product, &own.serial)
+            (&other.vendor, &other.product, &other.serial) == (&own.vendor, &own.product, &own.serial)
                 && other.place != own.place
         };
         fs::read_dir(tty_class).is_ok_and(|ports| {
             let names = ports.filter_map(|entry| Some(entry.ok()?.file_name()));
-            !names
-                .filter_map(|name| Self::of(&name, tty_class))
-                .any(|other| is_twin(&other))
+            !names.filter_map(|name| Self::of(&name, tty_class)).any(|other| is_twin(&other))
         })
     }
 }
@@ -115,11 +106,7 @@ pub(super) fn matches(pattern: &Path) -> Vec<PathBuf> {
             continue;
         };
         found = if has_wildcard(name) {
-            found
-                .iter()
-                .flat_map(|directory| entries(directory, name))
-                .take(MAX_MATCHES)
-                .collect()
+            found.iter().flat_map(|directory| entries(directory, name)).take(MAX_MATCHES).collect()
         } else {
             found.iter().map(|path| path.join(name)).collect()
         };
@@ -135,11 +122,7 @@ fn has_wildcard(text: &OsStr) -> bool {
 
 /// The entries of a directory whose names match, sorted.
 fn entries(directory: &Path, pattern: &OsStr) -> Vec<PathBuf> {
-    let listed = if directory.as_os_str().is_empty() {
-        Path::new(".")
-    } else {
-        directory
-    };
+    let listed = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
     let Ok(listing) = fs::read_dir(listed) else {
         return Vec::new();
     };
@@ -178,11 +161,7 @@ fn name_matches(pattern: &[u8], name: &[u8]) -> bool {
             }
         }
     }
-    pattern
-        .get(at..)
-        .unwrap_or_default()
-        .iter()
-        .all(|byte| *byte == b'*')
+    pattern.get(at..).unwrap_or_default().iter().all(|byte| *byte == b'*')
 }
 
 #[cfg(test)]
@@ -230,11 +209,7 @@ mod tests {
             fs::write(path, "").expect("own directory");
         }
         let found = matches(&root.path().join("[ab?]/tty*"));
-        assert_eq!(
-            found,
-            Vec::<PathBuf>::new(),
-            "brackets are plain characters"
-        );
+        assert_eq!(found, Vec::<PathBuf>::new(), "brackets are plain characters");
         let found = matches(&root.path().join("?/tty*"));
         let expected = ["a/tty1", "a/tty9", "b/tty2", "c/tty1"].map(|path| root.path().join(path));
         assert_eq!(found, expected);
@@ -280,20 +255,16 @@ mod tests {
             let interface = usb.join("1.0");
             fs::create_dir_all(&interface).expect("own directory");
             let ids = [("idVendor", "10c4\n"), ("idProduct", "ea60\n")];
-            for (file, says) in ids
-                .into_iter()
-                .chain(serial.map(|serial| ("serial", serial)))
-            {
+            for (file, says) in ids.into_iter().chain(serial.map(|serial| ("serial", serial))) {
                 fs::write(usb.join(file), says).expect("own directory");
             }
             let class = self.directories.tty_class.join(name);
             fs::create_dir_all(&class).expect("own directory");
             symlink(&interface, class.join("device")).expect("a free name");
             let id = format!("usb-CP2102_{}", serial.unwrap_or("bridge").trim());
-            for (directory, link) in [
-                (&self.directories.serial_by_id, id.as_str()),
-                (&self.directories.serial_by_path, socket),
-            ] {
+            for (directory, link) in
+                [(&self.directories.serial_by_id, id.as_str()), (&self.directories.serial_by_path, socket)]
+            {
                 fs::create_dir_all(directory).expect("own directory");
                 drop(fs::remove_file(directory.join(link)));
                 symlink(self.port(name), directory.join(link)).expect("a free name");
@@ -314,10 +285,7 @@ mod tests {
         let by_serial = PathBuf::from("by-id/usb-CP2102_A7");
         assert_eq!(computer.stable("ttyUSB0"), Some(by_serial.clone()));
         computer.plug("ttyUSB1", "socket-2", Some("0001\n"));
-        assert_eq!(
-            computer.stable("ttyUSB1"),
-            Some("by-id/usb-CP2102_0001".into())
-        );
+        assert_eq!(computer.stable("ttyUSB1"), Some("by-id/usb-CP2102_0001".into()));
         // Another one with the same number takes the name over.
         computer.plug("ttyUSB2", "socket-3", Some("0001\n"));
         for (name, socket) in [("ttyUSB1", "socket-2"), ("ttyUSB2", "socket-3")] {
@@ -328,8 +296,7 @@ mod tests {
             computer.plug("ttyUSB3", "socket-4", serial);
             let by_socket = PathBuf::from("by-path/socket-4");
             assert_eq!(computer.stable("ttyUSB3"), Some(by_socket));
-            fs::remove_dir_all(computer.directories.tty_class.join("ttyUSB3"))
-                .expect("own directory");
+            fs::remove_dir_all(computer.directories.tty_class.join("ttyUSB3")).expect("own directory");
         }
         assert_eq!(computer.stable("ttyUSB0"), Some(by_serial));
     }
@@ -339,10 +306,7 @@ mod tests {
         let computer = Computer::new();
         computer.plug("ttyUSB0", "socket-1", Some("A7"));
         computer.plug("ttyUSB1", "socket-1", Some("A7"));
-        assert!(Adapter::is_the_only_one(
-            "ttyUSB0",
-            &computer.directories.tty_class
-        ));
+        assert!(Adapter::is_the_only_one("ttyUSB0", &computer.directories.tty_class));
     }
 
     #[test]

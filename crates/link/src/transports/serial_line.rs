@@ -97,10 +97,7 @@ pub(super) fn shorten_latency(device: &Path, directory: &Path) -> Latency {
     if before.trim() == LATENCY_MS || fs::write(&file, LATENCY_MS).is_ok() {
         return Latency::Shortest;
     }
-    Latency::Kept {
-        file: file.display().to_string(),
-        ms: before.trim().to_owned(),
-    }
+    Latency::Kept { file: file.display().to_string(), ms: before.trim().to_owned() }
 }
 
 impl Latency {
@@ -109,9 +106,9 @@ impl Latency {
         match self {
             Self::NoTimer => String::new(),
             Self::Shortest => ", latency timer 1 ms".to_owned(),
-            Self::Kept { file, ms } => format!(
-                ", latency timer {ms} ms: run `echo {LATENCY_MS} | sudo tee {file}` to shorten it"
-            ),
+            Self::Kept { file, ms } => {
+                format!(", latency timer {ms} ms: run `echo {LATENCY_MS} | sudo tee {file}` to shorten it")
+            }
         }
     }
 }
@@ -148,10 +145,7 @@ mod tests {
 
     #[test]
     fn a_timer_that_may_not_be_written_is_told_with_its_cure() {
-        let latency = Latency::Kept {
-            file: "/sys/x/latency_timer".to_owned(),
-            ms: "16".to_owned(),
-        };
+        let latency = Latency::Kept { file: "/sys/x/latency_timer".to_owned(), ms: "16".to_owned() };
         assert_eq!(
             latency.remark(),
             ", latency timer 16 ms: run `echo 1 | sudo tee /sys/x/latency_timer` to shorten it"

@@ -17,9 +17,7 @@ use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::stream::{StreamConnection, StreamLabel};
 use crate::transports::tcp_server::TcpServer;
-use crate::transports::{
-    OpenFuture, OpenRequest, QUEUE_BYTES, Role, Transport, resolve, with_deadline,
-};
+use crate::transports::{OpenFuture, OpenRequest, QUEUE_BYTES, Role, Transport, resolve, with_deadline};
 use crate::url::TargetKind;
 
 /// Silence after which the system asks whether the peer is still there.
@@ -67,28 +65,16 @@ impl Transport for Tcp {
 async fn dial(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let (host, port) = request.url.host_and_port();
     if host.is_empty() {
-        return Err(OpenError::NoHost {
-            url: request.url.to_string(),
-        });
+        return Err(OpenError::NoHost { url: request.url.to_string() });
     }
-    let unreachable = |source| OpenError::Unreachable {
-        peer: format!("{host}:{port}"),
-        source,
-    };
+    let unreachable = |source| OpenError::Unreachable { peer: format!("{host}:{port}"), source };
     let addresses = resolve(host, port).await?;
-    let stream = TcpStream::connect(&addresses[..])
-        .await
-        .map_err(unreachable)?;
+    let stream = TcpStream::connect(&addresses[..]).await.map_err(unreachable)?;
     configure(&stream).map_err(unreachable)?;
     let peer = stream.peer_addr().map_err(unreachable)?;
     let mut label = StreamLabel::new(format!("connected to {peer}"));
     label.local_address = stream.local_addr().ok();
-    Ok(Box::new(StreamConnection::new(
-        stream,
-        label,
-        request.timer,
-        QUEUE_BYTES,
-    )))
+    Ok(Box::new(StreamConnection::new(stream, label, request.timer, QUEUE_BYTES)))
 }
 
 /// Sets what both ends of our connections need.

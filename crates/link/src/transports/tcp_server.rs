@@ -128,11 +128,7 @@ impl TcpServer {
     }
 
     /// Asks every client once, beginning with the one whose turn it is.
-    fn poll_clients(
-        &mut self,
-        cx: &mut Context<'_>,
-        counters: &mut PortCounters,
-    ) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll_clients(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
         let mut asked = 0;
         while asked < self.clients.len() {
             let index = self.turn % self.clients.len();
@@ -180,11 +176,7 @@ impl Connection for TcpServer {
         }
     }
 
-    fn poll(
-        &mut self,
-        cx: &mut Context<'_>,
-        counters: &mut PortCounters,
-    ) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
         if let Err(loss) = self.accept(cx) {
             return Poll::Ready(Err(loss));
         }
@@ -196,10 +188,8 @@ impl Connection for TcpServer {
     }
 
     fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding {
-        let mut all = Outstanding {
-            capacity_bytes_per_s: (!self.clients.is_empty()).then_some(0.0),
-            ..Outstanding::default()
-        };
+        let mut all =
+            Outstanding { capacity_bytes_per_s: (!self.clients.is_empty()).then_some(0.0), ..Outstanding::default() };
         for client in &self.clients {
             let one = client.outstanding(now);
             all.peers += one.peers;
@@ -217,8 +207,5 @@ impl Connection for TcpServer {
 /// network or what the system has to give.
 fn is_loss(error: &io::Error) -> bool {
     let code = error.raw_os_error().map(Errno::from_raw);
-    matches!(
-        code,
-        Some(Errno::EBADF | Errno::EINVAL | Errno::ENOTSOCK | Errno::EOPNOTSUPP)
-    )
+    matches!(code, Some(Errno::EBADF | Errno::EINVAL | Errno::ENOTSOCK | Errno::EOPNOTSUPP))
 }

@@ -22,12 +22,9 @@ use crate::error::{LinkLoss, OpenError};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
 use crate::transports::udp_peers::Peers;
-use crate::transports::udp_socket::{
-    bind_first, buffer_warning, call_first, enlarge_receive_buffer, split_off,
-};
+use crate::transports::udp_socket::{bind_first, buffer_warning, call_first, enlarge_receive_buffer, split_off};
 use crate::transports::{
-    OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, listening_detail, resolve,
-    with_deadline,
+    OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, listening_detail, resolve, with_deadline,
 };
 use crate::url::{OptionHelp, OptionKind, TargetKind};
 
@@ -46,11 +43,7 @@ const DATAGRAM_BYTES: usize = 65_535;
 /// When a peer is forgotten. Ten heartbeats of MAVLink may be lost before the default.
 const IDLE: OptionHelp = OptionHelp {
     name: "idle_s",
-    kind: OptionKind::Integer {
-        min: 1,
-        max: 86_400,
-        default: 10,
-    },
+    kind: OptionKind::Integer { min: 1, max: 86_400, default: 10 },
     help: "seconds of silence after which a peer is not written to any more",
 };
 
@@ -86,20 +79,11 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let targets = resolve(host, port).await?;
     // "Every interface" is no place to send to.
     let is_unspecific = |target: &SocketAddr| target.ip().is_unspecified();
-    let is_listening = host.is_empty()
-        || request.role == Role::Listen
-        || targets.first().is_some_and(is_unspecific);
-    let (socket, target) = if is_listening {
-        bind_first(&targets)?
-    } else {
-        call_first(&targets)?
-    };
+    let is_listening = host.is_empty() || request.role == Role::Listen || targets.first().is_some_and(is_unspecific);
+    let (socket, target) = if is_listening { bind_first(&targets)? } else { call_first(&targets)? };
     let local_address = socket.local_addr().unwrap_or(target);
     // The reactor learns that the socket takes data; without it the very first frame would wait for another wake-up.
-    socket.writable().await.map_err(|source| OpenError::Io {
-        what: local_address.to_string(),
-        source,
-    })?;
+    socket.writable().await.map_err(|source| OpenError::Io { what: local_address.to_string(), source })?;
     let granted_bytes = enlarge_receive_buffer(&socket);
     let idle = Span::from_millis(1_000 * i64::from(request.url.integer(&IDLE)));
     let mut detail = if is_listening {
@@ -206,8 +190,7 @@ impl UdpConnection {
     }
 
     fn measure(&mut self, taken: usize) {
-        self.meter
-            .note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
+        self.meter.note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
     }
 
     /// The first datagram after a pause. It goes past the inbox: whether there are others is asked when it has been answered.
@@ -258,11 +241,7 @@ impl UdpConnection {
         match split_off(&self.socket, self.local_address, address) {
             Ok(socket) => {
                 tracing::info!(peer = %address, at = %self.local_address, "a loud peer is read apart");
-                self.loud.push(Loud {
-                    address,
-                    socket,
-                    is_next: false,
-                });
+                self.loud.push(Loud { address, socket, is_next: false });
             }
             Err(error) => {
                 self.next_apart = now + APART_PAUSE;
@@ -321,11 +300,7 @@ impl UdpConnection {
         let arrival = self.timer.now();
         let peer = self.peers.heard(from, arrival);
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
-        (!bytes.is_empty()).then_some(Incoming::Bytes {
-            peer,
-            arrival,
-            bytes,
-        })
+        (!bytes.is_empty()).then_some(Incoming::Bytes { peer, arrival, bytes })
     }
 }
 
@@ -358,11 +333,7 @@ impl Connection for UdpConnection {
         self.measure(0);
     }
 
-    fn poll(
-        &mut self,
-        cx: &mut Context<'_>,
-        counters: &mut PortCounters,
-    ) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
         self.flush(cx, counters);
         loop {
             if let Some(incoming) = self.inbox.pop() {

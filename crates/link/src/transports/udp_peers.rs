@@ -35,12 +35,7 @@ struct Peer {
 impl Peers {
     /// Nobody but the host that the link names; others are forgotten after `idle` of silence.
     pub(super) fn new(named: Option<SocketAddr>, idle: Span) -> Self {
-        let mut peers = Self {
-            idle,
-            by_address: BTreeMap::new(),
-            by_id: BTreeMap::new(),
-            next_id: 0,
-        };
+        let mut peers = Self { idle, by_address: BTreeMap::new(), by_id: BTreeMap::new(), next_id: 0 };
         if let Some(address) = named {
             peers.insert(address, None);
         }
@@ -80,9 +75,7 @@ impl Peers {
 
     /// True if `address` sends so much that it should not share a buffer with the others.
     pub(super) fn is_loud(&self, address: SocketAddr) -> bool {
-        self.by_address
-            .get(&address)
-            .is_some_and(|peer| peer.in_window > LOUD_DATAGRAMS)
+        self.by_address.get(&address).is_some_and(|peer| peer.in_window > LOUD_DATAGRAMS)
     }
 
     /// True if `address` has not been forgotten.
@@ -131,20 +124,12 @@ impl Peers {
     }
 
     /// The addresses of those who are to hear a frame.
-    pub(super) fn audience(
-        &mut self,
-        audience: Audience,
-        now: Stamp<HostClock>,
-    ) -> Vec<SocketAddr> {
+    pub(super) fn audience(&mut self, audience: Audience, now: Stamp<HostClock>) -> Vec<SocketAddr> {
         if let Audience::Peer(id) = audience {
             return self.by_id.get(&id).copied().into_iter().collect();
         }
         self.forget_idle(now);
-        self.by_address
-            .iter()
-            .filter(|(_, peer)| audience.includes(peer.id))
-            .map(|(address, _)| *address)
-            .collect()
+        self.by_address.iter().filter(|(_, peer)| audience.includes(peer.id)).map(|(address, _)| *address).collect()
     }
 }
 
@@ -215,8 +200,7 @@ mod tests {
     fn a_peer_is_loud_when_it_sends_more_than_a_brick_ever_does() {
         let mut peers = Peers::new(None, IDLE);
         // 100 Hz and 5000 Hz are calm, 10 kHz is loud.
-        for (port, period_micros, expected) in [(1, 10_000, false), (2, 200, false), (3, 100, true)]
-        {
+        for (port, period_micros, expected) in [(1, 10_000, false), (2, 200, false), (3, 100, true)] {
             let mut was_loud = false;
             for number in 0..5_000 {
                 peers.heard(address(port), Stamp::from_micros(number * period_micros));

@@ -51,10 +51,7 @@ pub(super) fn call_first(targets: &[SocketAddr]) -> Result<(UdpSocket, SocketAdd
 }
 
 fn nothing_to_open() -> OpenError {
-    OpenError::UnknownHost {
-        host: String::new(),
-        source: io::ErrorKind::NotFound.into(),
-    }
+    OpenError::UnknownHost { host: String::new(), source: io::ErrorKind::NotFound.into() }
 }
 
 fn bind(address: SocketAddr) -> io::Result<UdpSocket> {
@@ -65,8 +62,7 @@ fn bind(address: SocketAddr) -> io::Result<UdpSocket> {
 
 /// Whether the system knows where to send what is for `target`; to connect a UDP socket asks for that and sends nothing.
 fn has_way_to(target: SocketAddr) -> bool {
-    std::net::UdpSocket::bind(any_port_beside(target))
-        .is_ok_and(|socket| socket.connect(target).is_ok())
+    std::net::UdpSocket::bind(any_port_beside(target)).is_ok_and(|socket| socket.connect(target).is_ok())
 }
 
 /// Every interface, for the kind of address that `target` is, at a port that the system chooses.
@@ -106,11 +102,7 @@ pub(super) fn buffer_warning(granted_bytes: usize) -> Option<String> {
 ///
 /// # Errors
 /// The system has no socket left, or `peer` cannot be reached.
-pub(super) fn split_off(
-    main: &UdpSocket,
-    local: SocketAddr,
-    peer: SocketAddr,
-) -> io::Result<UdpSocket> {
+pub(super) fn split_off(main: &UdpSocket, local: SocketAddr, peer: SocketAddr) -> io::Result<UdpSocket> {
     let own = Socket::new(Domain::for_address(local), Type::DGRAM, Some(Protocol::UDP))?;
     own.set_nonblocking(true)?;
     own.set_reuse_address(true)?;
@@ -150,11 +142,7 @@ mod tests {
 
     #[tokio::test]
     async fn of_several_addresses_the_first_with_a_way_is_called() {
-        for (targets, expected) in [
-            (&[NO_WAY, THERE][..], THERE),
-            (&[THERE, NO_WAY], THERE),
-            (&[NO_WAY], NO_WAY),
-        ] {
+        for (targets, expected) in [(&[NO_WAY, THERE][..], THERE), (&[THERE, NO_WAY], THERE), (&[NO_WAY], NO_WAY)] {
             let (socket, chosen) = call_first(targets).expect("a free port");
             assert_eq!(chosen, expected);
             let local = socket.local_addr().expect("it is bound");

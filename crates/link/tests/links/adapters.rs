@@ -9,9 +9,7 @@ use crate::support::{bytes, down, poll_once, port, up};
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
 use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
-use posebridge_link::{
-    DeviceDirectories, LineSettings, LinkUrl, Port, PortConfig, PortTuning, Role,
-};
+use posebridge_link::{DeviceDirectories, LineSettings, LinkUrl, Port, PortConfig, PortTuning, Role};
 use posebridge_telemetry::LinkId;
 use rustix::termios::{self, ControlModes, OptionalActions};
 
@@ -35,11 +33,7 @@ fn station_at(bench: &Bench, url: &str) -> Port {
 }
 
 fn tuned(bench: &Bench, url: &str, tuning: PortTuning) -> Port {
-    let config = PortConfig {
-        id: LinkId(1),
-        url: LinkUrl::parse(url).expect("the test's own link"),
-        role: Role::Dial,
-    };
+    let config = PortConfig { id: LinkId(1), url: LinkUrl::parse(url).expect("the test's own link"), role: Role::Dial };
     Port::tuned(config, tuning, bench.timer)
 }
 
@@ -48,11 +42,7 @@ async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
     let bench = Bench::new();
     let _pty = bench.plugged_pty().await;
     let number = bench.path().canonicalize().expect("a terminal");
-    let adapter = bench
-        .directory
-        .path()
-        .join("usb-serial")
-        .join(number.file_name().expect("a number"));
+    let adapter = bench.directory.path().join("usb-serial").join(number.file_name().expect("a number"));
     let latency_timer = adapter.join("latency_timer");
     std::fs::create_dir_all(&adapter).expect("own directory");
     std::fs::write(&latency_timer, "16\n").expect("own directory");
@@ -67,10 +57,7 @@ async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
     let before = format!("{:?}", settings());
 
     let url = format!("serial:{}?baud=57600", bench.path().display());
-    let with = |line_settings| PortTuning {
-        line_settings,
-        ..tuning(&bench)
-    };
+    let with = |line_settings| PortTuning { line_settings, ..tuning(&bench) };
     let mut guest = tuned(&bench, &url, with(LineSettings::PutBack));
     up(&mut guest).await;
     assert_eq!(settings().output_speed(), 57_600);
@@ -123,11 +110,7 @@ fn tell(bench: &Bench, name: &str, plug: &Plug) {
 /// An adapter that the system calls `name`: a pseudo-terminal, and what is said of it.
 async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Port {
     let device = bench.directory.path().join(name);
-    let mut pty = port(
-        &format!("pty:{}", device.display()),
-        Role::Listen,
-        bench.timer,
-    );
+    let mut pty = port(&format!("pty:{}", device.display()), Role::Listen, bench.timer);
     up(&mut pty).await;
     tell(bench, name, plug);
     pty
@@ -137,42 +120,22 @@ async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Port {
 async fn an_adapter_that_comes_back_under_another_number_is_found() {
     let bench = Bench::new();
     let shown = bench.directory.path().display().to_string();
-    let plug = Plug {
-        socket: "socket-1",
-        id: "usb-mine-if00",
-        serial: Some("mine"),
-    };
+    let plug = Plug { socket: "socket-1", id: "usb-mine-if00", serial: Some("mine") };
     let mine = adapter(&bench, "ttyUSB0", &plug).await;
     let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
-    assert_eq!(
-        up(&mut station).await,
-        format!("{shown}/ttyUSB0 ({shown}/by-id/usb-mine-if00) at 115200 baud")
-    );
+    assert_eq!(up(&mut station).await, format!("{shown}/ttyUSB0 ({shown}/by-id/usb-mine-if00) at 115200 baud"));
     drop(mine);
     down(&mut station).await;
     // Somebody else's adapter takes the number; ours comes back as the next one.
-    let theirs = Plug {
-        socket: "socket-2",
-        id: "usb-other-if00",
-        serial: Some("other"),
-    };
+    let theirs = Plug { socket: "socket-2", id: "usb-other-if00", serial: Some("other") };
     let mut other = adapter(&bench, "ttyUSB0", &theirs).await;
     std::fs::remove_file(bench.directory.path().join("by-id/usb-mine-if00")).expect("our link");
     let (reason, _) = down(&mut station).await;
-    assert_eq!(
-        reason,
-        format!("{shown}/by-id/usb-mine-if00 is not there: plug the device in or check the name")
-    );
-    let elsewhere = Plug {
-        socket: "socket-3",
-        ..plug
-    };
+    assert_eq!(reason, format!("{shown}/by-id/usb-mine-if00 is not there: plug the device in or check the name"));
+    let elsewhere = Plug { socket: "socket-3", ..plug };
     let mut mine = adapter(&bench, "ttyUSB1", &elsewhere).await;
     let detail = up(&mut station).await;
-    assert_eq!(
-        detail,
-        format!("{shown}/by-id/usb-mine-if00 at 115200 baud")
-    );
+    assert_eq!(detail, format!("{shown}/by-id/usb-mine-if00 at 115200 baud"));
     mine.send(b"mine");
     other.send(b"other");
     assert_eq!(poll_once(&mut mine).await, None);
@@ -184,11 +147,7 @@ async fn of_two_adapters_of_one_name_the_other_one_is_left_alone() {
     let bench = Bench::new();
     let shown = bench.directory.path().display().to_string();
     let kind = "usb-1a86_USB_Serial-if00-port0";
-    let plug = |socket| Plug {
-        socket,
-        id: kind,
-        serial: None,
-    };
+    let plug = |socket| Plug { socket, id: kind, serial: None };
     let mut other = adapter(&bench, "ttyUSB1", &plug("socket-2")).await;
     // The name of the kind leads to the one that came last.
     let mine = adapter(&bench, "ttyUSB0", &plug("socket-1")).await;
@@ -202,15 +161,9 @@ async fn of_two_adapters_of_one_name_the_other_one_is_left_alone() {
     std::fs::remove_file(bench.directory.path().join("by-path/socket-1")).expect("our link");
     let again = tokio::time::timeout(Duration::from_secs(60), down(&mut station)).await;
     let (reason, _) = again.expect("it opens the other one");
-    assert_eq!(
-        reason,
-        format!("{shown}/by-path/socket-1 is not there: plug the device in or check the name")
-    );
+    assert_eq!(reason, format!("{shown}/by-path/socket-1 is not there: plug the device in or check the name"));
     let mut mine = adapter(&bench, "ttyUSB2", &plug("socket-1")).await;
-    assert_eq!(
-        up(&mut station).await,
-        format!("{shown}/by-path/socket-1 at 115200 baud")
-    );
+    assert_eq!(up(&mut station).await, format!("{shown}/by-path/socket-1 at 115200 baud"));
     other.send(b"other");
     assert_eq!(poll_once(&mut other).await, None);
     mine.send(b"mine");
@@ -226,27 +179,14 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     let mut first = station_at(&bench, &pattern);
     first.open_first().await.expect("a device may come");
     let (reason, _) = down(&mut first).await;
-    assert_eq!(
-        reason,
-        format!("{shown}/ttyACM* is not there: plug the device in or check the name")
-    );
-    let board = |id| Plug {
-        socket: id,
-        id,
-        serial: Some(id),
-    };
+    assert_eq!(reason, format!("{shown}/ttyACM* is not there: plug the device in or check the name"));
+    let board = |id| Plug { socket: id, id, serial: Some(id) };
     let _b = adapter(&bench, "ttyACM1", &board("usb-b")).await;
     let a = adapter(&bench, "ttyACM0", &board("usb-a")).await;
-    assert_eq!(
-        up(&mut first).await,
-        format!("{shown}/ttyACM0 at 115200 baud")
-    );
+    assert_eq!(up(&mut first).await, format!("{shown}/ttyACM0 at 115200 baud"));
     // One question mark is part of the name, the other begins the options.
     let mut second = station_at(&bench, &format!("serial:{shown}/ttyACM??baud=9600"));
-    assert_eq!(
-        up(&mut second).await,
-        format!("{shown}/ttyACM1 at 9600 baud")
-    );
+    assert_eq!(up(&mut second).await, format!("{shown}/ttyACM1 at 9600 baud"));
     let mut third = station_at(&bench, &pattern);
     let error = third.open_first().await.expect_err("both are taken");
     assert!(error.stops_start() && error.can_heal());
@@ -257,10 +197,7 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     down(&mut first).await;
     assert!(down(&mut first).await.0.contains("ttyACM1 is in use"));
     let _c = adapter(&bench, "ttyACM7", &board("usb-c")).await;
-    assert_eq!(
-        up(&mut first).await,
-        format!("{shown}/ttyACM7 at 115200 baud")
-    );
+    assert_eq!(up(&mut first).await, format!("{shown}/ttyACM7 at 115200 baud"));
 }
 
 #[tokio::test(start_paused = true)]
@@ -278,9 +215,6 @@ async fn closing_a_port_does_not_drop_dtr_whatever_is_asked_for() {
         let mut station = station_at(&bench, &url);
         up(&mut station).await;
         let settings = tcgetattr(&line).expect("a terminal");
-        assert!(
-            !settings.control_flags.contains(ControlFlags::HUPCL),
-            "dtr={dtr}"
-        );
+        assert!(!settings.control_flags.contains(ControlFlags::HUPCL), "dtr={dtr}");
     }
 }

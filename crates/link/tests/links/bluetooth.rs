@@ -25,10 +25,7 @@ async fn a_brick_that_cannot_be_reached_is_waited_for() {
     use posebridge_telemetry::Span;
 
     let mut brick = port(BRICK, Role::Dial, HostTimer::start());
-    brick
-        .open_first()
-        .await
-        .expect("it may be switched on later");
+    brick.open_first().await.expect("it may be switched on later");
     let (reason, retry_in) = down(&mut brick).await;
     assert!(reason.contains("00:16:53:AA:BB:CC"), "{reason}");
     assert!(retry_in > Span::ZERO);

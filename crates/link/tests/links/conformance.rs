@@ -19,27 +19,15 @@ struct Plan {
 fn plan(scheme: &str, device: &Path) -> Option<Plan> {
     let device = device.display();
     let (near, far, hears_loss) = match scheme {
-        "serial" => (
-            Some(format!("serial:{device}")),
-            format!("pty:{device}"),
-            true,
-        ),
-        "pty" => (
-            Some(format!("pty:{device}")),
-            format!("serial:{device}"),
-            false,
-        ),
+        "serial" => (Some(format!("serial:{device}")), format!("pty:{device}"), true),
+        "pty" => (Some(format!("pty:{device}")), format!("serial:{device}"), false),
         "tcp" => (None, "tcp://127.0.0.1:0".to_owned(), true),
         "udp" => (None, "udp://127.0.0.1:0".to_owned(), false),
         // A radio and a paired device would be needed; a file is one-way; an EV3 must be a brick. Their own tests bear their names.
         "bluetooth" | "file" | "ev3" => return None,
         other => panic!("say here what the far end of a {other} link is"),
     };
-    Some(Plan {
-        near,
-        far,
-        hears_loss,
-    })
+    Some(Plan { near, far, hears_loss })
 }
 
 /// The two ends of a link, with what is needed to make the far end again.
@@ -124,15 +112,10 @@ fn every_example_selects_its_own_transport() {
 
 #[test]
 fn every_scheme_is_one_word_and_stands_once() {
-    let mut schemes: Vec<_> = TRANSPORTS
-        .iter()
-        .map(|transport| transport.scheme())
-        .collect();
-    assert!(schemes.iter().all(|scheme| {
-        scheme
-            .bytes()
-            .all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit())
-    }));
+    let mut schemes: Vec<_> = TRANSPORTS.iter().map(|transport| transport.scheme()).collect();
+    assert!(
+        schemes.iter().all(|scheme| { scheme.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit()) })
+    );
     schemes.sort_unstable();
     let count = schemes.len();
     schemes.dedup();
@@ -161,12 +144,7 @@ async fn every_link_carries_bytes_both_ways() {
         };
         ends.talk().await;
         let counters = ends.near.counters();
-        assert_eq!(
-            (counters.bytes_in, counters.bytes_out, counters.drops_out),
-            (5, 4, 0),
-            "{}",
-            transport.scheme()
-        );
+        assert_eq!((counters.bytes_in, counters.bytes_out, counters.drops_out), (5, 4, 0), "{}", transport.scheme());
     }
 }
 
@@ -178,19 +156,9 @@ async fn every_link_carries_every_byte_value_unchanged() {
             continue;
         };
         ends.near.send(&all);
-        assert_eq!(
-            beside(&mut ends.far, &mut ends.near, 256).await,
-            all,
-            "{}",
-            transport.scheme()
-        );
+        assert_eq!(beside(&mut ends.far, &mut ends.near, 256).await, all, "{}", transport.scheme());
         ends.far.send(&all);
-        assert_eq!(
-            beside(&mut ends.near, &mut ends.far, 256).await,
-            all,
-            "{}",
-            transport.scheme()
-        );
+        assert_eq!(beside(&mut ends.near, &mut ends.far, 256).await, all, "{}", transport.scheme());
     }
 }
 
@@ -236,12 +204,7 @@ async fn every_link_works_again_after_the_far_end_was_restarted() {
             ends.both_up().await;
             ends.talk().await;
             let wanted = if ends.hears_loss { restart } else { 0 };
-            assert_eq!(
-                ends.near.counters().reconnects,
-                wanted,
-                "{}",
-                transport.scheme()
-            );
+            assert_eq!(ends.near.counters().reconnects, wanted, "{}", transport.scheme());
         }
     }
 }
@@ -251,10 +214,7 @@ async fn frames_for_a_link_that_is_down_are_dropped_and_counted() {
     let timer = HostTimer::start();
     let mut port = port("serial:/nowhere/at/all", Role::Dial, timer);
     port.send(b"early");
-    assert!(matches!(
-        poll_once(&mut port).await,
-        None | Some(PortEvent::Down { .. })
-    ));
+    assert!(matches!(poll_once(&mut port).await, None | Some(PortEvent::Down { .. })));
     port.send(b"still");
     assert_eq!(port.counters().drops_out, 2);
     assert_eq!(port.counters().bytes_out, 0);
@@ -263,13 +223,8 @@ async fn frames_for_a_link_that_is_down_are_dropped_and_counted() {
 
 #[tokio::test(start_paused = true)]
 async fn datagram_links_keep_the_bounds_of_datagrams() {
-    for transport in TRANSPORTS
-        .iter()
-        .filter(|transport| transport.is_datagram())
-    {
-        let mut ends = Ends::new(transport.scheme())
-            .await
-            .expect("it has two ends");
+    for transport in TRANSPORTS.iter().filter(|transport| transport.is_datagram()) {
+        let mut ends = Ends::new(transport.scheme()).await.expect("it has two ends");
         assert!(ends.near.is_datagram());
         for frame in [&b"one"[..], b"twotwo", b"3"] {
             ends.near.send(frame);
@@ -283,10 +238,7 @@ async fn datagram_links_keep_the_bounds_of_datagrams() {
 #[test]
 fn every_transport_takes_a_rate() {
     for transport in TRANSPORTS {
-        let has_rate = transport
-            .options()
-            .iter()
-            .any(|option| option.name == "rate");
+        let has_rate = transport.options().iter().any(|option| option.name == "rate");
         assert!(has_rate, "{}", transport.scheme());
     }
 }

@@ -10,10 +10,7 @@ use posebridge_link::{HostTimer, LinkUrl, PortEvent, Role};
 const OPENING: &[u8] = b"GET /target?sn=0016533f0c1eVMTP1.0\nProtocol: EV3";
 
 fn announcement(door: SocketAddr, serial: &str) -> String {
-    format!(
-        "Serial-Number: {serial}\r\nPort: {}\r\nName: Gero\r\nProtocol: EV3\r\n",
-        door.port()
-    )
+    format!("Serial-Number: {serial}\r\nPort: {}\r\nName: Gero\r\nProtocol: EV3\r\n", door.port())
 }
 
 /// Lets one host in, and answers as said.
@@ -52,10 +49,7 @@ async fn a_brick_that_announces_itself_is_answered_and_opened() {
             for text in ["noise", &announcement(address, "0016533f0c1d")] {
                 voice.send_to(text.as_bytes(), announced).ok();
             }
-            assert!(
-                voice.recv(&mut answer).is_err(),
-                "the wrong one is answered"
-            );
+            assert!(voice.recv(&mut answer).is_err(), "the wrong one is answered");
             let text = announcement(address, "0016533f0c1e");
             voice.send_to(text.as_bytes(), announced).ok();
             if voice.recv(&mut answer).is_ok() {
@@ -106,10 +100,7 @@ async fn a_brick_is_dialled_and_its_answer_may_come_in_pieces() {
         host.write_all(b"reply").expect("the station listens");
         let mut other = port("file:/dev/null/nowhere", Role::Dial, HostTimer::start());
         let event = next_beside(&mut station, &mut other).await;
-        assert!(
-            matches!(&event, PortEvent::Bytes { bytes, .. } if bytes == b"reply"),
-            "{event:?}"
-        );
+        assert!(matches!(&event, PortEvent::Bytes { bytes, .. } if bytes == b"reply"), "{event:?}");
     }
 }
 
@@ -120,10 +111,7 @@ async fn what_does_not_open_is_told_with_the_serial_number() {
     let url = format!("ev3://{address}?serial=0016533f0c1e");
     let mut station = port(&url, Role::Dial, HostTimer::start());
     let (reason, _) = down(&mut station).await;
-    assert!(
-        reason.contains("does not accept the serial number 0016533f0c1e"),
-        "{reason}"
-    );
+    assert!(reason.contains("does not accept the serial number 0016533f0c1e"), "{reason}");
     brick.join().expect("the brick lives");
 }
 
@@ -133,8 +121,5 @@ async fn a_brick_is_not_dialled_without_its_serial_number() {
     let error = station.open_first().await.expect_err("it cannot be opened");
     assert!(error.to_string().contains("?serial="), "{error}");
     let error = LinkUrl::parse("ev3://127.0.0.1:5555?serial=12").expect_err("too short");
-    assert!(
-        error.to_string().contains("12 hexadecimal digits"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("12 hexadecimal digits"), "{error}");
 }

@@ -48,10 +48,7 @@ async fn a_file_leaves_the_runtime_its_turns() {
     let heard = tokio::spawn(async move { near.recv(&mut [0; 1]).await });
     while !heard.is_finished() {
         let event = file.next().await;
-        assert!(
-            matches!(event, PortEvent::Bytes { .. }),
-            "{event:?} before the socket was heard"
-        );
+        assert!(matches!(event, PortEvent::Bytes { .. }), "{event:?} before the socket was heard");
     }
     let count = heard.await.expect("it ends").expect("it reads");
     assert_eq!(count, 1);
@@ -69,11 +66,7 @@ async fn appended_frames_stand_behind_what_was_there() {
         assert_eq!(file.counters().bytes_out, 3);
         assert_eq!(poll_once(&mut file).await, None);
     }
-    let mut reader = port(
-        &format!("file://{}", path.display()),
-        Role::Dial,
-        HostTimer::start(),
-    );
+    let mut reader = port(&format!("file://{}", path.display()), Role::Dial, HostTimer::start());
     up(&mut reader).await;
     assert_eq!(bytes(&mut reader, 6).await, b"onetwo");
 }
@@ -82,20 +75,10 @@ async fn appended_frames_stand_behind_what_was_there() {
 async fn a_file_that_cannot_be_played_is_refused_at_the_start() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let shown = directory.path().display();
-    let mut missing = port(
-        &format!("file://{shown}/run.bin"),
-        Role::Dial,
-        HostTimer::start(),
-    );
+    let mut missing = port(&format!("file://{shown}/run.bin"), Role::Dial, HostTimer::start());
     let error = missing.open_first().await.expect_err("it is not there");
-    assert_eq!(
-        error.to_string(),
-        format!("{shown}/run.bin does not exist: check the name and the directory")
-    );
+    assert_eq!(error.to_string(), format!("{shown}/run.bin does not exist: check the name and the directory"));
     let mut wrong = port(&format!("file://{shown}"), Role::Dial, HostTimer::start());
     let error = wrong.open_first().await.expect_err("a directory");
-    assert_eq!(
-        error.to_string(),
-        format!("{shown} is a directory, not a regular file")
-    );
+    assert_eq!(error.to_string(), format!("{shown} is a directory, not a regular file"));
 }

@@ -1,10 +1,7 @@
 //! The links as their users see them: over real pseudo-terminals and the loopback, with a paused clock.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
-#![expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "a test that sees any other event fails and prints it"
-)]
+#![expect(clippy::wildcard_enum_match_arm, reason = "a test that sees any other event fails and prints it")]
 
 mod adapters;
 mod bluetooth;

@@ -24,9 +24,7 @@ async fn dialled(scheme: &str, address: SocketAddr, timer: HostTimer) -> Port {
 /// A plain socket of a foreign program; it must not block the runtime for ever if a test is wrong.
 fn foreign_peer() -> UdpSocket {
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a free port");
-    socket
-        .set_read_timeout(Some(Duration::from_secs(5)))
-        .expect("a finite wait");
+    socket.set_read_timeout(Some(Duration::from_secs(5))).expect("a finite wait");
     socket
 }
 
@@ -94,10 +92,7 @@ async fn a_server_that_is_not_started_yet_is_waited_for() {
     let mut client = port(&format!("tcp://{address}"), Role::Dial, timer);
     client.open_first().await.expect("the server may come");
     let (reason, _) = down(&mut client).await;
-    assert!(
-        reason.starts_with(&format!("no connection to {address}: Connection refused")),
-        "{reason}"
-    );
+    assert!(reason.starts_with(&format!("no connection to {address}: Connection refused")), "{reason}");
     let (_server, _) = listening(&format!("tcp://{address}"), timer).await;
     up(&mut client).await;
 }
@@ -127,10 +122,7 @@ async fn every_client_of_a_server_is_a_source_of_its_own_and_hears_everything() 
     drop(first);
     assert_eq!(bytes(&mut second, 9).await, b"to youbye");
     assert_eq!(poll_once(&mut server).await, None);
-    assert!(
-        server.is_up(),
-        "a client that leaves is no loss of the link"
-    );
+    assert!(server.is_up(), "a client that leaves is no loss of the link");
     assert_eq!(server.counters().drops_out, 0);
 }
 
@@ -163,24 +155,14 @@ async fn a_reader_that_stalls_costs_the_oldest_frames_and_never_half_of_one() {
         heard.extend(next_beside_bytes(&mut slow, &mut server).await);
     }
     assert_eq!(heard.len(), expected);
-    let numbers: Vec<u32> = heard
-        .chunks(FRAME_BYTES)
-        .map(|frame| u32::from_be_bytes([frame[0], frame[1], frame[2], frame[3]]))
-        .collect();
+    let numbers: Vec<u32> =
+        heard.chunks(FRAME_BYTES).map(|frame| u32::from_be_bytes([frame[0], frame[1], frame[2], frame[3]])).collect();
     assert!(numbers.is_sorted_by(|a, b| a < b), "in order, none twice");
     assert_eq!(numbers.last(), Some(&(FRAMES - 1)), "the newest is there");
-    let gap = numbers
-        .windows(2)
-        .filter(|pair| pair[1] != pair[0] + 1)
-        .count();
+    let gap = numbers.windows(2).filter(|pair| pair[1] != pair[0] + 1).count();
     assert_eq!(gap, 1, "the drops are one run of the oldest that waited");
     // 64 KiB hold 63 or 64 whole frames of 1 KiB, with the rest of a begun one.
-    let after_gap = numbers
-        .iter()
-        .rev()
-        .zip((0..FRAMES).rev())
-        .take_while(|(a, b)| *a == b)
-        .count();
+    let after_gap = numbers.iter().rev().zip((0..FRAMES).rev()).take_while(|(a, b)| *a == b).count();
     assert!((62..=64).contains(&after_gap), "{after_gap} frames waited");
     assert_eq!(server.counters().bytes_out, expected as u64);
 }
@@ -202,14 +184,8 @@ async fn frames_that_wait_when_the_peer_leaves_are_counted_as_dropped() {
     down(&mut client).await;
     let counters = client.counters();
     let begun_and_written = counters.bytes_out.div_ceil(1_000) + 1;
-    assert!(
-        counters.drops_out + begun_and_written >= sent,
-        "{sent} sent, {counters:?}"
-    );
-    assert!(
-        counters.drops_out >= 60,
-        "what waited was lost: {counters:?}"
-    );
+    assert!(counters.drops_out + begun_and_written >= sent, "{sent} sent, {counters:?}");
+    assert!(counters.drops_out >= 60, "what waited was lost: {counters:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -236,10 +212,7 @@ async fn two_udp_peers_are_heard_apart_and_both_answered() {
     // The right one falls silent for longer than ten seconds and is not written to any more.
     tokio::time::advance(Duration::from_secs(6)).await;
     left.send_to(b"here", address).expect("loopback");
-    assert_eq!(
-        next_bytes(&mut station).await,
-        (left_peer, b"here".to_vec())
-    );
+    assert_eq!(next_bytes(&mut station).await, (left_peer, b"here".to_vec()));
     tokio::time::advance(Duration::from_secs(6)).await;
     let before = station.counters().bytes_out;
     station.send(b"still there?");
@@ -254,9 +227,7 @@ async fn a_burst_of_datagrams_arrives_one_by_one_and_in_order() {
     let brick = foreign_peer();
     // More than one wake-up drains, and more than the 256 that a default receive buffer holds.
     for number in 0..1_000_u32 {
-        brick
-            .send_to(&number.to_be_bytes(), address)
-            .expect("loopback");
+        brick.send_to(&number.to_be_bytes(), address).expect("loopback");
     }
     for number in 0..1_000_u32 {
         assert_eq!(next_bytes(&mut station).await.1, number.to_be_bytes());
@@ -295,9 +266,7 @@ async fn an_address_that_is_taken_is_refused_at_the_start() {
         assert!(!error.can_heal());
         assert_eq!(
             error.to_string(),
-            format!(
-                "address {address} is already in use: stop the program that listens there or choose another port"
-            )
+            format!("address {address} is already in use: stop the program that listens there or choose another port")
         );
     }
 }
@@ -314,10 +283,7 @@ async fn a_foreign_address_and_a_missing_host_are_refused_at_the_start() {
     );
     let mut nowhere = port("tcp://:5760", Role::Dial, timer);
     let error = nowhere.open_first().await.expect_err("no host");
-    assert_eq!(
-        error.to_string(),
-        "tcp://:5760 names no host to dial: put one before the port"
-    );
+    assert_eq!(error.to_string(), "tcp://:5760 names no host to dial: put one before the port");
 }
 
 #[tokio::test(start_paused = true)]
@@ -346,9 +312,7 @@ async fn a_udp_link_to_every_interface_listens_even_if_it_is_to_dial() {
     assert!(up(&mut station).await.starts_with("listening on 0.0.0.0:"));
     let near = station.local_address().expect("it listens").port();
     let brick = foreign_peer();
-    brick
-        .send_to(b"hello", ("127.0.0.1", near))
-        .expect("loopback");
+    brick.send_to(b"hello", ("127.0.0.1", near)).expect("loopback");
     assert_eq!(next_bytes(&mut station).await.1, b"hello");
 }
 
@@ -431,11 +395,8 @@ async fn a_flooded_port_does_not_silence_its_neighbour() {
     let mut addresses = Vec::new();
     let mut set = PortSet::default();
     for id in [3, 8] {
-        let config = PortConfig {
-            id: LinkId(id),
-            url: "udp://127.0.0.1:0".parse().expect("a link"),
-            role: Role::Listen,
-        };
+        let config =
+            PortConfig { id: LinkId(id), url: "udp://127.0.0.1:0".parse().expect("a link"), role: Role::Listen };
         let mut udp = Port::new(config, timer);
         up(&mut udp).await;
         addresses.push(udp.local_address().expect("it listens"));
@@ -455,14 +416,7 @@ async fn a_flooded_port_does_not_silence_its_neighbour() {
         assert!(matches!(event, PortEvent::Bytes { .. }), "{event:?}");
         order.push(id);
     }
-    assert!(
-        order.len() <= 22,
-        "{} events before ten calm ones",
-        order.len()
-    );
-    assert!(
-        set.get_mut(LinkId(8))
-            .is_some_and(|port| port.counters().bytes_in == 40)
-    );
+    assert!(order.len() <= 22, "{} events before ten calm ones", order.len());
+    assert!(set.get_mut(LinkId(8)).is_some_and(|port| port.counters().bytes_in == 40));
     assert!(set.get_mut(LinkId(5)).is_none());
 }

@@ -18,10 +18,7 @@ pub(crate) struct Bench {
 
 impl Bench {
     pub(crate) fn new() -> Self {
-        Self {
-            directory: tempfile::tempdir().expect("a temporary directory"),
-            timer: HostTimer::start(),
-        }
+        Self { directory: tempfile::tempdir().expect("a temporary directory"), timer: HostTimer::start() }
     }
 
     pub(crate) fn path(&self) -> PathBuf {
@@ -29,28 +26,18 @@ impl Bench {
     }
 
     pub(crate) fn serial(&self) -> Port {
-        port(
-            &format!("serial:{}", self.path().display()),
-            Role::Dial,
-            self.timer,
-        )
+        port(&format!("serial:{}", self.path().display()), Role::Dial, self.timer)
     }
 
     pub(crate) fn pty(&self) -> Port {
-        port(
-            &format!("pty:{}", self.path().display()),
-            Role::Listen,
-            self.timer,
-        )
+        port(&format!("pty:{}", self.path().display()), Role::Listen, self.timer)
     }
 
     /// What is said about the port while another program holds it.
     pub(crate) fn in_use(&self) -> String {
         let path = self.path();
         let path = path.display();
-        format!(
-            "port {path} is in use by another program: close it there (`fuser -v {path}` names it)"
-        )
+        format!("port {path} is in use by another program: close it there (`fuser -v {path}` names it)")
     }
 
     pub(crate) async fn plugged_pty(&self) -> Port {
@@ -97,10 +84,7 @@ async fn twenty_replugs_are_survived_without_a_busy_loop() {
         let away = back - at;
         assert!(retry_in <= Span::from_millis(5_500), "{retry_in:?}");
         // A timer is up to two milliseconds late.
-        assert!(
-            away <= retry_in + Span::from_millis(3),
-            "{away:?} for {retry_in:?}"
-        );
+        assert!(away <= retry_in + Span::from_millis(3), "{away:?} for {retry_in:?}");
 
         pty.send(b"here again");
         // What is sent before the first turn of the reactor waits for the next poll.
@@ -120,9 +104,7 @@ async fn an_idle_link_is_not_polled_again_and_again() {
     // The writer comes a minute later; the clock is paused, so nothing but the reader's own wake-ups is counted.
     let timer = bench.timer;
     let writer = async {
-        timer
-            .sleep_until(timer.now() + Span::from_millis(60_000))
-            .await;
+        timer.sleep_until(timer.now() + Span::from_millis(60_000)).await;
         pty.send(b"x");
         poll_once(&mut pty).await
     };
@@ -136,18 +118,9 @@ async fn an_idle_link_is_not_polled_again_and_again() {
 async fn a_device_that_is_not_there_yet_is_waited_for() {
     let bench = Bench::new();
     let mut station = bench.serial();
-    station
-        .open_first()
-        .await
-        .expect("a missing device may come");
+    station.open_first().await.expect("a missing device may come");
     let (reason, retry_in) = down(&mut station).await;
-    assert_eq!(
-        reason,
-        format!(
-            "{} is not there: plug the device in or check the name",
-            bench.path().display()
-        )
-    );
+    assert_eq!(reason, format!("{} is not there: plug the device in or check the name", bench.path().display()));
     assert!((Span::from_millis(225)..=Span::from_millis(275)).contains(&retry_in));
     // Half a minute of waiting: nothing is told twice, and the waits get longer.
     let before = bench.timer.now();
@@ -161,11 +134,7 @@ async fn a_device_that_is_not_there_yet_is_waited_for() {
     );
     assert!(quiet.await.is_err(), "the same reason was told again");
     // 0.25 + 0.5 + 1 + 2 + 4 s and then every 5 s are ten attempts at the most, each polled two or three times.
-    assert!(
-        polls <= 35,
-        "{polls} polls in {:?}",
-        bench.timer.now() - before
-    );
+    assert!(polls <= 35, "{polls} polls in {:?}", bench.timer.now() - before);
 
     let pty = bench.plugged_pty().await;
     let detail = up(&mut station).await;
@@ -186,10 +155,7 @@ async fn what_was_written_before_the_port_was_opened_is_stale() {
     }
     let counters = pty.counters();
     assert!(counters.drops_out > 500, "{counters:?}");
-    assert!(
-        counters.bytes_out > 4_000 && counters.bytes_out < 66_000,
-        "{counters:?}"
-    );
+    assert!(counters.bytes_out > 4_000 && counters.bytes_out < 66_000, "{counters:?}");
 
     let mut station = bench.serial();
     up(&mut station).await;
@@ -269,10 +235,7 @@ async fn a_terminal_is_raw_before_anybody_can_open_it() {
     let reader = nix::fcntl::open(&bench.path(), flags, Mode::empty()).expect("a foreign reader");
     // In cooked mode these would be echoed, translated, or end the reader.
     let awkward = [b'\r', b'\n', 0x03, 0x04, 0x11, 0x13, 0x1a, 0x7f, 0xff, 0x00];
-    assert_eq!(
-        nix::unistd::write(&reader, &awkward).expect("room"),
-        awkward.len()
-    );
+    assert_eq!(nix::unistd::write(&reader, &awkward).expect("room"), awkward.len());
     assert_eq!(bytes(&mut pty, awkward.len()).await, awkward);
     let echoed = poll_fn(|cx| Poll::Ready(pty.poll_next(cx).is_ready())).await;
     assert!(!echoed, "the terminal echoes");

@@ -41,10 +41,7 @@ impl Heard {
             let rest = self.bytes.split_off(FRAME_BYTES);
             let frame = std::mem::replace(&mut self.bytes, rest);
             let kind = frame[0];
-            assert!(
-                frame[13..].iter().all(|byte| *byte == kind),
-                "a torn frame: {frame:?}"
-            );
+            assert!(frame[13..].iter().all(|byte| *byte == kind), "a torn frame: {frame:?}");
             let number = u32::from_be_bytes(frame[1..5].try_into().expect("four bytes"));
             let sent = i64::from_be_bytes(frame[5..13].try_into().expect("eight bytes"));
             let age = Some(Span::from_nanos(timer.now().as_nanos() - sent));
@@ -70,21 +67,12 @@ struct Source {
 impl Source {
     fn new(capacity_bytes_per_s: u32) -> Self {
         let bytes_per_tick = 10 * capacity_bytes_per_s / 100;
-        Self {
-            estimates: 0,
-            commands: 0,
-            per_tick: bytes_per_tick / (2 * FRAME_BYTES as u32),
-            ticks: 0,
-        }
+        Self { estimates: 0, commands: 0, per_tick: bytes_per_tick / (2 * FRAME_BYTES as u32), ticks: 0 }
     }
 
     fn tick(&mut self, port: &mut Port, timer: HostTimer) {
         let mut give = |priority, kind, number| {
-            port.give(&Outgoing {
-                to: Audience::All,
-                priority,
-                frame: &frame(kind, number, timer),
-            });
+            port.give(&Outgoing { to: Audience::All, priority, frame: &frame(kind, number, timer) });
         };
         for _ in 0..self.per_tick {
             give(Priority::Estimate { stream: 30 }, 0, self.estimates);
@@ -105,11 +93,8 @@ async fn pass_tick() {
 
 /// A TCP client with a receive buffer as small as that of a weak brick.
 fn small_client(address: SocketAddr, receive_buffer_bytes: usize) -> TcpStream {
-    let socket =
-        socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).expect("a socket");
-    socket
-        .set_recv_buffer_size(receive_buffer_bytes)
-        .expect("it may be small");
+    let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).expect("a socket");
+    socket.set_recv_buffer_size(receive_buffer_bytes).expect("it may be small");
     socket.connect(&address.into()).expect("it listens");
     socket.set_nonblocking(true).expect("own socket");
     socket.into()
@@ -175,19 +160,9 @@ async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
     for estimates in &heard.estimates {
         assert!(estimates.is_sorted_by(|a, b| a < b));
         // Both streams get their share of a tenth of the load.
-        assert!(
-            estimates.len() > source.estimates as usize / 25,
-            "{}",
-            estimates.len()
-        );
+        assert!(estimates.len() > source.estimates as usize / 25, "{}", estimates.len());
     }
-    assert!(
-        heard
-            .commands
-            .iter()
-            .copied()
-            .eq(0..heard.commands.len() as u32)
-    );
+    assert!(heard.commands.iter().copied().eq(0..heard.commands.len() as u32));
     let missing = source.commands as usize - heard.commands.len();
     assert!(missing <= 5 * 3, "{missing} commands are still under way");
     let capacity = counts.capacity_bytes_per_s.expect("frames wait");
@@ -203,11 +178,7 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
     let path = directory.path().join("brick.tty");
     let mut brick = port(&format!("pty:{}", path.display()), Role::Listen, timer);
     up(&mut brick).await;
-    let mut station = port(
-        &format!("serial:{}?rate={RATE}", path.display()),
-        Role::Dial,
-        timer,
-    );
+    let mut station = port(&format!("serial:{}?rate={RATE}", path.display()), Role::Dial, timer);
     up(&mut station).await;
 
     let mut source = Source::new(RATE);
@@ -232,50 +203,31 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
     let secs = timer.now().as_secs_f64();
     let allowed = f64::from(RATE) * (secs + 0.05) + FRAME_BYTES as f64;
     assert!(total as f64 <= allowed, "{total} of {allowed} bytes");
-    assert!(
-        total as f64 > 0.97 * f64::from(RATE) * secs,
-        "{total} in {secs} s"
-    );
+    assert!(total as f64 > 0.97 * f64::from(RATE) * secs, "{total} in {secs} s");
     // Nothing lies in the line, so one frame of each kind is all that can be in front.
     let oldest = heard.oldest_estimate.expect("some arrived");
     assert!(oldest <= Span::from_millis(60), "{oldest:?}");
     // The last one may have to wait for its turn.
     let commands = heard.commands.len() as u32;
-    assert!(
-        source.commands - commands <= 1,
-        "{commands} of {}",
-        source.commands
-    );
+    assert!(source.commands - commands <= 1, "{commands} of {}", source.commands);
     assert!(heard.commands.iter().copied().eq(0..commands));
     let capacity = station.counts().capacity_bytes_per_s.expect("frames wait");
-    assert!(
-        (capacity / f64::from(RATE) - 1.0).abs() < 0.05,
-        "{capacity}"
-    );
+    assert!((capacity / f64::from(RATE) - 1.0).abs() < 0.05, "{capacity}");
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_rate_counts_every_peer_and_every_transport_keeps_it() {
     const RATE: usize = 1_000;
     let timer = HostTimer::start();
-    let mut station = port(
-        &format!("udp://127.0.0.1:0?rate={RATE}"),
-        Role::Listen,
-        timer,
-    );
+    let mut station = port(&format!("udp://127.0.0.1:0?rate={RATE}"), Role::Listen, timer);
     up(&mut station).await;
     let address = station.local_address().expect("it listens");
-    let bricks: Vec<_> = (0..4)
-        .map(|_| port(&format!("udp://{address}"), Role::Dial, timer))
-        .collect();
+    let bricks: Vec<_> = (0..4).map(|_| port(&format!("udp://{address}"), Role::Dial, timer)).collect();
     let mut bricks = bricks;
     for brick in &mut bricks {
         up(brick).await;
         brick.send(b"here");
-        assert!(matches!(
-            next_beside(&mut station, brick).await,
-            PortEvent::Bytes { .. }
-        ));
+        assert!(matches!(next_beside(&mut station, brick).await, PortEvent::Bytes { .. }));
     }
     assert_eq!(station.counts().peers, 4);
     for _ in 0..800 {
@@ -334,11 +286,7 @@ async fn a_client_that_hangs_does_not_block_another() {
     for number in 0..FRAMES {
         let mut frame = [0; 1_000];
         frame[..4].copy_from_slice(&number.to_be_bytes());
-        server.give(&Outgoing {
-            to: Audience::All,
-            priority: Priority::Forwarded,
-            frame: &frame,
-        });
+        server.give(&Outgoing { to: Audience::All, priority: Priority::Forwarded, frame: &frame });
         // Until this one is there: the other has five megabytes to choke on.
         while heard.len() < 1_000 * (number as usize + 1) {
             assert_eq!(poll_once(&mut server).await, None);
@@ -347,18 +295,11 @@ async fn a_client_that_hangs_does_not_block_another() {
         }
     }
     for (number, frame) in (0..FRAMES).zip(heard.chunks(1_000)) {
-        assert_eq!(
-            frame[..4],
-            number.to_be_bytes(),
-            "in order and none missing"
-        );
+        assert_eq!(frame[..4], number.to_be_bytes(), "in order and none missing");
     }
     let counts = server.counts();
     assert!(counts.drops_out > u64::from(FRAMES) * 9 / 10, "{counts:?}");
     assert!(counts.queued_frames >= 60, "{counts:?}");
     assert_eq!(counts.peers, 2);
-    assert_eq!(
-        counts.capacity_bytes_per_s, None,
-        "a client that hangs does not make the link look slow"
-    );
+    assert_eq!(counts.capacity_bytes_per_s, None, "a client that hangs does not make the link look slow");
 }

@@ -8,11 +8,7 @@ use posebridge_telemetry::{LinkId, Span};
 
 /// A port of link 1 for `url`.
 pub(crate) fn port(url: &str, role: Role, timer: HostTimer) -> Port {
-    let config = PortConfig {
-        id: LinkId(1),
-        url: LinkUrl::parse(url).expect("the test's own link"),
-        role,
-    };
+    let config = PortConfig { id: LinkId(1), url: LinkUrl::parse(url).expect("the test's own link"), role };
     Port::new(config, timer)
 }
 
@@ -28,10 +24,7 @@ pub(crate) async fn up(port: &mut Port) -> String {
 /// Waits for the link to go down and returns why, and the wait before the next attempt.
 pub(crate) async fn down(port: &mut Port) -> (String, Span) {
     loop {
-        if let PortEvent::Down {
-            reason, retry_in, ..
-        } = port.next().await
-        {
+        if let PortEvent::Down { reason, retry_in, .. } = port.next().await {
             return (reason, retry_in);
         }
     }

@@ -18,10 +18,7 @@ async fn a_link_that_was_left_behind_is_replaced() {
     let device = std::fs::read_link(bench.path()).expect("our link");
     assert!(device.exists(), "{} leads to a terminal", device.display());
     drop(pty);
-    assert!(
-        !bench.path().is_symlink(),
-        "the name goes with the terminal"
-    );
+    assert!(!bench.path().is_symlink(), "the name goes with the terminal");
 }
 
 #[tokio::test(start_paused = true)]
@@ -83,11 +80,7 @@ async fn a_link_from_a_path_opens_whatever_the_folder_is_called() {
     std::fs::create_dir(&folder).expect("own directory");
     let device = folder.join("brick.tty");
     let open = |url: Result<LinkUrl, UrlError>, role| {
-        let config = PortConfig {
-            id: LinkId(1),
-            url: url.expect("a path"),
-            role,
-        };
+        let config = PortConfig { id: LinkId(1), url: url.expect("a path"), role };
         Port::new(config, bench.timer)
     };
     let mut pty = open(LinkUrl::pty(&device), Role::Listen);
@@ -112,15 +105,8 @@ async fn what_is_not_ours_is_not_replaced() {
     let path = bench.path();
     std::fs::write(&path, "precious").expect("own directory");
     let shown = path.display();
-    check_refusal(
-        bench.pty(),
-        &format!("{shown} is a regular file, not a link that may be replaced"),
-    )
-    .await;
-    assert_eq!(
-        std::fs::read_to_string(&path).expect("still there"),
-        "precious"
-    );
+    check_refusal(bench.pty(), &format!("{shown} is a regular file, not a link that may be replaced")).await;
+    assert_eq!(std::fs::read_to_string(&path).expect("still there"), "precious");
 
     std::fs::remove_file(&path).expect("own file");
     symlink("/dev/null", &path).expect("a free name");
@@ -129,10 +115,7 @@ async fn what_is_not_ours_is_not_replaced() {
         &format!("{shown} is a symbolic link to something else, not a link that may be replaced"),
     )
     .await;
-    assert_eq!(
-        std::fs::read_link(&path).expect("still there"),
-        Path::new("/dev/null")
-    );
+    assert_eq!(std::fs::read_link(&path).expect("still there"), Path::new("/dev/null"));
 }
 
 #[tokio::test(start_paused = true)]
@@ -141,35 +124,16 @@ async fn a_serial_port_that_is_something_else_is_refused() {
     let path = bench.path();
     std::fs::create_dir(&path).expect("own directory");
     let shown = path.display();
-    check_refusal(
-        bench.serial(),
-        &format!("{shown} is a directory, not a serial port"),
-    )
-    .await;
+    check_refusal(bench.serial(), &format!("{shown} is a directory, not a serial port")).await;
     std::fs::remove_dir(&path).expect("own directory");
     std::fs::write(&path, "").expect("own directory");
-    check_refusal(
-        bench.serial(),
-        &format!("{shown} is a regular file, not a serial port"),
-    )
-    .await;
+    check_refusal(bench.serial(), &format!("{shown} is a regular file, not a serial port")).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_pty_in_a_directory_that_does_not_exist_is_refused() {
     let bench = Bench::new();
     let directory = bench.directory.path().join("missing");
-    let pty = port(
-        &format!("pty:{}/brick.tty", directory.display()),
-        Role::Listen,
-        bench.timer,
-    );
-    check_refusal(
-        pty,
-        &format!(
-            "{} does not exist: create the directory first",
-            directory.display()
-        ),
-    )
-    .await;
+    let pty = port(&format!("pty:{}/brick.tty", directory.display()), Role::Listen, bench.timer);
+    check_refusal(pty, &format!("{} does not exist: create the directory first", directory.display())).await;
 }

@@ -12,10 +12,7 @@ fn check_target(text: &str, scheme: &str, target: &Target) {
 }
 
 fn host(host: &str, port: u16) -> Target {
-    Target::Host {
-        host: host.to_owned(),
-        port,
-    }
+    Target::Host { host: host.to_owned(), port }
 }
 
 fn check_error(text: &str, message: &str) {
@@ -26,18 +23,10 @@ fn check_error(text: &str, message: &str) {
 #[test]
 fn the_usual_links_are_understood_and_printed_back() {
     let path = |path: &str| Target::Path(path.into());
-    check_target(
-        "serial:///dev/rfcomm0?baud=57600",
-        "serial",
-        &path("/dev/rfcomm0"),
-    );
+    check_target("serial:///dev/rfcomm0?baud=57600", "serial", &path("/dev/rfcomm0"));
     check_target("serial:brick.tty", "serial", &path("brick.tty"));
     check_target("pty:brick.tty", "pty", &path("brick.tty"));
-    check_target(
-        "pty:///run/user/brick.tty",
-        "pty",
-        &path("/run/user/brick.tty"),
-    );
+    check_target("pty:///run/user/brick.tty", "pty", &path("/run/user/brick.tty"));
     check_target("file://run.bin", "file", &path("run.bin"));
     check_target("tcp://robot.local:5760", "tcp", &host("robot.local", 5760));
     check_target("tcp://[fe80::1]:5760/", "tcp", &host("fe80::1", 5760));
@@ -51,19 +40,13 @@ fn the_spelling_with_and_without_slashes_is_the_same_link() {
     assert_eq!(parse("serial:brick.tty"), parse("serial://brick.tty"));
     assert_ne!(parse("serial:brick.tty"), parse("pty:brick.tty"));
     assert_ne!(parse("serial:a"), parse("serial:a?baud=9600"));
-    assert_eq!(
-        parse("file:a?mode=append&chunk=1"),
-        parse("file:a?chunk=1&mode=append")
-    );
+    assert_eq!(parse("file:a?mode=append&chunk=1"), parse("file:a?chunk=1&mode=append"));
     assert_eq!(parse("serial:brick.tty").path(), Path::new("brick.tty"));
 }
 
 #[test]
 fn options_have_the_default_of_the_table_until_they_are_given() {
-    let serial = TRANSPORTS
-        .iter()
-        .find(|transport| transport.scheme() == "serial")
-        .expect("it is there");
+    let serial = TRANSPORTS.iter().find(|transport| transport.scheme() == "serial").expect("it is there");
     let baud = &serial.options()[0];
     let parse = |text| LinkUrl::parse(text).expect("a link");
     assert_eq!(parse("serial:a").integer(baud), 115_200);
@@ -77,30 +60,15 @@ fn a_wrong_link_says_what_is_wrong_and_what_is_right() {
         "/dev/ttyUSB0",
         "`/dev/ttyUSB0` has no scheme: put one of serial, bluetooth, pty, tcp, udp, ev3, file in front, such as serial:///dev/ttyUSB0?baud=115200",
     );
-    check_error(
-        "usb:brick",
-        "unknown link scheme `usb`: use one of serial, bluetooth, pty, tcp, udp, ev3, file",
-    );
-    check_error(
-        "serial:",
-        "`serial:` names no path: write it like serial:///dev/ttyUSB0?baud=115200",
-    );
-    check_error(
-        "udp://robot",
-        "`udp://robot` names no port: write it like udp://:14550",
-    );
+    check_error("usb:brick", "unknown link scheme `usb`: use one of serial, bluetooth, pty, tcp, udp, ev3, file");
+    check_error("serial:", "`serial:` names no path: write it like serial:///dev/ttyUSB0?baud=115200");
+    check_error("udp://robot", "`udp://robot` names no port: write it like udp://:14550");
     check_error(
         "tcp://robot:57600000",
         "port `57600000` in `tcp://robot:57600000` is not a whole number from 0 to 65535",
     );
-    check_error(
-        "tcp://robot:+80",
-        "port `+80` in `tcp://robot:+80` is not a whole number from 0 to 65535",
-    );
-    check_error(
-        "tcp://robot:",
-        "port `` in `tcp://robot:` is not a whole number from 0 to 65535",
-    );
+    check_error("tcp://robot:+80", "port `+80` in `tcp://robot:+80` is not a whole number from 0 to 65535");
+    check_error("tcp://robot:", "port `` in `tcp://robot:` is not a whole number from 0 to 65535");
     check_error(
         "tcp://fe80::1:5760",
         "host `fe80::1` in `tcp://fe80::1:5760` is neither a name nor an address (IPv6 goes in brackets)",
@@ -113,49 +81,21 @@ fn a_wrong_link_says_what_is_wrong_and_what_is_right() {
 
 #[test]
 fn a_wrong_option_is_named_with_the_right_ones() {
-    check_error(
-        "serial:a?baudrate=9600",
-        "serial links have no option `baudrate`: use baud, dtr, rate",
-    );
+    check_error("serial:a?baudrate=9600", "serial links have no option `baudrate`: use baud, dtr, rate");
     check_error("pty:a?raw=1", "pty links have no option `raw`: use rate");
-    check_error(
-        "serial:a?baud=fast",
-        "option baud=`fast` of serial links must be a whole number from 50 to 4000000",
-    );
-    check_error(
-        "serial:a?baud",
-        "option baud=`` of serial links must be a whole number from 50 to 4000000",
-    );
-    check_error(
-        "file:a?mode=write",
-        "option mode=`write` of file links must be one of read, append",
-    );
-    check_error(
-        "serial:a?baud=1200&baud=2400",
-        "option `baud` stands twice in `serial:a?baud=1200&baud=2400`",
-    );
+    check_error("serial:a?baud=fast", "option baud=`fast` of serial links must be a whole number from 50 to 4000000");
+    check_error("serial:a?baud", "option baud=`` of serial links must be a whole number from 50 to 4000000");
+    check_error("file:a?mode=write", "option mode=`write` of file links must be one of read, append");
+    check_error("serial:a?baud=1200&baud=2400", "option `baud` stands twice in `serial:a?baud=1200&baud=2400`");
 }
 
 #[test]
 fn a_bluetooth_address_is_six_bytes_with_colons() {
     let brick = Target::Bluetooth(BluetoothAddress([0x00, 0x16, 0x53, 0xaa, 0xbb, 0xcc]));
-    check_target(
-        "bluetooth://00:16:53:AA:BB:CC?channel=1",
-        "bluetooth",
-        &brick,
-    );
+    check_target("bluetooth://00:16:53:AA:BB:CC?channel=1", "bluetooth", &brick);
     check_target("bluetooth:00:16:53:aa:bb:cc/", "bluetooth", &brick);
-    assert_eq!(
-        BluetoothAddress([0, 0x16, 0x53, 0xaa, 0xbb, 0xcc]).to_string(),
-        "00:16:53:AA:BB:CC"
-    );
-    for wrong in [
-        "",
-        "00:16:53:AA:BB",
-        "00:16:53:AA:BB:CC:DD",
-        "00:16:53:AA:BB:+C",
-        "0:16:53:AA:BB:CCC",
-    ] {
+    assert_eq!(BluetoothAddress([0, 0x16, 0x53, 0xaa, 0xbb, 0xcc]).to_string(), "00:16:53:AA:BB:CC");
+    for wrong in ["", "00:16:53:AA:BB", "00:16:53:AA:BB:CC:DD", "00:16:53:AA:BB:+C", "0:16:53:AA:BB:CCC"] {
         check_error(
             &format!("bluetooth://{wrong}"),
             &format!(
@@ -174,25 +114,14 @@ fn the_last_question_mark_begins_the_options() {
     let parse = |text| LinkUrl::parse(text).expect("a link");
     let pattern = parse("serial:///dev/ttyUSB??baud=57600");
     assert_eq!(pattern.path(), Path::new("/dev/ttyUSB?"));
-    assert_eq!(
-        parse("serial:///dev/ttyUSB??").path(),
-        Path::new("/dev/ttyUSB?")
-    );
-    assert_eq!(
-        parse("serial:///dev/ttyUSB*").path(),
-        Path::new("/dev/ttyUSB*")
-    );
-    assert_eq!(
-        parse("serial:///dev/ttyUSB?baud=57600").path(),
-        Path::new("/dev/ttyUSB")
-    );
+    assert_eq!(parse("serial:///dev/ttyUSB??").path(), Path::new("/dev/ttyUSB?"));
+    assert_eq!(parse("serial:///dev/ttyUSB*").path(), Path::new("/dev/ttyUSB*"));
+    assert_eq!(parse("serial:///dev/ttyUSB?baud=57600").path(), Path::new("/dev/ttyUSB"));
 }
 
 #[test]
 fn no_text_makes_the_parser_panic() {
-    let pieces = [
-        "serial", "udp", ":", "//", "[", "]", "?", "&", "=", "baud", "é", "\0", "9",
-    ];
+    let pieces = ["serial", "udp", ":", "//", "[", "]", "?", "&", "=", "baud", "é", "\0", "9"];
     for a in pieces {
         for b in pieces {
             for c in pieces {
@@ -210,22 +139,13 @@ fn no_text_makes_the_parser_panic() {
 #[test]
 fn a_link_from_a_path_takes_the_path_as_it_is() {
     let path = Path::new("/srv/runs?baud=7/brick&co");
-    for (url, scheme) in [
-        (LinkUrl::pty(path), "pty"),
-        (LinkUrl::serial(path), "serial"),
-    ] {
+    for (url, scheme) in [(LinkUrl::pty(path), "pty"), (LinkUrl::serial(path), "serial")] {
         let url = url.expect("a path");
         assert_eq!(url.transport().scheme(), scheme);
         assert_eq!(url.path(), path);
-        assert_eq!(
-            url.to_string(),
-            format!("{scheme}:/srv/runs?baud=7/brick&co")
-        );
+        assert_eq!(url.to_string(), format!("{scheme}:/srv/runs?baud=7/brick&co"));
     }
-    assert_eq!(
-        LinkUrl::pty(Path::new("a/brick.tty")),
-        LinkUrl::parse("pty:a/brick.tty")
-    );
+    assert_eq!(LinkUrl::pty(Path::new("a/brick.tty")), LinkUrl::parse("pty:a/brick.tty"));
     for bad in ["", "a\0b"] {
         let error = LinkUrl::serial(Path::new(bad)).expect_err(bad);
         assert!(matches!(error, UrlError::NoPath { .. }), "{error:?}");

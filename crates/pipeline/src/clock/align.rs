@@ -85,18 +85,11 @@ impl<C: Clock> Default for ClockAligner<C> {
 
 impl<C: Clock> ClockAligner<C> {
     /// A message with this stamp arrived by `way`.
-    pub fn arrived(
-        &mut self,
-        way: Way,
-        stamp: WireStamp,
-        arrival: Stamp<HostClock>,
-    ) -> Unwrapped<C> {
+    pub fn arrived(&mut self, way: Way, stamp: WireStamp, arrival: Stamp<HostClock>) -> Unwrapped<C> {
         let unwrapped = self.unwrapped(way, stamp, arrival);
         if let Unwrapped::Continued(remote) | Unwrapped::Restarted(remote) = unwrapped {
             let meeting = self.bound_above(remote, arrival);
-            let is_due = self
-                .line
-                .is_none_or(|line| meeting.remote_s - line.at_s >= REFIT_S);
+            let is_due = self.line.is_none_or(|line| meeting.remote_s - line.at_s >= REFIT_S);
             if is_due && !self.fit(meeting) {
                 self.begin_anew(remote, arrival);
             }
@@ -151,10 +144,7 @@ impl<C: Clock> ClockAligner<C> {
         let (remote_zero, host_zero) = self.origin?;
         let since = remote - remote_zero;
         let offset_s = self.conversion.offset_at(since.as_secs_f64())?;
-        Some((
-            host_zero + since + Span::from_secs_f64(offset_s),
-            self.uncertainty_at(since.as_secs_f64(), offset_s)?,
-        ))
+        Some((host_zero + since + Span::from_secs_f64(offset_s), self.uncertainty_at(since.as_secs_f64(), offset_s)?))
     }
 
     /// The instant of the host's clock on the remote clock, and how far it may be off. The inverse of [`Self::host_at`]; an instant that
@@ -195,9 +185,7 @@ impl<C: Clock> ClockAligner<C> {
         ClockAligner {
             unwrapper: self.unwrapper,
             bounds: self.bounds,
-            origin: self
-                .origin
-                .map(|(remote, host)| (Stamp::from_nanos(remote.as_nanos()), host)),
+            origin: self.origin.map(|(remote, host)| (Stamp::from_nanos(remote.as_nanos()), host)),
             line: self.line,
             conversion: self.conversion,
             youngest_s: self.youngest_s,
@@ -255,8 +243,7 @@ impl<C: Clock> ClockAligner<C> {
         if let Some(line) = &line {
             // Nothing that has happened may be converted anew: neither a stamp that has arrived nor an instant before now.
             let present_s = self.conversion.remote_at(now.host_s);
-            let from_s =
-                present_s.map_or(self.youngest_s, |present_s| present_s.max(self.youngest_s));
+            let from_s = present_s.map_or(self.youngest_s, |present_s| present_s.max(self.youngest_s));
             self.conversion.steer(line, from_s);
             self.line = Some(*line);
         }
@@ -293,10 +280,7 @@ impl<C: Clock> ClockAligner<C> {
 
     fn meeting(&mut self, remote: Stamp<C>, host: Stamp<HostClock>) -> Meeting {
         let (remote_zero, host_zero) = *self.origin.get_or_insert((remote, host));
-        Meeting {
-            remote_s: (remote - remote_zero).as_secs_f64(),
-            host_s: (host - host_zero).as_secs_f64(),
-        }
+        Meeting { remote_s: (remote - remote_zero).as_secs_f64(), host_s: (host - host_zero).as_secs_f64() }
     }
 
     /// What a counter shows may be as old as its step: by so much the lower bound must give way.
@@ -305,20 +289,13 @@ impl<C: Clock> ClockAligner<C> {
     }
 
     fn forget(&mut self) {
-        *self = Self {
-            unwrapper: std::mem::take(&mut self.unwrapper),
-            step_micros: self.step_micros,
-            ..Self::default()
-        };
+        *self =
+            Self { unwrapper: std::mem::take(&mut self.unwrapper), step_micros: self.step_micros, ..Self::default() };
     }
 }
 
 fn greatest_common_divisor(a: u64, b: u64) -> u64 {
-    if b == 0 {
-        a
-    } else {
-        greatest_common_divisor(b, a % b)
-    }
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
 #[cfg(test)]
@@ -362,12 +339,8 @@ mod tests {
         assert!((host.as_secs_f64() - 1.0).abs() < 1e-3, "{host:?}");
         let (back, _) = aligner.remote_at(host).unwrap();
         assert!((back - Stamp::from_millis(901_000)).as_nanos().abs() <= 2);
-        let (unwrapped, _) = aligner.exchanged(
-            Way::default(),
-            Stamp::from_millis(2_500),
-            Stamp::from_millis(2_530),
-            5_000_000,
-        );
+        let (unwrapped, _) =
+            aligner.exchanged(Way::default(), Stamp::from_millis(2_500), Stamp::from_millis(2_530), 5_000_000);
         assert_eq!(unwrapped, Unwrapped::Restarted(Stamp::from_millis(5)));
         assert!(aligner.host_at(Stamp::from_millis(6)).is_none());
     }

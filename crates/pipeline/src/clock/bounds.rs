@@ -68,9 +68,7 @@ impl Line {
     #[must_use]
     pub fn uncertainty_at(&self, remote_s: f64) -> f64 {
         let away_s = (remote_s - self.at_s).abs();
-        self.uncertainty_s
-            + self.slope_uncertainty * away_s
-            + 0.5 * LARGEST_DRIFT_PER_S * away_s * away_s
+        self.uncertainty_s + self.slope_uncertainty * away_s + 0.5 * LARGEST_DRIFT_PER_S * away_s * away_s
     }
 }
 
@@ -108,25 +106,15 @@ impl ClockBounds {
     /// A message stamped `remote_s` arrived at `host_s`.
     pub fn arrived(&mut self, remote_s: f64, host_s: f64) {
         let slope = self.slope;
-        let bound = Bound {
-            t_s: remote_s,
-            offset_s: host_s - remote_s,
-        };
-        keep_tightest(&mut self.upper, bound, |new, old| {
-            new.offset_s - old.offset_s < slope * (new.t_s - old.t_s)
-        });
+        let bound = Bound { t_s: remote_s, offset_s: host_s - remote_s };
+        keep_tightest(&mut self.upper, bound, |new, old| new.offset_s - old.offset_s < slope * (new.t_s - old.t_s));
     }
 
     /// A request that left at `host_s` was stamped `remote_s`.
     pub fn left(&mut self, host_s: f64, remote_s: f64) {
         let slope = self.slope;
-        let bound = Bound {
-            t_s: remote_s,
-            offset_s: host_s - remote_s,
-        };
-        keep_tightest(&mut self.lower, bound, |new, old| {
-            new.offset_s - old.offset_s > slope * (new.t_s - old.t_s)
-        });
+        let bound = Bound { t_s: remote_s, offset_s: host_s - remote_s };
+        keep_tightest(&mut self.lower, bound, |new, old| new.offset_s - old.offset_s > slope * (new.t_s - old.t_s));
     }
 
     /// Forgets what lies a window before `t_s`.
@@ -176,8 +164,7 @@ impl ClockBounds {
             piece(slope, value_s, middle_s - touched_s)
         });
         self.slope = slope;
-        let offset_s =
-            self.upper_hull.at(slope, middle_s).0 + slope * (t_s - middle_s) - assumed_delay_s;
+        let offset_s = self.upper_hull.at(slope, middle_s).0 + slope * (t_s - middle_s) - assumed_delay_s;
         Some(Line {
             at_s: t_s,
             offset_s,
@@ -189,10 +176,8 @@ impl ClockBounds {
     }
 
     fn span_hulls(&mut self, t_s: f64, drift_per_s: f64) {
-        self.upper_hull
-            .span(self.upper.candidates(), t_s, drift_per_s);
-        self.lower_hull
-            .span(self.lower.candidates(), t_s, drift_per_s);
+        self.upper_hull.span(self.upper.candidates(), t_s, drift_per_s);
+        self.lower_hull.span(self.lower.candidates(), t_s, drift_per_s);
     }
 
     /// The room at a slope; it rises by the distance in time between the two bounds that make it.
@@ -206,32 +191,15 @@ impl ClockBounds {
     fn middle(&self, t_s: f64, steepest: f64) -> Middle {
         let room = |slope| self.room(slope, t_s);
         let slope = climb(-steepest, steepest, MOST_PIECES, room);
-        let (upper_s, lower_s) = (
-            self.upper_hull.at(slope, t_s).0,
-            self.lower_hull.at(slope, t_s).0,
-        );
-        Middle {
-            slope,
-            offset_s: 0.5 * (upper_s + lower_s),
-            room_s: upper_s - lower_s,
-        }
+        let (upper_s, lower_s) = (self.upper_hull.at(slope, t_s).0, self.lower_hull.at(slope, t_s).0);
+        Middle { slope, offset_s: 0.5 * (upper_s + lower_s), room_s: upper_s - lower_s }
     }
 
     /// The line with how far any other that satisfies the bounds in the hulls lies from it.
     fn line_around(&self, t_s: f64, middle: Middle) -> Line {
-        let Middle {
-            slope,
-            offset_s,
-            room_s,
-        } = middle;
+        let Middle { slope, offset_s, room_s } = middle;
         if room_s < 0.0 {
-            return Line {
-                at_s: t_s,
-                offset_s,
-                slope,
-                uncertainty_s: -room_s,
-                slope_uncertainty: 0.0,
-            };
+            return Line { at_s: t_s, offset_s, slope, uncertainty_s: -room_s, slope_uncertainty: 0.0 };
         }
         let (upper, lower) = (&self.upper_hull, &self.lower_hull);
         // All slopes that leave room: from the best one outwards to where it vanishes.
@@ -247,24 +215,13 @@ impl ClockBounds {
             let (value_s, touched_s) = lower.at(slope, t_s);
             piece(slope, -value_s, touched_s - t_s)
         });
-        let uncertainty_s =
-            (upper.at(at_highest, t_s).0 - offset_s).max(offset_s - lower.at(at_lowest, t_s).0);
-        Line {
-            at_s: t_s,
-            offset_s,
-            slope,
-            uncertainty_s,
-            slope_uncertainty: (highest - slope).max(slope - lowest),
-        }
+        let uncertainty_s = (upper.at(at_highest, t_s).0 - offset_s).max(offset_s - lower.at(at_lowest, t_s).0);
+        Line { at_s: t_s, offset_s, slope, uncertainty_s, slope_uncertainty: (highest - slope).max(slope - lowest) }
     }
 }
 
 const fn piece(slope: f64, value_s: f64, rise_s: f64) -> Piece {
-    Piece {
-        slope,
-        value_s,
-        rise_s,
-    }
+    Piece { slope, value_s, rise_s }
 }
 
 fn keep_tightest(bounds: &mut Window, new: Bound, is_tighter: impl Fn(&Bound, &Bound) -> bool) {

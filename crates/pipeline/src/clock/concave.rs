@@ -44,11 +44,7 @@ pub(super) fn climb(low: f64, high: f64, most_pieces: usize, of: impl Fn(f64) ->
     for _ in 0..most_pieces {
         top = left.crossing(&right).max(low).min(high);
         let found = of(top);
-        let end = if found.rise_s > 0.0 {
-            &mut left
-        } else {
-            &mut right
-        };
+        let end = if found.rise_s > 0.0 { &mut left } else { &mut right };
         // The very line again: both lines hold up to where they cross.
         if end.rise_s == found.rise_s {
             break;
@@ -59,21 +55,14 @@ pub(super) fn climb(low: f64, high: f64, most_pieces: usize, of: impl Fn(f64) ->
 }
 
 /// The slope nearest to `outside` at which a concave function that is not negative at `inside` is not negative yet.
-pub(super) fn edge(
-    outside: f64,
-    inside: f64,
-    most_pieces: usize,
-    of: impl Fn(f64) -> Piece,
-) -> f64 {
+pub(super) fn edge(outside: f64, inside: f64, most_pieces: usize, of: impl Fn(f64) -> Piece) -> f64 {
     let (low, high) = (outside.min(inside), outside.max(inside));
     let mut piece = of(outside);
     for _ in 0..most_pieces {
         if piece.value_s >= 0.0 || piece.rise_s == 0.0 {
             break;
         }
-        let next = of((piece.slope - piece.value_s / piece.rise_s)
-            .max(low)
-            .min(high));
+        let next = of((piece.slope - piece.value_s / piece.rise_s).max(low).min(high));
         let is_same_line = next.rise_s == piece.rise_s;
         piece = next;
         if is_same_line {
@@ -95,9 +84,7 @@ mod tests {
             value_s: at_zero_s + rise_s * slope,
             rise_s: *rise_s,
         });
-        pieces
-            .min_by(|a, b| a.value_s.total_cmp(&b.value_s))
-            .unwrap()
+        pieces.min_by(|a, b| a.value_s.total_cmp(&b.value_s)).unwrap()
     }
 
     /// By forty halvings, which need nothing but the sign of the rise.

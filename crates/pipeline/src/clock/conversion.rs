@@ -53,11 +53,7 @@ pub struct Conversion {
 impl Conversion {
     /// Follows `line` from the remote instant `from_s` on; before it, everything stays as it was. The first line is taken as it is.
     pub fn steer(&mut self, line: &Line, from_s: f64) {
-        let on_line = |at_s: f64| Knot {
-            at_s,
-            offset_s: line.offset_at(at_s),
-            slope: line.slope,
-        };
+        let on_line = |at_s: f64| Knot { at_s, offset_s: line.offset_at(at_s), slope: line.slope };
         let Some(offset_s) = self.offset_at(from_s) else {
             self.knots.push_back(on_line(from_s));
             return;
@@ -66,11 +62,7 @@ impl Conversion {
             self.knots.pop_back();
         }
         let gap_s = line.offset_at(from_s) - offset_s;
-        self.knots.push_back(Knot {
-            at_s: from_s,
-            offset_s,
-            slope: line.slope + SLEW * gap_s.signum(),
-        });
+        self.knots.push_back(Knot { at_s: from_s, offset_s, slope: line.slope + SLEW * gap_s.signum() });
         self.knots.push_back(on_line(from_s + gap_s.abs() / SLEW));
         while self.knots.len() > MOST_KNOTS {
             self.knots.pop_front();
@@ -104,13 +96,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn line(at_s: f64, offset_s: f64, slope: f64) -> Line {
-        Line {
-            at_s,
-            offset_s,
-            slope,
-            uncertainty_s: 0.0,
-            slope_uncertainty: 0.0,
-        }
+        Line { at_s, offset_s, slope, uncertainty_s: 0.0, slope_uncertainty: 0.0 }
     }
 
     /// A conversion that was steered ten times a second towards lines of which no two agree.
@@ -164,13 +150,7 @@ mod tests {
         let mut conversion = Conversion::default();
         conversion.steer(&line(0.0, 0.0, 1e-4), 0.0);
         conversion.steer(&line(1.0, 0.0151, 1e-4), 1.0);
-        for (remote_s, offset_s) in [
-            (0.5, 0.000_05),
-            (1.0, 0.0001),
-            (1.1, 0.005_11),
-            (1.3, 0.015_13),
-            (9.0, 0.0159),
-        ] {
+        for (remote_s, offset_s) in [(0.5, 0.000_05), (1.0, 0.0001), (1.1, 0.005_11), (1.3, 0.015_13), (9.0, 0.0159)] {
             let found_s = conversion.offset_at(remote_s).unwrap();
             assert!((found_s - offset_s).abs() < 1e-12, "{found_s}");
         }

@@ -44,10 +44,7 @@ impl Bound {
     /// `drift_per_s` (t - t_i)^2 / 2.
     pub(super) fn loosened(self, side: Side, t_s: f64, drift_per_s: f64) -> Self {
         let age_s = t_s - self.t_s;
-        Self {
-            t_s: self.t_s,
-            offset_s: side.sign() * self.offset_s + 0.5 * drift_per_s * age_s * age_s,
-        }
+        Self { t_s: self.t_s, offset_s: side.sign() * self.offset_s + 0.5 * drift_per_s * age_s * age_s }
     }
 }
 
@@ -61,10 +58,7 @@ pub(super) struct Hull {
 
 impl Hull {
     pub(super) const fn new(side: Side) -> Self {
-        Self {
-            side,
-            corners: Vec::new(),
-        }
+        Self { side, corners: Vec::new() }
     }
 
     /// Takes the bounds anew, in the order of time, each loosened by what the rate may have changed since.
@@ -96,9 +90,7 @@ impl Hull {
             }
         }
         let touched = self.corners.get(low);
-        touched.map_or((sign * f64::INFINITY, t_s), |corner| {
-            (sign * value(corner), corner.t_s)
-        })
+        touched.map_or((sign * f64::INFINITY, t_s), |corner| (sign * value(corner), corner.t_s))
     }
 }
 
@@ -116,10 +108,7 @@ mod tests {
 
     fn bounds(offsets: &[f64]) -> Vec<Bound> {
         let places = offsets.iter().enumerate();
-        let bound = |(k, offset_s): (usize, &f64)| Bound {
-            t_s: k as f64 * 0.5,
-            offset_s: *offset_s,
-        };
+        let bound = |(k, offset_s): (usize, &f64)| Bound { t_s: k as f64 * 0.5, offset_s: *offset_s };
         places.map(bound).collect()
     }
 

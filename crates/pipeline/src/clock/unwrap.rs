@@ -63,12 +63,7 @@ pub enum Unwrapped<C: Clock> {
 
 impl Unwrapper {
     /// The instant of a stamp that arrived by `way` at `arrival`.
-    pub fn unwrap<C: Clock>(
-        &mut self,
-        way: Way,
-        stamp: WireStamp,
-        arrival: Stamp<HostClock>,
-    ) -> Unwrapped<C> {
+    pub fn unwrap<C: Clock>(&mut self, way: Way, stamp: WireStamp, arrival: Stamp<HostClock>) -> Unwrapped<C> {
         match self.ways.place(way, stamp, arrival) {
             None => Unwrapped::Continued(self.begin(way, stamp, arrival)),
             Some(Place::RunsOn(micros)) => Unwrapped::Continued(Stamp::from_micros(micros)),
@@ -94,18 +89,10 @@ impl Unwrapper {
     /// The instant of a stamp near the last one, whichever side; nothing is learnt from it.
     pub(super) fn nearest<C: Clock>(&self, stamp: WireStamp) -> Option<Stamp<C>> {
         let last = self.ways.youngest()?;
-        Some(Stamp::from_micros(nearest_instant(
-            last.remote_micros,
-            micros_of(stamp),
-        )))
+        Some(Stamp::from_micros(nearest_instant(last.remote_micros, micros_of(stamp))))
     }
 
-    fn begin<C: Clock>(
-        &mut self,
-        way: Way,
-        stamp: WireStamp,
-        arrival: Stamp<HostClock>,
-    ) -> Stamp<C> {
+    fn begin<C: Clock>(&mut self, way: Way, stamp: WireStamp, arrival: Stamp<HostClock>) -> Stamp<C> {
         let remote_micros = micros_of(stamp);
         self.ways.begin(way, remote_micros, arrival);
         Stamp::from_micros(remote_micros)
@@ -114,10 +101,7 @@ impl Unwrapper {
 
 /// The instants that a stamp may mean without a restart, in microseconds on the remote clock.
 #[derive(Clone, Copy, Debug)]
-#[expect(
-    clippy::struct_field_names,
-    reason = "the unit is part of every name of a bare number"
-)]
+#[expect(clippy::struct_field_names, reason = "the unit is part of every name of a bare number")]
 pub(super) struct Believable {
     earliest_micros: i64,
     expected_micros: i64,
@@ -127,24 +111,14 @@ pub(super) struct Believable {
 impl Seen {
     /// A stamp of which nothing is known but that it came.
     pub(super) const fn at(remote_micros: i64, arrival: Stamp<HostClock>) -> Self {
-        Self {
-            remote_micros,
-            arrival,
-            held_back: Span::ZERO,
-            queue: Span::ZERO,
-            released: arrival,
-        }
+        Self { remote_micros, arrival, held_back: Span::ZERO, queue: Span::ZERO, released: arrival }
     }
 
     /// What a stamp that arrives at `arrival` may mean if the clock ran on.
     pub(super) fn believable(&self, arrival: Stamp<HostClock>) -> Believable {
         let (elapsed, skew) = self.elapsed(arrival);
         let expected_micros = self.remote_micros + micros(elapsed);
-        let straggling = if arrival - self.released <= STRAGGLES {
-            self.queue
-        } else {
-            Span::ZERO
-        };
+        let straggling = if arrival - self.released <= STRAGGLES { self.queue } else { Span::ZERO };
         Believable {
             earliest_micros: (self.remote_micros - micros(RESTART_BACK + straggling))
                 .max(expected_micros - micros(skew + LONGEST_DELAY)),
@@ -166,13 +140,7 @@ impl Seen {
         } else {
             (self.queue, self.released)
         };
-        Self {
-            remote_micros,
-            arrival,
-            held_back,
-            queue,
-            released,
-        }
+        Self { remote_micros, arrival, held_back, queue, released }
     }
 
     /// The time on the host since this stamp came, and how much of it the rates of the clocks may make.
@@ -214,20 +182,16 @@ fn micros_of(stamp: WireStamp) -> i64 {
         WireStamp::Micros32(micros) => i64::from(micros),
         WireStamp::Millis32(millis) => i64::from(millis) * 1_000,
         // Beyond i64 nanoseconds there is no instant; damage, which the restart rule then catches.
-        WireStamp::Micros64(_) | WireStamp::Asked { .. } => i64::try_from(stamp.as_micros())
-            .unwrap_or(i64::MAX)
-            .min(i64::MAX / 2_000),
+        WireStamp::Micros64(_) | WireStamp::Asked { .. } => {
+            i64::try_from(stamp.as_micros()).unwrap_or(i64::MAX).min(i64::MAX / 2_000)
+        }
     }
 }
 
 /// The instant next to `near_micros` at which a counter shows this value modulo its period.
 const fn nearest_instant(near_micros: i64, shown_micros: i64) -> i64 {
     let ahead = (shown_micros - near_micros).rem_euclid(PERIOD_MICROS);
-    if ahead >= PERIOD_MICROS / 2 {
-        near_micros + ahead - PERIOD_MICROS
-    } else {
-        near_micros + ahead
-    }
+    if ahead >= PERIOD_MICROS / 2 { near_micros + ahead - PERIOD_MICROS } else { near_micros + ahead }
 }
 
 #[cfg(test)]
@@ -235,11 +199,7 @@ mod tests {
     use super::*;
     use posebridge_telemetry::BrickClock;
 
-    fn unwrapped(
-        unwrapper: &mut Unwrapper,
-        stamp: WireStamp,
-        arrival_ms: i64,
-    ) -> Unwrapped<BrickClock> {
+    fn unwrapped(unwrapper: &mut Unwrapper, stamp: WireStamp, arrival_ms: i64) -> Unwrapped<BrickClock> {
         unwrapper.unwrap(Way::default(), stamp, Stamp::from_millis(arrival_ms))
     }
 
@@ -248,10 +208,7 @@ mod tests {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Micros32(u32::MAX - 999), 0);
         let after = unwrapped(&mut unwrapper, WireStamp::Micros32(49_000), 50);
-        assert_eq!(
-            after,
-            Unwrapped::Continued(Stamp::from_micros((1 << 32) + 49_000))
-        );
+        assert_eq!(after, Unwrapped::Continued(Stamp::from_micros((1 << 32) + 49_000)));
     }
 
     #[test]
@@ -259,10 +216,7 @@ mod tests {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Millis32(u32::MAX - 9), 0);
         let after = unwrapped(&mut unwrapper, WireStamp::Millis32(40), 50);
-        assert_eq!(
-            after,
-            Unwrapped::Continued(Stamp::from_millis((1 << 32) + 40))
-        );
+        assert_eq!(after, Unwrapped::Continued(Stamp::from_millis((1 << 32) + 40)));
     }
 
     #[test]
@@ -270,15 +224,8 @@ mod tests {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Micros32(u32::MAX - 999), 0);
         unwrapped(&mut unwrapper, WireStamp::Micros32(49_000), 50);
-        let millis = unwrapped(
-            &mut unwrapper,
-            WireStamp::Millis32(((1_u64 << 32) / 1_000) as u32 + 100),
-            100,
-        );
-        assert_eq!(
-            millis,
-            Unwrapped::Continued(Stamp::from_micros(4_295_067_000))
-        );
+        let millis = unwrapped(&mut unwrapper, WireStamp::Millis32(((1_u64 << 32) / 1_000) as u32 + 100), 100);
+        assert_eq!(millis, Unwrapped::Continued(Stamp::from_micros(4_295_067_000)));
     }
 
     #[test]
@@ -294,9 +241,7 @@ mod tests {
     #[test]
     fn a_datagram_that_a_whole_queue_has_overtaken_is_late_and_later_a_fall_is_a_restart() {
         let mut unwrapper = Unwrapper::default();
-        let mut stamp_at = |millis: u32, arrival_ms| {
-            unwrapped(&mut unwrapper, WireStamp::Millis32(millis), arrival_ms)
-        };
+        let mut stamp_at = |millis: u32, arrival_ms| unwrapped(&mut unwrapper, WireStamp::Millis32(millis), arrival_ms);
         stamp_at(20_000, 20_000);
         // The link stands still for six seconds, and then everything comes at once; one of it a little later.
         for millis in (20_100..=26_000).step_by(50) {
@@ -316,10 +261,7 @@ mod tests {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Micros32(1_000_000), 0);
         let after_silence = unwrapped(&mut unwrapper, WireStamp::Micros32(601_000_000), 600_000);
-        assert_eq!(
-            after_silence,
-            Unwrapped::Continued(Stamp::from_micros(601_000_000))
-        );
+        assert_eq!(after_silence, Unwrapped::Continued(Stamp::from_micros(601_000_000)));
         let leap = unwrapped(&mut unwrapper, WireStamp::Micros32(700_000_000), 600_100);
         assert_eq!(leap, Unwrapped::Restarted(Stamp::from_micros(700_000_000)));
     }
@@ -342,8 +284,7 @@ mod tests {
                     unwrapped(&mut unwrapper, WireStamp::Micros64(last_micros as u64), 0);
                     let ran_micros = silence_micros + silence_micros / 1_000_000 * skew_ppm;
                     let now_micros = last_micros + ran_micros;
-                    let after =
-                        unwrapped(&mut unwrapper, register(now_micros), silence_micros / 1_000);
+                    let after = unwrapped(&mut unwrapper, register(now_micros), silence_micros / 1_000);
                     assert_eq!(
                         after,
                         Unwrapped::Continued(Stamp::from_micros(now_micros)),
@@ -387,11 +328,7 @@ mod tests {
             let mut unwrapper = Unwrapper::default();
             unwrapped(&mut unwrapper, register(last_s * SECOND), 0);
             let after = unwrapped(&mut unwrapper, register(up_s * SECOND), 2_400_000);
-            assert_eq!(
-                after,
-                Unwrapped::Restarted(Stamp::from_micros(up_s * SECOND)),
-                "{up_s} s after {last_s} s"
-            );
+            assert_eq!(after, Unwrapped::Restarted(Stamp::from_micros(up_s * SECOND)), "{up_s} s after {last_s} s");
         }
     }
 
@@ -412,11 +349,7 @@ mod tests {
         let now_micros = SECOND + ten_days_micros / 1_000 * 1_005;
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Micros64(SECOND as u64), 0);
-        let after = unwrapped(
-            &mut unwrapper,
-            WireStamp::Micros64(now_micros as u64),
-            ten_days_micros / 1_000,
-        );
+        let after = unwrapped(&mut unwrapper, WireStamp::Micros64(now_micros as u64), ten_days_micros / 1_000);
         assert_eq!(after, Unwrapped::Continued(Stamp::from_micros(now_micros)));
     }
 
@@ -445,11 +378,7 @@ mod tests {
     #[test]
     fn no_stamp_overflows() {
         let mut unwrapper = Unwrapper::default();
-        for stamp in [
-            WireStamp::Micros64(u64::MAX),
-            WireStamp::Micros64(0),
-            WireStamp::Millis32(u32::MAX),
-        ] {
+        for stamp in [WireStamp::Micros64(u64::MAX), WireStamp::Micros64(0), WireStamp::Millis32(u32::MAX)] {
             unwrapped(&mut unwrapper, stamp, 0);
         }
     }

@@ -78,12 +78,7 @@ impl Ways {
 
     /// Where a stamp belongs that came by `way` at `arrival`; takes note of it, unless it tells of a restart: then [`Self::begin`]
     /// must follow. `None` if it is the first of all.
-    pub(super) fn place(
-        &mut self,
-        way: Way,
-        stamp: WireStamp,
-        arrival: Stamp<HostClock>,
-    ) -> Option<Place> {
+    pub(super) fn place(&mut self, way: Way, stamp: WireStamp, arrival: Stamp<HostClock>) -> Option<Place> {
         let youngest = self.youngest?;
         let index = self.heard.iter().position(|heard| heard.way == way);
         let heard = index.and_then(|index| self.heard.get(index)).copied();
@@ -93,17 +88,11 @@ impl Ways {
         }
         let last = match heard {
             // Within its way a stamp that was overtaken does not move the reference.
-            Some(heard) if heard.standing == standing && micros <= heard.last.remote_micros => {
-                heard.last
-            }
+            Some(heard) if heard.standing == standing && micros <= heard.last.remote_micros => heard.last,
             Some(heard) if heard.standing == standing => heard.last.followed_by(micros, arrival),
             _ => Seen::at(micros, arrival),
         };
-        self.keep(Heard {
-            way,
-            last,
-            standing,
-        });
+        self.keep(Heard { way, last, standing });
         if standing == Standing::Current && micros > youngest.remote_micros {
             self.youngest = Some(youngest.followed_by(micros, arrival));
         }
@@ -120,11 +109,7 @@ impl Ways {
         }
         let first = Seen::at(remote_micros, arrival);
         self.youngest = Some(first);
-        self.keep(Heard {
-            way,
-            last: first,
-            standing: Standing::Current,
-        });
+        self.keep(Heard { way, last: first, standing: Standing::Current });
     }
 
     fn keep(&mut self, heard: Heard) {
@@ -142,12 +127,7 @@ impl Ways {
 }
 
 /// Where a stamp belongs, its instant on the clock of which it speaks, and what its way is then.
-fn judge(
-    youngest: &Seen,
-    heard: Option<Heard>,
-    stamp: WireStamp,
-    arrival: Stamp<HostClock>,
-) -> (Place, i64, Standing) {
+fn judge(youngest: &Seen, heard: Option<Heard>, stamp: WireStamp, arrival: Stamp<HostClock>) -> (Place, i64, Standing) {
     let standing = heard.map(|heard| heard.standing);
     let own = heard.and_then(|heard| {
         let believable = heard.last.believable(arrival);
@@ -169,12 +149,8 @@ fn judge(
         (Some(Standing::Outlived { until_micros }), Some(own)) if own <= until_micros => {
             (Place::Outlived, own, Standing::Outlived { until_micros })
         }
-        (Some(Standing::Outlived { .. }), None) if is_late => {
-            (Place::RunsOn(micros), micros, Standing::Current)
-        }
-        _ if is_late && arrival - youngest.arrival <= ALIVE => {
-            (Place::RunsOn(micros), micros, Standing::Behind)
-        }
+        (Some(Standing::Outlived { .. }), None) if is_late => (Place::RunsOn(micros), micros, Standing::Current),
+        _ if is_late && arrival - youngest.arrival <= ALIVE => (Place::RunsOn(micros), micros, Standing::Behind),
         _ => (Place::Restarted, 0, Standing::Current),
     }
 }
@@ -187,10 +163,7 @@ mod tests {
     const MILLI: i64 = 1_000;
 
     const fn way(link: u16) -> Way {
-        Way {
-            link: LinkId(link),
-            peer: PeerId(0),
-        }
+        Way { link: LinkId(link), peer: PeerId(0) }
     }
 
     /// A stamp in ms by a way at an instant in ms; a restart is followed, as its caller must.
@@ -249,17 +222,13 @@ mod tests {
         let before = give(&mut ways, 1, 101_900, 1_910);
         assert_eq!(before, Some(Place::Outlived));
         let mut instants = (2_000..8_000).step_by(50);
-        let end =
-            instants.find(|now| give(&mut ways, 1, 100_000 + now, *now) == Some(Place::Restarted));
+        let end = instants.find(|now| give(&mut ways, 1, 100_000 + now, *now) == Some(Place::Restarted));
         assert!(end.is_some_and(|end| end <= 3_100), "{end:?}");
     }
 
     #[test]
     fn a_way_that_was_never_heard_is_late_only_while_another_one_speaks() {
-        for (silence_ms, expected) in [
-            (2_000, Place::RunsOn(50 * MILLI)),
-            (2_001, Place::Restarted),
-        ] {
+        for (silence_ms, expected) in [(2_000, Place::RunsOn(50 * MILLI)), (2_001, Place::Restarted)] {
             let mut ways = two_ways();
             let found = give(&mut ways, 2, 50, 20 + silence_ms);
             assert_eq!(found, Some(expected), "{silence_ms} ms");
@@ -271,12 +240,7 @@ mod tests {
         let mut ways = two_ways();
         for link in 2..20 {
             give(&mut ways, link, 100_100, 100);
-            give(
-                &mut ways,
-                0,
-                100_100 + i64::from(link),
-                100 + i64::from(link),
-            );
+            give(&mut ways, 0, 100_100 + i64::from(link), 100 + i64::from(link));
         }
         assert_eq!(ways.heard.len(), MOST_WAYS);
         assert!(ways.heard.iter().any(|heard| heard.way == way(0)));

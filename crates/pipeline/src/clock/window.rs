@@ -134,8 +134,8 @@ impl Window {
     /// Whether the middle one of three bounds in the order of time lies below the line from the first to the last, loosened as they are
     /// at the instant of the last.
     fn is_corner(&self, first: Bound, middle: Bound, last: Bound) -> bool {
-        let [first, middle, last] = [first, middle, last]
-            .map(|bound| bound.loosened(self.side, last.t_s, self.drift_per_s));
+        let [first, middle, last] =
+            [first, middle, last].map(|bound| bound.loosened(self.side, last.t_s, self.drift_per_s));
         is_below(&first, &middle, &last)
     }
 }

@@ -11,8 +11,7 @@ use std::collections::BTreeMap;
 
 use posebridge_protocol::message::{Message, TextPart};
 use posebridge_telemetry::{
-    Estimate, Event, FusionRecord, HostClock, LinkId, LinkState, Priority, RobotId, SensorId, Span,
-    Stamp, Verdict,
+    Estimate, Event, FusionRecord, HostClock, LinkId, LinkState, Priority, RobotId, SensorId, Span, Stamp, Verdict,
 };
 
 use super::{Pipeline, SEVERITY_WARNING};
@@ -97,11 +96,7 @@ pub(super) struct Announcer {
 impl Announcer {
     fn tell(&mut self, now: Stamp<HostClock>, topic: Topic, mut text: Text) {
         let (most, quiet) = topic.most();
-        let fresh = Told {
-            since: now,
-            said: 0,
-            left_out: 0,
-        };
+        let fresh = Told { since: now, said: 0, left_out: 0 };
         let told = self.told.entry(topic).or_insert(fresh);
         if now - told.since >= quiet {
             if told.left_out > 0 {
@@ -161,16 +156,8 @@ impl Pipeline {
         let Some((topic, severity, words)) = self.words_for(event) else {
             return;
         };
-        let speaker = if let Topic::Words(speaker) = topic {
-            speaker
-        } else {
-            Speaker::Station
-        };
-        let text = Text {
-            speaker,
-            severity,
-            words,
-        };
+        let speaker = if let Topic::Words(speaker) = topic { speaker } else { Speaker::Station };
+        let text = Text { speaker, severity, words };
         self.announcer.tell(self.now, topic, text);
     }
 
@@ -179,11 +166,7 @@ impl Pipeline {
         if self.voices == 0 {
             return;
         }
-        let text = Text {
-            speaker: Speaker::Station,
-            severity,
-            words: words.to_owned(),
-        };
+        let text = Text { speaker: Speaker::Station, severity, words: words.to_owned() };
         self.announcer.tell(self.now, Topic::Report, text);
     }
 
@@ -192,8 +175,7 @@ impl Pipeline {
         for text in std::mem::take(&mut self.announcer.waiting) {
             let parts = self.announcer.parts(text.severity, &text.words);
             let links = self.links.iter();
-            let hearing =
-                links.filter(|(_, link)| link.voice.is_some() && link.state == LinkState::Up);
+            let hearing = links.filter(|(_, link)| link.voice.is_some() && link.state == LinkState::Up);
             let hearing: Vec<LinkId> = hearing.map(|(id, _)| *id).collect();
             for id in hearing {
                 for part in &parts {
@@ -215,26 +197,18 @@ impl Pipeline {
                 let is_back = std::mem::take(&mut self.announcer.is_robot_missed);
                 is_back.then_some((Topic::RobotSeen, SEVERITY_INFO, words))
             }
-            Event::RobotLost { robot, silence }
-                if self.is_the_robot(*robot) && !self.robot_is_heard() =>
-            {
+            Event::RobotLost { robot, silence } if self.is_the_robot(*robot) && !self.robot_is_heard() => {
                 self.announcer.is_robot_missed = true;
                 let (address, silence_s) = (robot.address, silence.as_secs_f64());
                 let words = format!("robot {address} is lost: silent for {silence_s:.1} s");
                 Some((Topic::RobotLost, SEVERITY_ERROR, words))
             }
-            Event::BrickRestarted { robot } => Some((
-                Topic::Restart,
-                SEVERITY_WARNING,
-                format!("robot {} has restarted", robot.address),
-            )),
+            Event::BrickRestarted { robot } => {
+                Some((Topic::Restart, SEVERITY_WARNING, format!("robot {} has restarted", robot.address)))
+            }
             Event::Fused { record, .. } => words_for_record(record),
             Event::Estimated { estimate, .. } => self.words_for_reset(estimate),
-            Event::Text {
-                source,
-                severity,
-                text,
-            } => {
+            Event::Text { source, severity, text } => {
                 let speaker = if *source == self.config.own {
                     Speaker::Station
                 } else {
@@ -264,11 +238,7 @@ impl Pipeline {
         }
         Some(match state {
             LinkState::Up => (Topic::LinkUp(id), SEVERITY_INFO, format!("link {id} is up")),
-            LinkState::Down => (
-                Topic::LinkDown(id),
-                SEVERITY_WARNING,
-                format!("link {id} is down"),
-            ),
+            LinkState::Down => (Topic::LinkDown(id), SEVERITY_WARNING, format!("link {id} is down")),
         })
     }
 
@@ -290,9 +260,8 @@ impl Pipeline {
     }
 
     fn is_the_robot(&self, robot: RobotId) -> bool {
-        self.robot.is_some_and(|known| {
-            known.address == robot.address && self.router.lead_to_one(known.link, robot.link)
-        })
+        self.robot
+            .is_some_and(|known| known.address == robot.address && self.router.lead_to_one(known.link, robot.link))
     }
 }
 
@@ -304,16 +273,9 @@ fn words_for_record(record: &FusionRecord) -> Option<(Topic, u8, String)> {
     let name = record.sensor.name();
     let words = match record.verdict {
         Verdict::Gated => format!("fix of {name} refused: NIS {:.1}", record.nis),
-        Verdict::TooOld => format!(
-            "fix of {name} refused: {:.2} s late",
-            record.lag.as_secs_f64()
-        ),
+        Verdict::TooOld => format!("fix of {name} refused: {:.2} s late", record.lag.as_secs_f64()),
         Verdict::Malformed => format!("fix of {name} refused: malformed"),
-        Verdict::Accepted
-        | Verdict::Slip
-        | Verdict::Rebased
-        | Verdict::ResetTo
-        | Verdict::Unused => return None,
+        Verdict::Accepted | Verdict::Slip | Verdict::Rebased | Verdict::ResetTo | Verdict::Unused => return None,
     };
     Some((Topic::Refused(record.sensor), SEVERITY_WARNING, words))
 }
@@ -323,11 +285,7 @@ mod tests {
     use super::*;
 
     fn text(words: &str) -> Text {
-        Text {
-            speaker: Speaker::Station,
-            severity: SEVERITY_INFO,
-            words: words.to_owned(),
-        }
+        Text { speaker: Speaker::Station, severity: SEVERITY_INFO, words: words.to_owned() }
     }
 
     fn said(announcer: &mut Announcer, words: &str) -> Vec<(String, u16, u8)> {
@@ -349,17 +307,10 @@ mod tests {
         assert_eq!(said(&mut announcer, "brief"), [("brief".to_owned(), 0, 0)]);
         assert_eq!(said(&mut announcer, &a(50)), [(a(50), 0, 0)]);
         assert_eq!(said(&mut announcer, &a(51)), [(a(50), 1, 0), (a(1), 1, 1)]);
-        assert_eq!(
-            said(&mut announcer, &a(100)),
-            [(a(50), 2, 0), (a(50), 2, 1), (String::new(), 2, 2)]
-        );
+        assert_eq!(said(&mut announcer, &a(100)), [(a(50), 2, 0), (a(50), 2, 1), (String::new(), 2, 2)]);
         assert_eq!(said(&mut announcer, &a(1_000)).len(), 5);
         announcer.last_text_id = u16::MAX;
-        assert_eq!(
-            said(&mut announcer, &a(60))[0].1,
-            1,
-            "0 means a single part"
-        );
+        assert_eq!(said(&mut announcer, &a(60))[0].1, 1, "0 means a single part");
         assert_eq!(said(&mut announcer, "5 \u{b0}C")[0].0, "5 ?C");
     }
 
@@ -374,14 +325,7 @@ mod tests {
         announcer.tell(at(4_999), Topic::Restart, text("restarted"));
         announcer.tell(at(5_000), camera, text("refused"));
         announcer.tell(at(10_000), camera, text("refused"));
-        let words: Vec<_> = announcer
-            .waiting
-            .iter()
-            .map(|text| text.words.as_str())
-            .collect();
-        assert_eq!(
-            words,
-            ["refused", "restarted", "refused (2 more)", "refused"]
-        );
+        let words: Vec<_> = announcer.waiting.iter().map(|text| text.words.as_str()).collect();
+        assert_eq!(words, ["refused", "restarted", "refused (2 more)", "refused"]);
     }
 }

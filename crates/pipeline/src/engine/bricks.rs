@@ -5,9 +5,7 @@
 use posebridge_protocol::bricks::Heard;
 use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::{Occurrence, Way};
-use posebridge_telemetry::{
-    Address, Defect, Event, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp,
-};
+use posebridge_telemetry::{Address, Defect, Event, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp};
 
 use super::Pipeline;
 use super::converse::Exchange;
@@ -19,16 +17,8 @@ pub(super) struct Noted(Vec<Note>);
 
 enum Note {
     Message(Address, Message),
-    Time {
-        from: Address,
-        sent: Stamp<HostClock>,
-        peer_nanos: i64,
-    },
-    Text {
-        from: Address,
-        severity: u8,
-        text: String,
-    },
+    Time { from: Address, sent: Stamp<HostClock>, peer_nanos: i64 },
+    Text { from: Address, severity: u8, text: String },
     Defect(Defect),
 }
 
@@ -36,24 +26,8 @@ impl Noted {
     pub(super) fn take(&mut self, heard: Heard<'_>) {
         self.0.push(match heard {
             Heard::Message { from, message } => Note::Message(from, message),
-            Heard::Time {
-                from,
-                sent,
-                peer_nanos,
-            } => Note::Time {
-                from,
-                sent,
-                peer_nanos,
-            },
-            Heard::Note {
-                from,
-                severity,
-                text,
-            } => Note::Text {
-                from,
-                severity,
-                text,
-            },
+            Heard::Time { from, sent, peer_nanos } => Note::Time { from, sent, peer_nanos },
+            Heard::Note { from, severity, text } => Note::Text { from, severity, text },
             // Frames of MAVLink inside another protocol that mean nothing here; there is nobody to pass them on to.
             Heard::Other(_) => return,
             Heard::Defect(defect) => Note::Defect(defect),
@@ -86,34 +60,14 @@ impl Pipeline {
         for note in noted.0 {
             match note {
                 Note::Message(source, message) => {
-                    let arrived = Arrived {
-                        source,
-                        occurrence: Occurrence::First,
-                        message,
-                    };
+                    let arrived = Arrived { source, occurrence: Occurrence::First, message };
                     self.handle_message(arrival, &arrived);
                 }
-                Note::Time {
-                    from,
-                    sent,
-                    peer_nanos,
-                } => {
-                    let exchange = Exchange {
-                        sent,
-                        answer: arrival,
-                        peer_nanos,
-                    };
+                Note::Time { from, sent, peer_nanos } => {
+                    let exchange = Exchange { sent, answer: arrival, peer_nanos };
                     self.handle_exchange(from, exchange);
                 }
-                Note::Text {
-                    from: source,
-                    severity,
-                    text,
-                } => self.tell(Event::Text {
-                    source,
-                    severity,
-                    text,
-                }),
+                Note::Text { from: source, severity, text } => self.tell(Event::Text { source, severity, text }),
                 Note::Defect(defect) => self.tell(Event::Defect { link, defect }),
             }
         }

@@ -15,8 +15,8 @@ use posebridge_estimator::{Adjustment, PARAMS, Params, StartPose};
 use posebridge_protocol::dialect::commands::{CommandError, understood};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
-    Command, Event, FusionRecord, Learning, LinkId, LinkState, Observation, Output, ParameterName,
-    ParameterStorage, Priority, Request, SensorId, SimulatorCommand, Span, Switch, Verdict,
+    Command, Event, FusionRecord, Learning, LinkId, LinkState, Observation, Output, ParameterName, ParameterStorage,
+    Priority, Request, SensorId, SimulatorCommand, Span, Switch, Verdict,
 };
 
 use super::{Pipeline, SEVERITY_WARNING};
@@ -39,13 +39,7 @@ pub(super) struct Standing {
 
 impl Standing {
     pub(super) const fn new(params: Params) -> Self {
-        Self {
-            saved: params,
-            switched_off: BTreeSet::new(),
-            learning: Learning::Free,
-            asked_on: None,
-            last: None,
-        }
+        Self { saved: params, switched_off: BTreeSet::new(), learning: Learning::Free, asked_on: None, last: None }
     }
 
     /// Whether a held key says again what it said before.
@@ -72,11 +66,7 @@ impl Pipeline {
     /// What became of something that the program did.
     pub(super) fn handle_report(&mut self, severity: u8, text: &str) {
         self.announce_report(severity, text);
-        self.outputs.tell(Event::Text {
-            source: self.config.own,
-            severity,
-            text: text.to_owned(),
-        });
+        self.outputs.tell(Event::Text { source: self.config.own, severity, text: text.to_owned() });
         if let Some(link) = self.standing.asked_on {
             self.answer_in_words(link, severity, text);
         }
@@ -116,10 +106,7 @@ impl Pipeline {
 
     /// Somebody on a link asks for a tunable that there is not.
     pub(super) fn handle_unknown_parameter(&mut self, link: LinkId, asked: &str) {
-        let why = format!(
-            "no parameter `{}`",
-            ParameterName::from_bytes(asked.as_bytes())
-        );
+        let why = format!("no parameter `{}`", ParameterName::from_bytes(asked.as_bytes()));
         self.answer_in_words(link, SEVERITY_WARNING, &why);
         self.tell_own(SEVERITY_WARNING, why);
     }
@@ -163,15 +150,9 @@ impl Pipeline {
 
     fn carry_out(&mut self, command: Command) -> Outcome {
         match command {
-            Command::SetPose {
-                pose,
-                position_sigma_m,
-                heading_sigma_rad,
-            } => self.set_pose(&StartPose {
-                pose,
-                position_sigma_m,
-                heading_sigma_rad,
-            }),
+            Command::SetPose { pose, position_sigma_m, heading_sigma_rad } => {
+                self.set_pose(&StartPose { pose, position_sigma_m, heading_sigma_rad })
+            }
             Command::ResetPose => self.reset_pose(),
             Command::SetParameter { name, value } => self.set_parameter(name, value),
             Command::Parameters(storage) => self.store_parameters(storage),
@@ -208,17 +189,10 @@ impl Pipeline {
     fn set_pose(&mut self, start: &StartPose) -> Outcome {
         self.is_news = true;
         if self.filter.set_pose(start) == Verdict::Malformed {
-            return Err(
-                "the pose was not set: a number is not finite or a sigma is negative".to_owned(),
-            );
+            return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
         }
         let pose = &start.pose;
-        Ok(format!(
-            "pose set to x {:.3} m, y {:.3} m, {:.1} deg",
-            pose.x.0,
-            pose.y.0,
-            pose.heading.rad().to_degrees()
-        ))
+        Ok(format!("pose set to x {:.3} m, y {:.3} m, {:.1} deg", pose.x.0, pose.y.0, pose.heading.rad().to_degrees()))
     }
 
     fn reset_pose(&mut self) -> Outcome {
@@ -259,9 +233,7 @@ impl Pipeline {
         self.go_by(params)?;
         Ok(match storage {
             ParameterStorage::Default => "parameters set to their defaults".to_owned(),
-            ParameterStorage::Save | ParameterStorage::Reload => {
-                "parameters as saved last".to_owned()
-            }
+            ParameterStorage::Save | ParameterStorage::Reload => "parameters as saved last".to_owned(),
         })
     }
 
@@ -336,10 +308,7 @@ impl Pipeline {
 
     /// A line to whom a question came from; ground stations read it anyway, as they do all that the station tells.
     fn answer_in_words(&mut self, link: LinkId, severity: u8, words: &str) {
-        let hears_all = self
-            .links
-            .get(&link)
-            .is_none_or(|link| link.voice.is_some());
+        let hears_all = self.links.get(&link).is_none_or(|link| link.voice.is_some());
         if hears_all {
             return;
         }
@@ -349,10 +318,7 @@ impl Pipeline {
     }
 
     fn send_on(&mut self, link: LinkId, message: &Message) {
-        let is_up = self
-            .links
-            .get(&link)
-            .is_some_and(|link| link.state == LinkState::Up);
+        let is_up = self.links.get(&link).is_some_and(|link| link.state == LinkState::Up);
         // Who has gone does not wait for an answer.
         if is_up {
             self.transmit(link, message, Priority::Command);
@@ -368,20 +334,13 @@ impl Pipeline {
 
     pub(super) fn tell_own(&mut self, severity: u8, text: String) {
         let source = self.config.own;
-        self.tell(Event::Text {
-            source,
-            severity,
-            text,
-        });
+        self.tell(Event::Text { source, severity, text });
     }
 }
 
 /// The number that somebody typed who sends these bits: the shortest decimal that has them.
 fn as_typed(value: f32) -> f64 {
-    value
-        .to_string()
-        .parse()
-        .unwrap_or_else(|_| f64::from(value))
+    value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }
 
 #[cfg(test)]

@@ -5,9 +5,7 @@ use std::ops::Bound;
 use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::{Occurrence, Way};
 use posebridge_protocol::session::SessionOutput;
-use posebridge_telemetry::{
-    Address, Event, HostClock, LinkId, LinkState, PeerId, Priority, RobotId, Stamp,
-};
+use posebridge_telemetry::{Address, Event, HostClock, LinkId, LinkState, PeerId, Priority, RobotId, Stamp};
 
 use super::Pipeline;
 use super::intake::{Arrival, Arrived};
@@ -71,52 +69,26 @@ impl Pipeline {
     /// Does what the session of a link wants done after it took what came so, or time.
     pub(super) fn drain_session(&mut self, arrival: Arrival) {
         let id = arrival.way.link;
-        while let Some((speaker, output)) =
-            self.links.get_mut(&id).and_then(Link::poll_conversation)
-        {
+        while let Some((speaker, output)) = self.links.get_mut(&id).and_then(Link::poll_conversation) {
             match output {
                 // Nobody hears it; the session says it again when the link is back.
                 SessionOutput::Send(_) if self.is_down(id) => {}
                 SessionOutput::Send(message) => self.say_on(id, speaker, &message),
                 SessionOutput::PeerSeen { peer, .. } => {
-                    self.tell(Event::RobotSeen {
-                        robot: RobotId {
-                            link: id,
-                            address: peer,
-                        },
-                    });
+                    self.tell(Event::RobotSeen { robot: RobotId { link: id, address: peer } });
                 }
                 SessionOutput::PeerLost { peer, silence } => {
-                    self.tell(Event::RobotLost {
-                        robot: RobotId {
-                            link: id,
-                            address: peer,
-                        },
-                        silence,
-                    });
+                    self.tell(Event::RobotLost { robot: RobotId { link: id, address: peer }, silence });
                 }
-                SessionOutput::TimeExchanged {
-                    peer,
-                    sent,
-                    peer_nanos,
-                    ..
-                } => {
+                SessionOutput::TimeExchanged { peer, sent, peer_nanos, .. } => {
                     // The session's own idea of when it came is when it was handled.
-                    let exchange = Exchange {
-                        sent,
-                        answer: arrival,
-                        peer_nanos,
-                    };
+                    let exchange = Exchange { sent, answer: arrival, peer_nanos };
                     self.handle_exchange(peer, exchange);
                 }
                 SessionOutput::Commanded { by, command } => {
                     self.commanded((id, speaker), by, &command);
                 }
-                SessionOutput::IntervalRequested {
-                    message_id,
-                    interval,
-                    ..
-                } => {
+                SessionOutput::IntervalRequested { message_id, interval, .. } => {
                     if let Some(link) = self.links.get_mut(&id) {
                         link.publisher.set_interval(message_id, interval);
                     }
@@ -143,9 +115,7 @@ impl Pipeline {
     }
 
     fn is_down(&self, id: LinkId) -> bool {
-        self.links
-            .get(&id)
-            .is_none_or(|link| link.state == LinkState::Down)
+        self.links.get(&id).is_none_or(|link| link.state == LinkState::Down)
     }
 
     pub(super) fn handle_exchange(&mut self, peer: Address, exchange: Exchange) {
@@ -155,10 +125,7 @@ impl Pipeline {
         }
         // Bounds of one clock, whichever of several redundant links they came by.
         let id = self.router.first_of_group(exchange.answer.way.link);
-        let from = RobotId {
-            link: id,
-            address: peer,
-        };
+        let from = RobotId { link: id, address: peer };
         if self.robot == Some(from) {
             self.align_brick(from, exchange);
         } else {
@@ -167,11 +134,7 @@ impl Pipeline {
     }
 
     fn align_brick(&mut self, robot: RobotId, exchange: Exchange) {
-        let Exchange {
-            sent,
-            answer: Arrival { way, at },
-            peer_nanos,
-        } = exchange;
+        let Exchange { sent, answer: Arrival { way, at }, peer_nanos } = exchange;
         let (unwrapped, alignment) = self.brick_clock.exchanged(way, sent, at, peer_nanos);
         if self.brick_clock.take_contradiction() {
             self.tell_unaligned(way.link, robot.address);
@@ -179,16 +142,7 @@ impl Pipeline {
         if matches!(unwrapped, Unwrapped::Restarted(_)) {
             self.brick_restarted(robot);
         }
-        if let Some(Alignment {
-            remote,
-            host,
-            offset,
-            skew_ppm,
-            uncertainty,
-            round_trip,
-            ..
-        }) = alignment
-        {
+        if let Some(Alignment { remote, host, offset, skew_ppm, uncertainty, round_trip, .. }) = alignment {
             self.tell(Event::BrickClockAligned {
                 robot,
                 offset,
@@ -202,11 +156,7 @@ impl Pipeline {
     }
 
     fn align_observer(&mut self, (id, camera): (LinkId, Address), exchange: Exchange) {
-        let Exchange {
-            sent,
-            answer: Arrival { way, at },
-            peer_nanos,
-        } = exchange;
+        let Exchange { sent, answer: Arrival { way, at }, peer_nanos } = exchange;
         let clock = self.observers.entry((id, camera)).or_default();
         let (unwrapped, alignment) = clock.exchanged(way, sent, at, peer_nanos);
         if clock.take_contradiction() {

@@ -31,10 +31,7 @@ impl Pipeline {
             return;
         };
         let robot = self.robot.unwrap_or_default();
-        self.tell(Event::Estimated {
-            robot,
-            estimate: *estimate,
-        });
+        self.tell(Event::Estimated { robot, estimate: *estimate });
         self.publish_on(robot.link, estimate, now);
         let has_others = self.links.len() > 1 || !self.links.contains_key(&robot.link);
         self.for_others = has_others.then_some(*estimate);
@@ -83,12 +80,7 @@ impl Pipeline {
     }
 
     /// What one of a link's outputs says of an estimate.
-    pub(super) fn message_for(
-        &self,
-        id: LinkId,
-        stream: &OutputStream,
-        observed: &Estimate,
-    ) -> Option<Message> {
+    pub(super) fn message_for(&self, id: LinkId, stream: &OutputStream, observed: &Estimate) -> Option<Message> {
         let voice = self.links.get(&id).and_then(|link| link.voice.as_ref());
         let voices = voice.map_or(Voices::Own, |_| Voices::OwnAndRobot);
         let arrival = self.now + publish::travel_time(self.brick_clock.round_trip());
@@ -96,16 +88,10 @@ impl Pipeline {
             OutputInstant::Observed => None,
             OutputInstant::Arrival => self.brick_clock.remote_at(arrival).map(|(brick, _)| brick),
         };
-        let predicted = ahead
-            .filter(|brick| *brick > observed.stamp)
-            .and_then(|brick| self.filter.estimate_at(brick));
+        let predicted = ahead.filter(|brick| *brick > observed.stamp).and_then(|brick| self.filter.estimate_at(brick));
         if let Some(predicted) = predicted {
-            let circumstances = Circumstances {
-                prediction: Prediction::Ahead,
-                host: arrival,
-                fix_ratio: self.fix_ratio,
-                voices,
-            };
+            let circumstances =
+                Circumstances { prediction: Prediction::Ahead, host: arrival, fix_ratio: self.fix_ratio, voices };
             return publish::message(stream.kind, &predicted, &circumstances);
         }
         let circumstances = Circumstances {
@@ -123,13 +109,7 @@ impl Pipeline {
     }
 
     /// The same, as the station or as the robot.
-    pub(super) fn transmit_as(
-        &mut self,
-        id: LinkId,
-        speaker: Speaker,
-        message: &Message,
-        priority: Priority,
-    ) {
+    pub(super) fn transmit_as(&mut self, id: LinkId, speaker: Speaker, message: &Message, priority: Priority) {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
@@ -174,11 +154,6 @@ impl Pipeline {
         }
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
-        self.outputs.push(Output::Transmit {
-            link: id,
-            to: Audience::All,
-            priority,
-            bytes,
-        });
+        self.outputs.push(Output::Transmit { link: id, to: Audience::All, priority, bytes });
     }
 }

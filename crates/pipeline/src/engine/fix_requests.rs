@@ -80,21 +80,14 @@ impl FixRequests {
     }
 
     fn note(&mut self, who: (LinkId, Address), message: &Message) {
-        #[expect(
-            clippy::wildcard_enum_match_arm,
-            reason = "no other message says whether a camera answers"
-        )]
+        #[expect(clippy::wildcard_enum_match_arm, reason = "no other message says whether a camera answers")]
         match message {
-            Message::Heartbeat(heartbeat)
-                if heartbeat.vehicle_type == CAMERA && self.cameras.len() < MOST_CAMERAS =>
-            {
+            Message::Heartbeat(heartbeat) if heartbeat.vehicle_type == CAMERA && self.cameras.len() < MOST_CAMERAS => {
                 self.cameras.entry(who).or_default();
             }
-            Message::CommandAck(CommandAck {
-                command: ids::COMMAND_REQUEST_MESSAGE,
-                result,
-                ..
-            }) if !NOT_REFUSED.contains(result) => {
+            Message::CommandAck(CommandAck { command: ids::COMMAND_REQUEST_MESSAGE, result, .. })
+                if !NOT_REFUSED.contains(result) =>
+            {
                 if let Some(camera) = self.cameras.get_mut(&who) {
                     camera.has_refused = true;
                 }
@@ -125,9 +118,8 @@ fn is_wanted(config: &FixRequestConfig, estimate: Option<&Estimate>) -> bool {
         return true;
     };
     let position_sigma_m = estimate.x_sigma_m().max(estimate.y_sigma_m());
-    let exceeds = |limit: Option<f64>, is_valid: bool, sigma: f64| {
-        limit.is_some_and(|limit| !is_valid || sigma > limit)
-    };
+    let exceeds =
+        |limit: Option<f64>, is_valid: bool, sigma: f64| limit.is_some_and(|limit| !is_valid || sigma > limit);
     let is_placed = estimate.validity.position;
     let is_turned = estimate.validity.heading;
     exceeds(config.above_m, is_placed, position_sigma_m)
@@ -151,11 +143,7 @@ impl Pipeline {
         for (link, target) in self.fix_requests.due(now, &config, estimate) {
             let mut params = [0.0; 7];
             params[0] = ids::VISION_POSITION_ESTIMATE as f32;
-            let message = Message::Command(CommandLong {
-                target,
-                command: ids::COMMAND_REQUEST_MESSAGE,
-                params,
-            });
+            let message = Message::Command(CommandLong { target, command: ids::COMMAND_REQUEST_MESSAGE, params });
             self.transmit(link, &message, Priority::Command);
         }
     }

@@ -6,9 +6,7 @@
 use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::routing::{Check, Occurrence, Router, Sender, Sharing, Way, priority_of};
-use posebridge_telemetry::{
-    Address, Audience, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp,
-};
+use posebridge_telemetry::{Address, Audience, HostClock, LinkId, LinkState, Output, PeerId, Priority, Stamp};
 
 use super::Pipeline;
 use crate::link_state::Link;
@@ -62,11 +60,7 @@ impl Seen {
 /// Whether a peer has a link for itself.
 pub(super) fn sharing_of(link: &Link, peer: PeerId, now: Stamp<HostClock>) -> Sharing {
     let told = link.health.port.peers;
-    if link.peers.has_other_than(peer, now, told) {
-        Sharing::Shared
-    } else {
-        Sharing::Alone
-    }
+    if link.peers.has_other_than(peer, now, told) { Sharing::Shared } else { Sharing::Alone }
 }
 
 impl<'a> Passage<'a> {
@@ -78,14 +72,7 @@ impl<'a> Passage<'a> {
         sharing: Sharing,
         voice: Option<&'a RobotVoice>,
     ) -> Self {
-        Self {
-            router,
-            now,
-            from,
-            sharing,
-            voice,
-            seen: Seen::default(),
-        }
+        Self { router, now, from, sharing, voice, seen: Seen::default() }
     }
 
     /// What it leaves behind.
@@ -154,10 +141,7 @@ impl Pipeline {
 
     /// Sends a frame to whom it is for on one link; it is limited and paid for once, as if it were for all of them.
     fn pass_on(&mut self, now: Stamp<HostClock>, to: &[(LinkId, Audience)], frame: &Passed) {
-        let Some((id, link)) = to
-            .first()
-            .and_then(|(id, _)| Some((*id, self.links.get_mut(id)?)))
-        else {
+        let Some((id, link)) = to.first().and_then(|(id, _)| Some((*id, self.links.get_mut(id)?))) else {
             return;
         };
         let is_foreign = link.speaks == WireVersion::V1 && frame.version == WireVersion::V2;
@@ -168,10 +152,7 @@ impl Pipeline {
         let length = frame.bytes.len();
         if frame.priority == Priority::Command {
             link.limiter.charge(now, length);
-        } else if !link
-            .limiter
-            .admits(now, frame.source, frame.message_id, length)
-        {
+        } else if !link.limiter.admits(now, frame.source, frame.message_id, length) {
             link.health.thinned += 1;
             return;
         }

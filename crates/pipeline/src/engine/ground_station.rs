@@ -7,8 +7,7 @@ use posebridge_protocol::dialect::{RenumberError, ids};
 use posebridge_protocol::message::{Heartbeat, Message, WireStamp};
 use posebridge_protocol::session::{Presence, SessionConfig};
 use posebridge_telemetry::{
-    Address, Audience, BrickClock, HostClock, LinkId, LinkState, Meters, Output, Priority, RobotId,
-    Stamp,
+    Address, Audience, BrickClock, HostClock, LinkId, LinkState, Meters, Output, Priority, RobotId, Stamp,
 };
 
 use super::Pipeline;
@@ -20,12 +19,7 @@ use crate::publisher::{id_of, priority};
 use crate::robot_voice::{VEHICLE, Vehicle};
 
 /// MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, nothing armed, MAV_STATE_ACTIVE.
-const ROVER: Heartbeat = Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-};
+const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
 
 /// A range as it was observed last.
 #[derive(Clone, Copy, Debug)]
@@ -37,11 +31,7 @@ pub(super) struct LastRange {
 impl LastRange {
     pub(super) fn message(self) -> Message {
         let stamp: WireStamp = since_boot(self.host);
-        Message::DistanceSensor {
-            stamp,
-            range: self.range,
-            sigma: None,
-        }
+        Message::DistanceSensor { stamp, range: self.range, sigma: None }
     }
 }
 
@@ -57,11 +47,7 @@ impl Pipeline {
         if self.voices == 0 {
             return;
         }
-        let presence = if self.robot_is_heard() {
-            Presence::Shown
-        } else {
-            Presence::Withheld
-        };
+        let presence = if self.robot_is_heard() { Presence::Shown } else { Presence::Withheld };
         let vehicle = self.vehicle();
         for (id, link) in &mut self.links {
             let Some(voice) = &mut link.voice else {
@@ -84,27 +70,14 @@ impl Pipeline {
     /// address is the station's own.
     fn vehicle(&self) -> Option<(RobotId, Address, Vehicle)> {
         let robot = self.robot?;
-        let address = Address {
-            system: robot.address.system,
-            component: VEHICLE,
-        };
+        let address = Address { system: robot.address.system, component: VEHICLE };
         let link = self.links.get(&robot.link)?;
-        let vehicle = if link.codec.is_some() || robot.address != address {
-            Vehicle::Mute
-        } else {
-            Vehicle::Speaks
-        };
+        let vehicle = if link.codec.is_some() || robot.address != address { Vehicle::Mute } else { Vehicle::Speaks };
         (address != self.config.own).then_some((robot, address, vehicle))
     }
 
     /// Sends one of the outputs on a link, as whoever says it there; nobody does if the robot says it itself.
-    pub(super) fn transmit_output(
-        &mut self,
-        id: LinkId,
-        kind: OutputKind,
-        message: &Message,
-        priority: Priority,
-    ) {
+    pub(super) fn transmit_output(&mut self, id: LinkId, kind: OutputKind, message: &Message, priority: Priority) {
         let now = self.now;
         let voice = self.links.get(&id).and_then(|link| link.voice.as_ref());
         let speaker = match voice {
@@ -112,11 +85,7 @@ impl Pipeline {
                 if voice.is_said_by_robot(now, id_of(kind)) {
                     return;
                 }
-                if voice.is_silenced(now) {
-                    Speaker::Station
-                } else {
-                    Speaker::Robot
-                }
+                if voice.is_silenced(now) { Speaker::Station } else { Speaker::Robot }
             }
             _ => Speaker::Station,
         };
@@ -124,12 +93,7 @@ impl Pipeline {
     }
 
     /// Sends what the robot's voice on a link says of itself: heartbeats that the robot does not send, and answers.
-    pub(super) fn transmit_conversation_of_robot(
-        &mut self,
-        id: LinkId,
-        message: &Message,
-        priority: Priority,
-    ) {
+    pub(super) fn transmit_conversation_of_robot(&mut self, id: LinkId, message: &Message, priority: Priority) {
         let now = self.now;
         let voice = self.links.get(&id).and_then(|link| link.voice.as_ref());
         let may_speak = voice.is_some_and(|voice| {
@@ -193,12 +157,7 @@ impl Pipeline {
         link.health.forwarded += 1;
         // Among our own, because the robot's count is ours, too, and what is counted first must leave first. To all peers of the link,
         // because whoever does not get a frame would take it for lost.
-        self.outputs.push(Output::Transmit {
-            link: id,
-            to: Audience::All,
-            priority: frame.priority,
-            bytes: numbered,
-        });
+        self.outputs.push(Output::Transmit { link: id, to: Audience::All, priority: frame.priority, bytes: numbered });
         true
     }
 }
@@ -213,12 +172,7 @@ enum Origin {
 }
 
 /// The frame under the next number of its sender's count on a link; `None` if it has to stay as it is.
-fn numbered(
-    link: &mut Link,
-    now: Stamp<HostClock>,
-    frame: &Passed,
-    origin: Origin,
-) -> Option<Vec<u8>> {
+fn numbered(link: &mut Link, now: Stamp<HostClock>, frame: &Passed, origin: Origin) -> Option<Vec<u8>> {
     let voice = link.voice.as_mut()?;
     let from = frame.source;
     let is_of_robot = origin == Origin::Robot;

@@ -57,12 +57,7 @@ const MOST_COMPLAINTS: usize = 64;
 
 impl Pipeline {
     /// What came of one peer of a link at `at`.
-    pub(super) fn handle_bytes(
-        &mut self,
-        at: Stamp<HostClock>,
-        (id, peer): (LinkId, PeerId),
-        came: Came<'_>,
-    ) {
+    pub(super) fn handle_bytes(&mut self, at: Stamp<HostClock>, (id, peer): (LinkId, PeerId), came: Came<'_>) {
         let now = self.now;
         let Some(link) = self.links.get_mut(&id) else {
             return;
@@ -74,13 +69,7 @@ impl Pipeline {
             if let Came::Bytes(bytes) = came {
                 let mut noted = Noted::default();
                 codec.push_from(now, peer, bytes, &mut |heard| noted.take(heard));
-                self.hear_brick(
-                    Arrival {
-                        way: Way { link: id, peer },
-                        at,
-                    },
-                    noted,
-                );
+                self.hear_brick(Arrival { way: Way { link: id, peer }, at }, noted);
             }
             return;
         }
@@ -95,8 +84,7 @@ impl Pipeline {
             events: Vec::new(),
             complaints: Vec::new(),
         };
-        let mut sink =
-            |scanned: Scanned<'_>, verdict: Result<_, Refusal>| intake.take(scanned, verdict);
+        let mut sink = |scanned: Scanned<'_>, verdict: Result<_, Refusal>| intake.take(scanned, verdict);
         match came {
             Came::Bytes(bytes) => link.peers.push(now, peer, bytes, &mut sink),
             Came::Gap => link.peers.give_up(now, peer, &mut sink),
@@ -125,11 +113,7 @@ impl Pipeline {
     fn complain(&mut self, link: LinkId, (source, message_id, text): (Address, u32, String)) {
         let told = &mut self.told_payloads;
         if told.len() < MOST_COMPLAINTS && told.insert((link, source, message_id)) {
-            self.tell(Event::Text {
-                source,
-                severity: SEVERITY_WARNING,
-                text,
-            });
+            self.tell(Event::Text { source, severity: SEVERITY_WARNING, text });
         }
     }
 }
@@ -145,15 +129,10 @@ impl Intake<'_> {
             }
             (Scanned::Frame(frame), Ok(Believed { check, missing })) => {
                 if missing > 0 {
-                    self.tell(Defect::Lost {
-                        source: frame.source,
-                        frames: missing,
-                    });
+                    self.tell(Defect::Lost { source: frame.source, frames: missing });
                 }
                 match self.passage.take(&frame, check) {
-                    Some(Occurrence::Namesake) => self.tell(Defect::Namesake {
-                        message_id: frame.message_id,
-                    }),
+                    Some(Occurrence::Namesake) => self.tell(Defect::Namesake { message_id: frame.message_id }),
                     // What the station said itself is no news, least of all its own estimate.
                     None | Some(Occurrence::Echo) => {}
                     Some(occurrence) => self.read(&frame, occurrence),
@@ -168,11 +147,7 @@ impl Intake<'_> {
 
     fn read(&mut self, frame: &FrameRef<'_>, occurrence: Occurrence) {
         match dialect::decode(frame) {
-            Ok(Some(message)) => self.arrived.push(Arrived {
-                source: frame.source,
-                occurrence,
-                message,
-            }),
+            Ok(Some(message)) => self.arrived.push(Arrived { source: frame.source, occurrence, message }),
             Ok(None) => {}
             Err(error) => {
                 let message_id = error.message_id();

@@ -66,10 +66,7 @@ mod tests {
     use posebridge_telemetry::{LinkId, LinkState};
 
     fn event(number: u16) -> Event {
-        Event::Link {
-            link: LinkId(number),
-            state: LinkState::Up,
-        }
+        Event::Link { link: LinkId(number), state: LinkState::Up }
     }
 
     #[test]

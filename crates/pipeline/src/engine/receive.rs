@@ -5,8 +5,8 @@ use posebridge_estimator::{Adjustment, StartPose, filter_named};
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::Occurrence;
 use posebridge_telemetry::{
-    Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed,
-    Radians, RadiansPerSecond, RobotId, Span, Stamp, SystemId, Verdict,
+    Address, BrickClock, Defect, DriveGeometry, Event, HostClock, LinkId, Observation, Observed, Radians,
+    RadiansPerSecond, RobotId, Span, Stamp, SystemId, Verdict,
 };
 
 use super::intake::{Arrival, Arrived};
@@ -22,11 +22,7 @@ const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
 
 impl Pipeline {
     pub(super) fn handle_message(&mut self, arrival: Arrival, arrived: &Arrived) {
-        let Arrived {
-            source,
-            occurrence,
-            ref message,
-        } = *arrived;
+        let Arrived { source, occurrence, ref message } = *arrived;
         // Redundant links are one: the robot, its clock and its observations know only the first of them.
         let id = self.router.first_of_group(arrival.way.link);
         self.converse(arrival, robot_at(id, source), arrived);
@@ -34,14 +30,8 @@ impl Pipeline {
             self.note_copy(arrival, robot_at(id, source), message);
             return;
         }
-        if let (Message::StatusText { severity, text, .. }, Occurrence::First) =
-            (message, occurrence)
-        {
-            self.tell(Event::Text {
-                source,
-                severity: *severity,
-                text: text.clone(),
-            });
+        if let (Message::StatusText { severity, text, .. }, Occurrence::First) = (message, occurrence) {
+            self.tell(Event::Text { source, severity: *severity, text: text.clone() });
         }
         self.note_camera(id, source, message);
         if let Message::RobotDescription(description) = message {
@@ -105,11 +95,7 @@ impl Pipeline {
 
     /// The robot that a sender of odometry is: the first of the configured system, and nobody else after it.
     pub(super) fn adopt_robot(&mut self, link: LinkId, address: Address) -> Option<RobotId> {
-        if self
-            .config
-            .robot_system
-            .is_some_and(|wanted: SystemId| wanted != address.system)
-        {
+        if self.config.robot_system.is_some_and(|wanted: SystemId| wanted != address.system) {
             return None;
         }
         let candidate = RobotId { link, address };
@@ -129,21 +115,12 @@ impl Pipeline {
             return;
         };
         let observed = self.whole_turn_rate(stamp, reading);
-        let observation = Observation {
-            sensor: reading.sensor,
-            stamp,
-            stamp_sigma,
-            observed,
-        };
+        let observation = Observation { sensor: reading.sensor, stamp, stamp_sigma, observed };
         self.observe(robot, robot.address, arrival.at, observation);
     }
 
     /// The brick instant of something that the brick looked up between question and answer, and its sigma: it may lie anywhere between.
-    fn asked_instant(
-        &self,
-        sent: Stamp<HostClock>,
-        answered: Stamp<HostClock>,
-    ) -> Option<(Stamp<BrickClock>, Span)> {
+    fn asked_instant(&self, sent: Stamp<HostClock>, answered: Stamp<HostClock>) -> Option<(Stamp<BrickClock>, Span)> {
         let half = Span::from_nanos((answered - sent).as_nanos() / 2);
         let (stamp, uncertainty) = self.brick_clock.remote_at(sent + half)?;
         Some((stamp, sigma_of(half + uncertainty)))
@@ -184,25 +161,16 @@ impl Pipeline {
 
     /// A fix that the robot passes on, stamped by its own clock: it may be older than any reordering explains.
     fn handle_relayed_reading(&mut self, arrival: Arrival, source: Address, reading: &Reading) {
-        let (Some(robot), Some(stamp)) = (self.robot, self.brick_clock.placed(reading.stamp))
-        else {
+        let (Some(robot), Some(stamp)) = (self.robot, self.brick_clock.placed(reading.stamp)) else {
             return;
         };
-        let observation = Observation {
-            sensor: reading.sensor,
-            stamp,
-            stamp_sigma: Span::ZERO,
-            observed: reading.observed,
-        };
+        let observation =
+            Observation { sensor: reading.sensor, stamp, stamp_sigma: Span::ZERO, observed: reading.observed };
         self.observe(robot, source, arrival.at, observation);
     }
 
     /// The mean rate since the sensor's last observation that arrived: from the integral, where the sender has one.
-    pub(super) fn whole_turn_rate(
-        &mut self,
-        stamp: Stamp<BrickClock>,
-        reading: &Reading,
-    ) -> Observed {
+    pub(super) fn whole_turn_rate(&mut self, stamp: Stamp<BrickClock>, reading: &Reading) -> Observed {
         let Some(turn) = reading.gyro_turn else {
             return reading.observed;
         };
@@ -218,19 +186,12 @@ impl Pipeline {
         if gap <= Span::ZERO || gap > LONGEST_GYRO_GAP {
             return reading.observed;
         }
-        let turned_rad = (turn.0 - last_turn.0 + 0.5 * GYRO_TURN_PERIOD_RAD)
-            .rem_euclid(GYRO_TURN_PERIOD_RAD)
+        let turned_rad = (turn.0 - last_turn.0 + 0.5 * GYRO_TURN_PERIOD_RAD).rem_euclid(GYRO_TURN_PERIOD_RAD)
             - 0.5 * GYRO_TURN_PERIOD_RAD;
         Observed::TurnRate(RadiansPerSecond(turned_rad / gap.as_secs_f64()))
     }
 
-    fn handle_observer_reading(
-        &mut self,
-        arrival: Arrival,
-        link: LinkId,
-        source: Address,
-        reading: &Reading,
-    ) {
+    fn handle_observer_reading(&mut self, arrival: Arrival, link: LinkId, source: Address, reading: &Reading) {
         let on_host = match reading.stamp {
             WireStamp::Asked { sent, answered } => {
                 let half = Span::from_nanos((answered - sent).as_nanos() / 2);
@@ -292,12 +253,7 @@ impl Pipeline {
         arrival: Stamp<HostClock>,
         observation: Observation,
     ) {
-        self.tell(Event::Observed {
-            robot,
-            source,
-            arrival,
-            observation,
-        });
+        self.tell(Event::Observed { robot, source, arrival, observation });
         let left_out = self.left_out(&observation);
         self.is_news |= left_out.is_none();
         let record = left_out.unwrap_or_else(|| self.filter.observe(&observation));
@@ -379,9 +335,7 @@ impl Pipeline {
         if let Some(entry) = filter_named(&self.config.filter) {
             self.filter = (entry.build)(&filter_config);
             // What is frozen stays so; a filter that does not learn has nothing to say to this.
-            let _ = self
-                .filter
-                .adjust(&Adjustment::Learning(self.standing.learning));
+            let _ = self.filter.adjust(&Adjustment::Learning(self.standing.learning));
         }
     }
 }
@@ -394,16 +348,9 @@ fn geometry_of(said: &RobotDescription) -> Option<DriveGeometry> {
         track_width: said.track_width,
         tick: Radians(std::f64::consts::TAU / said.ticks_per_turn),
     };
-    let lengths = [
-        geometry.left_wheel_radius.0,
-        geometry.right_wheel_radius.0,
-        geometry.track_width.0,
-        geometry.tick.0,
-    ];
-    lengths
-        .iter()
-        .all(|length| length.is_finite() && *length > 0.0)
-        .then_some(geometry)
+    let lengths =
+        [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0, geometry.track_width.0, geometry.tick.0];
+    lengths.iter().all(|length| length.is_finite() && *length > 0.0).then_some(geometry)
 }
 
 const fn robot_at(link: LinkId, address: Address) -> RobotId {

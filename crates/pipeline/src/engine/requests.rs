@@ -9,8 +9,7 @@ use posebridge_protocol::dialect::ids::{
 };
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
-    AutopilotVersion, CommandLong, CommandResult, ComponentInformation, Message, MessageInterval,
-    ProtocolVersion,
+    AutopilotVersion, CommandLong, CommandResult, ComponentInformation, Message, MessageInterval, ProtocolVersion,
 };
 use posebridge_telemetry::{Address, ComponentId, LinkId, Span};
 
@@ -39,12 +38,7 @@ type Outcome = (CommandResult, Vec<Message>);
 
 impl Pipeline {
     /// Answers a command that a session does not know.
-    pub(super) fn commanded(
-        &mut self,
-        (id, speaker): (LinkId, Speaker),
-        by: Address,
-        command: &CommandLong,
-    ) {
+    pub(super) fn commanded(&mut self, (id, speaker): (LinkId, Speaker), by: Address, command: &CommandLong) {
         let (result, said) = match command.command {
             COMMAND_REQUEST_MESSAGE => self.requested(id, speaker, command),
             COMMAND_GET_MESSAGE_INTERVAL => match command.named_message() {
@@ -57,10 +51,7 @@ impl Pipeline {
             _ => (CommandResult::Unsupported, Vec::new()),
         };
         // A question to all components is for whoever can answer it; another one may be the one that is meant.
-        let is_question = matches!(
-            command.command,
-            COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL
-        );
+        let is_question = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
         let is_for_all = command.target.component == ComponentId(0);
         if is_question && is_for_all && result != CommandResult::Accepted {
             return;
@@ -123,14 +114,8 @@ impl Pipeline {
             (Some(kind), Some(publisher)) => publisher.interval_micros(kind),
             _ => NO_SUCH_MESSAGE,
         };
-        let told = MessageInterval {
-            message_id: on_wire,
-            interval_micros,
-        };
-        (
-            CommandResult::Accepted,
-            vec![Message::MessageInterval(told)],
-        )
+        let told = MessageInterval { message_id: on_wire, interval_micros };
+        (CommandResult::Accepted, vec![Message::MessageInterval(told)])
     }
 
     /// What an output would say at present; nothing if there was nothing to say yet.
@@ -155,11 +140,7 @@ impl Pipeline {
             | OutputKind::LocalPosition
             | OutputKind::Attitude
             | OutputKind::EstimatorStatus => {
-                let stream = OutputStream {
-                    kind,
-                    interval: Span::ZERO,
-                    instant: OutputInstant::Observed,
-                };
+                let stream = OutputStream { kind, interval: Span::ZERO, instant: OutputInstant::Observed };
                 let latest = self.filter.latest();
                 let estimate = latest.and_then(|latest| self.filter.estimate_at(latest));
                 let message = estimate.and_then(|last| self.message_for(id, &stream, &last));
@@ -205,11 +186,7 @@ impl Pipeline {
 /// Our version as AUTOPILOT_VERSION tells it; a number that does not fit reads as 0.
 fn software() -> [u8; 4] {
     let number = |text: &str| text.parse().unwrap_or(0);
-    let kind = if env!("CARGO_PKG_VERSION_PRE").is_empty() {
-        RELEASE
-    } else {
-        DEVELOPMENT
-    };
+    let kind = if env!("CARGO_PKG_VERSION_PRE").is_empty() { RELEASE } else { DEVELOPMENT };
     [
         number(env!("CARGO_PKG_VERSION_MAJOR")),
         number(env!("CARGO_PKG_VERSION_MINOR")),

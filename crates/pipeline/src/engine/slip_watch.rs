@@ -20,11 +20,7 @@ impl SlipWatch {
         let last = self.last.replace(stamp);
         // A brick that was restarted begins with an earlier stamp.
         let goes_on = last.is_some_and(|last| (Span::ZERO..=GOES_ON).contains(&(stamp - last)));
-        self.in_a_row = if goes_on {
-            self.in_a_row.saturating_add(1)
-        } else {
-            1
-        };
+        self.in_a_row = if goes_on { self.in_a_row.saturating_add(1) } else { 1 };
         self.in_a_row == NO_ACCIDENT
     }
 }
@@ -36,13 +32,9 @@ mod tests {
     #[test]
     fn a_row_is_told_once_and_a_single_one_never() {
         let mut watch = SlipWatch::default();
-        let told = [
-            0, 100, 250, 400, 2_400, 4_401, 9_000, 9_200, 9_300, 50, 60, 70,
-        ]
-        .map(|millis| watch.begins(Stamp::from_millis(millis)));
-        let expected = [
-            false, false, true, false, false, false, false, false, true, false, false, true,
-        ];
+        let told = [0, 100, 250, 400, 2_400, 4_401, 9_000, 9_200, 9_300, 50, 60, 70]
+            .map(|millis| watch.begins(Stamp::from_millis(millis)));
+        let expected = [false, false, true, false, false, false, false, false, true, false, false, true];
         assert_eq!(told, expected);
     }
 }

@@ -16,18 +16,10 @@ impl Pipeline {
     /// Aligns a thermometer's reading and lets it wait for [`Self::settle_temperatures`]; other messages say nothing here. `id` is the
     /// first link of the group by which it came.
     pub(super) fn handle_temperature(&mut self, arrival: Arrival, id: LinkId, arrived: &Arrived) {
-        let Message::Thermometer {
-            stamp,
-            channel,
-            temperature,
-        } = arrived.message
-        else {
+        let Message::Thermometer { stamp, channel, temperature } = arrived.message else {
             return;
         };
-        let brick = RobotId {
-            link: id,
-            address: arrived.source,
-        };
+        let brick = RobotId { link: id, address: arrived.source };
         let is_robot = self.robot == Some(brick);
         if arrived.occurrence != Occurrence::First && !is_robot {
             return;
@@ -39,23 +31,12 @@ impl Pipeline {
             self.foreign_instant(arrival, brick, stamp)
         };
         if let Some(stamp) = instant {
-            self.thermometers.wait(Reading {
-                brick,
-                channel,
-                arrival: arrival.at,
-                stamp,
-                shown: temperature,
-            });
+            self.thermometers.wait(Reading { brick, channel, arrival: arrival.at, stamp, shown: temperature });
         }
     }
 
     /// The instant of a stamp by the clock of a brick that is not the robot, or not yet.
-    fn foreign_instant(
-        &mut self,
-        arrival: Arrival,
-        brick: RobotId,
-        stamp: WireStamp,
-    ) -> Option<Stamp<BrickClock>> {
+    fn foreign_instant(&mut self, arrival: Arrival, brick: RobotId, stamp: WireStamp) -> Option<Stamp<BrickClock>> {
         let RobotId { link, address } = brick;
         if matches!(stamp, WireStamp::Asked { .. }) {
             // Without a clock of its own its answers have no instants; with one it is a robot.
@@ -98,9 +79,7 @@ impl Pipeline {
             self.tell(Event::Text {
                 source: self.config.own,
                 severity: SEVERITY_WARNING,
-                text:
-                    "there are more thermometers than are followed; those heard last are left out"
-                        .to_owned(),
+                text: "there are more thermometers than are followed; those heard last are left out".to_owned(),
             });
         }
     }

@@ -1,8 +1,5 @@
 //! What people and programs ask of a running station, over a link and as a command.
-#![expect(
-    clippy::expect_used,
-    reason = "helpers outside #[test] stop when something is missing"
-)]
+#![expect(clippy::expect_used, reason = "helpers outside #[test] stop when something is missing")]
 #![expect(clippy::wildcard_enum_match_arm, reason = "helpers of tests")]
 
 #[path = "../support/brick.rs"]
@@ -19,8 +16,8 @@ use posebridge_estimator::PARAMS;
 use posebridge_pipeline::{PipelineConfig, Voices};
 use posebridge_protocol::message::{Message, TextPart};
 use posebridge_telemetry::{
-    Address, Calibration, Command, Input, Known, LinkState, ParameterName, ParameterStorage,
-    PeerId, Pose, Request, SensorId, Switch, Verdict,
+    Address, Calibration, Command, Input, Known, LinkState, ParameterName, ParameterStorage, PeerId, Pose, Request,
+    SensorId, Switch, Verdict,
 };
 use station::{LINK, STATION, Station, at, config};
 
@@ -52,21 +49,12 @@ fn value(index: usize, value: f32) -> Message {
 }
 
 fn warning(text: &str) -> Message {
-    Message::StatusText {
-        severity: 4,
-        text: text.to_owned(),
-        part: TextPart::default(),
-    }
+    Message::StatusText { severity: 4, text: text.to_owned(), part: TextPart::default() }
 }
 
 fn with_calibration(config: &mut PipelineConfig) {
-    config.filter_config.calibration = Calibration {
-        radius_scale: Known {
-            value: 0.0,
-            sigma: 0.05,
-        },
-        ..Calibration::default()
-    };
+    config.filter_config.calibration =
+        Calibration { radius_scale: Known { value: 0.0, sigma: 0.05 }, ..Calibration::default() };
 }
 
 #[test]
@@ -76,11 +64,8 @@ fn all_tunables_are_listed_in_their_order_one_at_a_time() {
         let seen = ground.station.outputs.len();
         ground.say(100, &Message::ParamRequestList { target });
         ground.station.pass_until(at(2_000));
-        let expected: Vec<Message> = PARAMS
-            .iter()
-            .enumerate()
-            .map(|(index, row)| value(index, row.default as f32))
-            .collect();
+        let expected: Vec<Message> =
+            PARAMS.iter().enumerate().map(|(index, row)| value(index, row.default as f32)).collect();
         assert_eq!(ground.heard_since(seen, GCS_LINK), expected);
         assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), []);
         // Never two at one instant, nor faster than 2 kB/s.
@@ -100,23 +85,13 @@ fn a_tunable_that_is_set_counts_from_the_next_observation_and_is_told_to_all_who
     let mut ground = Ground::new(|_| {});
     ground.drive(0, 2_000);
     let before = ground.estimate();
-    let read = Message::ParamRequestRead {
-        target: STATION,
-        name: String::new(),
-        index: 0,
-    };
-    assert_eq!(
-        ground.say_on(OTHER_GCS_LINK, 2_000, &read),
-        [value(0, 0.999)]
-    );
+    let read = Message::ParamRequestRead { target: STATION, name: String::new(), index: 0 };
+    assert_eq!(ground.say_on(OTHER_GCS_LINK, 2_000, &read), [value(0, 0.999)]);
     let seen = ground.station.outputs.len();
     assert_eq!(ground.set(2_001, "GATE_PROB", 0.5), [value(0, 0.5)]);
     assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), [value(0, 0.5)]);
     let to_the_brick = ground.heard_since(seen, LINK);
-    assert!(
-        !to_the_brick.contains(&value(0, 0.5)),
-        "it never asked: {to_the_brick:?}"
-    );
+    assert!(!to_the_brick.contains(&value(0, 0.5)), "it never asked: {to_the_brick:?}");
     assert_eq!(ground.estimate(), before, "nothing was lost by it");
     assert_eq!(ground.texts(), ["gate_prob set to 0.5 (was 0.999)"]);
     // A fix that is refused by the narrow gate is used by the wide one.
@@ -131,10 +106,7 @@ fn a_tunable_that_is_set_counts_from_the_next_observation_and_is_told_to_all_who
 
 #[test]
 fn a_value_that_makes_no_sense_is_answered_with_the_one_that_stands_and_the_reason() {
-    let index = PARAMS
-        .iter()
-        .position(|row| row.key == "slip_nis")
-        .expect("a row");
+    let index = PARAMS.iter().position(|row| row.key == "slip_nis").expect("a row");
     for (wanted, why) in [
         (1.0, "slip_nis 1.0 not in 4..100"),
         (f32::NAN, "slip_nis NaN not in 4..100"),
@@ -143,10 +115,7 @@ fn a_value_that_makes_no_sense_is_answered_with_the_one_that_stands_and_the_reas
     ] {
         let mut ground = Ground::new(|_| {});
         let text = warning(why);
-        assert_eq!(
-            ground.set(100, "slip_nis", wanted),
-            [value(index, 10.83), text]
-        );
+        assert_eq!(ground.set(100, "slip_nis", wanted), [value(index, 10.83), text]);
         assert_eq!(ground.texts(), [why]);
     }
 }
@@ -156,11 +125,7 @@ fn a_value_of_a_type_that_cannot_be_read_is_answered_with_the_one_that_stands_an
     for kind in [0, 10, 255] {
         for (index, row) in PARAMS.iter().enumerate() {
             let mut ground = Ground::new(|_| {});
-            let set = Message::ParamSetUnsupported {
-                target: STATION,
-                name: row.key.to_uppercase(),
-                kind,
-            };
+            let set = Message::ParamSetUnsupported { target: STATION, name: row.key.to_uppercase(), kind };
             let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
             let stands = value(index, row.default as f32);
             assert_eq!(ground.say(100, &set), [stands, warning(&why)]);
@@ -168,11 +133,7 @@ fn a_value_of_a_type_that_cannot_be_read_is_answered_with_the_one_that_stands_an
         }
     }
     let mut ground = Ground::new(|_| {});
-    let set = Message::ParamSetUnsupported {
-        target: STATION,
-        name: "RATE_P".to_owned(),
-        kind: 10,
-    };
+    let set = Message::ParamSetUnsupported { target: STATION, name: "RATE_P".to_owned(), kind: 10 };
     assert_eq!(ground.say(100, &set), [warning("no parameter `RATE_P`")]);
 }
 
@@ -193,30 +154,14 @@ fn every_reason_fits_into_one_text() {
 #[test]
 fn a_tunable_that_there_is_not_is_not_answered_for_but_named() {
     let mut ground = Ground::new(|_| {});
-    assert_eq!(
-        ground.set(100, "RATE_P\x1b", 1.0),
-        [warning("no parameter `RATE_P?`")]
-    );
-    let ask = |target, name: &str, index| Message::ParamRequestRead {
-        target,
-        name: name.to_owned(),
-        index,
-    };
+    assert_eq!(ground.set(100, "RATE_P\x1b", 1.0), [warning("no parameter `RATE_P?`")]);
+    let ask = |target, name: &str, index| Message::ParamRequestRead { target, name: name.to_owned(), index };
     let beyond = PARAMS.len() as i16;
-    assert_eq!(
-        ground.say(110, &ask(STATION, "", beyond)),
-        [warning(&format!("no parameter `{beyond}`"))]
-    );
-    assert_eq!(
-        ground.say(120, &ask(STATION, "", -2)),
-        [warning("no parameter `-2`")]
-    );
+    assert_eq!(ground.say(110, &ask(STATION, "", beyond)), [warning(&format!("no parameter `{beyond}`"))]);
+    assert_eq!(ground.say(120, &ask(STATION, "", -2)), [warning("no parameter `-2`")]);
     // Somebody else may have it, or another system is meant.
     assert_eq!(ground.say(130, &ask(EVERYBODY_OF_OURS, "RATE_P", -1)), []);
-    assert_eq!(
-        ground.say(140, &ask(Address::new(7, 190), "slip_nis", -1)),
-        []
-    );
+    assert_eq!(ground.say(140, &ask(Address::new(7, 190), "slip_nis", -1)), []);
 }
 
 #[test]
@@ -240,14 +185,8 @@ fn tunables_are_saved_on_request_and_what_became_of_it_is_told_where_it_was_aske
     assert!(values.contains(&(name("slip_nis"), 40.0)));
     let seen = ground.station.outputs.len();
     let (severity, text) = (6, "saved to x.toml".to_owned());
-    let told = Message::StatusText {
-        severity,
-        text: text.clone(),
-        part: TextPart::default(),
-    };
-    ground
-        .station
-        .give(at(150), Input::Report { severity, text });
+    let told = Message::StatusText { severity, text: text.clone(), part: TextPart::default() };
+    ground.station.give(at(150), Input::Report { severity, text });
     assert_eq!(ground.heard_since(seen, GCS_LINK), [told]);
     assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), []);
 }
@@ -270,8 +209,7 @@ fn a_link_for_ground_stations_hears_what_became_of_each_request() {
         let report = Input::Report { severity, text };
         ground.station.give(at(millis), report);
         let heard = ground.heard_since(seen, GCS_LINK);
-        let is_it =
-            |said: &Message| matches!(said, Message::StatusText { text, .. } if text == became);
+        let is_it = |said: &Message| matches!(said, Message::StatusText { text, .. } if text == became);
         assert!(heard.iter().any(is_it), "{became}: {heard:?}");
     }
     // Not without end: who asks again and again hears how often there was something to tell.
@@ -339,9 +277,7 @@ fn a_pose_is_set_and_forgotten_over_a_link() {
     // With a start, that is where it is again.
     let mut ground = Ground::new(|_| {});
     ground.drive(0, 1_000);
-    ground
-        .station
-        .give(at(1_010), Input::Command(Command::ResetPose));
+    ground.station.give(at(1_010), Input::Command(Command::ResetPose));
     assert_eq!(ground.estimate().pose, Pose::default());
 }
 
@@ -386,22 +322,13 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
     let blurred = ground.estimate().x_sigma_m();
     assert!(blurred > 1.5 * sharp, "{blurred} {sharp}");
     assert!(ground.estimate().is_dead_reckoning);
-    ground.station.give(
-        at(5_010),
-        Input::Command(Command::SwitchSource {
-            sensor: SensorId::CAMERA,
-            to: Switch::On,
-        }),
-    );
+    ground.station.give(at(5_010), Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::On }));
     ground.drive(5_050, 6_000);
     assert_eq!(ground.station.pipeline.switched_off().count(), 0);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), Verdict::Accepted);
     assert!(ground.estimate().x_sigma_m() < blurred / 1.5);
     let texts = ground.texts();
-    assert_eq!(
-        texts,
-        ["source 3 (camera) is left out", "source 3 (camera) is used"]
-    );
+    assert_eq!(texts, ["source 3 (camera) is left out", "source 3 (camera) is used"]);
 }
 
 #[test]
@@ -442,19 +369,13 @@ fn a_request_that_comes_by_two_ways_is_done_once() {
         }
     });
     let target = STATION;
-    let set = Message::ParamSet {
-        target,
-        name: "slip_nis".to_owned(),
-        value: 30.0,
-    };
+    let set = Message::ParamSet { target, name: "slip_nis".to_owned(), value: 30.0 };
     let mut bytes = Vec::new();
     ground.encoder.encode(GCS, &set, &mut bytes);
     for link in [GCS_LINK, OTHER_GCS_LINK] {
         let peer = PeerId::default();
         let bytes = bytes.clone();
-        ground
-            .station
-            .give(at(100), Input::Bytes { link, peer, bytes });
+        ground.station.give(at(100), Input::Bytes { link, peer, bytes });
     }
     assert_eq!(ground.texts().len(), 1);
 }
@@ -464,11 +385,7 @@ fn a_station_without_a_link_takes_commands_too() {
     let mut config = config();
     config.links.clear();
     let mut station = Station::new(&config);
-    for command in [
-        Command::ResetPose,
-        Command::ResetCalibration,
-        Command::Parameters(ParameterStorage::Default),
-    ] {
+    for command in [Command::ResetPose, Command::ResetCalibration, Command::Parameters(ParameterStorage::Default)] {
         station.give(at(10), Input::Command(command));
     }
     station.link(at(20), LINK, LinkState::Up);

@@ -22,40 +22,24 @@ fn busy() -> Ground {
     ground.command(2_012, SOURCE, &[3.0, 0.0]);
     ground.drive(2_050, 3_000);
     for command in [
-        Command::SetParameter {
-            name: name("accel_m_s2"),
-            value: 3.0,
-        },
-        Command::SetParameter {
-            name: name("nothing"),
-            value: 3.0,
-        },
+        Command::SetParameter { name: name("accel_m_s2"), value: 3.0 },
+        Command::SetParameter { name: name("nothing"), value: 3.0 },
         Command::Learning(Learning::Free),
-        Command::SwitchSource {
-            sensor: SensorId::CAMERA,
-            to: Switch::On,
-        },
+        Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::On },
         Command::Parameters(ParameterStorage::Save),
         Command::StopRecording,
         Command::StartRecording,
     ] {
         ground.station.give(at(3_010), Input::Command(command));
     }
-    let report = Input::Report {
-        severity: 6,
-        text: "saved".to_owned(),
-    };
+    let report = Input::Report { severity: 6, text: "saved".to_owned() };
     ground.station.give(at(3_020), report);
     ground.drive(3_050, 4_000);
     ground.command(4_010, PREFLIGHT_STORAGE, &[2.0]);
     ground.command(4_011, SET_POSE, &[0.0, 0.8, 90.0, 0.1, 5.0]);
     ground.drive(4_050, 5_000);
-    ground
-        .station
-        .give(at(5_010), Input::Command(Command::ResetCalibration));
-    ground
-        .station
-        .give(at(5_011), Input::Command(Command::ResetPose));
+    ground.station.give(at(5_010), Input::Command(Command::ResetCalibration));
+    ground.station.give(at(5_011), Input::Command(Command::ResetPose));
     ground.drive(5_050, 6_000);
     ground
 }
@@ -70,19 +54,13 @@ fn a_run_with_requests_is_replayed_bit_for_bit() {
     let mut replayed = Station {
         inputs: vec![],
         outputs: vec![],
-        ..Station::new(&PipelineConfig {
-            links: vec![],
-            ..config.clone()
-        })
+        ..Station::new(&PipelineConfig { links: vec![], ..config.clone() })
     };
     replayed.pipeline = Pipeline::new(config, at(0)).expect("the same as before");
     for (now, input) in &live.station.inputs {
         replayed.give(*now, input.clone());
     }
-    assert_eq!(
-        format!("{:?}", replayed.outputs),
-        format!("{:?}", live.station.outputs)
-    );
+    assert_eq!(format!("{:?}", replayed.outputs), format!("{:?}", live.station.outputs));
     assert!(live.texts().len() >= 15, "{:?}", live.texts());
 }
 
@@ -91,26 +69,10 @@ fn bytes_with_requests_may_come_in_any_pieces() {
     let mut encoder = Encoder::new(WireVersion::V2);
     let mut bytes = Vec::new();
     for message in [
-        Message::ParamRequestRead {
-            target: STATION,
-            name: String::new(),
-            index: 3,
-        },
-        Message::ParamSet {
-            target: STATION,
-            name: "slip_nis".to_owned(),
-            value: 30.0,
-        },
-        Message::ParamSet {
-            target: STATION,
-            name: "slip_nis".to_owned(),
-            value: 300.0,
-        },
-        Message::Command(CommandLong {
-            target: STATION,
-            command: CALIBRATION,
-            params: [0.0; 7],
-        }),
+        Message::ParamRequestRead { target: STATION, name: String::new(), index: 3 },
+        Message::ParamSet { target: STATION, name: "slip_nis".to_owned(), value: 30.0 },
+        Message::ParamSet { target: STATION, name: "slip_nis".to_owned(), value: 300.0 },
+        Message::Command(CommandLong { target: STATION, command: CALIBRATION, params: [0.0; 7] }),
     ] {
         encoder.encode(GCS, &message, &mut bytes);
     }
@@ -118,14 +80,9 @@ fn bytes_with_requests_may_come_in_any_pieces() {
         let mut ground = Ground::new(|_| {});
         let seen = ground.station.outputs.len();
         for bytes in bytes.chunks(chunk) {
-            ground.station.give(
-                at(100),
-                Input::Bytes {
-                    link: GCS_LINK,
-                    peer: PeerId::default(),
-                    bytes: bytes.to_vec(),
-                },
-            );
+            ground
+                .station
+                .give(at(100), Input::Bytes { link: GCS_LINK, peer: PeerId::default(), bytes: bytes.to_vec() });
         }
         ground.heard_since(seen, GCS_LINK)
     };

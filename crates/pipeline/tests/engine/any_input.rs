@@ -4,8 +4,8 @@ use crate::all_outputs;
 use crate::brick::{BRICK, HEARTBEAT, frame, ticks};
 use crate::station::{LINK, Station, config};
 use posebridge_telemetry::{
-    Command, Heading, Input, LinkId, LinkState, Meters, Observation, Observed, Point2, Pose,
-    Radians, SensorId, SimulatorCommand, Span, Stamp,
+    Command, Heading, Input, LinkId, LinkState, Meters, Observation, Observed, Point2, Pose, Radians, SensorId,
+    SimulatorCommand, Span, Stamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -25,24 +25,13 @@ fn any_input() -> impl Strategy<Value = (i64, Input)> {
         1 => Just(frame(BRICK, &HEARTBEAT)),
     ];
     let peer = (0_u32..3).prop_map(posebridge_telemetry::PeerId);
-    let bytes = (link.clone(), peer, bytes).prop_map(|(link, peer, bytes)| Input::Bytes {
-        link,
-        peer,
-        bytes,
-    });
+    let bytes = (link.clone(), peer, bytes).prop_map(|(link, peer, bytes)| Input::Bytes { link, peer, bytes });
     let state = prop_oneof![Just(LinkState::Up), Just(LinkState::Down)];
     let state = (link, state).prop_map(|(link, state)| Input::Link { link, state });
     let number = prop_oneof![4 => -100.0..100.0, 1 => any::<f64>()];
-    let numbers = (
-        number.clone(),
-        number.clone(),
-        number,
-        any::<i64>(),
-        0_u8..5,
-    );
+    let numbers = (number.clone(), number.clone(), number, any::<i64>(), 0_u8..5);
     let values = numbers.prop_map(|(a, b, c, nanos, kind)| input_of((a, b, c), nanos, kind));
-    let wait_ms =
-        prop_oneof![6 => 0_i64..120, 1 => 0_i64..100_000, 1 => any::<u32>().prop_map(i64::from)];
+    let wait_ms = prop_oneof![6 => 0_i64..120, 1 => 0_i64..100_000, 1 => any::<u32>().prop_map(i64::from)];
     let input = prop_oneof![6 => bytes, 1 => state, 3 => values, 1 => Just(Input::Tick)];
     (wait_ms, input)
 }
@@ -64,10 +53,7 @@ fn input_of((a, b, c): (f64, f64, f64), nanos: i64, kind: u8) -> Input {
             }));
         }
         1 => Observed::TurnRate(posebridge_telemetry::RadiansPerSecond(a)),
-        2 => Observed::WheelAngles {
-            left: Radians(a),
-            right: Radians(b),
-        },
+        2 => Observed::WheelAngles { left: Radians(a), right: Radians(b) },
         _ => Observed::Fix(posebridge_telemetry::Fix {
             position: Point2::new(Meters(a), Meters(b)),
             heading: Some(Heading::from_rad(c)),
@@ -79,11 +65,7 @@ fn input_of((a, b, c): (f64, f64, f64), nanos: i64, kind: u8) -> Input {
     Input::Observation(Observation {
         sensor: SensorId(kind),
         // Mostly within some seconds, now and then anywhere.
-        stamp: Stamp::from_nanos(if nanos % 7 == 0 {
-            nanos
-        } else {
-            nanos % 5_000_000_000
-        }),
+        stamp: Stamp::from_nanos(if nanos % 7 == 0 { nanos } else { nanos % 5_000_000_000 }),
         stamp_sigma: Span::from_nanos(nanos % 50_000_000),
         observed,
     })

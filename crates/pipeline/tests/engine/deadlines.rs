@@ -13,10 +13,7 @@ fn ticks_at_the_deadlines_and_nowhere_else_miss_nothing_and_do_not_spin() {
     let mut count = 0;
     while let Some(due) = station.pipeline.deadline().filter(|due| *due <= at(20_000)) {
         station.give(due, Input::Tick);
-        let next = station
-            .pipeline
-            .deadline()
-            .expect("there is always a heartbeat");
+        let next = station.pipeline.deadline().expect("there is always a heartbeat");
         assert!(next > due, "after {due:?} comes {next:?}");
         count += 1;
     }
@@ -32,13 +29,12 @@ fn ticks_at_the_deadlines_and_nowhere_else_miss_nothing_and_do_not_spin() {
     assert!((45..75).contains(&requests.len()), "{}", requests.len());
     // Heartbeats and health share their instants; time requests, interval requests and the loss are the rest.
     assert!(count < 20 + requests.len() + 15, "{count}");
-    let lost_at = station.outputs.iter().find_map(|(now, output)| {
-        matches!(output, Output::Event(Event::RobotLost { .. })).then_some(*now)
-    });
+    let lost_at = station
+        .outputs
+        .iter()
+        .find_map(|(now, output)| matches!(output, Output::Event(Event::RobotLost { .. })).then_some(*now));
     assert_eq!(lost_at, Some(at(5_100)), "five seconds after it was heard");
-    let healths = station
-        .events()
-        .filter(|event| matches!(event, Event::Health { .. }));
+    let healths = station.events().filter(|event| matches!(event, Event::Health { .. }));
     assert_eq!(healths.count(), 20);
 }
 
@@ -54,15 +50,7 @@ fn a_frame_that_is_never_finished_is_given_up_at_the_deadline() {
 }
 
 fn stalled(station: &Station) -> bool {
-    station.events().any(|event| {
-        matches!(
-            event,
-            Event::Defect {
-                defect: Defect::Stall { .. },
-                ..
-            }
-        )
-    })
+    station.events().any(|event| matches!(event, Event::Defect { defect: Defect::Stall { .. }, .. }))
 }
 
 #[test]
@@ -73,11 +61,7 @@ fn what_comes_to_light_behind_a_torn_frame_is_acted_upon_at_once() {
     let torn = [0xFD, 200, 0, 0, 0, 1, 1, 0x4B, 0x01, 0x00];
     station.bytes(at(310), &[&torn[..], &frame(BRICK, &HEARTBEAT)].concat());
     station.pass_until(at(360));
-    assert!(
-        station
-            .events()
-            .any(|event| matches!(event, Event::RobotSeen { .. }))
-    );
+    assert!(station.events().any(|event| matches!(event, Event::RobotSeen { .. })));
     assert!(station.pipeline.deadline().is_some_and(|due| due > at(360)));
     let asked = station.sent().any(|(now, bytes)| {
         let is_request = |message: &Message| matches!(message, Message::SetMessageInterval(_));

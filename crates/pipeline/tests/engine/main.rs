@@ -19,9 +19,7 @@ use brick::{BRICK, frame, messages, ticks};
 use posebridge_pipeline::{BuildError, Pipeline, PipelineConfig};
 use posebridge_protocol::message::{Message, VisionFix, WireStamp};
 use posebridge_sim::Scenario;
-use posebridge_telemetry::{
-    Command, Event, Heading, HostClock, Input, Meters, Pose, Stamp, Verdict,
-};
+use posebridge_telemetry::{Command, Event, Heading, HostClock, Input, Meters, Pose, Stamp, Verdict};
 use station::{LINK, STATION, Station, at, config, link, stream};
 use world::World;
 
@@ -48,10 +46,7 @@ fn replayed(inputs: &[(Stamp<HostClock>, Input)]) -> Station {
 }
 
 fn all_outputs() -> Vec<posebridge_pipeline::OutputStream> {
-    posebridge_pipeline::OUTPUTS
-        .iter()
-        .map(|(_, kind)| stream(*kind, 0))
-        .collect()
+    posebridge_pipeline::OUTPUTS.iter().map(|(_, kind)| stream(*kind, 0)).collect()
 }
 
 /// The inputs of a drive: bytes, link states, ticks.
@@ -71,8 +66,7 @@ fn observed_and_fused(station: &Station) -> Vec<String> {
 /// The messages that a station sent, in order, with their instants.
 fn said(station: &Station) -> Vec<(Stamp<HostClock>, Message)> {
     let sent = station.sent();
-    let said =
-        sent.flat_map(|(now, bytes)| messages(bytes).into_iter().map(move |said| (now, said)));
+    let said = sent.flat_map(|(now, bytes)| messages(bytes).into_iter().map(move |said| (now, said)));
     said.collect()
 }
 
@@ -90,15 +84,9 @@ fn how_the_bytes_are_cut_changes_neither_what_is_observed_nor_what_is_fused() {
     let expected = observed_and_fused(&replayed(&inputs));
     assert!(expected.len() > 1_500, "{}", expected.len());
     for size in [1, 3, 20, 41] {
-        let cut: Vec<_> = inputs
-            .iter()
-            .flat_map(|(now, input)| cut(*now, input, size))
-            .collect();
+        let cut: Vec<_> = inputs.iter().flat_map(|(now, input)| cut(*now, input, size)).collect();
         assert!(cut.len() > inputs.len());
-        assert!(
-            observed_and_fused(&replayed(&cut)) == expected,
-            "in pieces of {size}"
-        );
+        assert!(observed_and_fused(&replayed(&cut)) == expected, "in pieces of {size}");
     }
 }
 
@@ -108,14 +96,7 @@ fn cut(now: Stamp<HostClock>, input: &Input, size: usize) -> Vec<(Stamp<HostCloc
     };
     let pieces = bytes.chunks(size).map(|piece| {
         let bytes = piece.to_vec();
-        (
-            now,
-            Input::Bytes {
-                link: *link,
-                peer: *peer,
-                bytes,
-            },
-        )
+        (now, Input::Bytes { link: *link, peer: *peer, bytes })
     });
     pieces.collect()
 }
@@ -127,11 +108,7 @@ fn a_robot_drives_on_through_a_link_that_is_cut() {
     world.cut_for(3);
     world.run_for(6);
     let truth = world.simulation.truth().last().expect("it is logged");
-    let estimate = world
-        .station
-        .pipeline
-        .estimate_at(truth.brick)
-        .expect("it was observed");
+    let estimate = world.station.pipeline.estimate_at(truth.brick).expect("it was observed");
     let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
     assert!(error_m < 0.05, "{error_m}");
     assert_eq!(estimate.reset_counter, 0);
@@ -153,11 +130,7 @@ fn an_old_fix_that_the_robot_passes_on_is_late_and_no_restart() {
         reset_counter: 0,
     });
     station.bytes(at(4_000), &frame(BRICK, &seen));
-    assert!(
-        !station
-            .events()
-            .any(|event| matches!(event, Event::BrickRestarted { .. }))
-    );
+    assert!(!station.events().any(|event| matches!(event, Event::BrickRestarted { .. })));
     let fix = station.events().find_map(|event| match event {
         Event::Fused { record, .. } if record.kind == "fix" => Some(record.clone()),
         _ => None,
@@ -171,19 +144,12 @@ fn an_old_fix_that_the_robot_passes_on_is_late_and_no_restart() {
 fn a_configuration_that_cannot_be_is_refused_with_its_reason() {
     let mut unknown = config();
     unknown.filter = "magic".to_owned();
-    let error = Pipeline::new(unknown, Stamp::ZERO)
-        .err()
-        .expect("no such filter");
+    let error = Pipeline::new(unknown, Stamp::ZERO).err().expect("no such filter");
     let told = error.to_string();
-    assert!(
-        told.starts_with("unknown filter `magic`; there are: odometry, pose, "),
-        "{told}"
-    );
+    assert!(told.starts_with("unknown filter `magic`; there are: odometry, pose, "), "{told}");
     let mut doubled = config();
     doubled.links.push(link(LINK, vec![]));
-    let error = Pipeline::new(doubled, Stamp::ZERO)
-        .err()
-        .expect("one id twice");
+    let error = Pipeline::new(doubled, Stamp::ZERO).err().expect("one id twice");
     assert_eq!(error, BuildError::DuplicateLink { id: LINK });
 }
 
@@ -217,10 +183,7 @@ fn a_pose_that_is_commanded_is_believed_and_one_that_cannot_be_is_refused_in_wor
         texts,
         [
             (STATION, "pose set to x 1.500 m, y 2.000 m, 5.7 deg"),
-            (
-                STATION,
-                "the pose was not set: a number is not finite or a sigma is negative"
-            )
+            (STATION, "the pose was not set: a number is not finite or a sigma is negative")
         ]
     );
 }

@@ -15,21 +15,14 @@ fn a_peer_may_ask_for_a_message_at_an_interval_and_stop_it_again() {
     config.links[0].outputs = vec![];
     let mut station = Station::new(&config);
     let ask = |interval| {
-        Message::SetMessageInterval(SetMessageInterval {
-            target: STATION,
-            message_id: ids::ODOMETRY,
-            interval,
-        })
+        Message::SetMessageInterval(SetMessageInterval { target: STATION, message_id: ids::ODOMETRY, interval })
     };
     let drive = |station: &mut Station, from_ms: u32| {
         for step in 0..20 {
             let millis = from_ms + step * 50;
             station.bytes(at(i64::from(millis)), &frame(BRICK, &ticks(millis, 0, 0)));
         }
-        let odometry = said(station)
-            .iter()
-            .filter(|(_, message)| matches!(message, Message::Odometry(_)))
-            .count();
+        let odometry = said(station).iter().filter(|(_, message)| matches!(message, Message::Odometry(_))).count();
         station.outputs.clear();
         odometry
     };
@@ -60,17 +53,11 @@ fn the_status_message_tells_how_near_the_gate_the_last_fix_was() {
 #[test]
 fn outputs_keep_their_intervals_and_zero_sends_every_estimate() {
     let mut config = config();
-    config.links[0].outputs = vec![
-        stream(OutputKind::PlanarPose, 0),
-        stream(OutputKind::Odometry, 100),
-        stream(OutputKind::Attitude, 1_000),
-    ];
+    config.links[0].outputs =
+        vec![stream(OutputKind::PlanarPose, 0), stream(OutputKind::Odometry, 100), stream(OutputKind::Attitude, 1_000)];
     let world = driven(&config);
     let sent = said(&world.station);
-    let estimates = world
-        .station
-        .events()
-        .filter(|event| matches!(event, Event::Estimated { .. }));
+    let estimates = world.station.events().filter(|event| matches!(event, Event::Estimated { .. }));
     let of = |wanted: fn(&Message) -> bool| -> Vec<Stamp<HostClock>> {
         let wanted = sent.iter().filter(|(_, message)| wanted(message));
         wanted.map(|(now, _)| *now).collect()
@@ -78,31 +65,16 @@ fn outputs_keep_their_intervals_and_zero_sends_every_estimate() {
     let poses = of(|message| matches!(message, Message::PlanarPose(_)));
     assert_eq!(poses.len(), estimates.count());
     for (instants, interval_ms, at_least) in [
-        (
-            of(|message| matches!(message, Message::Odometry(_))),
-            100,
-            120,
-        ),
-        (
-            of(|message| matches!(message, Message::Attitude { .. })),
-            1_000,
-            18,
-        ),
+        (of(|message| matches!(message, Message::Odometry(_))), 100, 120),
+        (of(|message| matches!(message, Message::Attitude { .. })), 1_000, 18),
     ] {
         // They leave with estimates, which come each 50 ms: an interval is kept in the mean, and no two leave together.
         let interval = Span::from_millis(interval_ms);
         let shortest = instants.windows(2).map(|pair| pair[1] - pair[0]).min();
-        assert!(
-            shortest > Some(Span::from_millis(interval_ms / 2)),
-            "{shortest:?}"
-        );
+        assert!(shortest > Some(Span::from_millis(interval_ms / 2)), "{shortest:?}");
         let all = instants[instants.len() - 1] - instants[0];
         let expected = all.as_nanos() / interval.as_nanos() + 1;
-        assert!(
-            expected.abs_diff(instants.len() as i64) <= 1,
-            "{} of {expected}",
-            instants.len()
-        );
+        assert!(expected.abs_diff(instants.len() as i64) <= 1, "{} of {expected}", instants.len());
         assert!(instants.len() >= at_least, "{}", instants.len());
     }
 }
@@ -114,11 +86,7 @@ fn an_estimate_for_its_arrival_lies_ahead_and_says_that_it_is_predicted() {
     let ahead = planar_poses(&driven(&config));
     let (predicted, observed): (Vec<&(PlanarPose, u32)>, Vec<_>) =
         ahead.iter().partition(|(pose, _)| pose.flags.predicted);
-    assert!(
-        predicted.len() > 400 && observed.len() < 40,
-        "{}",
-        observed.len()
-    );
+    assert!(predicted.len() > 400 && observed.len() < 40, "{}", observed.len());
     // Link and brick take 10 to 20 ms each way; 50 ms of telemetry period and as much again bound the rest.
     for (pose, latest_micros) in predicted {
         let lead_micros = micros(pose).wrapping_sub(*latest_micros) as i32;
@@ -141,14 +109,10 @@ fn planar_poses(world: &World) -> Vec<(PlanarPose, u32)> {
                 latest = estimate.stamp.as_micros() as u32;
             }
             Output::Transmit { bytes, .. } => {
-                poses.extend(
-                    messages(bytes)
-                        .into_iter()
-                        .filter_map(|message| match message {
-                            Message::PlanarPose(pose) => Some((pose, latest)),
-                            _ => None,
-                        }),
-                );
+                poses.extend(messages(bytes).into_iter().filter_map(|message| match message {
+                    Message::PlanarPose(pose) => Some((pose, latest)),
+                    _ => None,
+                }));
             }
             Output::Event(_) | Output::Request(_) => {}
         }

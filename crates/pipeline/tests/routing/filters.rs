@@ -13,14 +13,8 @@ use posebridge_telemetry::{Audience, Output, PeerId, Priority, Span, SystemId};
 #[test]
 fn what_a_filter_keeps_out_is_neither_believed_nor_passed_on() {
     let mut config = three_links();
-    config.links[0].rules.inward.messages = Choice {
-        allow: vec![],
-        block: vec![ids::PB_WHEEL_TICKS],
-    };
-    config.links[2].rules.outward.systems = Choice {
-        allow: vec![SystemId(2)],
-        block: vec![],
-    };
+    config.links[0].rules.inward.messages = Choice { allow: vec![], block: vec![ids::PB_WHEEL_TICKS] };
+    config.links[2].rules.outward.systems = Choice { allow: vec![SystemId(2)], block: vec![] };
     let mut scene = Scene::new(&config);
     let station = &mut scene.station;
     let (_, passed) = scene.brick.say(station, at(100), &ticks(5_000, 0, 0));
@@ -40,10 +34,7 @@ fn a_link_may_take_only_what_is_meant_for_it() {
     let mut scene = Scene::new(&config);
     let station = &mut scene.station;
     let (_, passed) = scene.gcs.say(station, at(100), &HEARTBEAT);
-    assert_eq!(
-        passed,
-        [(GCS_LINK, Audience::AllBut(PeerId(5)), Priority::Forwarded)]
-    );
+    assert_eq!(passed, [(GCS_LINK, Audience::AllBut(PeerId(5)), Priority::Forwarded)]);
     assert_eq!(scene.gcs.say(station, at(110), &command()).1.len(), 1);
     assert_eq!(scene.camera.say(station, at(120), &HEARTBEAT).1, []);
 }
@@ -75,14 +66,7 @@ fn rates_thin_telemetry_and_estimates_but_never_commands() {
     assert_eq!(ticks_passed, 50, "one of four, for ten seconds");
     let station = &mut scene.station;
     let estimates = station.outputs.iter().filter(|(_, output)| {
-        matches!(
-            output,
-            Output::Transmit {
-                link: LINK,
-                priority: Priority::Estimate { .. },
-                ..
-            }
-        )
+        matches!(output, Output::Transmit { link: LINK, priority: Priority::Estimate { .. }, .. })
     });
     let estimates = estimates.count();
     // 200 B/s for ten seconds, of which twenty commands of 45 bytes have taken their part; one bucket more at the start.

@@ -4,10 +4,7 @@
     clippy::wildcard_enum_match_arm,
     reason = "tests stop at the first surprise, and pick the events that they are about"
 )]
-#![expect(
-    dead_code,
-    reason = "the helpers are shared with tests of a single link, which need others of them"
-)]
+#![expect(dead_code, reason = "the helpers are shared with tests of a single link, which need others of them")]
 
 #[path = "../support/brick.rs"]
 mod brick;

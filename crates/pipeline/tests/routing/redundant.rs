@@ -60,8 +60,7 @@ impl Redundant {
                 let message = ticks(brick_ms, counts, counts);
                 let frame = self.speakers[index].frame(&message);
                 if is_up[index] && !loses(index) {
-                    self.on_their_way
-                        .send(at(now + DELAYS_MS[index]), index, frame);
+                    self.on_their_way.send(at(now + DELAYS_MS[index]), index, frame);
                     self.arrived[index].push(brick_ms);
                 }
             }
@@ -103,9 +102,7 @@ impl Redundant {
     /// Brick times in ms of which an observation spoke, in the order in which they were used.
     fn observed(&self) -> Vec<u32> {
         let stamps = self.station.events().filter_map(|event| match event {
-            Event::Observed {
-                robot, observation, ..
-            } => {
+            Event::Observed { robot, observation, .. } => {
                 assert_eq!((robot.link, robot.address), (LINKS[0], BRICK));
                 u32::try_from(observation.stamp.as_nanos() / 1_000_000).ok()
             }
@@ -140,10 +137,7 @@ fn two_links_to_one_robot_lose_only_what_both_lose_and_use_nothing_twice() {
     assert_eq!(observed, either[..observed.len()]);
     assert!(either.len() - observed.len() <= 1 && either.len() == 380);
     let both = first.iter().filter(|stamp| second.contains(stamp)).count() as u64;
-    let counted: u64 = LINKS
-        .map(|id| health(&mut run.station, id).duplicates)
-        .iter()
-        .sum();
+    let counted: u64 = LINKS.map(|id| health(&mut run.station, id).duplicates).iter().sum();
     assert!(both.abs_diff(counted) <= 1, "{both} {counted}");
 }
 
@@ -172,10 +166,7 @@ fn when_one_of_two_links_goes_down_only_what_was_on_its_way_is_lost() {
     }
     let observed = sorted(run.observed());
     let all: Vec<u32> = (0..240).map(|k| 5_000 + k * 50).collect();
-    let missing: Vec<&u32> = all
-        .iter()
-        .filter(|stamp| !observed.contains(stamp))
-        .collect();
+    let missing: Vec<&u32> = all.iter().filter(|stamp| !observed.contains(stamp)).collect();
     // One message of brick time 12950 was on the slow link alone when that went down.
     assert_eq!(missing, [&12_950]);
     assert!(observed.windows(2).all(|pair| pair[0] < pair[1]));
@@ -191,12 +182,7 @@ fn both_links_bound_the_one_clock_and_both_carry_the_estimate() {
         .station
         .events()
         .filter_map(|event| match event {
-            Event::BrickClockAligned {
-                robot,
-                offset,
-                uncertainty,
-                ..
-            } => {
+            Event::BrickClockAligned { robot, offset, uncertainty, .. } => {
                 assert_eq!(robot.link, LINKS[0]);
                 Some((*offset, *uncertainty))
             }
@@ -205,11 +191,7 @@ fn both_links_bound_the_one_clock_and_both_carry_the_estimate() {
         .collect();
     let (offset, uncertainty) = aligned.last().copied().expect("it answers");
     let error_ms = offset.as_millis_f64() - AHEAD_MS as f64;
-    println!(
-        "{} alignments, {error_ms:+.3} ms, ± {:.3} ms",
-        aligned.len(),
-        uncertainty.as_millis_f64()
-    );
+    println!("{} alignments, {error_ms:+.3} ms, ± {:.3} ms", aligned.len(), uncertainty.as_millis_f64());
     assert!(error_ms.abs() <= uncertainty.as_millis_f64() + 0.001);
     // The bounds of the quicker link: half a round trip of 10 ms, and the step of the counter.
     assert!(uncertainty.as_millis_f64() < 10.0);
@@ -238,11 +220,7 @@ fn the_same_inputs_give_the_same_outputs_with_many_links_too() {
         run.step(now, [true; 2], |index| now % 3 == index as i64);
     }
     let fresh = Redundant::new().station;
-    let mut again = Station {
-        pipeline: fresh.pipeline,
-        inputs: vec![],
-        outputs: fresh.outputs,
-    };
+    let mut again = Station { pipeline: fresh.pipeline, inputs: vec![], outputs: fresh.outputs };
     // The first inputs are those that brought the links up.
     for (now, input) in &run.station.inputs[LINKS.len()..] {
         again.give(*now, input.clone());

@@ -57,10 +57,7 @@ impl Ring {
             self.stations[index].pass_until(at(now));
             let station = &self.stations[index];
             for (_, output) in &station.outputs[self.seen[index]..] {
-                let Output::Transmit {
-                    link, bytes, to, ..
-                } = output
-                else {
+                let Output::Transmit { link, bytes, to, .. } = output else {
                     continue;
                 };
                 let delay = match *link {
@@ -104,11 +101,7 @@ fn two_stations_joined_by_two_links_do_not_let_frames_circle() {
         per_minute.push(ring.frames - before);
     }
     for frame in &said[..said.len() - 2] {
-        assert_eq!(
-            ring.listened.get(frame),
-            Some(&1),
-            "reaches the listener once"
-        );
+        assert_eq!(ring.listened.get(frame), Some(&1), "reaches the listener once");
         // Out by both links, and back by the slower one from the station that had it by the quicker one.
         assert_eq!(ring.crossings.get(frame), Some(&3));
     }
@@ -117,10 +110,7 @@ fn two_stations_joined_by_two_links_do_not_let_frames_circle() {
     let unstamped = [ids::HEARTBEAT, ids::COMMAND_LONG, ids::COMMAND_ACK];
     for (frame, count) in &ring.crossings {
         let id = u32::from_le_bytes([frame[7], frame[8], frame[9], 0]);
-        assert!(
-            *count <= 3 || unstamped.contains(&id),
-            "message {id}: {count}"
-        );
+        assert!(*count <= 3 || unstamped.contains(&id), "message {id}: {count}");
     }
     assert!(per_minute[2].abs_diff(per_minute[1]) < 20, "{per_minute:?}");
 }

@@ -7,8 +7,7 @@ use crate::station::{LINK, STATION, Station, at, config, link};
 use posebridge_pipeline::PipelineConfig;
 use posebridge_protocol::message::{CommandAck, CommandLong, Message, VisionFix, WireStamp};
 use posebridge_telemetry::{
-    Address, Audience, Event, Heading, LinkHealth, LinkId, LinkState, Meters, PeerId, Priority,
-    Span,
+    Address, Audience, Event, Heading, LinkHealth, LinkId, LinkState, Meters, PeerId, Priority, Span,
 };
 
 const CAMERA_LINK: LinkId = LinkId(4);
@@ -50,19 +49,11 @@ impl Scene {
 }
 
 pub(crate) fn command() -> Message {
-    Message::Command(CommandLong {
-        target: BRICK,
-        command: 400,
-        params: [1.0; 7],
-    })
+    Message::Command(CommandLong { target: BRICK, command: 400, params: [1.0; 7] })
 }
 
 fn ack() -> Message {
-    Message::CommandAck(CommandAck {
-        command: 400,
-        result: 0,
-        target: Some(GCS),
-    })
+    Message::CommandAck(CommandAck { command: 400, result: 0, target: Some(GCS) })
 }
 
 /// What a link has carried, a second after the last output.
@@ -110,15 +101,8 @@ fn a_message_of_no_dialect_is_passed_on_byte_for_byte_and_teaches_nothing() {
     let seen = station.outputs.len();
     scene.brick.give(station, at(100), &bytes);
     let all = |link| (link, Audience::All, Priority::Forwarded);
-    assert_eq!(
-        passed_on(station, seen, &unknown),
-        [all(CAMERA_LINK), all(GCS_LINK)]
-    );
-    let to_stranger = Message::Command(CommandLong {
-        target: Address::new(77, 1),
-        command: 400,
-        params: [0.0; 7],
-    });
+    assert_eq!(passed_on(station, seen, &unknown), [all(CAMERA_LINK), all(GCS_LINK)]);
+    let to_stranger = Message::Command(CommandLong { target: Address::new(77, 1), command: 400, params: [0.0; 7] });
     assert_eq!(scene.gcs.say(station, at(110), &to_stranger).1, []);
 }
 
@@ -130,11 +114,7 @@ fn what_the_station_says_is_not_passed_on_when_it_comes_back() {
     let seen = station.outputs.len();
     scene.camera.give(station, at(100), &own);
     assert_eq!(passed_on(station, seen, &own), []);
-    let commanded = Message::Command(CommandLong {
-        target: STATION,
-        command: 400,
-        params: [0.0; 7],
-    });
+    let commanded = Message::Command(CommandLong { target: STATION, command: 400, params: [0.0; 7] });
     assert_eq!(scene.gcs.say(station, at(110), &commanded).1, []);
 }
 
@@ -170,8 +150,7 @@ fn a_fix_that_goes_round_a_loop_is_fused_once_and_the_robot_is_heard_on_its_own_
     }
     let used = |source: Address| {
         let events = station.events();
-        let used = events
-            .filter(|event| matches!(event, Event::Observed { source: s, .. } if *s == source));
+        let used = events.filter(|event| matches!(event, Event::Observed { source: s, .. } if *s == source));
         used.count()
     };
     assert_eq!(used(BRICK), 60);

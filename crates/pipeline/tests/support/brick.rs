@@ -24,12 +24,8 @@ pub(crate) fn ticks(millis: u32, left: i64, right: i64) -> Message {
 }
 
 /// The heartbeat of a rover.
-pub(crate) const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+pub(crate) const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// The messages in some bytes.
 pub(crate) fn messages(bytes: &[u8]) -> Vec<Message> {

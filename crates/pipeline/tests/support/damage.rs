@@ -4,12 +4,10 @@ use std::collections::VecDeque;
 
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
-use posebridge_protocol::message::{
-    Heartbeat, Message, Odometry, OdometryPose, PlanarImu, WireStamp,
-};
+use posebridge_protocol::message::{Heartbeat, Message, Odometry, OdometryPose, PlanarImu, WireStamp};
 use posebridge_telemetry::{
-    Address, BrickClock, Defect, Event, Heading, LinkHealth, Meters, MetersPerSecond, Observation,
-    Observed, Pose, RadiansPerSecond, Stamp,
+    Address, BrickClock, Defect, Event, Heading, LinkHealth, Meters, MetersPerSecond, Observation, Observed, Pose,
+    RadiansPerSecond, Stamp,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -29,25 +27,17 @@ pub(crate) struct Said {
 impl Said {
     fn by(observation: &Observation, wheel_radius_m: f64) -> Self {
         let values = match observation.observed {
-            Observed::WheelAngles { left, right } => {
-                [left.0, right.0].map(|rad| rad * wheel_radius_m)
-            }
+            Observed::WheelAngles { left, right } => [left.0, right.0].map(|rad| rad * wheel_radius_m),
             Observed::TurnRate(rate) => [rate.0, 0.0],
             Observed::OdometerPose(pose) => [pose.x.0, pose.y.0],
             other => panic!("nobody has sent {other:?}"),
         };
-        Self {
-            kind: observation.observed.kind(),
-            stamp: observation.stamp,
-            values,
-        }
+        Self { kind: observation.observed.kind(), stamp: observation.stamp, values }
     }
 
     fn is(&self, other: &Self) -> bool {
         let near = |(a, b): (&f64, &f64)| (a - b).abs() <= TOLERANCE;
-        self.kind == other.kind
-            && self.stamp == other.stamp
-            && self.values.iter().zip(&other.values).all(near)
+        self.kind == other.kind && self.stamp == other.stamp && self.values.iter().zip(&other.values).all(near)
     }
 }
 
@@ -57,11 +47,7 @@ pub(crate) fn message(number: i64, millis: i64) -> (Message, Option<Said>) {
     let stamp = WireStamp::Micros64(millis as u64 * 1_000);
     let says = |kind, values| {
         let stamp = Stamp::from_millis(millis);
-        Some(Said {
-            kind,
-            stamp,
-            values,
-        })
+        Some(Said { kind, stamp, values })
     };
     let step = number as f64;
     match number % 4 {
@@ -84,10 +70,7 @@ pub(crate) fn message(number: i64, millis: i64) -> (Message, Option<Said>) {
         }
         _ => {
             // Steps that 32 bits hold to a micrometre.
-            let (x_m, y_m) = (
-                1e-3 * (number % 10_000) as f64,
-                -1e-3 * (number % 7_000) as f64,
-            );
+            let (x_m, y_m) = (1e-3 * (number % 10_000) as f64, -1e-3 * (number % 7_000) as f64);
             let pose = Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(0.3));
             let odometry = Odometry {
                 stamp,
@@ -98,20 +81,13 @@ pub(crate) fn message(number: i64, millis: i64) -> (Message, Option<Said>) {
                 reset_counter: 0,
                 quality: 90,
             };
-            (
-                Message::Odometry(odometry),
-                says("odometer_pose", [x_m, y_m]),
-            )
+            (Message::Odometry(odometry), says("odometer_pose", [x_m, y_m]))
         }
     }
 }
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// One kind of damage.
 pub(crate) struct Kind {
@@ -125,25 +101,14 @@ pub(crate) struct Kind {
 /// The four kinds for which parsers are compared, and none.
 pub(crate) const KINDS: [Kind; 5] = [
     kind("no damage", 1, none),
-    Kind {
-        tears: true,
-        ..kind("one byte lost in 2 % of frames", 1, one_byte_lost)
-    },
+    Kind { tears: true, ..kind("one byte lost in 2 % of frames", 1, one_byte_lost) },
     kind("bit flips, 2e-4 per byte", 2, bits_flipped),
-    Kind {
-        tears: true,
-        ..kind("frame tail lost in 2 %", 3, tail_lost)
-    },
+    Kind { tears: true, ..kind("frame tail lost in 2 %", 3, tail_lost) },
     kind("1-39 noise bytes before 5 %", 4, noise_before),
 ];
 
 const fn kind(name: &'static str, seed: u64, damage: Damage) -> Kind {
-    Kind {
-        name,
-        seed,
-        damage,
-        tears: false,
-    }
+    Kind { name, seed, damage, tears: false }
 }
 
 /// A brick behind a line that damages.
@@ -155,11 +120,7 @@ pub(crate) struct Speaker {
 
 impl Speaker {
     pub(crate) fn new(kind: &Kind) -> Self {
-        Self {
-            rng: Pcg64::seed_from_u64(kind.seed),
-            encoder: Encoder::new(WireVersion::V2),
-            damage: kind.damage,
-        }
+        Self { rng: Pcg64::seed_from_u64(kind.seed), encoder: Encoder::new(WireVersion::V2), damage: kind.damage }
     }
 
     /// What arrives of the message of this number; the books learn whether it is whole.
@@ -277,10 +238,7 @@ impl Books {
                 self.observed += 1;
             }
             Event::Fused { .. } => self.fused += 1,
-            Event::Defect {
-                defect: Defect::Lost { frames, .. },
-                ..
-            } => self.lost += u64::from(*frames),
+            Event::Defect { defect: Defect::Lost { frames, .. }, .. } => self.lost += u64::from(*frames),
             Event::BrickRestarted { .. } => panic!("the clock runs on"),
             Event::Health { health, .. } => self.health = *health,
             _ => {}
@@ -289,22 +247,11 @@ impl Books {
 
     /// Prints what came, and holds it against what must be; the last health must have been told after the last frame.
     pub(crate) fn check(&self, name: &str, sent: i64) {
-        let Self {
-            intact,
-            noticeable,
-            observed,
-            lost,
-            health,
-            ..
-        } = self;
+        let Self { intact, noticeable, observed, lost, health, .. } = self;
         println!(
             "{name:31} sent {sent}, intact {intact}, accepted {}, observed {observed}, counted as lost {lost} of {noticeable}, \
              stalls {}, checksum errors {}, unknown {}, garbage {} bytes",
-            health.frames_in,
-            health.stalls,
-            health.checksum_errors,
-            health.unknown_ids,
-            health.garbage_bytes
+            health.frames_in, health.stalls, health.checksum_errors, health.unknown_ids, health.garbage_bytes
         );
         assert_eq!(health.frames_in, *intact, "{name}: accepted");
         assert_eq!(self.owed.len(), 0, "{name}: missing");

@@ -7,12 +7,7 @@ use crate::station::Station;
 /// The health of a link that was told last, with that of its sources.
 pub(crate) fn health(station: &Station, id: LinkId) -> (LinkHealth, Vec<SourceHealth>) {
     let health = station.events().filter_map(|event| match event {
-        Event::Health {
-            link,
-            health,
-            sources,
-            ..
-        } if *link == id => Some((*health, sources.clone())),
+        Event::Health { link, health, sources, .. } if *link == id => Some((*health, sources.clone())),
         _ => None,
     });
     health.last().expect("a second has passed")

@@ -47,21 +47,12 @@ pub(crate) struct Path {
 
 /// A Bluetooth serial link: 15 ms and 8 ms each way, one in a hundred stalls for 50 to 500 ms.
 pub(crate) fn bluetooth(seed: u64) -> Path {
-    Path {
-        seed,
-        forth_s: 0.015,
-        back_s: 0.015,
-        jitter_s: 0.008,
-        stalls: 0.01,
-    }
+    Path { seed, forth_s: 0.015, back_s: 0.015, jitter_s: 0.008, stalls: 0.01 }
 }
 
 /// When a request left, was answered and came back, by the host's clock.
 #[derive(Clone, Copy)]
-#[expect(
-    clippy::struct_field_names,
-    reason = "the unit is part of every name of a bare number"
-)]
+#[expect(clippy::struct_field_names, reason = "the unit is part of every name of a bare number")]
 pub(crate) struct RoundTrip {
     pub(crate) sent_s: f64,
     pub(crate) answered_s: f64,
@@ -84,11 +75,7 @@ impl Path {
             let sent_s = f64::from(k) / RATE_HZ;
             answered_s = answered_s.max(sent_s + delay(self.forth_s));
             received_s = received_s.max(answered_s + delay(self.back_s));
-            RoundTrip {
-                sent_s,
-                answered_s,
-                received_s,
-            }
+            RoundTrip { sent_s, answered_s, received_s }
         });
         round_trips.collect()
     }

@@ -27,10 +27,7 @@ impl Ground {
         config.links.push(link(GCS_LINK, vec![]));
         config.links.push(link(OTHER_GCS_LINK, vec![]));
         change(&mut config);
-        let mut ground = Self {
-            station: Station::new(&config),
-            encoder: Encoder::new(WireVersion::V2),
-        };
+        let mut ground = Self { station: Station::new(&config), encoder: Encoder::new(WireVersion::V2) };
         ground.station.bytes(at(10), &frame(BRICK, &HEARTBEAT));
         ground
     }
@@ -51,11 +48,7 @@ impl Ground {
     }
 
     pub(crate) fn set(&mut self, millis: i64, name: &str, value: f32) -> Vec<Message> {
-        let set = Message::ParamSet {
-            target: STATION,
-            name: name.to_owned(),
-            value,
-        };
+        let set = Message::ParamSet { target: STATION, name: name.to_owned(), value };
         self.say(millis, &set)
     }
 
@@ -64,11 +57,7 @@ impl Ground {
         seven[..params.len()].copy_from_slice(params);
         let target = STATION;
         let params = seven;
-        let command = Message::Command(CommandLong {
-            target,
-            command,
-            params,
-        });
+        let command = Message::Command(CommandLong { target, command, params });
         self.say(millis, &command)
     }
 
@@ -76,9 +65,7 @@ impl Ground {
     pub(crate) fn result(&mut self, millis: i64, command: u16, params: &[f32]) -> u8 {
         let answers = self.command(millis, command, params);
         let result = answers.iter().find_map(|answer| match answer {
-            Message::CommandAck(ack) if ack.command == command && ack.target == Some(GCS) => {
-                Some(ack.result)
-            }
+            Message::CommandAck(ack) if ack.command == command && ack.target == Some(GCS) => Some(ack.result),
             _ => None,
         });
         result.expect("an answer")
@@ -103,8 +90,7 @@ impl Ground {
         for millis in (from_ms..until_ms).step_by(50) {
             let counts = i64::from(millis) * 360 / 880;
             let now = at(i64::from(millis) + 5);
-            self.station
-                .bytes(now, &frame(BRICK, &ticks(millis, counts, counts)));
+            self.station.bytes(now, &frame(BRICK, &ticks(millis, counts, counts)));
             if millis % 200 == 0 {
                 let x_m = 0.2e-3 * f64::from(millis);
                 self.station.bytes(now, &frame(BRICK, &fix(millis, x_m)));
@@ -150,11 +136,7 @@ impl Ground {
     }
 
     pub(crate) fn value_of(&mut self, millis: i64, name: &str) -> f32 {
-        let read = Message::ParamRequestRead {
-            target: STATION,
-            name: name.to_owned(),
-            index: -1,
-        };
+        let read = Message::ParamRequestRead { target: STATION, name: name.to_owned(), index: -1 };
         match self.say(millis, &read).as_slice() {
             [Message::ParamValue { value, .. }] => *value,
             other => panic!("{other:?}"),

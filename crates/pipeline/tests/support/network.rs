@@ -5,9 +5,7 @@ use std::collections::BTreeMap;
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{
-    Address, Audience, HostClock, Input, LinkId, Output, PeerId, Priority, Stamp,
-};
+use posebridge_telemetry::{Address, Audience, HostClock, Input, LinkId, Output, PeerId, Priority, Stamp};
 
 use crate::station::Station;
 
@@ -21,12 +19,7 @@ pub(crate) struct Speaker {
 
 impl Speaker {
     pub(crate) fn new(address: Address, link: LinkId, peer: u32) -> Self {
-        Self {
-            address,
-            encoder: Encoder::new(WireVersion::V2),
-            link,
-            peer: PeerId(peer),
-        }
+        Self { address, encoder: Encoder::new(WireVersion::V2), link, peer: PeerId(peer) }
     }
 
     /// The next frame.
@@ -52,29 +45,16 @@ impl Speaker {
 
     /// Gives bytes to a station as if this speaker had sent them.
     pub(crate) fn give(&self, station: &mut Station, now: Stamp<HostClock>, bytes: &[u8]) {
-        let input = Input::Bytes {
-            link: self.link,
-            peer: self.peer,
-            bytes: bytes.to_vec(),
-        };
+        let input = Input::Bytes { link: self.link, peer: self.peer, bytes: bytes.to_vec() };
         station.give(now, input);
     }
 }
 
 /// To whom exactly these bytes were sent, among the outputs after the first `seen`.
-pub(crate) fn passed_on(
-    station: &Station,
-    seen: usize,
-    frame: &[u8],
-) -> Vec<(LinkId, Audience, Priority)> {
+pub(crate) fn passed_on(station: &Station, seen: usize, frame: &[u8]) -> Vec<(LinkId, Audience, Priority)> {
     let outputs = station.outputs[seen..].iter();
     let passed = outputs.filter_map(|(_, output)| match output {
-        Output::Transmit {
-            link,
-            to,
-            priority,
-            bytes,
-        } if bytes == frame => Some((*link, *to, *priority)),
+        Output::Transmit { link, to, priority, bytes } if bytes == frame => Some((*link, *to, *priority)),
         Output::Transmit { .. } | Output::Event(_) | Output::Request(_) => None,
     });
     passed.collect()

@@ -2,13 +2,13 @@
 
 use posebridge_estimator::{FilterConfig, Params, StartPose};
 use posebridge_pipeline::{
-    AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OutputInstant, OutputKind,
-    OutputStream, Pipeline, PipelineConfig,
+    AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OutputInstant, OutputKind, OutputStream,
+    Pipeline, PipelineConfig,
 };
 use posebridge_protocol::framing::{Framing, WireVersion};
 use posebridge_telemetry::{
-    Address, DriveGeometry, Event, HostClock, Input, LinkId, LinkState, Meters, Output, Point2,
-    Pose, Radians, SensorNoise, Span, Stamp,
+    Address, DriveGeometry, Event, HostClock, Input, LinkId, LinkState, Meters, Output, Point2, Pose, Radians,
+    SensorNoise, Span, Stamp,
 };
 
 pub(crate) const LINK: LinkId = LinkId(3);
@@ -31,11 +31,7 @@ pub(crate) fn config() -> PipelineConfig {
                 tick: Radians(std::f64::consts::PI / 180.0),
             },
             noise: NOISE,
-            start: Some(StartPose {
-                pose: Pose::default(),
-                position_sigma_m: 0.01,
-                heading_sigma_rad: 0.02,
-            }),
+            start: Some(StartPose { pose: Pose::default(), position_sigma_m: 0.01, heading_sigma_rad: 0.02 }),
             params: Params::default(),
             calibration: posebridge_telemetry::Calibration::default(),
             world: std::sync::Arc::default(),
@@ -45,10 +41,7 @@ pub(crate) fn config() -> PipelineConfig {
         tag_in_body: Point2::ORIGIN,
         fix_requests: FixRequestConfig::default(),
         timesync_period: Span::from_millis(500),
-        wanted: vec![
-            (42_100, Span::from_millis(50)),
-            (42_101, Span::from_millis(50)),
-        ],
+        wanted: vec![(42_100, Span::from_millis(50)), (42_101, Span::from_millis(50))],
         duplicate_window: Span::from_millis(15_000),
         thermometers: vec![],
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
@@ -84,11 +77,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
 }
 
 pub(crate) fn stream(kind: OutputKind, interval_ms: i64) -> OutputStream {
-    OutputStream {
-        kind,
-        interval: Span::from_millis(interval_ms),
-        instant: OutputInstant::Observed,
-    }
+    OutputStream { kind, interval: Span::from_millis(interval_ms), instant: OutputInstant::Observed }
 }
 
 /// A pipeline that remembers what it was given and what it gave, each with the instant.
@@ -102,8 +91,7 @@ impl Station {
     /// A station whose link comes up at instant zero.
     pub(crate) fn new(config: &PipelineConfig) -> Self {
         let mut station = Self {
-            pipeline: Pipeline::new(config.clone(), Stamp::ZERO)
-                .expect("the configuration is good"),
+            pipeline: Pipeline::new(config.clone(), Stamp::ZERO).expect("the configuration is good"),
             inputs: vec![],
             outputs: vec![],
         };
@@ -128,14 +116,7 @@ impl Station {
 
     pub(crate) fn bytes(&mut self, now: Stamp<HostClock>, bytes: &[u8]) {
         let bytes = bytes.to_vec();
-        self.give(
-            now,
-            Input::Bytes {
-                link: LINK,
-                peer: posebridge_telemetry::PeerId::default(),
-                bytes,
-            },
-        );
+        self.give(now, Input::Bytes { link: LINK, peer: posebridge_telemetry::PeerId::default(), bytes });
     }
 
     /// Gives ticks at the deadlines until an instant.
@@ -155,11 +136,9 @@ impl Station {
 
     /// All bytes that were sent on any link, with the instants.
     pub(crate) fn sent(&self) -> impl Iterator<Item = (Stamp<HostClock>, &[u8])> {
-        self.outputs
-            .iter()
-            .filter_map(|(now, output)| match output {
-                Output::Transmit { bytes, .. } => Some((*now, bytes.as_slice())),
-                Output::Event(_) | Output::Request(_) => None,
-            })
+        self.outputs.iter().filter_map(|(now, output)| match output {
+            Output::Transmit { bytes, .. } => Some((*now, bytes.as_slice())),
+            Output::Event(_) | Output::Request(_) => None,
+        })
     }
 }

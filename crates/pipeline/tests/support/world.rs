@@ -18,10 +18,7 @@ type OnTheirWay = VecDeque<(Stamp<HostClock>, Vec<u8>)>;
 
 fn take_due(queue: &mut OnTheirWay, now: Stamp<HostClock>) -> Option<Vec<u8>> {
     let is_due = queue.front().is_some_and(|next| next.0 <= now);
-    is_due
-        .then(|| queue.pop_front())
-        .flatten()
-        .map(|(_, bytes)| bytes)
+    is_due.then(|| queue.pop_front()).flatten().map(|(_, bytes)| bytes)
 }
 
 /// Simulation and station, driven in steps of a millisecond of world time; the host's clock is the world's.
@@ -65,21 +62,9 @@ impl World {
             self.to_station.push_back((arrival, bytes));
         }
         while let Some(bytes) = take_due(&mut self.to_station, now) {
-            self.station.give(
-                now,
-                Input::Bytes {
-                    link: LINK,
-                    peer: posebridge_telemetry::PeerId::default(),
-                    bytes,
-                },
-            );
+            self.station.give(now, Input::Bytes { link: LINK, peer: posebridge_telemetry::PeerId::default(), bytes });
         }
-        if self
-            .station
-            .pipeline
-            .deadline()
-            .is_some_and(|due| due <= now)
-        {
+        if self.station.pipeline.deadline().is_some_and(|due| due <= now) {
             self.station.give(now, Input::Tick);
         }
         self.send_back();

@@ -26,10 +26,7 @@ pub(super) struct Channel<'a> {
 /// Takes a metadata record apart; `None` if it is damaged. Bytes behind its fields are for newer versions.
 pub(super) fn metadata(body: &[u8]) -> Option<Metadata<'_>> {
     let mut fields = Fields { rest: body };
-    Some(Metadata {
-        name: fields.text()?,
-        entries: fields.map()?,
-    })
+    Some(Metadata { name: fields.text()?, entries: fields.map()? })
 }
 
 /// Takes a channel record apart; `None` if it is damaged.
@@ -37,11 +34,7 @@ pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     let mut fields = Fields { rest: body };
     let id = fields.u16()?;
     let _schema_id = fields.u16()?;
-    let channel = Channel {
-        id,
-        topic: fields.text()?,
-        message_encoding: fields.text()?,
-    };
+    let channel = Channel { id, topic: fields.text()?, message_encoding: fields.text()? };
     fields.map()?;
     Some(channel)
 }
@@ -94,12 +87,7 @@ pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
     let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
     let log_time = fields.u64()?;
     let _publish_time = fields.u64()?;
-    Some(Message {
-        channel_id,
-        sequence,
-        log_time,
-        data: fields.rest,
-    })
+    Some(Message { channel_id, sequence, log_time, data: fields.rest })
 }
 
 /// What is left of a record.
@@ -139,9 +127,7 @@ impl<'a> Fields<'a> {
     }
 
     fn map(&mut self) -> Option<BTreeMap<&'a str, &'a str>> {
-        let mut pairs = Fields {
-            rest: self.counted()?,
-        };
+        let mut pairs = Fields { rest: self.counted()? };
         let mut entries = BTreeMap::new();
         while !pairs.rest.is_empty() {
             let (key, value) = (pairs.text()?, pairs.text()?);
@@ -167,11 +153,7 @@ mod tests {
         assert_eq!(found.entries, BTreeMap::from([("k", "v")]));
 
         let record = b"\x07\0\x01\0\x01\0\0\0t\x02\0\0\0me\0\0\0\0";
-        let expected = Channel {
-            id: 7,
-            topic: "t",
-            message_encoding: "me",
-        };
+        let expected = Channel { id: 7, topic: "t", message_encoding: "me" };
         assert_eq!(channel(record), Some(expected));
     }
 

@@ -17,11 +17,7 @@ pub(super) const LATEST_START_MICROS: u64 = i64::MAX as u64 / 1_000;
 
 /// The time that messages of this recording give to the host clock's zero, in nanoseconds: UTC since format 3.
 pub(super) const fn zero_nanos(header: &Header) -> u64 {
-    if header.format > UNCHUNKED {
-        header.utc_start_micros * 1_000
-    } else {
-        0
-    }
+    if header.format > UNCHUNKED { header.utc_start_micros * 1_000 } else { 0 }
 }
 
 /// The record of a recording that begins like this.
@@ -41,10 +37,7 @@ pub(super) fn record(header: &Header, beginning: &Beginning) -> Metadata {
     }
     Metadata {
         name: NAME.to_owned(),
-        metadata: entries
-            .into_iter()
-            .map(|(key, value)| (key.to_owned(), value))
-            .collect(),
+        metadata: entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
     }
 }
 

@@ -72,11 +72,7 @@ pub struct Beginning {
 impl Default for Beginning {
     /// With the session.
     fn default() -> Self {
-        Self {
-            part: 1,
-            inputs_before: 0,
-            continues: None,
-        }
+        Self { part: 1, inputs_before: 0, continues: None }
     }
 }
 

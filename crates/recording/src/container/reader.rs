@@ -48,9 +48,7 @@ pub enum ReadError {
         found: u32,
     },
     /// Another program packed the messages anew.
-    #[error(
-        "byte {offset}: the messages are compressed ({compression}): write the file again without compression"
-    )]
+    #[error("byte {offset}: the messages are compressed ({compression}): write the file again without compression")]
     Compressed {
         /// Where the chunk begins.
         offset: u64,
@@ -171,10 +169,9 @@ impl<'a> Reader<'a> {
     pub fn ending(&self) -> Ending {
         match self.walk.end() {
             End::Complete => Ending::Complete,
-            End::Torn { offset, what } | End::Damaged { offset, what } => Ending::Torn {
-                offset: offset as u64,
-                what: what.to_owned(),
-            },
+            End::Torn { offset, what } | End::Damaged { offset, what } => {
+                Ending::Torn { offset: offset as u64, what: what.to_owned() }
+            }
         }
     }
 
@@ -184,10 +181,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Takes one message record apart; `None` when it belongs to another channel.
-    fn message(
-        &mut self,
-        record: &RawRecord<'a>,
-    ) -> Option<Result<(Stamp<HostClock>, Input), ReadError>> {
+    fn message(&mut self, record: &RawRecord<'a>) -> Option<Result<(Stamp<HostClock>, Input), ReadError>> {
         let offset = record.offset as u64;
         let Some(message) = fields::message(record.body) else {
             let (wanted, left) = (MESSAGE_HEADER_BYTES, record.body.len());
@@ -210,26 +204,14 @@ impl<'a> Reader<'a> {
             return Some(Ok(given));
         }
         self.pending = Some(given);
-        Some(Err(ReadError::Gap {
-            offset,
-            expected,
-            found,
-        }))
+        Some(Err(ReadError::Gap { offset, expected, found }))
     }
 
     /// The input of a message, and when it was given.
-    fn decode(
-        &self,
-        message: &fields::Message<'_>,
-    ) -> Result<(Stamp<HostClock>, Input), DecodeError> {
-        let since_start = message
-            .log_time
-            .checked_sub(header::zero_nanos(&self.header));
+    fn decode(&self, message: &fields::Message<'_>) -> Result<(Stamp<HostClock>, Input), DecodeError> {
+        let since_start = message.log_time.checked_sub(header::zero_nanos(&self.header));
         let log_time = since_start.ok_or(DecodeError::Time(message.log_time))?;
-        let place = Place {
-            sequence: message.sequence,
-            log_time,
-        };
+        let place = Place { sequence: message.sequence, log_time };
         let input = encoding::decode(message.data, place)?;
         // What decodes has a time within the range of a stamp.
         Ok((Stamp::from_nanos(log_time as i64), input))
@@ -256,10 +238,7 @@ impl<'a> Reader<'a> {
                 let End::Damaged { offset, what } = end else {
                     return None;
                 };
-                Some(ReadError::Damaged {
-                    offset: offset as u64,
-                    what: what.to_owned(),
-                })
+                Some(ReadError::Damaged { offset: offset as u64, what: what.to_owned() })
             }
         }
     }
@@ -305,9 +284,8 @@ fn no_header(end: End) -> ReadError {
             offset: 0,
             what: "the file is whole, but it was not written by posebridge".to_owned(),
         },
-        End::Torn { offset, what } | End::Damaged { offset, what } => ReadError::NoHeader {
-            offset: offset as u64,
-            what: what.to_owned(),
-        },
+        End::Torn { offset, what } | End::Damaged { offset, what } => {
+            ReadError::NoHeader { offset: offset as u64, what: what.to_owned() }
+        }
     }
 }

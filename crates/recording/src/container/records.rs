@@ -76,12 +76,7 @@ enum Place {
 impl<'a> Records<'a> {
     /// Starts behind the start magic; `None` when the bytes do not begin with it.
     pub(super) fn new(bytes: &'a [u8]) -> Option<Self> {
-        bytes.starts_with(MAGIC).then_some(Self {
-            bytes,
-            base: 0,
-            offset: MAGIC.len(),
-            place: Place::File,
-        })
+        bytes.starts_with(MAGIC).then_some(Self { bytes, base: 0, offset: MAGIC.len(), place: Place::File })
     }
 
     /// A walk over the `length` bytes of records that begin `start` bytes behind the head of a chunk.
@@ -139,12 +134,7 @@ impl<'a> Records<'a> {
         } else if opcode == op::FOOTER && self.place == Place::File {
             self.place = Place::BehindFooter;
         }
-        Ok(RawRecord {
-            offset,
-            opcode,
-            body,
-            is_whole,
-        })
+        Ok(RawRecord { offset, opcode, body, is_whole })
     }
 
     /// How far the walk has come, as an offset from the start of the file.

@@ -34,14 +34,8 @@ struct Line {
 
 impl Line {
     fn sample(&self) -> TruthSample {
-        let pose = |x_m, y_m, heading_rad| {
-            Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad))
-        };
-        let odometry = (
-            self.odometry_x_m,
-            self.odometry_y_m,
-            self.odometry_heading_rad,
-        );
+        let pose = |x_m, y_m, heading_rad| Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad));
+        let odometry = (self.odometry_x_m, self.odometry_y_m, self.odometry_heading_rad);
         TruthSample {
             stamp: Stamp::from_nanos(self.brick_nanos),
             pose: pose(self.x_m, self.y_m, self.heading_rad),

@@ -88,10 +88,7 @@ impl<'a> Walk<'a> {
         };
         if !chunk.compression.is_empty() {
             let compression = chunk.compression.escape_default().to_string();
-            return Err(ReadError::Compressed {
-                offset,
-                compression,
-            });
+            return Err(ReadError::Compressed { offset, compression });
         }
         self.chunk = Some(OpenChunk {
             records: Records::inside(record, chunk.head_bytes, chunk.records.len()),
@@ -99,10 +96,7 @@ impl<'a> Walk<'a> {
         });
         let found = checksum(chunk.records);
         if record.is_whole && chunk.crc != 0 && chunk.crc != found {
-            let what = format!(
-                "its checksum is {found:#010x} where {:#010x} was expected",
-                chunk.crc
-            );
+            let what = format!("its checksum is {found:#010x} where {:#010x} was expected", chunk.crc);
             return Err(ReadError::Chunk { offset, what });
         }
         Ok(())

@@ -103,8 +103,7 @@ impl<W: Write> Writer<W> {
             .create(NoSeek::new(BufWriter::new(w)))?;
         mcap.write_metadata(&header::record(header, begins))?;
         let schema_id = mcap.add_schema(INPUT_ENCODING, INPUT_ENCODING, SCHEMA_TEXT.as_bytes())?;
-        let input_channel =
-            mcap.add_channel(schema_id, INPUT_TOPIC, INPUT_ENCODING, &BTreeMap::new())?;
+        let input_channel = mcap.add_channel(schema_id, INPUT_TOPIC, INPUT_ENCODING, &BTreeMap::new())?;
         mcap.flush()?;
         let zero_nanos = header::zero_nanos(header);
         Ok(Self {
@@ -152,10 +151,7 @@ impl<W: Write> Writer<W> {
         {
             return Err(WriteError::TooLarge(bytes.len()));
         }
-        let place = Place {
-            sequence: self.sequence,
-            log_time,
-        };
+        let place = Place { sequence: self.sequence, log_time };
         self.scratch.clear();
         encoding::encode(input, place, &mut self.scratch);
         let header = MessageHeader {
@@ -186,11 +182,7 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
-    pub fn record_calibration(
-        &mut self,
-        now: Stamp<HostClock>,
-        calibration: &Calibration,
-    ) -> Result<(), WriteError> {
+    pub fn record_calibration(&mut self, now: Stamp<HostClock>, calibration: &Calibration) -> Result<(), WriteError> {
         self.put(now, foxglove::calibration(calibration))
     }
 
@@ -198,12 +190,7 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
-    pub fn record_line(
-        &mut self,
-        now: Stamp<HostClock>,
-        severity: u8,
-        text: &str,
-    ) -> Result<(), WriteError> {
+    pub fn record_line(&mut self, now: Stamp<HostClock>, severity: u8, text: &str) -> Result<(), WriteError> {
         let line = self.outputs.line(now, severity, ("station", text));
         self.put(now, [line])
     }
@@ -227,11 +214,7 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
-    pub fn record_truth(
-        &mut self,
-        now: Stamp<HostClock>,
-        samples: &[TruthSample],
-    ) -> Result<(), WriteError> {
+    pub fn record_truth(&mut self, now: Stamp<HostClock>, samples: &[TruthSample]) -> Result<(), WriteError> {
         for sample in samples {
             let (at, messages) = self.outputs.truth(now, sample);
             self.put(at, messages)?;
@@ -258,11 +241,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Writes messages beside the inputs.
-    fn put(
-        &mut self,
-        at: Stamp<HostClock>,
-        messages: impl IntoIterator<Item = Message>,
-    ) -> Result<(), WriteError> {
+    fn put(&mut self, at: Stamp<HostClock>, messages: impl IntoIterator<Item = Message>) -> Result<(), WriteError> {
         let time = self.zero_nanos + since_start(at)?;
         for message in messages {
             let topic = message.channel.topic;
@@ -270,12 +249,8 @@ impl<W: Write> Writer<W> {
                 Some(beside) => *beside,
                 None => self.open_channel(&message)?,
             };
-            let header = MessageHeader {
-                channel_id: beside.id,
-                sequence: beside.sequence,
-                log_time: time,
-                publish_time: time,
-            };
+            let header =
+                MessageHeader { channel_id: beside.id, sequence: beside.sequence, log_time: time, publish_time: time };
             self.mcap.write_to_known_channel(&header, &message.data)?;
             let sequence = beside.sequence.wrapping_add(1);
             self.beside.insert(topic, Beside { sequence, ..beside });
@@ -286,19 +261,13 @@ impl<W: Write> Writer<W> {
     fn open_channel(&mut self, message: &Message) -> Result<Beside, WriteError> {
         let channel = message.channel;
         let (encoding, schema_encoding, schema) = channel.encoding.parts();
-        let schema_id = self
-            .mcap
-            .add_schema(channel.schema, schema_encoding, &schema)?;
-        let id = self
-            .mcap
-            .add_channel(schema_id, channel.topic, encoding, &BTreeMap::new())?;
+        let schema_id = self.mcap.add_schema(channel.schema, schema_encoding, &schema)?;
+        let id = self.mcap.add_channel(schema_id, channel.topic, encoding, &BTreeMap::new())?;
         Ok(Beside { id, sequence: 0 })
     }
 }
 
 /// Nanoseconds since the start of the session.
 fn since_start(at: Stamp<HostClock>) -> Result<u64, WriteError> {
-    u64::try_from(at.as_nanos())
-        .ok()
-        .ok_or(WriteError::NegativeTime(at))
+    u64::try_from(at.as_nanos()).ok().ok_or(WriteError::NegativeTime(at))
 }

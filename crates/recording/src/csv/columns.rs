@@ -13,8 +13,7 @@ pub(super) const FUSION: &str = "t_s,sensor,sensor_name,kind,verdict,lag_s,degre
     innovation_0,innovation_1,innovation_2,s_00,s_01,s_02,s_11,s_12,s_22,host_s";
 
 /// Alignments of the brick's clock.
-pub(super) const CLOCK: &str =
-    "host_s,brick_s,offset_s,skew_ppm,uncertainty_s,round_trip_s,system,component";
+pub(super) const CLOCK: &str = "host_s,brick_s,offset_s,skew_ppm,uncertainty_s,round_trip_s,system,component";
 
 /// Thermometers.
 pub(super) const TEMPERATURE: &str =

@@ -1,8 +1,7 @@
 //! Events as lines.
 
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionRecord, HostClock, LinkHealth, LinkId, LinkState, SourceHealth,
-    Span, Stamp,
+    Address, Estimate, Event, FusionRecord, HostClock, LinkHealth, LinkId, LinkState, SourceHealth, Span, Stamp,
 };
 
 use super::{Field, Row, columns, observations};
@@ -10,20 +9,12 @@ use super::{Field, Row, columns, observations};
 /// The lines of an event that happened at `now`.
 pub(super) fn rows(now: Stamp<HostClock>, event: &Event) -> Vec<Row> {
     match event {
-        Event::Observed {
-            arrival,
-            observation,
-            ..
-        } => vec![observations::row(*arrival, observation)],
+        Event::Observed { arrival, observation, .. } => vec![observations::row(*arrival, observation)],
         Event::Fused { record, .. } => vec![fusion(now, record)],
         Event::Estimated { estimate, .. } => vec![self::estimate(now, estimate)],
         Event::Temperature { .. } => temperature(event).into_iter().collect(),
         Event::BrickClockAligned { .. } => clock(event).into_iter().collect(),
-        Event::Health {
-            link,
-            health,
-            sources,
-        } => std::iter::once(self::link(now, *link, health))
+        Event::Health { link, health, sources } => std::iter::once(self::link(now, *link, health))
             .chain(sources.iter().map(|one| source(now, *link, one)))
             .collect(),
         Event::RobotSeen { .. }
@@ -62,11 +53,7 @@ fn estimate(now: Stamp<HostClock>, estimate: &Estimate) -> Row {
         u64::from(estimate.reset_counter).into(),
         now.as_secs_f64().into(),
     ]);
-    Row {
-        stream: "estimates",
-        header: columns::ESTIMATES,
-        fields,
-    }
+    Row { stream: "estimates", header: columns::ESTIMATES, fields }
 }
 
 fn fusion(now: Stamp<HostClock>, record: &FusionRecord) -> Row {
@@ -86,24 +73,11 @@ fn fusion(now: Stamp<HostClock>, record: &FusionRecord) -> Row {
         fields.extend(row.iter().skip(index).map(|entry| Field::from(*entry)));
     }
     fields.push(now.as_secs_f64().into());
-    Row {
-        stream: "fusion",
-        header: columns::FUSION,
-        fields,
-    }
+    Row { stream: "fusion", header: columns::FUSION, fields }
 }
 
 fn temperature(event: &Event) -> Option<Row> {
-    let Event::Temperature {
-        brick,
-        channel,
-        arrival,
-        stamp,
-        shown,
-        verdict,
-        settled,
-    } = event
-    else {
+    let Event::Temperature { brick, channel, arrival, stamp, shown, verdict, settled } = event else {
         return None;
     };
     Some(Row {
@@ -124,16 +98,7 @@ fn temperature(event: &Event) -> Option<Row> {
 }
 
 fn clock(event: &Event) -> Option<Row> {
-    let Event::BrickClockAligned {
-        robot,
-        offset,
-        skew_ppm,
-        uncertainty,
-        round_trip,
-        brick,
-        host,
-    } = event
-    else {
+    let Event::BrickClockAligned { robot, offset, skew_ppm, uncertainty, round_trip, brick, host } = event else {
         return None;
     };
     Some(Row {
@@ -179,11 +144,7 @@ fn link(now: Stamp<HostClock>, link: LinkId, health: &LinkHealth) -> Row {
         u64::from(health.port.queued_frames).into(),
         u64::from(health.port.queued_bytes).into(),
     ]);
-    Row {
-        stream: "links",
-        header: columns::LINKS,
-        fields,
-    }
+    Row { stream: "links", header: columns::LINKS, fields }
 }
 
 fn source(now: Stamp<HostClock>, link: LinkId, source: &SourceHealth) -> Row {
@@ -229,38 +190,16 @@ fn in_words(now: Stamp<HostClock>, event: &Event) -> Row {
 /// Name, link, sender and the rest.
 fn words(event: &Event) -> (&'static str, Option<LinkId>, Option<Address>, String) {
     match event {
-        Event::RobotSeen { robot } => (
-            "robot_seen",
-            Some(robot.link),
-            Some(robot.address),
-            String::new(),
-        ),
-        Event::RobotLost { robot, silence } => (
-            "robot_lost",
-            Some(robot.link),
-            Some(robot.address),
-            format!("silent for {} s", silence.as_secs_f64()),
-        ),
-        Event::BrickRestarted { robot } => (
-            "brick_restarted",
-            Some(robot.link),
-            Some(robot.address),
-            String::new(),
-        ),
-        Event::CameraClockAligned {
-            camera,
-            offset,
-            uncertainty,
-            ..
-        } => (
+        Event::RobotSeen { robot } => ("robot_seen", Some(robot.link), Some(robot.address), String::new()),
+        Event::RobotLost { robot, silence } => {
+            ("robot_lost", Some(robot.link), Some(robot.address), format!("silent for {} s", silence.as_secs_f64()))
+        }
+        Event::BrickRestarted { robot } => ("brick_restarted", Some(robot.link), Some(robot.address), String::new()),
+        Event::CameraClockAligned { camera, offset, uncertainty, .. } => (
             "camera_clock_aligned",
             None,
             Some(*camera),
-            format!(
-                "offset {} s, {} s either way",
-                offset.as_secs_f64(),
-                uncertainty.as_secs_f64()
-            ),
+            format!("offset {} s, {} s either way", offset.as_secs_f64(), uncertainty.as_secs_f64()),
         ),
         Event::Link { link, state } => {
             let name = match state {
@@ -270,11 +209,7 @@ fn words(event: &Event) -> (&'static str, Option<LinkId>, Option<Address>, Strin
             (name, Some(*link), None, String::new())
         }
         Event::Defect { link, defect } => ("defect", Some(*link), None, format!("{defect:?}")),
-        Event::Text {
-            source,
-            severity,
-            text,
-        } => ("text", None, Some(*source), format!("{severity}: {text}")),
+        Event::Text { source, severity, text } => ("text", None, Some(*source), format!("{severity}: {text}")),
         Event::Observed { .. }
         | Event::Fused { .. }
         | Event::Estimated { .. }
@@ -289,8 +224,8 @@ mod tests {
     use super::*;
     use crate::csv::Streams;
     use posebridge_telemetry::{
-        BrickClock, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, Radians,
-        RadiansPerSecond, RobotId, SensorId, Validity,
+        BrickClock, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, Radians, RadiansPerSecond, RobotId,
+        SensorId, Validity,
     };
     use std::cell::RefCell;
     use std::collections::BTreeMap;
@@ -323,10 +258,7 @@ mod tests {
         streams.finish().unwrap();
         let files = files.0.borrow();
         let text = |bytes: &Vec<u8>| String::from_utf8(bytes.clone()).unwrap();
-        files
-            .iter()
-            .map(|(name, bytes)| (name.clone(), text(bytes)))
-            .collect()
+        files.iter().map(|(name, bytes)| (name.clone(), text(bytes))).collect()
     }
 
     fn column(text: &str, name: &str) -> String {
@@ -390,17 +322,10 @@ mod tests {
                 sensor: SensorId::WHEELS,
                 stamp: Stamp::from_millis(30),
                 stamp_sigma: Span::from_millis(1),
-                observed: Observed::WheelAngles {
-                    left: Radians(0.5),
-                    right: Radians(0.75),
-                },
+                observed: Observed::WheelAngles { left: Radians(0.5), right: Radians(0.75) },
             },
         };
-        let said = Event::Text {
-            source: Address::new(1, 1),
-            severity: 4,
-            text: "low, very low".to_owned(),
-        };
+        let said = Event::Text { source: Address::new(1, 1), severity: 4, text: "low, very low".to_owned() };
         let files = written(&[wheels, said]);
         assert_eq!(column(&files["wheel_angles"], "right_rad"), "0.75");
         assert_eq!(column(&files["wheel_angles"], "arrival_s"), "0.04");

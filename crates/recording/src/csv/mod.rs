@@ -56,10 +56,7 @@ enum Field {
 impl<'o, W: Write> Streams<'o, W> {
     /// No stream yet.
     pub fn new(open: impl FnMut(&str) -> std::io::Result<W> + 'o) -> Self {
-        Self {
-            open: Box::new(open),
-            opened: BTreeMap::new(),
-        }
+        Self { open: Box::new(open), opened: BTreeMap::new() }
     }
 
     /// Writes an event that happened at `now`.

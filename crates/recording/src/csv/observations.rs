@@ -21,32 +21,23 @@ pub(super) fn row(arrival: Stamp<HostClock>, observation: &Observation) -> Row {
         u64::from(observation.sensor.0).into(),
     ];
     fields.extend(own);
-    Row {
-        stream: observation.observed.kind(),
-        header,
-        fields,
-    }
+    Row { stream: observation.observed.kind(), header, fields }
 }
 
 fn fields_of(observed: &Observed) -> (&'static str, Vec<Field>) {
     let numbers = |numbers: &[f64]| numbers.iter().map(|number| Field::from(*number)).collect();
     match observed {
-        Observed::WheelAngles { left, right } => {
-            (columns!("left_rad,right_rad"), numbers(&[left.0, right.0]))
+        Observed::WheelAngles { left, right } => (columns!("left_rad,right_rad"), numbers(&[left.0, right.0])),
+        Observed::OdometerPose(pose) => {
+            (columns!("x_m,y_m,heading_rad"), numbers(&[pose.x.0, pose.y.0, pose.heading.rad()]))
         }
-        Observed::OdometerPose(pose) => (
-            columns!("x_m,y_m,heading_rad"),
-            numbers(&[pose.x.0, pose.y.0, pose.heading.rad()]),
-        ),
-        Observed::BodyVelocity { forward, turn } => (
-            columns!("forward_m_per_s,turn_rad_per_s"),
-            numbers(&[forward.0, turn.0]),
-        ),
+        Observed::BodyVelocity { forward, turn } => {
+            (columns!("forward_m_per_s,turn_rad_per_s"), numbers(&[forward.0, turn.0]))
+        }
         Observed::TurnRate(turn) => (columns!("turn_rad_per_s"), numbers(&[turn.0])),
-        Observed::WheelAccelerations { left, right } => (
-            columns!("left_m_per_s2,right_m_per_s2"),
-            numbers(&[left.0, right.0]),
-        ),
+        Observed::WheelAccelerations { left, right } => {
+            (columns!("left_m_per_s2,right_m_per_s2"), numbers(&[left.0, right.0]))
+        }
         Observed::Fix(fix) => {
             let covariance = fix.covariance;
             let fields = vec![
@@ -66,14 +57,12 @@ fn fields_of(observed: &Observed) -> (&'static str, Vec<Field>) {
             );
             (header, fields)
         }
-        Observed::Landmark { id, range, bearing } => (
-            columns!("landmark,range_m,bearing_rad"),
-            vec![u64::from(id.0).into(), range.0.into(), bearing.0.into()],
-        ),
-        Observed::BeaconRange { id, range } => (
-            columns!("beacon,range_m"),
-            vec![u64::from(id.0).into(), range.0.into()],
-        ),
+        Observed::Landmark { id, range, bearing } => {
+            (columns!("landmark,range_m,bearing_rad"), vec![u64::from(id.0).into(), range.0.into(), bearing.0.into()])
+        }
+        Observed::BeaconRange { id, range } => {
+            (columns!("beacon,range_m"), vec![u64::from(id.0).into(), range.0.into()])
+        }
         Observed::WallRange(range) => (columns!("range_m"), numbers(&[range.0])),
         Observed::CompassHeading(heading) => (columns!("heading_rad"), numbers(&[heading.rad()])),
         Observed::Temperature(shown) => (columns!("temperature_deg_c"), numbers(&[shown.0])),

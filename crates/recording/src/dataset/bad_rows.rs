@@ -92,12 +92,7 @@ impl BadRows {
         }
         *self.counts.entry(reason).or_insert(0) += 1;
         if self.named.len() < NAMED_ROWS {
-            self.named.push(BadRow {
-                file: file.to_owned(),
-                line,
-                reason,
-                detail,
-            });
+            self.named.push(BadRow { file: file.to_owned(), line, reason, detail });
         }
     }
 }
@@ -111,9 +106,6 @@ pub(super) struct Fault {
 
 impl Fault {
     pub(super) fn new(reason: Reason, detail: impl Into<String>) -> Self {
-        Self {
-            reason,
-            detail: detail.into(),
-        }
+        Self { reason, detail: detail.into() }
     }
 }

@@ -17,11 +17,7 @@ pub(super) struct Number(pub(super) f64);
 impl<'de> Deserialize<'de> for Number {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = f64::deserialize(deserializer)?;
-        if value.is_finite() {
-            Ok(Self(value))
-        } else {
-            Err(Error::custom("the number must be finite"))
-        }
+        if value.is_finite() { Ok(Self(value)) } else { Err(Error::custom("the number must be finite")) }
     }
 }
 
@@ -51,9 +47,8 @@ impl Visitor<'_> for PlaceVisitor {
         f.write_str("a column: its number from 0, or its name in the header line")
     }
     fn visit_i64<E: Error>(self, index: i64) -> Result<Place, E> {
-        let index = usize::try_from(index).map_err(|error| {
-            E::custom(format!("column {index}, but columns count from 0: {error}"))
-        })?;
+        let index = usize::try_from(index)
+            .map_err(|error| E::custom(format!("column {index}, but columns count from 0: {error}")))?;
         Ok(Place::Index(index))
     }
     fn visit_str<E: Error>(self, name: &str) -> Result<Place, E> {
@@ -108,29 +103,10 @@ macro_rules! dimension {
     };
 }
 
-dimension!(
-    Length,
-    "length",
-    false,
-    unit("m", 1.0),
-    unit("mm", 1e-3),
-    unit("cm", 1e-2)
-);
+dimension!(Length, "length", false, unit("m", 1.0), unit("mm", 1e-3), unit("cm", 1e-2));
 dimension!(Angle, "angle", false, unit("rad", 1.0), unit("deg", DEGREE));
-dimension!(
-    Speed,
-    "speed",
-    false,
-    unit("m_per_s", 1.0),
-    unit("mm_per_s", 1e-3)
-);
-dimension!(
-    TurnRate,
-    "turn rate",
-    false,
-    unit("rad_per_s", 1.0),
-    unit("deg_per_s", DEGREE)
-);
+dimension!(Speed, "speed", false, unit("m_per_s", 1.0), unit("mm_per_s", 1e-3));
+dimension!(TurnRate, "turn rate", false, unit("rad_per_s", 1.0), unit("deg_per_s", DEGREE));
 dimension!(
     Acceleration,
     "acceleration",
@@ -144,11 +120,7 @@ dimension!(
     "temperature",
     false,
     unit("celsius", 1.0),
-    Unit {
-        name: "kelvin",
-        factor: 1.0,
-        zero: -ICE_POINT
-    }
+    Unit { name: "kelvin", factor: 1.0, zero: -ICE_POINT }
 );
 dimension!(Area, "variance", false, unit("m2", 1.0), unit("mm2", 1e-6));
 // Ticks and lengths become radians through the robot's geometry; their factors here are within their own kind.
@@ -223,12 +195,7 @@ impl<D: Dimension> ColumnVisitor<D> {
     }
 
     fn plain<E: Error>(column: Place) -> Result<Column<D>, E> {
-        Self::build(RawColumn {
-            column,
-            unit: None,
-            scale: None,
-            offset: None,
-        })
+        Self::build(RawColumn { column, unit: None, scale: None, offset: None })
     }
 }
 
@@ -299,31 +266,15 @@ impl<'de> Visitor<'de> for HeadingVisitor {
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<HeadingColumns, A::Error> {
         let raw = RawHeading::deserialize(serde::de::value::MapAccessDeserializer::new(map))?;
         match raw {
-            RawHeading {
-                column: Some(column),
-                unit,
-                scale,
-                offset,
-                qz: None,
-                qw: None,
-            } => ColumnVisitor::build(RawColumn {
-                column,
-                unit,
-                scale,
-                offset,
-            })
-            .map(HeadingColumns::Angle),
-            RawHeading {
-                column: None,
-                unit: None,
-                scale: None,
-                offset: None,
-                qz: Some(qz),
-                qw: Some(qw),
-            } => Ok(HeadingColumns::Quaternion { qz, qw }),
-            RawHeading { .. } => Err(Error::custom(
-                "a heading is either { column, unit, scale, offset } or { qz, qw }",
-            )),
+            RawHeading { column: Some(column), unit, scale, offset, qz: None, qw: None } => {
+                ColumnVisitor::build(RawColumn { column, unit, scale, offset }).map(HeadingColumns::Angle)
+            }
+            RawHeading { column: None, unit: None, scale: None, offset: None, qz: Some(qz), qw: Some(qw) } => {
+                Ok(HeadingColumns::Quaternion { qz, qw })
+            }
+            RawHeading { .. } => {
+                Err(Error::custom("a heading is either { column, unit, scale, offset } or { qz, qw }"))
+            }
         }
     }
 }

@@ -72,10 +72,7 @@ mod tests {
 
     #[test]
     fn stamps_keep_every_nanosecond() {
-        assert_eq!(
-            nanos("1493325165.641284114", 0),
-            Some(1_493_325_165_641_284_114)
-        );
+        assert_eq!(nanos("1493325165.641284114", 0), Some(1_493_325_165_641_284_114));
         assert_eq!(nanos("0.0500000000000114", 0), Some(50_000_000));
         assert_eq!(nanos("378", -3), Some(378_000_000));
         assert_eq!(nanos("-1.5", -3), Some(-1_500_000));
@@ -84,10 +81,7 @@ mod tests {
         assert_eq!(nanos("+.25", 0), Some(250_000_000));
         assert_eq!(nanos("0.6", -9), Some(1));
         assert_eq!(nanos("-0.5", -9), Some(-1));
-        assert_eq!(
-            nanos("0.00000000000000000000000000000000000000001", 0),
-            Some(0)
-        );
+        assert_eq!(nanos("0.00000000000000000000000000000000000000001", 0), Some(0));
     }
 
     #[test]

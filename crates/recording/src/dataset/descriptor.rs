@@ -9,9 +9,7 @@ use toml::Spanned;
 
 use super::column::Place;
 use super::run::StartPose;
-use super::schema::{
-    FileEntry, PlacesMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPlace,
-};
+use super::schema::{FileEntry, PlacesMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPlace};
 use posebridge_telemetry::{Heading, Meters, Pose};
 
 /// Why a descriptor cannot be used.
@@ -77,11 +75,7 @@ pub(super) enum Start {
     /// At a pose that the descriptor spells out.
     Given(StartPose),
     /// At a pose that the files tell.
-    From {
-        source: StartSource,
-        position_sigma_m: f64,
-        heading_sigma_rad: f64,
-    },
+    From { source: StartSource, position_sigma_m: f64, heading_sigma_rad: f64 },
 }
 
 impl Descriptor {
@@ -150,12 +144,7 @@ fn key_error(text: &str, error: &toml::de::Error) -> DescriptorError {
     DescriptorError::Key {
         line,
         message: error.message().trim().replace('\n', ", "),
-        text: text
-            .lines()
-            .nth(line - 1)
-            .unwrap_or_default()
-            .trim()
-            .to_owned(),
+        text: text.lines().nth(line - 1).unwrap_or_default().trim().to_owned(),
     }
 }
 
@@ -167,11 +156,7 @@ struct Check<'a> {
 
 impl Check<'_> {
     fn broken(&self, span: Range<usize>, key: &str, message: impl Into<String>) -> DescriptorError {
-        DescriptorError::Rule {
-            line: line_of(self.text, span.start),
-            key: key.to_owned(),
-            message: message.into(),
-        }
+        DescriptorError::Rule { line: line_of(self.text, span.start), key: key.to_owned(), message: message.into() }
     }
 
     fn runs(&self) -> Result<Vec<ResolvedRun>, DescriptorError> {
@@ -192,11 +177,7 @@ impl Check<'_> {
         Ok(resolved)
     }
 
-    fn expand(
-        &self,
-        entry: &Spanned<RawRun>,
-        default: Option<Start>,
-    ) -> Result<Vec<ResolvedRun>, DescriptorError> {
+    fn expand(&self, entry: &Spanned<RawRun>, default: Option<Start>) -> Result<Vec<ResolvedRun>, DescriptorError> {
         let run = entry.get_ref();
         let start = match &run.start {
             None => default,
@@ -207,16 +188,9 @@ impl Check<'_> {
             if let Some(each) = each {
                 values.insert("each".to_owned(), each.clone());
             }
-            let name = fill(&run.name, &values)
-                .map_err(|message| self.broken(entry.span(), "runs", message))?;
+            let name = fill(&run.name, &values).map_err(|message| self.broken(entry.span(), "runs", message))?;
             values.insert("run".to_owned(), name.clone());
-            Ok(ResolvedRun {
-                name,
-                values,
-                robot: run.robot.clone(),
-                start,
-                tag: run.tag,
-            })
+            Ok(ResolvedRun { name, values, robot: run.robot.clone(), start, tag: run.tag })
         };
         match &run.each {
             None => Ok(vec![one(None)?]),
@@ -231,11 +205,7 @@ impl Check<'_> {
         let place = (start.x_m, start.y_m, start.heading_rad, start.heading_deg);
         let heading_rad = match (start.from, place) {
             (Some(source), (None, None, None, None)) => {
-                return Ok(Start::From {
-                    source,
-                    position_sigma_m,
-                    heading_sigma_rad,
-                });
+                return Ok(Start::From { source, position_sigma_m, heading_sigma_rad });
             }
             (None, (Some(_), Some(_), Some(heading_rad), None)) => heading_rad.0,
             (None, (Some(_), Some(_), None, Some(heading_deg))) => heading_deg.0.to_radians(),
@@ -257,10 +227,7 @@ impl Check<'_> {
 
     fn default_run(&self, runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
         let default = &self.raw.default_run;
-        if runs
-            .iter()
-            .any(|run| run.name.starts_with(default.get_ref()))
-        {
+        if runs.iter().any(|run| run.name.starts_with(default.get_ref())) {
             return Ok(());
         }
         let message = format!("no run's name begins with `{}`", default.get_ref());
@@ -298,9 +265,7 @@ impl Check<'_> {
         match places.find(|place| matches!(place, Place::Name(_))) {
             None => Ok(()),
             Some(place) => {
-                let message = format!(
-                    "the column `{place}` goes by its name, but the file has no header_lines"
-                );
+                let message = format!("the column `{place}` goes by its name, but the file has no header_lines");
                 Err(self.broken(span, key, message))
             }
         }
@@ -347,9 +312,7 @@ impl Check<'_> {
                 let message = format!("no run's name begins with `{prefix}`");
                 return Err(self.broken(span, S::KEY, message));
             }
-            stream
-                .check()
-                .map_err(|message| self.broken(span, S::KEY, message))?;
+            stream.check().map_err(|message| self.broken(span, S::KEY, message))?;
         }
         Ok(())
     }
@@ -365,12 +328,7 @@ impl Check<'_> {
         };
         map(&self.raw.landmarks, "landmarks")?;
         map(&self.raw.beacons, "beacons")?;
-        for ids in self
-            .raw
-            .landmark_sightings
-            .iter()
-            .filter_map(|s| s.ids.as_ref())
-        {
+        for ids in self.raw.landmark_sightings.iter().filter_map(|s| s.ids.as_ref()) {
             let key = "landmark_sightings.ids";
             let file = self.file(&ids.file, key)?;
             let places = ids.places().into_iter();
@@ -395,12 +353,10 @@ pub(super) fn fill(template: &str, values: &BTreeMap<String, String>) -> Result<
     let mut filled = String::new();
     let mut rest = template;
     while let Some((before, after)) = rest.split_once('{') {
-        let (name, behind) = after
-            .split_once('}')
-            .ok_or_else(|| format!("`{template}` has a {{ without its }}"))?;
-        let value = values.get(name).ok_or_else(|| {
-            format!("`{template}` wants `{name}`, which the run's values do not have")
-        })?;
+        let (name, behind) = after.split_once('}').ok_or_else(|| format!("`{template}` has a {{ without its }}"))?;
+        let value = values
+            .get(name)
+            .ok_or_else(|| format!("`{template}` wants `{name}`, which the run's values do not have"))?;
         filled.push_str(before);
         filled.push_str(value);
         rest = behind;

@@ -43,8 +43,7 @@ impl LocalPlane {
             latitude_rad,
             longitude_rad,
             east_scale: SEMI_MAJOR_AXIS_M / flattened.sqrt() * cos,
-            north_scale: SEMI_MAJOR_AXIS_M * (1.0 - ECCENTRICITY_SQUARED)
-                / (flattened * flattened.sqrt()),
+            north_scale: SEMI_MAJOR_AXIS_M * (1.0 - ECCENTRICITY_SQUARED) / (flattened * flattened.sqrt()),
         }
     }
 

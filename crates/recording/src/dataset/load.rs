@@ -8,8 +8,7 @@ use std::path::Path;
 use std::rc::Rc;
 
 use posebridge_telemetry::{
-    Arena, BeaconId, DriveGeometry, LandmarkId, Meters, Observation, Observed, Point2, SensorId,
-    Span, Stamp,
+    Arena, BeaconId, DriveGeometry, LandmarkId, Meters, Observation, Observed, Point2, SensorId, Span, Stamp,
 };
 
 use super::descriptor::{Descriptor, ResolvedRun, fill};
@@ -102,23 +101,14 @@ pub fn load(
     let mut loader = Loader {
         run: find(descriptor, options.run)?,
         options,
-        files: Files {
-            descriptor,
-            open,
-            texts: BTreeMap::new(),
-        },
+        files: Files { descriptor, open, texts: BTreeMap::new() },
         out: Run::default(),
         all_fixes: Vec::new(),
     };
     loader.out.name.clone_from(&loader.run.name);
     loader.maps()?;
     loader.streams()?;
-    let Loader {
-        run,
-        mut out,
-        all_fixes,
-        ..
-    } = loader;
+    let Loader { run, mut out, all_fixes, .. } = loader;
     start::place(&mut out, run.start, &all_fixes);
     out.observations.sort_by_key(|timed| timed.arrival);
     Ok(out)
@@ -129,17 +119,10 @@ fn find<'a>(descriptor: &'a Descriptor, asked: &str) -> Result<&'a ResolvedRun, 
     if let Some(exact) = runs.iter().find(|run| run.name == asked) {
         return Ok(exact);
     }
-    let matches: Vec<_> = runs
-        .iter()
-        .filter(|run| run.name.starts_with(asked))
-        .collect();
+    let matches: Vec<_> = runs.iter().filter(|run| run.name.starts_with(asked)).collect();
     match matches.as_slice() {
         [only] => Ok(only),
-        _ => Err(LoadError::Run {
-            asked: asked.to_owned(),
-            matches: matches.len(),
-            known: descriptor.runs.join(", "),
-        }),
+        _ => Err(LoadError::Run { asked: asked.to_owned(), matches: matches.len(), known: descriptor.runs.join(", ") }),
     }
 }
 
@@ -156,18 +139,12 @@ impl Files<'_> {
         if let Some(table) = self.texts.get(name) {
             return Ok(Rc::clone(table));
         }
-        let template = |message: String| LoadError::Template {
-            run: run.name.clone(),
-            message,
-        };
+        let template = |message: String| LoadError::Template { run: run.name.clone(), message };
         let Some(entry) = self.descriptor.raw.files.get(name) else {
             return Err(template(format!("there is no [files.{name}]")));
         };
         let path = fill(entry.path.get_ref(), &run.values).map_err(template)?;
-        let bytes = (self.open)(Path::new(&path)).map_err(|source| LoadError::Open {
-            path: path.clone(),
-            source,
-        })?;
+        let bytes = (self.open)(Path::new(&path)).map_err(|source| LoadError::Open { path: path.clone(), source })?;
         let text = text_of(&path, bytes)?;
         let table = Rc::new(Table::new(path, text, entry)?);
         self.texts.insert(name.to_owned(), Rc::clone(&table));
@@ -230,14 +207,10 @@ impl Loader<'_> {
         let raw = &self.files.descriptor.raw;
         let geometry = self.options.geometry;
         for stream in &raw.wheels {
-            self.observe(stream, SensorId::WHEELS, |table| {
-                wheels::bind(stream, geometry, table)
-            })?;
+            self.observe(stream, SensorId::WHEELS, |table| wheels::bind(stream, geometry, table))?;
         }
         for stream in &raw.odometer {
-            self.observe(stream, SensorId::ODOMETER, |table| {
-                positions::odometer(stream, table)
-            })?;
+            self.observe(stream, SensorId::ODOMETER, |table| positions::odometer(stream, table))?;
         }
         for stream in &raw.body_velocity {
             self.body_velocity(stream)?;
@@ -246,20 +219,14 @@ impl Loader<'_> {
             self.observe(stream, SensorId::GYRO, |table| plain::gyro(stream, table))?;
         }
         for stream in &raw.accelerometers {
-            self.observe(stream, SensorId::ACCELEROMETER, |table| {
-                plain::accelerometers(stream, table)
-            })?;
+            self.observe(stream, SensorId::ACCELEROMETER, |table| plain::accelerometers(stream, table))?;
         }
         self.ranges()?;
         for stream in &raw.compass {
-            self.observe(stream, SensorId::COMPASS, |table| {
-                plain::compass(stream, table)
-            })?;
+            self.observe(stream, SensorId::COMPASS, |table| plain::compass(stream, table))?;
         }
         for stream in &raw.temperature {
-            self.observe(stream, SensorId::THERMOMETER, |table| {
-                plain::temperature(stream, table)
-            })?;
+            self.observe(stream, SensorId::THERMOMETER, |table| plain::temperature(stream, table))?;
         }
         for stream in &raw.fixes {
             self.fixes(stream)?;
@@ -277,23 +244,14 @@ impl Loader<'_> {
                 ids: self.ids(stream.ids.as_ref())?,
                 known: self.out.landmarks.iter().map(|(id, _)| id.0).collect(),
             };
-            self.observe(stream, SensorId::LANDMARKS, |table| {
-                ranges::landmarks(stream, names, table)
-            })?;
+            self.observe(stream, SensorId::LANDMARKS, |table| ranges::landmarks(stream, names, table))?;
         }
         for stream in &raw.beacon_ranges {
-            let names = ranges::Names {
-                ids: None,
-                known: self.out.beacons.iter().map(|(id, _)| id.0).collect(),
-            };
-            self.observe(stream, SensorId::BEACONS, |table| {
-                ranges::beacons(stream, names, table)
-            })?;
+            let names = ranges::Names { ids: None, known: self.out.beacons.iter().map(|(id, _)| id.0).collect() };
+            self.observe(stream, SensorId::BEACONS, |table| ranges::beacons(stream, names, table))?;
         }
         for stream in &raw.wall_range {
-            self.observe(stream, SensorId::RANGE, |table| {
-                plain::wall_range(stream, table)
-            })?;
+            self.observe(stream, SensorId::RANGE, |table| plain::wall_range(stream, table))?;
         }
         Ok(())
     }
@@ -328,9 +286,7 @@ impl Loader<'_> {
     ) -> Result<(), LoadError> {
         let common = stream.common();
         let items = self.scan(&common, bind)?;
-        let timed = items
-            .into_iter()
-            .map(|(moment, observed)| timed(&common, sensor, moment, observed));
+        let timed = items.into_iter().map(|(moment, observed)| timed(&common, sensor, moment, observed));
         self.out.observations.extend(timed);
         Ok(())
     }
@@ -339,9 +295,7 @@ impl Loader<'_> {
     fn body_velocity(&mut self, stream: &BodyVelocity) -> Result<(), LoadError> {
         let before = self.out.observations.len();
         let geometry = self.options.geometry;
-        self.observe(stream, SensorId::ODOMETER, |table| {
-            plain::body_velocity(stream, geometry, table)
-        })?;
+        self.observe(stream, SensorId::ODOMETER, |table| plain::body_velocity(stream, geometry, table))?;
         if stream.interval == SpeedInterval::Previous && self.out.observations.len() > before {
             let mut means = self.out.observations.split_off(before);
             for row in (1..means.len()).rev() {
@@ -377,13 +331,11 @@ impl Loader<'_> {
 
     fn truth(&mut self, stream: &Truth) -> Result<(), LoadError> {
         let items = self.scan(&stream.common(), |table| positions::truth(stream, table))?;
-        let poses = items
-            .into_iter()
-            .map(|(moment, (position, heading))| TruthPose {
-                stamp: Stamp::from_nanos(moment.stamp_nanos),
-                position,
-                heading,
-            });
+        let poses = items.into_iter().map(|(moment, (position, heading))| TruthPose {
+            stamp: Stamp::from_nanos(moment.stamp_nanos),
+            position,
+            heading,
+        });
         self.out.truth.extend(poses);
         Ok(())
     }
@@ -408,10 +360,7 @@ impl Loader<'_> {
                 let arrival_nanos = table.arrival(&row)?.unwrap_or(stamp);
                 let value = reader(&row, clock.step(stamp))?;
                 clock.accept(stamp);
-                let moment = Moment {
-                    stamp_nanos: stamp.saturating_add(shift_nanos),
-                    arrival_nanos,
-                };
+                let moment = Moment { stamp_nanos: stamp.saturating_add(shift_nanos), arrival_nanos };
                 Ok(value.map(|value| (moment, value)))
             };
             match read() {

@@ -1,8 +1,7 @@
 //! What a foreign recording becomes: one run, ready to be replayed and scored.
 
 use posebridge_telemetry::{
-    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, Pose,
-    Stamp,
+    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, Pose, Stamp,
 };
 
 use super::bad_rows::BadRows;

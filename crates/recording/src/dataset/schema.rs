@@ -8,8 +8,8 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::column::{
-    Acceleration, Angle, Area, Column, HeadingColumns, Id, Length, Number, Place, Speed,
-    Temperature, TurnRate, WheelTurn,
+    Acceleration, Angle, Area, Column, HeadingColumns, Id, Length, Number, Place, Speed, Temperature, TurnRate,
+    WheelTurn,
 };
 
 /// A whole descriptor.
@@ -253,11 +253,7 @@ pub(super) struct Common<'a> {
 impl Common<'_> {
     /// Whether the run has this stream.
     pub(super) fn is_in(&self, run: &str) -> bool {
-        self.runs.is_none_or(|prefixes| {
-            prefixes
-                .iter()
-                .any(|prefix| run.starts_with(prefix.as_str()))
-        })
+        self.runs.is_none_or(|prefixes| prefixes.iter().any(|prefix| run.starts_with(prefix.as_str())))
     }
 }
 

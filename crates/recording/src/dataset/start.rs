@@ -14,11 +14,7 @@ pub(super) fn place(run: &mut Run, start: Option<Start>, fixes: &[Withheld]) {
     match start {
         None => {}
         Some(Start::Given(pose)) => run.start = Some(pose),
-        Some(Start::From {
-            source,
-            position_sigma_m,
-            heading_sigma_rad,
-        }) => {
+        Some(Start::From { source, position_sigma_m, heading_sigma_rad }) => {
             let poses = match source {
                 StartSource::Truth => true_poses(run),
                 StartSource::Fixes => fixes.iter().filter_map(pose_of_fix).collect(),
@@ -26,13 +22,8 @@ pub(super) fn place(run: &mut Run, start: Option<Start>, fixes: &[Withheld]) {
             let Some((stamp, pose)) = anchor(run, &poses) else {
                 return;
             };
-            run.start = Some(StartPose {
-                pose,
-                position_sigma_m,
-                heading_sigma_rad,
-            });
-            run.observations
-                .retain(|timed| timed.observation.stamp >= stamp);
+            run.start = Some(StartPose { pose, position_sigma_m, heading_sigma_rad });
+            run.observations.retain(|timed| timed.observation.stamp >= stamp);
             run.withheld.retain(|withheld| withheld.stamp >= stamp);
         }
     }

@@ -23,11 +23,7 @@ const BYTE_ORDER_MARK: [u8; 3] = [0xEF, 0xBB, 0xBF];
 /// Unpacks a file if it is gzip by its first bytes, and makes it text. Bytes that are not UTF-8 become U+FFFD and spoil
 /// only the field in which they stand.
 pub(super) fn text_of(path: &str, bytes: Vec<u8>) -> Result<String, LoadError> {
-    let bytes = if bytes.starts_with(&GZIP_MAGIC) {
-        unpack(path, &bytes)?
-    } else {
-        bytes
-    };
+    let bytes = if bytes.starts_with(&GZIP_MAGIC) { unpack(path, &bytes)? } else { bytes };
     let body = bytes.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(&bytes);
     Ok(String::from_utf8_lossy(body).into_owned())
 }
@@ -35,12 +31,7 @@ pub(super) fn text_of(path: &str, bytes: Vec<u8>) -> Result<String, LoadError> {
 fn unpack(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
     let mut unpacked = Vec::new();
     let mut reader = MultiGzDecoder::new(bytes).take(MAX_TEXT_BYTES + 1);
-    reader
-        .read_to_end(&mut unpacked)
-        .map_err(|source| LoadError::Gzip {
-            path: path.to_owned(),
-            source,
-        })?;
+    reader.read_to_end(&mut unpacked).map_err(|source| LoadError::Gzip { path: path.to_owned(), source })?;
     if unpacked.len() as u64 > MAX_TEXT_BYTES {
         let path = path.to_owned();
         return Err(LoadError::TooLarge { path });
@@ -98,10 +89,7 @@ impl Row<'_> {
 
     fn number(&self, index: usize) -> Result<f64, Fault> {
         let text = self.field(index)?;
-        text.parse()
-            .ok()
-            .filter(|value: &f64| value.is_finite())
-            .ok_or_else(|| not_numeric(text))
+        text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| not_numeric(text))
     }
 }
 
@@ -130,11 +118,7 @@ impl<D> Bound<D> {
     pub(super) fn read_id(&self, row: &Row<'_>) -> Result<u32, Fault> {
         let value = self.read(row)?;
         let id = value as u32;
-        if f64::from(id) == value {
-            Ok(id)
-        } else {
-            Err(not_numeric(row.field(self.index)?))
-        }
+        if f64::from(id) == value { Ok(id) } else { Err(not_numeric(row.field(self.index)?)) }
     }
 }
 
@@ -196,11 +180,7 @@ impl Table {
             None => None,
             Some(part) => Some((self.index_of(&part.column)?, part.unit)),
         };
-        Ok(Some(BoundTime {
-            index: self.index_of(&time.column)?,
-            unit: time.unit,
-            plus,
-        }))
+        Ok(Some(BoundTime { index: self.index_of(&time.column)?, unit: time.unit, plus }))
     }
 
     fn index_of(&self, place: &Place) -> Result<usize, LoadError> {
@@ -219,17 +199,11 @@ impl Table {
 
     /// Finds a column.
     pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<Bound<D>, LoadError> {
-        Ok(Bound {
-            index: self.index_of(&column.place)?,
-            column: column.clone(),
-        })
+        Ok(Bound { index: self.index_of(&column.place)?, column: column.clone() })
     }
 
     /// Finds a column that may be absent from the descriptor.
-    pub(super) fn bind_some<D: Dimension>(
-        &self,
-        column: Option<&Column<D>>,
-    ) -> Result<Option<Bound<D>>, LoadError> {
+    pub(super) fn bind_some<D: Dimension>(&self, column: Option<&Column<D>>) -> Result<Option<Bound<D>>, LoadError> {
         column.map(|column| self.bind(column)).transpose()
     }
 
@@ -237,19 +211,16 @@ impl Table {
     pub(super) fn bind_heading(&self, columns: &HeadingColumns) -> Result<BoundHeading, LoadError> {
         Ok(match columns {
             HeadingColumns::Angle(column) => BoundHeading::Angle(self.bind(column)?),
-            HeadingColumns::Quaternion { qz, qw } => BoundHeading::Quaternion {
-                qz: self.index_of(qz)?,
-                qw: self.index_of(qw)?,
-            },
+            HeadingColumns::Quaternion { qz, qw } => {
+                BoundHeading::Quaternion { qz: self.index_of(qz)?, qw: self.index_of(qw)? }
+            }
         })
     }
 
     /// The rows behind the header lines: no blank lines, no comments, nothing that the filter leaves out.
     pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
         let numbered = self.text.lines().enumerate();
-        numbered
-            .skip(self.format.header_lines)
-            .filter_map(|(index, line)| self.row(index + 1, line))
+        numbered.skip(self.format.header_lines).filter_map(|(index, line)| self.row(index + 1, line))
     }
 
     /// The rows in the order that the descriptor asks for; those without a stamp come first.
@@ -280,10 +251,7 @@ impl Table {
     pub(super) fn stamp(&self, row: &Row<'_>) -> Result<i64, Fault> {
         match &self.time {
             Some(time) => self.time_of(time, row),
-            None => Err(Fault::new(
-                Reason::MissingColumn,
-                "the file has no time column",
-            )),
+            None => Err(Fault::new(Reason::MissingColumn, "the file has no time column")),
         }
     }
 
@@ -339,9 +307,7 @@ fn split_quoted(line: &str, delimiter: char) -> Vec<&str> {
     })
     .map(|field| {
         let field = field.trim();
-        let inner = field
-            .strip_prefix('"')
-            .and_then(|rest| rest.strip_suffix('"'));
+        let inner = field.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
         inner.unwrap_or(field)
     })
     .collect()
@@ -364,14 +330,11 @@ mod tests {
         assert_eq!(text, "1,2");
         // `printf 1,2 | gzip -n`
         let packed = [
-            0x1F, 0x8B, 0x08, 0, 0, 0, 0, 0, 0, 0x03, 0x33, 0xD4, 0x31, 0x02, 0x00, 0x9B, 0x6C,
-            0x0E, 0x2B, 0x03, 0, 0, 0,
+            0x1F, 0x8B, 0x08, 0, 0, 0, 0, 0, 0, 0x03, 0x33, 0xD4, 0x31, 0x02, 0x00, 0x9B, 0x6C, 0x0E, 0x2B, 0x03, 0, 0,
+            0,
         ];
         assert_eq!(text_of("a.csv.gz", packed.to_vec()).unwrap(), "1,2");
         let cut = packed[..14].to_vec();
-        assert!(matches!(
-            text_of("a.csv.gz", cut),
-            Err(LoadError::Gzip { .. })
-        ));
+        assert!(matches!(text_of("a.csv.gz", cut), Err(LoadError::Gzip { .. })));
     }
 }

@@ -48,11 +48,7 @@ macro_rules! foxglove {
 
 const fn json(topic: &'static str, schema: &'static str, text: fn() -> String) -> Channel {
     let encoding = Encoding::Json(text);
-    Channel {
-        topic,
-        schema,
-        encoding,
-    }
+    Channel { topic, schema, encoding }
 }
 
 pub(super) const ODOMETRY: Channel = foxglove!("/posebridge/odometry", "Odometry");
@@ -64,51 +60,20 @@ pub(super) const FIX: Channel = foxglove!("/camera/fix", "PoseInFrame");
 pub(super) const LOG: Channel = foxglove!("/log", "Log");
 pub(super) const TRUE_POSE: Channel = foxglove!("/truth/pose", "PoseInFrame");
 
-pub(super) const ESTIMATE: Channel = json(
-    "posebridge/estimate",
-    "posebridge.Estimate",
-    schema_of::<records::EstimateRecord>,
-);
-pub(super) const FUSION: Channel = json(
-    "posebridge/fusion",
-    "posebridge.Fusion",
-    schema_of::<records::FusedRecord>,
-);
-pub(super) const LINK_HEALTH: Channel = json(
-    "posebridge/link_health",
-    "posebridge.LinkHealth",
-    schema_of::<records::HealthRecord>,
-);
-pub(super) const CLOCK: Channel = json(
-    "posebridge/clock",
-    "posebridge.Clock",
-    schema_of::<records::ClockRecord>,
-);
-pub(super) const CALIBRATION: Channel = json(
-    "posebridge/calibration",
-    "posebridge.Calibration",
-    schema_of::<records::CalibrationRecord>,
-);
-pub(super) const TEMPERATURE: Channel = json(
-    "posebridge/temperature",
-    "posebridge.Temperature",
-    schema_of::<records::TemperatureRecord>,
-);
-pub(super) const COMMAND: Channel = json(
-    "posebridge/command",
-    "posebridge.Command",
-    schema_of::<records::CommandRecord>,
-);
-pub(super) const GAP: Channel = json(
-    "posebridge/gap",
-    "posebridge.Gap",
-    schema_of::<records::GapRecord>,
-);
-pub(super) const TRUTH: Channel = json(
-    TRUTH_TOPIC,
-    "posebridge.Truth",
-    schema_of::<records::TruthRecord>,
-);
+pub(super) const ESTIMATE: Channel =
+    json("posebridge/estimate", "posebridge.Estimate", schema_of::<records::EstimateRecord>);
+pub(super) const FUSION: Channel = json("posebridge/fusion", "posebridge.Fusion", schema_of::<records::FusedRecord>);
+pub(super) const LINK_HEALTH: Channel =
+    json("posebridge/link_health", "posebridge.LinkHealth", schema_of::<records::HealthRecord>);
+pub(super) const CLOCK: Channel = json("posebridge/clock", "posebridge.Clock", schema_of::<records::ClockRecord>);
+pub(super) const CALIBRATION: Channel =
+    json("posebridge/calibration", "posebridge.Calibration", schema_of::<records::CalibrationRecord>);
+pub(super) const TEMPERATURE: Channel =
+    json("posebridge/temperature", "posebridge.Temperature", schema_of::<records::TemperatureRecord>);
+pub(super) const COMMAND: Channel =
+    json("posebridge/command", "posebridge.Command", schema_of::<records::CommandRecord>);
+pub(super) const GAP: Channel = json("posebridge/gap", "posebridge.Gap", schema_of::<records::GapRecord>);
+pub(super) const TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::TruthRecord>);
 
 /// Every channel beside the inputs.
 pub const CHANNELS: &[Channel] = &[
@@ -133,9 +98,7 @@ pub const CHANNELS: &[Channel] = &[
 
 /// The JSON schema of a record, without references: not every viewer follows them.
 fn schema_of<T: JsonSchema>() -> String {
-    let settings = SchemaSettings::draft07()
-        .for_serialize()
-        .with(|settings| settings.inline_subschemas = true);
+    let settings = SchemaSettings::draft07().for_serialize().with(|settings| settings.inline_subschemas = true);
     let schema = settings.into_generator().into_root_schema_for::<T>();
     schema.to_value().to_string()
 }

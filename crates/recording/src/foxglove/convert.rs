@@ -15,10 +15,7 @@ const SIGMAS_95: f64 = 2.447_746_830_680_816;
 const DISC_HEIGHT_M: f64 = 0.002;
 
 /// Pose and speeds with their covariances.
-pub(super) fn odometry_of(
-    estimate: &Estimate,
-    timestamp: Option<wire::Timestamp>,
-) -> wire::Odometry {
+pub(super) fn odometry_of(estimate: &Estimate, timestamp: Option<wire::Timestamp>) -> wire::Odometry {
     // Rows of a pose in space, and of a velocity, that a robot on a plane has.
     const POSE_ROWS: [(usize, usize); 3] = [(0, row::X), (1, row::Y), (5, row::HEADING)];
     const VELOCITY_ROWS: [(usize, usize); 2] = [(0, row::FORWARD), (5, row::TURN)];
@@ -47,42 +44,21 @@ pub(super) fn odometry_of(
 }
 
 /// The disc in which the robot is with a probability of 95 %.
-pub(super) fn ellipse_of(
-    estimate: &Estimate,
-    timestamp: Option<wire::Timestamp>,
-) -> Option<wire::SceneUpdate> {
+pub(super) fn ellipse_of(estimate: &Estimate, timestamp: Option<wire::Timestamp>) -> Option<wire::SceneUpdate> {
     let of = |i: usize, j: usize| estimate.covariance[i][j];
-    let ellipse = Ellipse::of_covariance(
-        of(row::X, row::X),
-        of(row::X, row::Y),
-        of(row::Y, row::Y),
-        SIGMAS_95,
-    )?;
+    let ellipse = Ellipse::of_covariance(of(row::X, row::X), of(row::X, row::Y), of(row::Y, row::Y), SIGMAS_95)?;
     let disc = wire::Cylinder {
         pose: Some(wire::Pose {
             position: pose_of(&estimate.pose).position,
             orientation: Some(turned_by(ellipse.direction_rad)),
         }),
-        size: Some(wire::Vector3 {
-            x: 2.0 * ellipse.semi_major_m,
-            y: 2.0 * ellipse.semi_minor_m,
-            z: DISC_HEIGHT_M,
-        }),
+        size: Some(wire::Vector3 { x: 2.0 * ellipse.semi_major_m, y: 2.0 * ellipse.semi_minor_m, z: DISC_HEIGHT_M }),
         bottom_scale: 1.0,
         top_scale: 1.0,
-        color: Some(wire::Color {
-            r: 0.1,
-            g: 0.4,
-            b: 0.8,
-            a: 0.35,
-        }),
+        color: Some(wire::Color { r: 0.1, g: 0.4, b: 0.8, a: 0.35 }),
     };
-    let entity = wire::SceneEntity {
-        timestamp,
-        frame_id: ARENA.to_owned(),
-        id: "ellipse".to_owned(),
-        cylinders: vec![disc],
-    };
+    let entity =
+        wire::SceneEntity { timestamp, frame_id: ARENA.to_owned(), id: "ellipse".to_owned(), cylinders: vec![disc] };
     let entities = vec![entity];
     Some(wire::SceneUpdate { entities })
 }
@@ -90,11 +66,7 @@ pub(super) fn ellipse_of(
 /// A pose on the plane in space.
 pub(super) fn pose_of(pose: &Pose<Arena>) -> wire::Pose {
     wire::Pose {
-        position: Some(wire::Vector3 {
-            x: pose.x.0,
-            y: pose.y.0,
-            z: 0.0,
-        }),
+        position: Some(wire::Vector3 { x: pose.x.0, y: pose.y.0, z: 0.0 }),
         orientation: Some(turned_by(pose.heading.rad())),
     }
 }
@@ -102,12 +74,7 @@ pub(super) fn pose_of(pose: &Pose<Arena>) -> wire::Pose {
 /// A turn about the vertical as a quaternion.
 fn turned_by(angle_rad: f64) -> wire::Quaternion {
     let (z, w) = (angle_rad / 2.0).sin_cos();
-    wire::Quaternion {
-        x: 0.0,
-        y: 0.0,
-        z,
-        w,
-    }
+    wire::Quaternion { x: 0.0, y: 0.0, z, w }
 }
 
 /// `foxglove.LogLevel` of a MAVLink severity.

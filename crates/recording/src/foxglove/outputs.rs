@@ -3,16 +3,16 @@
 use std::collections::BTreeMap;
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Command, Estimate, Event, FusionRecord, HostClock, LinkState,
-    Observation, Observed, Pose, SensorId, Span, Stamp, Verdict,
+    Arena, BrickClock, Calibration, Command, Estimate, Event, FusionRecord, HostClock, LinkState, Observation,
+    Observed, Pose, SensorId, Span, Stamp, Verdict,
 };
 use serde::Serialize;
 
 use super::channels::{self, Channel};
 use super::convert::{ARENA, BODY, ellipse_of, level, odometry_of, pose_of};
 use super::records::{
-    CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord,
-    HealthRecord, TemperatureRecord, TruthRecord, finite,
+    CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord, HealthRecord,
+    TemperatureRecord, TruthRecord, finite,
 };
 use super::wire;
 use crate::container::{Gap, TruthSample};
@@ -64,14 +64,7 @@ impl Outputs {
     /// accepted, are thinned to this spacing; whatever was not accepted stays.
     #[must_use]
     pub fn new(zero_nanos: u64, spacing: Span) -> Self {
-        Self {
-            zero_nanos,
-            spacing,
-            alignment: None,
-            estimated: None,
-            fused: BTreeMap::new(),
-            path: Path::default(),
-        }
+        Self { zero_nanos, spacing, alignment: None, estimated: None, fused: BTreeMap::new(), path: Path::default() }
     }
 
     /// Sets how far apart estimates lie at least.
@@ -88,16 +81,9 @@ impl Outputs {
             Event::BrickClockAligned { .. } => self.brick_clock(event).into_iter().collect(),
             Event::CameraClockAligned { .. } => camera_clock(event).into_iter().collect(),
             Event::Temperature { .. } => temperature(event).into_iter().collect(),
-            Event::Health {
-                link,
-                health,
-                sources,
-            } => json(
-                channels::LINK_HEALTH,
-                &HealthRecord::of(*link, health, sources),
-            )
-            .into_iter()
-            .collect(),
+            Event::Health { link, health, sources } => {
+                json(channels::LINK_HEALTH, &HealthRecord::of(*link, health, sources)).into_iter().collect()
+            }
             Event::RobotSeen { .. }
             | Event::RobotLost { .. }
             | Event::BrickRestarted { .. }
@@ -108,12 +94,7 @@ impl Outputs {
     }
 
     /// A line for people, with its MAVLink severity: 0 emergency to 7 debug.
-    pub(crate) fn line(
-        &self,
-        now: Stamp<HostClock>,
-        severity: u8,
-        (name, text): (&str, &str),
-    ) -> Message {
+    pub(crate) fn line(&self, now: Stamp<HostClock>, severity: u8, (name, text): (&str, &str)) -> Message {
         let log = wire::Log {
             timestamp: Some(self.time(now)),
             level: level(severity),
@@ -124,11 +105,7 @@ impl Outputs {
     }
 
     /// The truth of one instant, and by the last alignment of the brick's clock when that was.
-    pub(crate) fn truth(
-        &self,
-        end: Stamp<HostClock>,
-        sample: &TruthSample,
-    ) -> (Stamp<HostClock>, Vec<Message>) {
+    pub(crate) fn truth(&self, end: Stamp<HostClock>, sample: &TruthSample) -> (Stamp<HostClock>, Vec<Message>) {
         let at = self.host_time(sample.stamp).unwrap_or(end).max(Stamp::ZERO);
         let pose = wire::PoseInFrame {
             timestamp: Some(self.time(at)),
@@ -144,24 +121,16 @@ impl Outputs {
         if !is_due(&mut self.estimated, now, self.spacing) {
             return Vec::new();
         }
-        let mut messages: Vec<Message> = json(channels::ESTIMATE, &EstimateRecord::from(estimate))
-            .into_iter()
-            .collect();
+        let mut messages: Vec<Message> =
+            json(channels::ESTIMATE, &EstimateRecord::from(estimate)).into_iter().collect();
         if !(estimate.validity.position && estimate.validity.heading) {
             return messages;
         }
         let timestamp = Some(self.time(self.host_time(estimate.stamp).unwrap_or(now)));
         let pose = pose_of(&estimate.pose);
-        messages.push(protobuf(
-            channels::ODOMETRY,
-            &odometry_of(estimate, timestamp),
-        ));
+        messages.push(protobuf(channels::ODOMETRY, &odometry_of(estimate, timestamp)));
         let frame_id = ARENA.to_owned();
-        let in_arena = wire::PoseInFrame {
-            timestamp,
-            frame_id,
-            pose: Some(pose),
-        };
+        let in_arena = wire::PoseInFrame { timestamp, frame_id, pose: Some(pose) };
         messages.push(protobuf(channels::POSE, &in_arena));
         let transform = wire::FrameTransform {
             timestamp,
@@ -175,11 +144,7 @@ impl Outputs {
         messages.extend(ellipse.map(|scene| protobuf(channels::ELLIPSE, &scene)));
         self.path.push(pose);
         if is_due(&mut self.path.written, now, PATH_PERIOD) {
-            let path = wire::PosesInFrame {
-                timestamp,
-                frame_id: ARENA.to_owned(),
-                poses: self.path.poses.clone(),
-            };
+            let path = wire::PosesInFrame { timestamp, frame_id: ARENA.to_owned(), poses: self.path.poses.clone() };
             messages.push(protobuf(channels::PATH, &path));
         }
         messages
@@ -215,23 +180,10 @@ impl Outputs {
     }
 
     fn brick_clock(&mut self, event: &Event) -> Option<Message> {
-        let Event::BrickClockAligned {
-            robot,
-            offset,
-            skew_ppm,
-            uncertainty,
-            round_trip,
-            brick,
-            host,
-        } = *event
-        else {
+        let Event::BrickClockAligned { robot, offset, skew_ppm, uncertainty, round_trip, brick, host } = *event else {
             return None;
         };
-        self.alignment = Some(Alignment {
-            host,
-            brick,
-            skew_ppm,
-        });
+        self.alignment = Some(Alignment { host, brick, skew_ppm });
         let record = ClockRecord {
             clock: "brick",
             system: robot.address.system.0,
@@ -260,11 +212,9 @@ impl Outputs {
                 LinkState::Up => (6, "link", format!("link {link} is up")),
                 LinkState::Down => (4, "link", format!("link {link} is down")),
             },
-            Event::Text {
-                source,
-                severity,
-                text,
-            } => return Some(self.line(now, *severity, (&source.to_string(), text))),
+            Event::Text { source, severity, text } => {
+                return Some(self.line(now, *severity, (&source.to_string(), text)));
+            }
             Event::Observed { .. }
             | Event::Fused { .. }
             | Event::Estimated { .. }
@@ -279,11 +229,7 @@ impl Outputs {
 
     /// When the host's clock showed what the brick's does; `None` before the first alignment.
     fn host_time(&self, brick: Stamp<BrickClock>) -> Option<Stamp<HostClock>> {
-        let Alignment {
-            host,
-            brick: zero,
-            skew_ppm,
-        } = self.alignment?;
+        let Alignment { host, brick: zero, skew_ppm } = self.alignment?;
         let since_s = (brick - zero).as_secs_f64() / (1.0 + 1e-6 * skew_ppm);
         Some(host + Span::from_secs_f64(since_s))
     }
@@ -341,14 +287,7 @@ fn is_due(last: &mut Option<Stamp<HostClock>>, now: Stamp<HostClock>, spacing: S
 }
 
 fn camera_clock(event: &Event) -> Option<Message> {
-    let Event::CameraClockAligned {
-        camera,
-        offset,
-        uncertainty,
-        stamp,
-        host,
-    } = event
-    else {
+    let Event::CameraClockAligned { camera, offset, uncertainty, stamp, host } = event else {
         return None;
     };
     let record = ClockRecord {
@@ -366,16 +305,7 @@ fn camera_clock(event: &Event) -> Option<Message> {
 }
 
 fn temperature(event: &Event) -> Option<Message> {
-    let Event::Temperature {
-        brick,
-        channel,
-        stamp,
-        shown,
-        verdict,
-        settled,
-        ..
-    } = event
-    else {
+    let Event::Temperature { brick, channel, stamp, shown, verdict, settled, .. } = event else {
         return None;
     };
     let record = TemperatureRecord {

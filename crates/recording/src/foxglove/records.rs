@@ -459,20 +459,13 @@ impl From<&Calibration> for CalibrationRecord {
 impl From<&Command> for CommandRecord {
     fn from(command: &Command) -> Self {
         let text = format!("{command:?}");
-        Self {
-            command: command.name(),
-            text,
-        }
+        Self { command: command.name(), text }
     }
 }
 
 impl From<&Gap> for GapRecord {
     fn from(gap: &Gap) -> Self {
-        Self {
-            inputs: gap.inputs,
-            from_host_nanos: gap.from.as_nanos(),
-            to_host_nanos: gap.to.as_nanos(),
-        }
+        Self { inputs: gap.inputs, from_host_nanos: gap.from.as_nanos(), to_host_nanos: gap.to.as_nanos() }
     }
 }
 

@@ -26,11 +26,7 @@ pub(super) const fn is_start(byte: u8) -> bool {
 pub(super) fn frame(bytes: &[u8]) -> Option<&[u8]> {
     let length = match *bytes {
         [START_V2, payload, flags, ..] => {
-            let signature = if flags & FLAG_SIGNED == 0 {
-                0
-            } else {
-                SIGNATURE
-            };
+            let signature = if flags & FLAG_SIGNED == 0 { 0 } else { SIGNATURE };
             ENVELOPE_V2 + usize::from(payload) + signature
         }
         [START_V1, payload, ..] => ENVELOPE_V1 + usize::from(payload),

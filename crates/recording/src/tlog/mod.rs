@@ -52,11 +52,7 @@ impl ByteOrder {
     pub fn of_first(time: [u8; TIME_BYTES]) -> Self {
         let is_future = u64::from_be_bytes(time) > NEWEST_MICROS;
         let is_sound_swapped = (OLDEST_MICROS..NEWEST_MICROS).contains(&u64::from_le_bytes(time));
-        if is_future && is_sound_swapped {
-            Self::Little
-        } else {
-            Self::Big
-        }
+        if is_future && is_sound_swapped { Self::Little } else { Self::Big }
     }
 
     /// The time that these bytes mean, in microseconds since 1970.

@@ -154,13 +154,7 @@ impl Reader {
         self.waiting.drain(..decided);
     }
 
-    fn take<T: Copy>(
-        &mut self,
-        record: &[u8],
-        frame: &[u8],
-        judged: Judged<T>,
-        sink: &mut impl FnMut(Record<'_, T>),
-    ) {
+    fn take<T: Copy>(&mut self, record: &[u8], frame: &[u8], judged: Judged<T>, sink: &mut impl FnMut(Record<'_, T>)) {
         let Some(time) = record.first_chunk::<TIME_BYTES>() else {
             return;
         };
@@ -173,12 +167,7 @@ impl Reader {
             }
             Judged::Not => {}
         }
-        sink(Record {
-            offset: self.counts.bytes,
-            micros: order.micros(*time),
-            frame,
-            judged,
-        });
+        sink(Record { offset: self.counts.bytes, micros: order.micros(*time), frame, judged });
     }
 }
 
@@ -194,11 +183,7 @@ fn step<'a, T: Copy>(bytes: &'a [u8], judge: &mut impl FnMut(&[u8]) -> Judged<T>
         Judged::Unknown(_) => stands_between_records(bytes, frame.len(), judge),
         Judged::Not => false,
     };
-    if is_record {
-        Step::Record { frame, judged }
-    } else {
-        Step::Skip(to_next_start(bytes))
-    }
+    if is_record { Step::Record { frame, judged } } else { Step::Skip(to_next_start(bytes)) }
 }
 
 /// The frame of the record that would begin here.
@@ -212,23 +197,15 @@ fn to_next_start(bytes: &[u8]) -> usize {
     let behind = bytes.get(TIME_BYTES + 1..).unwrap_or_default();
     let next = behind.iter().position(|byte| cut::is_start(*byte));
     // Where the bytes end, the start of the next record's frame may be just beyond them.
-    next.map_or_else(
-        || bytes.len().saturating_sub(TIME_BYTES).max(1),
-        |at| at + 1,
-    )
+    next.map_or_else(|| bytes.len().saturating_sub(TIME_BYTES).max(1), |at| at + 1)
 }
 
 /// Whether a frame that cannot be verified is believable: the file ends behind it or goes on with what looks like a record, and no whole
 /// record begins inside.
-fn stands_between_records<T: Copy>(
-    bytes: &[u8],
-    frame: usize,
-    judge: &mut impl FnMut(&[u8]) -> Judged<T>,
-) -> bool {
+fn stands_between_records<T: Copy>(bytes: &[u8], frame: usize, judge: &mut impl FnMut(&[u8]) -> Judged<T>) -> bool {
     let end = TIME_BYTES + frame;
     let behind = bytes.get(end..).unwrap_or_default();
-    let is_followed =
-        behind.is_empty() || behind.get(TIME_BYTES).copied().is_some_and(cut::is_start);
+    let is_followed = behind.is_empty() || behind.get(TIME_BYTES).copied().is_some_and(cut::is_start);
     let mut inside = 1..end;
     is_followed
         && !inside.any(|at| {
@@ -277,15 +254,7 @@ mod tests {
     fn damage_costs_its_own_bytes_and_no_record_behind_it() {
         let whole = record(7, 1, 20);
         let torn = &whole[..17];
-        let file = [
-            whole.as_slice(),
-            torn,
-            &whole,
-            &[0xFD; 30],
-            &whole,
-            &whole[..9],
-        ]
-        .concat();
+        let file = [whole.as_slice(), torn, &whole, &[0xFD; 30], &whole, &whole[..9]].concat();
         let at = [0, 57, 127].map(|at| (at, 7));
         for chunk in 1..=file.len() {
             let (found, counts) = read(&file, chunk);
@@ -314,12 +283,7 @@ mod tests {
             assert_eq!((counts.whole, counts.unknown), (2, 1));
             assert_eq!((counts.unknown_bytes, counts.bytes_outside), (29, 0));
         }
-        let greedy = [
-            record(2, 2, 60)[..20].to_vec(),
-            record(3, 1, 3),
-            record(4, 1, 3),
-            vec![0; 40],
-        ];
+        let greedy = [record(2, 2, 60)[..20].to_vec(), record(3, 1, 3), record(4, 1, 3), vec![0; 40]];
         let (found, counts) = read(&greedy.concat(), 7);
         assert_eq!(found, [(20, 3), (43, 4)]);
         assert_eq!((counts.unknown, counts.bytes_outside), (0, 60));
@@ -328,18 +292,12 @@ mod tests {
     #[test]
     fn times_the_wrong_way_round_are_told_by_the_first_of_them() {
         let micros = 1_742_581_143_368_055_u64;
-        for (time, order) in [
-            (micros.to_be_bytes(), ByteOrder::Big),
-            (micros.to_le_bytes(), ByteOrder::Little),
-        ] {
+        for (time, order) in [(micros.to_be_bytes(), ByteOrder::Big), (micros.to_le_bytes(), ByteOrder::Little)] {
             assert_eq!(ByteOrder::of_first(time), order);
             assert_eq!(order.micros(time), micros);
         }
         // A clock that counts from its own start stays as it is.
-        assert_eq!(
-            ByteOrder::of_first(47_333_000_u64.to_be_bytes()),
-            ByteOrder::Big
-        );
+        assert_eq!(ByteOrder::of_first(47_333_000_u64.to_be_bytes()), ByteOrder::Big);
     }
 
     #[test]

@@ -13,11 +13,7 @@ pub struct Writer<W: Write> {
 impl<W: Write> Writer<W> {
     /// Begins a file; nothing is written before the first record.
     pub const fn new(out: W) -> Self {
-        Self {
-            out,
-            latest_micros: 0,
-            scratch: Vec::new(),
-        }
+        Self { out, latest_micros: 0, scratch: Vec::new() }
     }
 
     /// Writes that `frame`, one whole frame, was received or sent at `micros` since 1970 UTC. Times never step back in the file, because

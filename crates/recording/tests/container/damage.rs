@@ -26,9 +26,7 @@ fn a_flipped_bit_never_becomes_another_input() {
 
 #[test]
 fn a_damaged_message_is_named_by_its_offset_and_the_next_one_follows() {
-    let items: Vec<Recorded> = (0..5)
-        .map(|n| (Stamp::from_millis(n), Input::Tick))
-        .collect();
+    let items: Vec<Recorded> = (0..5).map(|n| (Stamp::from_millis(n), Input::Tick)).collect();
     let mut damaged = write(&items);
     let at = record_of(&damaged, 2);
     damaged[at + 9 + 22 + 1] ^= 1;
@@ -46,34 +44,17 @@ fn a_damaged_message_is_named_by_its_offset_and_the_next_one_follows() {
 
 #[test]
 fn a_missing_message_is_a_gap() {
-    let items: Vec<Recorded> = (0..4)
-        .map(|n| (Stamp::from_millis(n), Input::Tick))
-        .collect();
+    let items: Vec<Recorded> = (0..4).map(|n| (Stamp::from_millis(n), Input::Tick)).collect();
     let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
     writer.record(items[0].0, &items[0].1).unwrap();
-    let gap = Gap {
-        inputs: 1,
-        from: items[0].0,
-        to: items[2].0,
-    };
+    let gap = Gap { inputs: 1, from: items[0].0, to: items[2].0 };
     writer.record_gap(&gap).unwrap();
     for (now, input) in &items[2..] {
         writer.record(*now, input).unwrap();
     }
     let bytes = writer.finish().unwrap().into_inner();
     let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
-    assert!(
-        matches!(
-            found[1],
-            Err(ReadError::Gap {
-                expected: 1,
-                found: 2,
-                ..
-            })
-        ),
-        "{:?}",
-        found[1]
-    );
+    assert!(matches!(found[1], Err(ReadError::Gap { expected: 1, found: 2, .. })), "{:?}", found[1]);
     assert_eq!(found[2], Ok(items[2].clone()));
     assert_eq!(found.len(), 4);
 }
@@ -92,19 +73,9 @@ fn destroyed_framing_costs_the_rest_of_its_chunk_and_no_more() {
     let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
     let good = found.iter().filter(|item| item.is_ok()).count();
     assert_eq!(good, items.len() - 1);
-    let defects: Vec<_> = found
-        .iter()
-        .filter_map(|item| item.as_ref().err())
-        .collect();
+    let defects: Vec<_> = found.iter().filter_map(|item| item.as_ref().err()).collect();
     assert!(
-        matches!(
-            defects[..],
-            [
-                ReadError::Chunk { .. },
-                ReadError::Chunk { .. },
-                ReadError::Gap { .. }
-            ]
-        ),
+        matches!(defects[..], [ReadError::Chunk { .. }, ReadError::Chunk { .. }, ReadError::Gap { .. }]),
         "{defects:?}"
     );
 }

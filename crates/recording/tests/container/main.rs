@@ -1,10 +1,7 @@
 //! The recording's promises: the same inputs come back bit for bit, a cut or a crash costs only what was not flushed,
 //! and damage is named and never replayed.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers outside the test functions may fail loudly as well"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
 mod damage;
 mod older;
@@ -15,13 +12,13 @@ use std::io::{Cursor, Result as IoResult, Seek, SeekFrom, Write};
 use std::rc::Rc;
 
 use posebridge_recording::container::{
-    Beginning, Ending, FORMAT, Header, INPUT_ENCODING, INPUT_TOPIC, ReadError, Reader, TruthSample,
-    WriteError, Writer, truth,
+    Beginning, Ending, FORMAT, Header, INPUT_ENCODING, INPUT_TOPIC, ReadError, Reader, TruthSample, WriteError, Writer,
+    truth,
 };
 use posebridge_telemetry::{
-    BeaconId, Celsius, Command, Fix, Heading, HostClock, Input, LandmarkId, LinkId, LinkState,
-    Meters, MetersPerSecond, MetersPerSecondSquared, Observation, Observed, ParameterName, Point2,
-    Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp, Switch,
+    BeaconId, Celsius, Command, Fix, Heading, HostClock, Input, LandmarkId, LinkId, LinkState, Meters, MetersPerSecond,
+    MetersPerSecondSquared, Observation, Observed, ParameterName, Point2, Pose, PositionCovariance, Radians,
+    RadiansPerSecond, SensorId, Span, Stamp, Switch,
 };
 
 type Recorded = (Stamp<HostClock>, Input);
@@ -46,46 +43,21 @@ fn every_observed() -> Vec<Observed> {
         tag_in_body: Point2::new(Meters(0.03), Meters(0.0)),
         reset_counter: 3,
     };
-    let covariance = PositionCovariance {
-        xx_m2: 1e-4,
-        xy_m2: -2e-5,
-        yy_m2: 3e-4,
-        heading_rad2: f64::INFINITY,
-    };
+    let covariance = PositionCovariance { xx_m2: 1e-4, xy_m2: -2e-5, yy_m2: 3e-4, heading_rad2: f64::INFINITY };
     vec![
-        Observed::WheelAngles {
-            left: Radians(-1e6),
-            right: Radians(0.5),
-        },
-        Observed::OdometerPose(Pose::new(
-            Meters(0.0),
-            Meters(-0.0),
-            Heading::from_rad(-3.0),
-        )),
-        Observed::BodyVelocity {
-            forward: MetersPerSecond(0.3),
-            turn: RadiansPerSecond(-2.0),
-        },
+        Observed::WheelAngles { left: Radians(-1e6), right: Radians(0.5) },
+        Observed::OdometerPose(Pose::new(Meters(0.0), Meters(-0.0), Heading::from_rad(-3.0))),
+        Observed::BodyVelocity { forward: MetersPerSecond(0.3), turn: RadiansPerSecond(-2.0) },
         Observed::TurnRate(RadiansPerSecond(0.01)),
-        Observed::WheelAccelerations {
-            left: MetersPerSecondSquared(9.81),
-            right: MetersPerSecondSquared(-9.81),
-        },
+        Observed::WheelAccelerations { left: MetersPerSecondSquared(9.81), right: MetersPerSecondSquared(-9.81) },
         Observed::Fix(fix),
         Observed::Fix(Fix {
             heading: Some(Heading::from_rad(std::f64::consts::PI)),
             covariance: Some(covariance),
             ..fix
         }),
-        Observed::Landmark {
-            id: LandmarkId(90),
-            range: Meters(3.7),
-            bearing: Radians(-0.2),
-        },
-        Observed::BeaconRange {
-            id: BeaconId(u32::MAX),
-            range: Meters(65.4),
-        },
+        Observed::Landmark { id: LandmarkId(90), range: Meters(3.7), bearing: Radians(-0.2) },
+        Observed::BeaconRange { id: BeaconId(u32::MAX), range: Meters(65.4) },
         Observed::WallRange(Meters(0.443)),
         Observed::CompassHeading(Heading::from_rad(1.0)),
         Observed::Temperature(Celsius(-273.15)),
@@ -106,42 +78,15 @@ fn every_kind() -> Vec<Input> {
     let link = LinkId(u16::MAX);
     let mut inputs: Vec<Input> = every_observed().into_iter().map(observation).collect();
     inputs.extend([
-        Input::Bytes {
-            peer: posebridge_telemetry::PeerId(0),
-            link,
-            bytes: vec![0xFD, 0, 0xFF],
-        },
-        Input::Bytes {
-            peer: posebridge_telemetry::PeerId(70_000),
-            link,
-            bytes: Vec::new(),
-        },
-        Input::Link {
-            link,
-            state: LinkState::Up,
-        },
-        Input::Link {
-            link,
-            state: LinkState::Down,
-        },
-        Input::Command(Command::SetPose {
-            pose: pose(),
-            position_sigma_m: 0.01,
-            heading_sigma_rad: 0.1,
-        }),
-        Input::Command(Command::SetParameter {
-            name: ParameterName::from_bytes(b"gate_prob"),
-            value: 0.9,
-        }),
-        Input::Command(Command::SwitchSource {
-            sensor: SensorId::CAMERA,
-            to: Switch::Off,
-        }),
+        Input::Bytes { peer: posebridge_telemetry::PeerId(0), link, bytes: vec![0xFD, 0, 0xFF] },
+        Input::Bytes { peer: posebridge_telemetry::PeerId(70_000), link, bytes: Vec::new() },
+        Input::Link { link, state: LinkState::Up },
+        Input::Link { link, state: LinkState::Down },
+        Input::Command(Command::SetPose { pose: pose(), position_sigma_m: 0.01, heading_sigma_rad: 0.1 }),
+        Input::Command(Command::SetParameter { name: ParameterName::from_bytes(b"gate_prob"), value: 0.9 }),
+        Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::Off }),
         Input::Command(Command::ResetPose),
-        Input::Report {
-            severity: 6,
-            text: "saved".to_owned(),
-        },
+        Input::Report { severity: 6, text: "saved".to_owned() },
         Input::Tick,
     ]);
     inputs
@@ -167,10 +112,7 @@ fn good(bytes: &[u8]) -> Vec<Recorded> {
 
 /// Where the record of the input with this number begins: opcode, length, the inputs' channel, the number.
 fn record_of(bytes: &[u8], number: u8) -> usize {
-    bytes
-        .windows(15)
-        .position(|head| head[0] == 5 && head[9..] == [1, 0, number, 0, 0, 0])
-        .unwrap()
+    bytes.windows(15).position(|head| head[0] == 5 && head[9..] == [1, 0, number, 0, 0, 0]).unwrap()
 }
 
 #[test]
@@ -212,10 +154,7 @@ fn a_cut_at_any_byte_leaves_a_prefix() {
             assert_eq!(longest, 0, "cut at {cut}: the header was readable before");
             continue;
         };
-        assert!(
-            matches!(reader.ending(), Ending::Torn { .. }),
-            "cut at {cut}"
-        );
+        assert!(matches!(reader.ending(), Ending::Torn { .. }), "cut at {cut}");
         let found = good(&bytes[..cut]);
         assert_eq!(found, items[..found.len()], "cut at {cut}");
         assert!(found.len() >= longest, "cut at {cut}");
@@ -289,10 +228,7 @@ fn what_is_not_ours_is_refused_with_a_reason() {
     let other = other.into_inner().into_inner();
     let error = Reader::open(&other).unwrap_err();
     assert!(matches!(error, ReadError::NoHeader { .. }), "{error}");
-    let newer = Header {
-        format: FORMAT + 1,
-        ..header()
-    };
+    let newer = Header { format: FORMAT + 1, ..header() };
     let writer = Writer::create(Cursor::new(Vec::new()), &newer).unwrap();
     let newer = writer.finish().unwrap().into_inner();
     let error = Reader::open(&newer).unwrap_err();
@@ -303,10 +239,7 @@ fn what_is_not_ours_is_refused_with_a_reason() {
 fn without_the_record_of_the_channel_the_inputs_are_read_by_its_number() {
     let mut bytes = write(&sample());
     let topic = INPUT_TOPIC.as_bytes();
-    let at = bytes
-        .windows(topic.len())
-        .position(|text| text == topic)
-        .unwrap();
+    let at = bytes.windows(topic.len()).position(|text| text == topic).unwrap();
     bytes[at] ^= 1;
     let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
     let [Err(ReadError::Chunk { .. }), inputs @ ..] = &found[..] else {
@@ -318,11 +251,7 @@ fn without_the_record_of_the_channel_the_inputs_are_read_by_its_number() {
 
 #[test]
 fn a_later_part_says_what_it_continues_and_counts_on() {
-    let begins = Beginning {
-        part: 2,
-        inputs_before: 1_000_000,
-        continues: Some("recording.mcap".to_owned()),
-    };
+    let begins = Beginning { part: 2, inputs_before: 1_000_000, continues: Some("recording.mcap".to_owned()) };
     let mut writer = Writer::create_part(Cursor::new(Vec::new()), &header(), &begins).unwrap();
     for (now, input) in sample() {
         writer.record(now, &input).unwrap();
@@ -340,22 +269,15 @@ fn the_truth_of_a_run_comes_back_and_is_no_input() {
     let samples: Vec<TruthSample> = (0..100)
         .map(|n| TruthSample {
             stamp: Stamp::from_millis(20 * n),
-            pose: Pose::new(
-                Meters(0.1 * n as f64),
-                Meters(-0.3),
-                Heading::from_rad(0.07 * n as f64),
-            ),
-            odometry: (n % 2 == 0)
-                .then(|| Pose::new(Meters(0.11), Meters(1.0 / 3.0), Heading::from_rad(-1.0))),
+            pose: Pose::new(Meters(0.1 * n as f64), Meters(-0.3), Heading::from_rad(0.07 * n as f64)),
+            odometry: (n % 2 == 0).then(|| Pose::new(Meters(0.11), Meters(1.0 / 3.0), Heading::from_rad(-1.0))),
         })
         .collect();
     let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
     for (now, input) in sample() {
         writer.record(now, &input).unwrap();
     }
-    writer
-        .record_truth(Stamp::from_millis(2_000), &samples)
-        .unwrap();
+    writer.record_truth(Stamp::from_millis(2_000), &samples).unwrap();
     let bytes = writer.finish().unwrap().into_inner();
     assert_eq!(good(&bytes), sample());
     let found = truth(&bytes).unwrap();
@@ -373,22 +295,14 @@ fn the_truth_of_a_run_comes_back_and_is_no_input() {
 fn chunks_that_another_program_has_compressed_are_refused_by_name() {
     let mut bytes = write(&sample());
     // The head of a chunk: opcode, length, two times, size, checksum; then the length of the name of the compression.
-    let chunk = (0..bytes.len())
-        .find(|at| bytes[*at] == 6 && bytes[at + 3..at + 9] == [0; 6])
-        .unwrap();
+    let chunk = (0..bytes.len()).find(|at| bytes[*at] == 6 && bytes[at + 3..at + 9] == [0; 6]).unwrap();
     let name = chunk + 9 + 28;
     assert_eq!(bytes[name..name + 4], [0; 4]);
     // Four bytes of what stood behind the name's length become the name.
     bytes[name] = 4;
     bytes[name + 4..name + 8].copy_from_slice(b"zstd");
     let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
-    let [
-        Err(ReadError::Compressed {
-            offset,
-            compression,
-        }),
-    ] = &found[..]
-    else {
+    let [Err(ReadError::Compressed { offset, compression })] = &found[..] else {
         panic!("{found:?}");
     };
     assert_eq!((*offset, compression.as_str()), (chunk as u64, "zstd"));
@@ -405,10 +319,7 @@ fn an_instant_before_the_session_is_refused_and_the_next_one_is_not() {
     writer.record(Stamp::ZERO, &Input::Tick).unwrap();
     let bytes = writer.finish().unwrap().into_inner();
     assert_eq!(good(&bytes), [(Stamp::ZERO, Input::Tick)]);
-    let late = Header {
-        utc_start_micros: u64::MAX / 1_000,
-        ..header()
-    };
+    let late = Header { utc_start_micros: u64::MAX / 1_000, ..header() };
     let refused = Writer::create(Cursor::new(Vec::new()), &late).err();
     assert!(matches!(refused, Some(WriteError::StartTime(_))));
 }

@@ -2,9 +2,7 @@
 
 use std::io::Cursor;
 
-use posebridge_recording::container::{
-    Ending, INPUT_ENCODING, INPUT_TOPIC, Reader, TruthSample, truth,
-};
+use posebridge_recording::container::{Ending, INPUT_ENCODING, INPUT_TOPIC, Reader, TruthSample, truth};
 use posebridge_telemetry::{Heading, Input, LinkId, LinkState, Meters, Pose, Stamp};
 
 use crate::{Recorded, UTC_START_NANOS, good, record_of, sample, write};
@@ -12,10 +10,7 @@ use crate::{Recorded, UTC_START_NANOS, good, record_of, sample, write};
 /// A recording of format 2, which has no chunks and the host clock's own times.
 fn unchunked(items: &[Recorded]) -> Vec<u8> {
     let chunked = write(items);
-    let mut file = mcap::WriteOptions::new()
-        .use_chunks(false)
-        .create(Cursor::new(Vec::new()))
-        .unwrap();
+    let mut file = mcap::WriteOptions::new().use_chunks(false).create(Cursor::new(Vec::new())).unwrap();
     let metadata = [
         ("format", "2"),
         ("program_version", "0.1.0"),
@@ -25,22 +20,11 @@ fn unchunked(items: &[Recorded]) -> Vec<u8> {
     ];
     file.write_metadata(&mcap::records::Metadata {
         name: "posebridge.recording".to_owned(),
-        metadata: metadata
-            .map(|(key, value)| (key.to_owned(), value.to_owned()))
-            .into(),
+        metadata: metadata.map(|(key, value)| (key.to_owned(), value.to_owned())).into(),
     })
     .unwrap();
-    let schema = file
-        .add_schema(INPUT_ENCODING, INPUT_ENCODING, b"text")
-        .unwrap();
-    let channel = file
-        .add_channel(
-            schema,
-            INPUT_TOPIC,
-            INPUT_ENCODING,
-            &std::collections::BTreeMap::new(),
-        )
-        .unwrap();
+    let schema = file.add_schema(INPUT_ENCODING, INPUT_ENCODING, b"text").unwrap();
+    let channel = file.add_channel(schema, INPUT_TOPIC, INPUT_ENCODING, &std::collections::BTreeMap::new()).unwrap();
     for message in mcap::MessageStream::new(&chunked).unwrap() {
         let message = message.unwrap();
         let time = message.log_time - UTC_START_NANOS;
@@ -79,32 +63,14 @@ fn a_file_that_was_put_together_by_hand_from_the_specification_is_read() {
     let bytes = &include_bytes!("../../../../fuzz/corpus/recording/chunks_and_truth")[1..];
     let reader = Reader::open(bytes).unwrap();
     assert_eq!(reader.header().utc_start_micros, 1_700_000_000_000_000);
-    assert_eq!(
-        (reader.beginning().part, reader.beginning().inputs_before),
-        (2, 5)
-    );
+    assert_eq!((reader.beginning().part, reader.beginning().inputs_before), (2, 5));
     assert_eq!(reader.beginning().continues.as_deref(), Some("a.mcap"));
     assert_eq!(reader.ending(), Ending::Complete);
-    let hello = Input::Bytes {
-        link: LinkId(0),
-        peer: posebridge_telemetry::PeerId(0),
-        bytes: b"hello".to_vec(),
-    };
-    let up = Input::Link {
-        link: LinkId(0),
-        state: LinkState::Up,
-    };
-    let expected = [
-        (Stamp::from_micros(1), Input::Tick),
-        (Stamp::from_micros(2), hello),
-        (Stamp::from_micros(3), up),
-    ];
+    let hello = Input::Bytes { link: LinkId(0), peer: posebridge_telemetry::PeerId(0), bytes: b"hello".to_vec() };
+    let up = Input::Link { link: LinkId(0), state: LinkState::Up };
+    let expected = [(Stamp::from_micros(1), Input::Tick), (Stamp::from_micros(2), hello), (Stamp::from_micros(3), up)];
     assert_eq!(good(bytes), expected);
     let pose = Pose::new(Meters(1.5), Meters(-2.0), Heading::from_rad(0.5));
-    let sample = TruthSample {
-        stamp: Stamp::from_nanos(7),
-        pose,
-        odometry: None,
-    };
+    let sample = TruthSample { stamp: Stamp::from_nanos(7), pose, odometry: None };
     assert_eq!(truth(bytes).unwrap(), [sample]);
 }

@@ -2,9 +2,8 @@
 
 use posebridge_recording::container::Reader;
 use posebridge_telemetry::{
-    Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, Observed, ParameterName,
-    Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, SimulatorCommand,
-    SlippingWheel, Span, Stamp,
+    Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, Observed, ParameterName, Point2, Pose,
+    PositionCovariance, Radians, RadiansPerSecond, SensorId, SimulatorCommand, SlippingWheel, Span, Stamp,
 };
 use proptest::prelude::*;
 
@@ -21,13 +20,12 @@ fn any_heading() -> impl Strategy<Value = Heading> {
 fn any_observed() -> impl Strategy<Value = Observed> {
     let pair = || (any_f64(), any_f64());
     prop_oneof![
-        pair().prop_map(|(l, r)| Observed::WheelAngles {
-            left: Radians(l),
-            right: Radians(r)
-        }),
-        (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| Observed::OdometerPose(
-            Pose::new(Meters(x), Meters(y), heading)
-        )),
+        pair().prop_map(|(l, r)| Observed::WheelAngles { left: Radians(l), right: Radians(r) }),
+        (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| Observed::OdometerPose(Pose::new(
+            Meters(x),
+            Meters(y),
+            heading
+        ))),
         any_f64().prop_map(|rate| Observed::TurnRate(RadiansPerSecond(rate))),
         any_heading().prop_map(Observed::CompassHeading),
         (any::<u32>(), pair()).prop_map(|(id, (range, bearing))| Observed::Landmark {
@@ -41,22 +39,15 @@ fn any_observed() -> impl Strategy<Value = Observed> {
             proptest::option::of([any_f64(), any_f64(), any_f64(), any_f64()]),
             any::<u8>()
         )
-            .prop_map(
-                |((x, y), heading, covariance, reset_counter)| Observed::Fix(Fix {
-                    position: Point2::new(Meters(x), Meters(y)),
-                    heading,
-                    covariance: covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| {
-                        PositionCovariance {
-                            xx_m2,
-                            xy_m2,
-                            yy_m2,
-                            heading_rad2,
-                        }
-                    }),
-                    tag_in_body: Point2::new(Meters(y), Meters(x)),
-                    reset_counter,
-                })
-            ),
+            .prop_map(|((x, y), heading, covariance, reset_counter)| Observed::Fix(Fix {
+                position: Point2::new(Meters(x), Meters(y)),
+                heading,
+                covariance: covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| {
+                    PositionCovariance { xx_m2, xy_m2, yy_m2, heading_rad2 }
+                }),
+                tag_in_body: Point2::new(Meters(y), Meters(x)),
+                reset_counter,
+            })),
     ]
 }
 
@@ -64,46 +55,29 @@ fn any_observed() -> impl Strategy<Value = Observed> {
 fn done_to_the_brick(number: f64, nanos: i64, kind: u8) -> SimulatorCommand {
     let span = Span::from_nanos(nanos);
     match kind {
-        0 => SimulatorCommand::Kidnap {
-            forward_m: number,
-            left_m: -number,
-            turn_rad: 1.0 / number,
-        },
-        1 => SimulatorCommand::Slip {
-            wheel: SlippingWheel::Right,
-            factor: number,
-            duration: span,
-        },
+        0 => SimulatorCommand::Kidnap { forward_m: number, left_m: -number, turn_rad: 1.0 / number },
+        1 => SimulatorCommand::Slip { wheel: SlippingWheel::Right, factor: number, duration: span },
         2 => SimulatorCommand::CameraDelay { delay: span },
         3 => SimulatorCommand::GyroBiasStep { rad_per_s: number },
         4 => SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(&nanos.to_le_bytes()))),
-        _ => SimulatorCommand::Drive {
-            forward_m_per_s: number,
-            turn_rad_per_s: -number,
-        },
+        _ => SimulatorCommand::Drive { forward_m_per_s: number, turn_rad_per_s: -number },
     }
 }
 
 fn any_input() -> impl Strategy<Value = Input> {
     prop_oneof![
         (any::<u16>(), proptest::collection::vec(any::<u8>(), 0..300)).prop_map(|(link, bytes)| {
-            Input::Bytes {
-                peer: posebridge_telemetry::PeerId(0),
-                link: LinkId(link),
-                bytes,
-            }
+            Input::Bytes { peer: posebridge_telemetry::PeerId(0), link: LinkId(link), bytes }
         }),
         Just(Input::Tick),
-        (any::<u8>(), any::<i64>(), any::<i64>(), any_observed()).prop_map(
-            |(sensor, stamp, sigma, observed)| {
-                Input::Observation(Observation {
-                    sensor: SensorId(sensor),
-                    stamp: Stamp::from_nanos(stamp),
-                    stamp_sigma: Span::from_nanos(sigma),
-                    observed,
-                })
-            }
-        ),
+        (any::<u8>(), any::<i64>(), any::<i64>(), any_observed()).prop_map(|(sensor, stamp, sigma, observed)| {
+            Input::Observation(Observation {
+                sensor: SensorId(sensor),
+                stamp: Stamp::from_nanos(stamp),
+                stamp_sigma: Span::from_nanos(sigma),
+                observed,
+            })
+        }),
         (any_f64(), prop::collection::vec(any::<u8>(), 0..20)).prop_map(|(value, name)| {
             let name = ParameterName::from_bytes(&name);
             Input::Command(Command::SetParameter { name, value })

@@ -36,22 +36,12 @@ pub(crate) fn parse(rest: &str) -> Descriptor {
     Descriptor::from_toml(&descriptor_text(rest)).unwrap_or_else(|error| panic!("{error}"))
 }
 
-pub(crate) fn try_load(
-    descriptor: &Descriptor,
-    run: &str,
-    files: &[(&str, &str)],
-) -> Result<Run, LoadError> {
+pub(crate) fn try_load(descriptor: &Descriptor, run: &str, files: &[(&str, &str)]) -> Result<Run, LoadError> {
     let mut open = |path: &Path| {
         let found = files.iter().find(|(name, _)| Path::new(name) == path);
         let missing = || std::io::Error::from(std::io::ErrorKind::NotFound);
-        found
-            .map(|(_, text)| text.as_bytes().to_vec())
-            .ok_or_else(missing)
+        found.map(|(_, text)| text.as_bytes().to_vec()).ok_or_else(missing)
     };
-    let options = LoadOptions {
-        run,
-        geometry: GEOMETRY,
-        use_every: None,
-    };
+    let options = LoadOptions { run, geometry: GEOMETRY, use_every: None };
     load(descriptor, options, &mut open)
 }

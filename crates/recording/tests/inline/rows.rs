@@ -13,7 +13,5 @@ pub(crate) fn load_rows(rest: &str, rows: &str) -> Run {
 /// The stamps in nanoseconds and what was observed then.
 pub(crate) fn observed(run: &Run) -> Vec<(i64, Observed)> {
     let observations = run.observations.iter().map(|timed| timed.observation);
-    observations
-        .map(|observation| (observation.stamp.as_nanos(), observation.observed))
-        .collect()
+    observations.map(|observation| (observation.stamp.as_nanos(), observation.observed)).collect()
 }

@@ -90,9 +90,7 @@ pub(crate) fn motion(run: &Run, geometry: DriveGeometry) -> Vec<MotionStep> {
 pub(crate) fn dead_reckoning(run: &Run, geometry: DriveGeometry) -> Vec<(i64, Pose)> {
     let steps = motion(run, geometry);
     let first = steps.first().map(|step| (step.from_nanos, step.from));
-    let ends = steps
-        .iter()
-        .map(|step| (step.to_nanos, step.at(step.to_nanos)));
+    let ends = steps.iter().map(|step| (step.to_nanos, step.at(step.to_nanos)));
     first.into_iter().chain(ends).collect()
 }
 

@@ -48,10 +48,7 @@ impl Fields {
 pub(crate) fn read(descriptors: &[u8], name: &str, data: &[u8]) -> Fields {
     let set: FileDescriptorSet = prost::Message::decode(descriptors).unwrap();
     let mut fields = Fields(Vec::new());
-    let mut reader = Reader {
-        set: &set,
-        fields: &mut fields,
-    };
+    let mut reader = Reader { set: &set, fields: &mut fields };
     reader.message(&format!(".{name}"), "", data);
     fields
 }
@@ -77,9 +74,7 @@ impl Reader<'_> {
             let (number, wire) = ((key >> 3) as i32, key & 7);
             let described = self.descriptor(name).field.iter();
             let field = described.clone().find(|field| field.number() == number);
-            let field = field
-                .unwrap_or_else(|| panic!("{name} has no field {number}"))
-                .clone();
+            let field = field.unwrap_or_else(|| panic!("{name} has no field {number}")).clone();
             let path = match path {
                 "" => field.name().to_owned(),
                 _ => format!("{path}.{}", field.name()),

@@ -18,10 +18,8 @@ const THINNED: u32 = 30;
 pub(super) fn check(mut operands: Operands<'_>) {
     let rate = u32::from(operands.number());
     let interval = Span::from_millis(i64::from(operands.byte()) * 10);
-    let limits = RateLimits {
-        least_intervals: BTreeMap::from([(THINNED, interval)]),
-        bytes_per_s: (rate > 0).then_some(rate),
-    };
+    let limits =
+        RateLimits { least_intervals: BTreeMap::from([(THINNED, interval)]), bytes_per_s: (rate > 0).then_some(rate) };
     let mut now = Stamp::ZERO;
     let mut limiter = Limiter::new(limits, now);
     let mut last = BTreeMap::new();

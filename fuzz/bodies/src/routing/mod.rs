@@ -10,12 +10,10 @@ use std::collections::BTreeMap;
 
 use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
 use posebridge_protocol::routing::{
-    Check, Choice, Forward, FrameFilter, LinkRules, Occurrence, RateLimits, Routed, Router,
-    RouterConfig, Target, Way, priority_of, target_of,
+    Check, Choice, Forward, FrameFilter, LinkRules, Occurrence, RateLimits, Routed, Router, RouterConfig, Target, Way,
+    priority_of, target_of,
 };
-use posebridge_telemetry::{
-    Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp, SystemId,
-};
+use posebridge_telemetry::{Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp, SystemId};
 
 use crate::operands::Operands;
 use model::{MOST_ROUTES, Model};
@@ -60,11 +58,7 @@ pub(crate) fn check(data: &[u8]) {
 fn rules(operands: &mut Operands<'_>) -> RouterConfig {
     let window = Span::from_millis([0, 1_000, 1_000, 60_000][usize::from(operands.byte() % 4)]);
     let links = (0..LINKS).map(|id| (LinkId(id), link_rules(operands.byte())));
-    RouterConfig {
-        own: STATION,
-        duplicate_window: window,
-        links: links.collect(),
-    }
+    RouterConfig { own: STATION, duplicate_window: window, links: links.collect() }
 }
 
 fn link_rules(byte: u8) -> LinkRules {
@@ -87,12 +81,7 @@ fn filter(choice: u8) -> FrameFilter {
     let mut filter = FrameFilter::default();
     match choice {
         2 => filter.messages.block = vec![0, 60_000],
-        3 => {
-            filter.systems = Choice {
-                allow: (1..5).map(SystemId).collect(),
-                block: vec![SystemId(3)],
-            }
-        }
+        3 => filter.systems = Choice { allow: (1..5).map(SystemId).collect(), block: vec![SystemId(3)] },
         _ => {}
     }
     filter
@@ -100,28 +89,14 @@ fn filter(choice: u8) -> FrameFilter {
 
 /// One of fifteen ways: three peers on each of four links and on one without rules.
 fn way(byte: u8) -> Way {
-    Way {
-        link: LinkId(u16::from(byte) % (LINKS + 1)),
-        peer: PeerId(u32::from(byte >> 4) % 3),
-    }
+    Way { link: LinkId(u16::from(byte) % (LINKS + 1)), peer: PeerId(u32::from(byte >> 4) % 3) }
 }
 
 /// The frame of these parts; checksums are the scanner's business.
 fn bytes_of(source: Address, message_id: u32, payload: &[u8]) -> Vec<u8> {
     let [a, b, c, _] = message_id.to_le_bytes();
     let (system, component) = (source.system.0, source.component.0);
-    let mut bytes = vec![
-        0xFD,
-        payload.len() as u8,
-        0,
-        0,
-        0,
-        system,
-        component,
-        a,
-        b,
-        c,
-    ];
+    let mut bytes = vec![0xFD, payload.len() as u8, 0, 0, 0, system, component, a, b, c];
     bytes.extend_from_slice(payload);
     bytes.extend_from_slice(&[0, 0]);
     bytes
@@ -192,15 +167,11 @@ impl Bench {
     /// Bytes as they come from a link.
     fn scan(&mut self, way: Way, bytes: &[u8]) {
         let mut found = Vec::new();
-        Scanner::new(ScannerConfig::default()).push(
-            self.now,
-            bytes,
-            &mut |scanned| match scanned {
-                Scanned::Frame(frame) => found.push((frame.raw.to_vec(), Check::Verified)),
-                Scanned::Unknown(frame) => found.push((frame.raw.to_vec(), Check::Unverifiable)),
-                Scanned::Defect(_) => {}
-            },
-        );
+        Scanner::new(ScannerConfig::default()).push(self.now, bytes, &mut |scanned| match scanned {
+            Scanned::Frame(frame) => found.push((frame.raw.to_vec(), Check::Verified)),
+            Scanned::Unknown(frame) => found.push((frame.raw.to_vec(), Check::Unverifiable)),
+            Scanned::Defect(_) => {}
+        });
         for (bytes, check) in found {
             self.hear(way, bytes, check);
         }

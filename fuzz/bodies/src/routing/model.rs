@@ -48,13 +48,7 @@ pub(super) struct Model {
 
 impl Model {
     pub(super) fn new(config: RouterConfig) -> Self {
-        Self {
-            config,
-            heard: BTreeMap::new(),
-            noted: BTreeMap::new(),
-            said: BTreeSet::new(),
-            is_beyond: false,
-        }
+        Self { config, heard: BTreeMap::new(), noted: BTreeMap::new(), said: BTreeSet::new(), is_beyond: false }
     }
 
     /// Whether a router does exactly what this model says. If not, it sends to some of the ways that this model gives, because the
@@ -71,37 +65,18 @@ impl Model {
         self.said.insert(own_mark(frame));
     }
 
-    pub(super) fn route(
-        &mut self,
-        now: Stamp<HostClock>,
-        from: Way,
-        frame: &FrameRef<'_>,
-        check: Check,
-    ) -> Routed {
+    pub(super) fn route(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>, check: Check) -> Routed {
         let occurrence = self.note(now, from, frame, check);
         let is_ours = frame.source == self.config.own;
-        let to = if is_ours || occurrence != Occurrence::First {
-            Vec::new()
-        } else {
-            self.destinations(now, from, frame)
-        };
+        let to =
+            if is_ours || occurrence != Occurrence::First { Vec::new() } else { self.destinations(now, from, frame) };
         Routed { occurrence, to }
     }
 
     /// Remembers a frame and says whether it came before.
-    fn note(
-        &mut self,
-        now: Stamp<HostClock>,
-        from: Way,
-        frame: &FrameRef<'_>,
-        check: Check,
-    ) -> Occurrence {
+    fn note(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>, check: Check) -> Occurrence {
         if frame.source == self.config.own {
-            return if self.said.contains(&own_mark(frame)) {
-                Occurrence::Echo
-            } else {
-                Occurrence::Namesake
-            };
+            return if self.said.contains(&own_mark(frame)) { Occurrence::Echo } else { Occurrence::Namesake };
         }
         let mut marks = vec![Mark::Bytes(frame.raw.to_vec())];
         if let (Some(group), true) = (self.group(from.link), is_stamped(frame.message_id)) {
@@ -109,19 +84,12 @@ impl Model {
             while payload.last() == Some(&0) {
                 payload.pop();
             }
-            marks.push(Mark::Content(
-                group,
-                frame.source,
-                frame.message_id,
-                payload,
-            ));
+            marks.push(Mark::Content(group, frame.source, frame.message_id, payload));
         }
         let mut firsts = Vec::new();
         for mark in marks {
             let before = self.noted.get(&mark).copied();
-            match before
-                .filter(|(at, way)| now - *at < self.config.duplicate_window && *way != from)
-            {
+            match before.filter(|(at, way)| now - *at < self.config.duplicate_window && *way != from) {
                 Some((_, way)) => firsts.push(way),
                 None => drop(self.noted.insert(mark, (now, from))),
             }
@@ -146,12 +114,7 @@ impl Model {
         self.is_beyond |= self.heard.len() >= MOST_ROUTES;
     }
 
-    fn destinations(
-        &self,
-        now: Stamp<HostClock>,
-        from: Way,
-        frame: &FrameRef<'_>,
-    ) -> Vec<(LinkId, Audience)> {
+    fn destinations(&self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>) -> Vec<(LinkId, Audience)> {
         let target = target_of(frame.message_id, frame.payload);
         let own = self.config.own;
         let all: Vec<(LinkId, Audience)> = match target {
@@ -178,12 +141,8 @@ impl Model {
                 }
             }
         };
-        let leaves = self
-            .rules(from.link)
-            .is_none_or(|rules| rules.forward != Forward::Nothing);
-        all.into_iter()
-            .filter(|(link, _)| leaves && self.may_leave(*link, target, frame))
-            .collect()
+        let leaves = self.rules(from.link).is_none_or(|rules| rules.forward != Forward::Nothing);
+        all.into_iter().filter(|(link, _)| leaves && self.may_leave(*link, target, frame)).collect()
     }
 
     /// By rising link and peer, each once.
@@ -203,9 +162,7 @@ impl Model {
             .collect();
         ways.sort_unstable();
         ways.dedup();
-        ways.into_iter()
-            .map(|way| (way.link, Audience::Peer(way.peer)))
-            .collect()
+        ways.into_iter().map(|way| (way.link, Audience::Peer(way.peer))).collect()
     }
 
     fn may_leave(&self, link: LinkId, target: Target, frame: &FrameRef<'_>) -> bool {

@@ -50,10 +50,7 @@ fn start(choice: u8) -> Timestamp {
 
 /// Every verified frame in some bytes, MAVLink 1 too.
 fn frames(bytes: &[u8], mut look: impl FnMut(&FrameRef<'_>)) {
-    let mut scanner = Scanner::new(ScannerConfig {
-        accept_v1: true,
-        ..ScannerConfig::default()
-    });
+    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
     let mut take = |found: Scanned<'_>| {
         if let Scanned::Frame(frame) | Scanned::Unknown(frame) = found {
             look(&frame);

@@ -1,9 +1,7 @@
 //! Any text as a key file, and any text as what is kept beside a key.
 
 use posebridge::config::MemoryRecord;
-use posebridge_protocol::signing::{
-    Ending, Key, KeyError, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned,
-};
+use posebridge_protocol::signing::{Ending, Key, KeyError, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned};
 use posebridge_telemetry::Stamp;
 
 use super::{key, start};
@@ -33,9 +31,7 @@ pub(super) fn check_key(data: &[u8]) {
         }
         Err(KeyError::Digit { position }) => {
             assert_eq!(characters.len(), DIGITS);
-            let first = characters
-                .iter()
-                .position(|digit| !digit.is_ascii_hexdigit());
+            let first = characters.iter().position(|digit| !digit.is_ascii_hexdigit());
             assert_eq!(first, position.checked_sub(1));
         }
         Err(other) => panic!("{other}"),
@@ -44,10 +40,9 @@ pub(super) fn check_key(data: &[u8]) {
 
 /// Input: the text of a memory, as it stands in a file beside a key and in a recording's configuration.
 pub(super) fn check_memory(data: &[u8]) {
-    let Ok(record) = std::str::from_utf8(data).map_or_else(
-        |_no_text| Err(None),
-        |text| toml::from_str::<MemoryRecord>(text).map_err(Some),
-    ) else {
+    let Ok(record) = std::str::from_utf8(data)
+        .map_or_else(|_no_text| Err(None), |text| toml::from_str::<MemoryRecord>(text).map_err(Some))
+    else {
         return;
     };
     let memory = record.memory();
@@ -61,11 +56,9 @@ pub(super) fn check_memory(data: &[u8]) {
 
 /// A memory is read as it was written.
 fn check_written(memory: &Memory) {
-    let written =
-        toml::to_string(&MemoryRecord::of(&key(0), memory)).map_err(|error| error.to_string());
-    let again = written.and_then(|text| {
-        toml::from_str::<MemoryRecord>(&text).map_err(|error| format!("{error}\n{text}"))
-    });
+    let written = toml::to_string(&MemoryRecord::of(&key(0), memory)).map_err(|error| error.to_string());
+    let again =
+        written.and_then(|text| toml::from_str::<MemoryRecord>(&text).map_err(|error| format!("{error}\n{text}")));
     match again {
         Ok(again) => assert_eq!(again.memory(), *memory),
         Err(error) => panic!("a memory cannot be kept: {error}"),
@@ -85,12 +78,8 @@ fn check_resumed(memory: &Memory, utc: Timestamp, ending: Ending) {
         assert!(after >= Some(heard.timestamp), "{stream:?}");
     }
     let own = resumed.own;
-    let mut link = LinkSigning::new(SigningConfig {
-        key: key(0),
-        link_id: 0,
-        unsigned: Unsigned::Accept,
-        memory: resumed,
-    });
+    let mut link =
+        LinkSigning::new(SigningConfig { key: key(0), link_id: 0, unsigned: Unsigned::Accept, memory: resumed });
     let is_signed = link.next_seal(Stamp::ZERO).is_some();
     assert_eq!(is_signed, own < Timestamp::MAX, "{own:?}");
     assert!(link.memory(Stamp::ZERO).own > own || !is_signed);

@@ -12,9 +12,7 @@ use posebridge::config::MemoryRecord;
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{Heartbeat, Message};
-use posebridge_protocol::signing::{
-    Ending, Key, LinkSigning, Memory, SigningConfig, StreamId, Timestamp, Unsigned,
-};
+use posebridge_protocol::signing::{Ending, Key, LinkSigning, Memory, SigningConfig, StreamId, Timestamp, Unsigned};
 use posebridge_telemetry::{Address, HostClock, Refusal, Span, Stamp};
 
 use super::{frames, key, start};
@@ -61,20 +59,8 @@ struct Talk {
 impl Talk {
     fn new(date: Timestamp) -> Self {
         let key = key(0);
-        let memory = Memory {
-            written: date,
-            clock: date,
-            ..Memory::default()
-        };
-        Self {
-            link: opened(&key, memory),
-            key,
-            now: Stamp::ZERO,
-            date,
-            said: Vec::new(),
-            own: None,
-            crowds: 0,
-        }
+        let memory = Memory { written: date, clock: date, ..Memory::default() };
+        Self { link: opened(&key, memory), key, now: Stamp::ZERO, date, said: Vec::new(), own: None, crowds: 0 }
     }
 
     fn pass(&mut self, span: Span) {
@@ -134,10 +120,7 @@ impl Talk {
         let after = self.link.memory(self.now);
         assert!(after.streams.len() <= MOST_STREAMS, "too many streams");
         assert!(after.floor >= before.floor && after.clock >= before.clock);
-        assert!(
-            is_believed || before == after,
-            "a refused frame left a trace"
-        );
+        assert!(is_believed || before == after, "a refused frame left a trace");
         is_believed
     }
 
@@ -158,10 +141,7 @@ impl Talk {
         let own = self.link.memory(self.now).own;
         assert_eq!(is_signed, self.own != Some(Timestamp::MAX));
         if is_signed {
-            assert!(
-                self.own.is_none_or(|last| own > last),
-                "a stamp was used twice"
-            );
+            assert!(self.own.is_none_or(|last| own > last), "a stamp was used twice");
             assert!(own >= clock);
             self.own = Some(own);
         }
@@ -177,11 +157,7 @@ impl Talk {
         if how & 1 == 0 {
             self.date = memory.written.later(away);
         }
-        let ending = if how & 2 == 0 {
-            Ending::Closed
-        } else {
-            Ending::Cut
-        };
+        let ending = if how & 2 == 0 { Ending::Closed } else { Ending::Cut };
         let resumed = record.memory().resumed(self.date, ending);
         // The last stamp that may have been used: nothing at all may come at or below it.
         if ending == Ending::Cut {
@@ -195,10 +171,7 @@ impl Talk {
     fn finish(mut self) {
         let before = self.link.memory(self.now);
         for (frame, was_believed) in std::mem::take(&mut self.said) {
-            assert!(
-                !(was_believed && self.judge(&frame)),
-                "a frame was believed twice"
-            );
+            assert!(!(was_believed && self.judge(&frame)), "a frame was believed twice");
         }
         assert_eq!(self.link.memory(self.now), before);
     }
@@ -216,8 +189,7 @@ fn opened(key: &Key, memory: Memory) -> LinkSigning {
 /// What must become of a frame that was signed with the right key.
 fn expected(memory: &Memory, raw: &[u8]) -> Result<(), Refusal> {
     let source = Address::new(raw[5], raw[6]);
-    let Some((_, &[link_id, a, b, c, d, e, f, _, _, _, _, _, _])) = raw.split_last_chunk::<13>()
-    else {
+    let Some((_, &[link_id, a, b, c, d, e, f, _, _, _, _, _, _])) = raw.split_last_chunk::<13>() else {
         panic!("a signed frame is longer");
     };
     let timestamp = Timestamp::from_units(u64::from_le_bytes([a, b, c, d, e, f, 0, 0]));
@@ -225,9 +197,7 @@ fn expected(memory: &Memory, raw: &[u8]) -> Result<(), Refusal> {
     match last.map(|heard| heard.timestamp) {
         Some(last) if timestamp <= last => Err(Refusal::Replayed),
         None if memory.floor.is_some_and(|floor| timestamp <= floor) => Err(Refusal::Stale),
-        None if memory.clock.units().saturating_sub(timestamp.units()) > MINUTE => {
-            Err(Refusal::Stale)
-        }
+        None if memory.clock.units().saturating_sub(timestamp.units()) > MINUTE => Err(Refusal::Stale),
         Some(_) | None => Ok(()),
     }
 }
@@ -238,11 +208,7 @@ fn signed(key: &Key, from: Address, link_id: u8, timestamp: Timestamp) -> Vec<u8
         key: key.clone(),
         link_id,
         unsigned: Unsigned::Accept,
-        memory: Memory {
-            clock: timestamp,
-            streams: BTreeMap::new(),
-            ..Memory::default()
-        },
+        memory: Memory { clock: timestamp, streams: BTreeMap::new(), ..Memory::default() },
     });
     let mut bytes = Vec::new();
     if let Some(seal) = sender.next_seal(Stamp::ZERO) {
@@ -251,9 +217,5 @@ fn signed(key: &Key, from: Address, link_id: u8, timestamp: Timestamp) -> Vec<u8
     bytes
 }
 
-const HEARTBEAT: Message = Message::Heartbeat(Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-});
+const HEARTBEAT: Message =
+    Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });

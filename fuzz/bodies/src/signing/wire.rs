@@ -3,9 +3,7 @@
 use std::collections::BTreeSet;
 
 use posebridge_protocol::framing::{FrameRef, START_V2};
-use posebridge_protocol::signing::{
-    FLAG_SIGNED, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Unsigned,
-};
+use posebridge_protocol::signing::{FLAG_SIGNED, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Unsigned};
 use posebridge_telemetry::{Address, Refusal, Stamp};
 
 use super::{frames, key, start};
@@ -21,20 +19,13 @@ pub(super) fn check(mut operands: Operands<'_>) {
     let key = key(operands.byte());
     let clock = start(operands.byte());
     let options = operands.byte();
-    let unsigned = if options & 1 == 0 {
-        Unsigned::RefuseExcept(BTreeSet::from([RADIO_STATUS]))
-    } else {
-        Unsigned::Accept
-    };
+    let unsigned =
+        if options & 1 == 0 { Unsigned::RefuseExcept(BTreeSet::from([RADIO_STATUS])) } else { Unsigned::Accept };
     let mut link = LinkSigning::new(SigningConfig {
         key,
         link_id: options >> 1,
         unsigned,
-        memory: Memory {
-            written: clock,
-            clock,
-            ..Memory::default()
-        },
+        memory: Memory { written: clock, clock, ..Memory::default() },
     });
     let mut flipped = 0;
     frames(operands.rest(), |frame| {
@@ -42,11 +33,7 @@ pub(super) fn check(mut operands: Operands<'_>) {
             flipped += 1;
             let before = link.memory(Stamp::ZERO);
             check_flips(&mut link, frame);
-            assert_eq!(
-                link.memory(Stamp::ZERO),
-                before,
-                "a changed frame left a trace"
-            );
+            assert_eq!(link.memory(Stamp::ZERO), before, "a changed frame left a trace");
         }
     });
 }
@@ -56,11 +43,8 @@ fn check_frame(link: &mut LinkSigning, frame: &FrameRef<'_>) -> bool {
     let before = link.memory(Stamp::ZERO);
     let verdict = link.judge(Stamp::ZERO, frame);
     let after = link.memory(Stamp::ZERO);
-    let is_signed = frame.raw.starts_with(&[START_V2])
-        && frame
-            .raw
-            .get(2)
-            .is_some_and(|flags| flags & FLAG_SIGNED != 0);
+    let is_signed =
+        frame.raw.starts_with(&[START_V2]) && frame.raw.get(2).is_some_and(|flags| flags & FLAG_SIGNED != 0);
     if verdict.is_err() || !is_signed {
         assert_eq!(before, after, "a refused or unsigned frame left a trace");
     }
@@ -71,11 +55,7 @@ fn check_frame(link: &mut LinkSigning, frame: &FrameRef<'_>) -> bool {
     if verdict.is_ok() {
         assert!(after.clock >= before.clock);
         assert_eq!(link.judge(Stamp::ZERO, frame), Err(Refusal::Replayed));
-        assert_eq!(
-            link.memory(Stamp::ZERO),
-            after,
-            "a repeated frame left a trace"
-        );
+        assert_eq!(link.memory(Stamp::ZERO), after, "a repeated frame left a trace");
     }
     verdict.is_ok()
 }

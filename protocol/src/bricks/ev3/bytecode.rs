@@ -68,14 +68,12 @@ impl DirectCommand {
     /// The count of a motor, i32 of degrees.
     pub(super) fn read_count(&mut self, port: MotorPort) {
         let global = self.global();
-        self.bytecodes
-            .extend([OUTPUT_GET_COUNT, LAYER, port.number(), global]);
+        self.bytecodes.extend([OUTPUT_GET_COUNT, LAYER, port.number(), global]);
     }
 
     /// Values of a sensor, f32 each, once it is ready. With a mode it is set to that first; without one it stays as it is.
     pub(super) fn wait_for(&mut self, port: SensorPort, mode: Option<Mode>, values: u8) {
-        self.bytecodes
-            .extend([INPUT_DEVICE, READY_SI, LAYER, port.number()]);
+        self.bytecodes.extend([INPUT_DEVICE, READY_SI, LAYER, port.number()]);
         match mode {
             Some(Mode { kind, mode }) => {
                 self.constant(kind);
@@ -93,14 +91,7 @@ impl DirectCommand {
     /// The value of a sensor as it is, f32; not a number if there is none.
     pub(super) fn read_value(&mut self, port: SensorPort) {
         let global = self.global();
-        self.bytecodes.extend([
-            INPUT_READ_SI,
-            LAYER,
-            port.number(),
-            ANY_TYPE,
-            SAME_MODE,
-            global,
-        ]);
+        self.bytecodes.extend([INPUT_READ_SI, LAYER, port.number(), ANY_TYPE, SAME_MODE, global]);
     }
 
     /// How many bytes the answer has behind its type.
@@ -140,8 +131,8 @@ mod tests {
 
     /// Written by ev3-dc 0.9.10.2: clock, counts of B and C, and a gyro at port 2 in its mode 1.
     const CLOCK_COUNTS_GYRO: [u8; 26] = [
-        0x18, 0x00, 0x01, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00,
-        0x02, 0x68, 0x99, 0x1D, 0x00, 0x01, 0x81, 0x20, 0x01, 0x01, 0x6C,
+        0x18, 0x00, 0x01, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00, 0x02, 0x68, 0x99,
+        0x1D, 0x00, 0x01, 0x81, 0x20, 0x01, 0x01, 0x6C,
     ];
 
     #[test]
@@ -161,10 +152,7 @@ mod tests {
         let mut command = DirectCommand::default();
         command.wait_for(SensorPort::P4, Some(Mode { kind: 30, mode: 0 }), 2);
         command.read_value(SensorPort::P1);
-        let expected = [
-            0x99, 0x1D, 0x00, 0x03, 0x1E, 0x00, 0x02, 0x60, 0x64, 0x9D, 0x00, 0x00, 0x00, 0x3F,
-            0x68,
-        ];
+        let expected = [0x99, 0x1D, 0x00, 0x03, 0x1E, 0x00, 0x02, 0x60, 0x64, 0x9D, 0x00, 0x00, 0x00, 0x3F, 0x68];
         assert_eq!(command.telegram(0x1234)[7..], expected);
         assert_eq!(command.telegram(0x1234)[..7], [20, 0, 0x34, 0x12, 0, 12, 0]);
     }

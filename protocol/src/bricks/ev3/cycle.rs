@@ -51,10 +51,7 @@ pub(super) fn question(settings: &Ev3Settings, sensors: &Sensors) -> (DirectComm
 pub(super) fn values(answer: &[u8], included: Included) -> Option<Values> {
     let mut words = answer.as_chunks::<VALUE_BYTES>().0.iter().copied();
     let micros = u32::from_le_bytes(words.next()?);
-    let counts = [
-        i32::from_le_bytes(words.next()?),
-        i32::from_le_bytes(words.next()?),
-    ];
+    let counts = [i32::from_le_bytes(words.next()?), i32::from_le_bytes(words.next()?)];
     let mut sensors = [[f64::NAN; 2]; MOST_SENSORS];
     for (slots, role) in sensors.iter_mut().zip(included.0) {
         let count = role.map_or(0, Role::values);
@@ -62,29 +59,17 @@ pub(super) fn values(answer: &[u8], included: Included) -> Option<Values> {
             *slot = f64::from(f32::from_le_bytes(words.next()?));
         }
     }
-    Some(Values {
-        micros,
-        counts,
-        sensors,
-    })
+    Some(Values { micros, counts, sensors })
 }
 
 /// The counts with the sign of the motors.
-pub(super) const fn wheel_ticks(
-    settings: &Ev3Settings,
-    stamp: WireStamp,
-    total: [i64; 2],
-) -> Message {
+pub(super) const fn wheel_ticks(settings: &Ev3Settings, stamp: WireStamp, total: [i64; 2]) -> Message {
     let [left, right] = total;
     let (left, right) = match settings.motors {
         MotorDirection::Forward => (left, right),
         MotorDirection::Backward => (-left, -right),
     };
-    Message::WheelTicks(WheelTicks {
-        stamp,
-        left: EncoderTicks(left),
-        right: EncoderTicks(right),
-    })
+    Message::WheelTicks(WheelTicks { stamp, left: EncoderTicks(left), right: EncoderTicks(right) })
 }
 
 /// What a sensor's values say; `None` if that is nothing.
@@ -98,28 +83,19 @@ pub(super) fn sensed(
         Role::Gyro(gyro) => turned(gyro, stamp, values, (turn, since)),
         Role::Distance(kind) => {
             let (range, sigma) = kind.range(values[0])?;
-            Some(Message::DistanceSensor {
-                stamp,
-                range,
-                sigma,
-            })
+            Some(Message::DistanceSensor { stamp, range, sigma })
         }
     }
 }
 
 /// In the mode for both the angle comes first.
-fn turned(
-    gyro: GyroSettings,
-    stamp: WireStamp,
-    values: [f64; 2],
-    (turn, since): (&mut Turn, Span),
-) -> Option<Message> {
+fn turned(gyro: GyroSettings, stamp: WireStamp, values: [f64; 2], (turn, since): (&mut Turn, Span)) -> Option<Message> {
     let (angle_deg, rate_deg_per_s) = match gyro.reading {
         GyroReading::Rate => (None, values[0]),
         GyroReading::RateAndAngle => (Some(values[0]), values[1]),
     };
-    let is_sound = rate_deg_per_s.abs() <= FASTEST_DEG_PER_S
-        && angle_deg.is_none_or(|angle_deg| angle_deg.abs() <= LARGEST_DEG);
+    let is_sound =
+        rate_deg_per_s.abs() <= FASTEST_DEG_PER_S && angle_deg.is_none_or(|angle_deg| angle_deg.abs() <= LARGEST_DEG);
     if !is_sound {
         return None;
     }

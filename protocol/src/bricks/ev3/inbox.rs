@@ -94,20 +94,12 @@ impl Inbox {
 
     fn take(&mut self, bytes: usize) -> Option<Found> {
         let telegram: Vec<u8> = self.buffer.drain(..bytes.min(self.buffer.len())).collect();
-        let (head, values) = telegram
-            .get(LENGTH_BYTES..)?
-            .split_first_chunk::<HEAD_BYTES>()?;
+        let (head, values) = telegram.get(LENGTH_BYTES..)?.split_first_chunk::<HEAD_BYTES>()?;
         let [low, high, kind] = *head;
         let counter = u16::from_le_bytes([low, high]);
         Some(match kind {
-            REPLY => Found::Answer {
-                counter,
-                answer: Answer::Values(values.to_vec()),
-            },
-            ERROR => Found::Answer {
-                counter,
-                answer: Answer::Refused,
-            },
+            REPLY => Found::Answer { counter, answer: Answer::Values(values.to_vec()) },
+            ERROR => Found::Answer { counter, answer: Answer::Refused },
             _ => Found::Mailbox,
         })
     }
@@ -128,17 +120,14 @@ fn front(rest: &[u8], values_of: &dyn Fn(u16) -> Option<usize>) -> Front {
     let is_possible = match kind {
         REPLY => values_of(counter).is_some_and(|values| length == HEAD_BYTES + values),
         // The firmware sends the values, for what they are worth, or nothing.
-        ERROR => values_of(counter)
-            .is_some_and(|values| length == HEAD_BYTES + values || length == HEAD_BYTES),
+        ERROR => values_of(counter).is_some_and(|values| length == HEAD_BYTES + values || length == HEAD_BYTES),
         SYSTEM_COMMAND => may_be_mailbox(telegram.get(HEAD_BYTES..).unwrap_or_default(), length),
         _ => false,
     };
     match (is_possible, telegram.len() >= length) {
         (false, _) => Front::Nothing,
         (true, false) => Front::Unclear,
-        (true, true) => Front::Telegram {
-            bytes: LENGTH_BYTES + length,
-        },
+        (true, true) => Front::Telegram { bytes: LENGTH_BYTES + length },
     }
 }
 
@@ -158,9 +147,7 @@ fn may_be_mailbox(command: &[u8], length: usize) -> bool {
     let Some(payload_bytes) = length.checked_sub(HEAD_BYTES + 4 + name_bytes) else {
         return false;
     };
-    let said = rest
-        .get(name_bytes..)
-        .and_then(|behind| behind.first_chunk::<LENGTH_BYTES>());
+    let said = rest.get(name_bytes..).and_then(|behind| behind.first_chunk::<LENGTH_BYTES>());
     said.is_none_or(|said| usize::from(u16::from_le_bytes(*said)) == payload_bytes)
 }
 
@@ -183,8 +170,8 @@ mod tests {
 
     /// A capture by QUT's robotics toolbox for the EV3: `hello!` for the mailbox `abc`.
     const MAILBOX: [u8; 20] = [
-        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e',
-        b'l', b'l', b'o', b'!', 0x00,
+        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
+        b'!', 0x00,
     ];
     const ANSWER: [u8; 9] = [7, 0, 7, 0, 2, 1, 2, 3, 4];
 
@@ -201,10 +188,7 @@ mod tests {
             let mut other = ANSWER;
             other[at] += 1;
             let answers = found(&other, 9);
-            assert!(
-                answers.iter().all(|item| matches!(item, Found::Garbage(_))),
-                "{answers:?}"
-            );
+            assert!(answers.iter().all(|item| matches!(item, Found::Garbage(_))), "{answers:?}");
         }
     }
 

@@ -24,8 +24,8 @@ use self::inbox::{Answer, Found, Inbox};
 use self::requests::{Asked, Promptness, Question, Requests};
 use self::sensors::{Failed, Sensors, Wheels};
 pub use self::settings::{
-    DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings,
-    MotorDirection, MotorPort, SensorPort,
+    DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection, MotorPort,
+    SensorPort,
 };
 use self::stamps::{Passed, Stamped, Stamps};
 use self::turn::Turn;
@@ -54,10 +54,7 @@ const QUIET: Span = Span::from_millis(100);
 const REFUSED_PAUSE: Span = Span::from_millis(1_000);
 /// No motor of the set is faster, counts of 1 degree per second: 260 rpm of the EV3's medium motor at 9 V without load (Philohome,
 /// Pybricks' identified model).
-const LIMITS: Limits = Limits {
-    fastest_per_s: 1_600.0,
-    margin: 3.0,
-};
+const LIMITS: Limits = Limits { fastest_per_s: 1_600.0, margin: 3.0 };
 /// MAV_SEVERITY_ERROR, _WARNING, _INFO.
 const ERROR: u8 = 3;
 const WARNING: u8 = 4;
@@ -172,16 +169,8 @@ impl BrickCodec for Ev3 {
         self.out.pop_front()
     }
 
-    fn encode(
-        &mut self,
-        _now: Stamp<HostClock>,
-        _from: Address,
-        message: &Message,
-        out: &mut Vec<u8>,
-    ) -> usize {
-        let (Message::PlanarPose(pose), Some(name), true) =
-            (message, &self.settings.mailbox, self.is_up)
-        else {
+    fn encode(&mut self, _now: Stamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+        let (Message::PlanarPose(pose), Some(name), true) = (message, &self.settings.mailbox, self.is_up) else {
             return 0;
         };
         let Some(payload) = mailbox::estimate(pose, self.estimates_sent) else {
@@ -198,15 +187,8 @@ impl BrickCodec for Ev3 {
     }
 
     fn sources(&self) -> Vec<SourceHealth> {
-        let heard = SourceHealth {
-            source: ONLY_BRICK,
-            frames: self.counts.frames,
-            lost: self.lost,
-        };
-        (self.counts.frames + self.lost > 0)
-            .then_some(heard)
-            .into_iter()
-            .collect()
+        let heard = SourceHealth { source: ONLY_BRICK, frames: self.counts.frames, lost: self.lost };
+        (self.counts.frames + self.lost > 0).then_some(heard).into_iter().collect()
     }
 }
 
@@ -254,25 +236,13 @@ impl Ev3 {
         let (command, included) = cycle::question(&self.settings, &self.sensors);
         let patience_ms = PATIENCE_MS << self.misses.min(MOST_DOUBLINGS);
         self.next_cycle = now + self.cycle();
-        self.send(
-            now,
-            Question::Cycle(included),
-            &command,
-            Span::from_millis(patience_ms),
-        );
+        self.send(now, Question::Cycle(included), &command, Span::from_millis(patience_ms));
     }
 
-    fn send(
-        &mut self,
-        now: Stamp<HostClock>,
-        question: Question,
-        command: &DirectCommand,
-        patience: Span,
-    ) {
+    fn send(&mut self, now: Stamp<HostClock>, question: Question, command: &DirectCommand, patience: Span) {
         let telegram = command.telegram(self.requests.next_counter());
         self.out.push_back(telegram);
-        self.requests
-            .left(question, command.answer_bytes(), now, patience);
+        self.requests.left(question, command.answer_bytes(), now, patience);
     }
 
     fn cycle(&self) -> Span {
@@ -382,24 +352,14 @@ impl Ev3 {
         let Some(values) = cycle::values(answer, included) else {
             return;
         };
-        let stamped = Stamped {
-            micros: values.micros,
-            sent: asked.sent,
-            answered: now,
-        };
+        let stamped = Stamped { micros: values.micros, sent: asked.sent, answered: now };
         let Some(passed) = self.stamps.take(stamped) else {
-            sink(Heard::Defect(Defect::Payload {
-                message_id: ANSWER_ID,
-            }));
+            sink(Heard::Defect(Defect::Payload { message_id: ANSWER_ID }));
             return;
         };
         // The round trip of an answer that was given up is that of a stall, and nobody should predict by it.
         if promptness == Promptness::InTime {
-            sink(Heard::Time {
-                from: ONLY_BRICK,
-                sent: asked.sent,
-                peer_nanos: i64::from(values.micros) * 1_000,
-            });
+            sink(Heard::Time { from: ONLY_BRICK, sent: asked.sent, peer_nanos: i64::from(values.micros) * 1_000 });
         }
         let since = match passed {
             Passed::RunsOn(since) => since,
@@ -412,10 +372,7 @@ impl Ev3 {
                 since
             }
         };
-        if self
-            .stand_since
-            .is_none_or(|(counts, _)| counts != values.counts)
-        {
+        if self.stand_since.is_none_or(|(counts, _)| counts != values.counts) {
             self.stand_since = Some((values.counts, now));
         }
         let stamp = WireStamp::Micros32(values.micros);
@@ -432,10 +389,7 @@ impl Ev3 {
         wheels: [i32; 2],
         sink: &mut Sink<'_>,
     ) -> bool {
-        let counts = Counts {
-            wheels,
-            third: None,
-        };
+        let counts = Counts { wheels, third: None };
         let counted = self.counters.take(since, counts);
         let total = match counted {
             Counted::Total(total) => total,
@@ -450,9 +404,7 @@ impl Ev3 {
                 total
             }
             Counted::Doubted => {
-                sink(Heard::Defect(Defect::Payload {
-                    message_id: ANSWER_ID,
-                }));
+                sink(Heard::Defect(Defect::Payload { message_id: ANSWER_ID }));
                 return false;
             }
         };
@@ -501,24 +453,14 @@ impl Ev3 {
     fn miss(&mut self, sink: &mut Sink<'_>) {
         self.misses = self.misses.saturating_add(1);
         self.lost += 1;
-        sink(Heard::Defect(Defect::Lost {
-            source: ONLY_BRICK,
-            frames: 1,
-        }));
+        sink(Heard::Defect(Defect::Lost { source: ONLY_BRICK, frames: 1 }));
     }
 }
 
 fn say(sink: &mut Sink<'_>, message: Message) {
-    sink(Heard::Message {
-        from: ONLY_BRICK,
-        message,
-    });
+    sink(Heard::Message { from: ONLY_BRICK, message });
 }
 
 fn tell(sink: &mut Sink<'_>, severity: u8, text: &str) {
-    sink(Heard::Note {
-        from: ONLY_BRICK,
-        severity,
-        text: text.to_owned(),
-    });
+    sink(Heard::Note { from: ONLY_BRICK, severity, text: text.to_owned() });
 }

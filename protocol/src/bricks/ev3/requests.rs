@@ -63,21 +63,9 @@ impl Requests {
     }
 
     /// The question with [`Self::next_counter`] left.
-    pub(super) fn left(
-        &mut self,
-        question: Question,
-        values: usize,
-        now: Stamp<HostClock>,
-        patience: Span,
-    ) {
+    pub(super) fn left(&mut self, question: Question, values: usize, now: Stamp<HostClock>, patience: Span) {
         self.last_counter = self.next_counter();
-        self.waiting.push_back(Asked {
-            question,
-            counter: self.last_counter,
-            values,
-            sent: now,
-            due: now + patience,
-        });
+        self.waiting.push_back(Asked { question, counter: self.last_counter, values, sent: now, due: now + patience });
     }
 
     /// A counter for a telegram that is not answered.

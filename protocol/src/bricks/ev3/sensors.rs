@@ -65,9 +65,7 @@ enum State {
     /// To be set up when this instant has come.
     Awaited { from: Stamp<HostClock> },
     /// Set up; shows nothing since then.
-    Ready {
-        silent_since: Option<Stamp<HostClock>>,
-    },
+    Ready { silent_since: Option<Stamp<HostClock>> },
 }
 
 /// The sensors of one brick, in the order of their values in an answer.
@@ -77,9 +75,7 @@ pub(super) struct Sensors(Vec<Sensor>);
 impl Sensors {
     pub(super) fn new(settings: &Ev3Settings, now: Stamp<HostClock>) -> Self {
         let gyro = settings.gyro.map(|gyro| (Role::Gyro(gyro), gyro.port));
-        let distance = settings
-            .distance
-            .map(|distance| (Role::Distance(distance.kind), distance.port));
+        let distance = settings.distance.map(|distance| (Role::Distance(distance.kind), distance.port));
         let plugged = [gyro, distance].into_iter().flatten();
         let sensors = plugged.map(|(role, port)| Sensor {
             role,
@@ -143,12 +139,7 @@ impl Sensors {
     }
 
     /// A sensor could not be set up, or is gone: what people should know, once.
-    pub(super) fn is_absent(
-        &mut self,
-        index: usize,
-        now: Stamp<HostClock>,
-        failed: Failed,
-    ) -> Option<String> {
+    pub(super) fn is_absent(&mut self, index: usize, now: Stamp<HostClock>, failed: Failed) -> Option<String> {
         let sensor = self.0.get_mut(index)?;
         sensor.unanswered = match failed {
             Failed::AtOnce => 0,
@@ -175,12 +166,7 @@ impl Sensors {
     }
 
     /// A sensor showed something, or nothing: what people should know if it is held to be gone.
-    pub(super) fn showed(
-        &mut self,
-        index: usize,
-        now: Stamp<HostClock>,
-        values: &[f64],
-    ) -> Option<String> {
+    pub(super) fn showed(&mut self, index: usize, now: Stamp<HostClock>, values: &[f64]) -> Option<String> {
         let sensor = self.0.get_mut(index)?;
         let State::Ready { silent_since } = &mut sensor.state else {
             return None;
@@ -217,10 +203,7 @@ impl Role {
     /// How many values its mode has.
     pub(super) const fn values(self) -> u8 {
         match self {
-            Self::Gyro(GyroSettings {
-                reading: GyroReading::RateAndAngle,
-                ..
-            }) => 2,
+            Self::Gyro(GyroSettings { reading: GyroReading::RateAndAngle, .. }) => 2,
             Self::Gyro(_) | Self::Distance(_) => 1,
         }
     }

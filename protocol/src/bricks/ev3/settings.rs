@@ -117,11 +117,7 @@ pub struct GyroSettings {
 
 impl Default for GyroSettings {
     fn default() -> Self {
-        Self {
-            port: SensorPort::P2,
-            reading: GyroReading::Rate,
-            mounting: GyroMounting::Upright,
-        }
+        Self { port: SensorPort::P2, reading: GyroReading::Rate, mounting: GyroMounting::Upright }
     }
 }
 

@@ -51,9 +51,7 @@ impl Stamps {
         let passed = match (self.last, self.suspect) {
             (None, _) => Passed::RunsOn(Span::ZERO),
             (Some(last), _) if stamp.follows(&last) => Passed::RunsOn(stamp.since(&last)),
-            (Some(last), Some(suspect)) if stamp.follows(&suspect) => {
-                Passed::Stepped(stamp.answered - last.answered)
-            }
+            (Some(last), Some(suspect)) if stamp.follows(&suspect) => Passed::Stepped(stamp.answered - last.answered),
             _ => {
                 self.suspect = Some(stamp);
                 return None;
@@ -71,18 +69,12 @@ impl Stamped {
     fn since(&self, last: &Self) -> Span {
         let on_host = self.answered - last.answered;
         let by_brick = self.micros.wrapping_sub(last.micros) as i32;
-        if on_host < UNAMBIGUOUS {
-            on_host.max(Span::from_micros(i64::from(by_brick)))
-        } else {
-            on_host
-        }
+        if on_host < UNAMBIGUOUS { on_host.max(Span::from_micros(i64::from(by_brick))) } else { on_host }
     }
 
     fn follows(&self, last: &Self) -> bool {
         let longest = self.answered - last.sent;
-        let tolerance = Span::from_nanos(longest.as_nanos() / 100 * LARGEST_SKEW_PERCENT)
-            .max(Span::ZERO)
-            + MARGIN;
+        let tolerance = Span::from_nanos(longest.as_nanos() / 100 * LARGEST_SKEW_PERCENT).max(Span::ZERO) + MARGIN;
         let least = micros(self.sent - last.answered - tolerance);
         let most = micros(longest + tolerance);
         let ran = i128::from(self.micros.wrapping_sub(last.micros));
@@ -110,9 +102,7 @@ mod tests {
     #[test]
     fn a_counter_runs_on_across_its_wrap() {
         let mut stamps = Stamps::default();
-        let taken: Vec<_> = (0..6)
-            .map(|n| stamps.take(nth(n, u32::MAX - 70_000)))
-            .collect();
+        let taken: Vec<_> = (0..6).map(|n| stamps.take(nth(n, u32::MAX - 70_000))).collect();
         let ran = |millis| Some(Passed::RunsOn(Span::from_millis(millis)));
         let cycle = ran(30);
         assert_eq!(taken, [ran(0), cycle, cycle, cycle, cycle, cycle]);

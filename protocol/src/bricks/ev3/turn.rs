@@ -27,11 +27,7 @@ impl Turn {
             let change_deg = (angle_deg - last_deg + half).rem_euclid(PERIOD_DEG) - half;
             let by_rate_deg = rate_deg_per_s * since.as_secs_f64();
             let most_deg = FASTEST_DEG_PER_S * since.as_secs_f64() + MARGIN_DEG;
-            self.total_deg += if (change_deg - by_rate_deg).abs() <= most_deg {
-                change_deg
-            } else {
-                by_rate_deg
-            };
+            self.total_deg += if (change_deg - by_rate_deg).abs() <= most_deg { change_deg } else { by_rate_deg };
         }
         self.last_deg = Some(angle_deg);
         self.total_deg

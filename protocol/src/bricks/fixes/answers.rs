@@ -17,12 +17,7 @@ pub(super) struct Complaints {
 
 impl Complaints {
     /// What a sender is told of its line number `line`; `None` if it has just been told of another one.
-    pub(super) fn about(
-        &mut self,
-        now: Stamp<HostClock>,
-        line: u64,
-        flaw: &Flaw,
-    ) -> Option<Vec<u8>> {
+    pub(super) fn about(&mut self, now: Stamp<HostClock>, line: u64, flaw: &Flaw) -> Option<Vec<u8>> {
         if self.last.is_some_and(|last| now - last < COMPLAINT_PERIOD) {
             self.unsaid = self.unsaid.saturating_add(1);
             return None;

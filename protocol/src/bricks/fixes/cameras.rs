@@ -32,12 +32,7 @@ impl Cameras {
             Some(index) => index,
             None if self.0.len() >= MOST_CAMERAS => return None,
             None => {
-                self.0.push(Camera {
-                    name,
-                    takes_requests: false,
-                    pulse: Pulse::of_camera(),
-                    lines: 0,
-                });
+                self.0.push(Camera { name, takes_requests: false, pulse: Pulse::of_camera(), lines: 0 });
                 self.0.len() - 1
             }
         };
@@ -53,11 +48,8 @@ impl Cameras {
 
     pub(super) fn sources(&self) -> Vec<SourceHealth> {
         let sources = self.0.iter().enumerate();
-        let sources = sources.map(|(index, camera)| SourceHealth {
-            source: address(index),
-            frames: camera.lines,
-            lost: 0,
-        });
+        let sources =
+            sources.map(|(index, camera)| SourceHealth { source: address(index), frames: camera.lines, lost: 0 });
         sources.collect()
     }
 }

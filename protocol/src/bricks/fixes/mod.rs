@@ -11,9 +11,7 @@ mod settings;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use posebridge_telemetry::{
-    Address, Audience, Defect, HostClock, PeerId, SourceHealth, Span, Stamp,
-};
+use posebridge_telemetry::{Address, Audience, Defect, HostClock, PeerId, SourceHealth, Span, Stamp};
 
 use self::answers::Complaints;
 use self::cameras::{Cameras, MOST_CAMERAS};
@@ -90,13 +88,7 @@ impl BrickCodec for Fixes {
         self.push_from(now, PeerId::default(), bytes, sink);
     }
 
-    fn push_from(
-        &mut self,
-        now: Stamp<HostClock>,
-        id: PeerId,
-        bytes: &[u8],
-        sink: &mut dyn FnMut(Heard<'_>),
-    ) {
+    fn push_from(&mut self, now: Stamp<HostClock>, id: PeerId, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         // Taken out while it is read, because its lines need the rest of the state.
         let mut peer = self.peers.remove(&id).unwrap_or_default();
         let mut splitter = std::mem::take(&mut peer.splitter);
@@ -127,23 +119,13 @@ impl BrickCodec for Fixes {
         self.answers.pop_front()
     }
 
-    fn encode(
-        &mut self,
-        _now: Stamp<HostClock>,
-        _from: Address,
-        message: &Message,
-        out: &mut Vec<u8>,
-    ) -> usize {
+    fn encode(&mut self, _now: Stamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
         #[expect(
             clippy::wildcard_enum_match_arm,
             reason = "a camera is told nothing but questions, however many kinds of message there are"
         )]
         let line = match message {
-            Message::TimeSync(TimeSync {
-                answer_nanos: 0,
-                request_nanos,
-                ..
-            }) => answers::time_request(*request_nanos),
+            Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, .. }) => answers::time_request(*request_nanos),
             Message::Command(command) => match self.fix_request(command) {
                 Some(line) => line,
                 None => return 0,
@@ -164,13 +146,7 @@ impl BrickCodec for Fixes {
 }
 
 impl Fixes {
-    fn hear(
-        &mut self,
-        now: Stamp<HostClock>,
-        (id, peer): (PeerId, &mut Peer),
-        cut: Cut<'_>,
-        sink: &mut Sink<'_>,
-    ) {
+    fn hear(&mut self, now: Stamp<HostClock>, (id, peer): (PeerId, &mut Peer), cut: Cut<'_>, sink: &mut Sink<'_>) {
         peer.lines += 1;
         let (line, flaw) = match cut {
             Cut::Line(line) => {
@@ -200,12 +176,7 @@ impl Fixes {
     }
 
     /// Acts on what a line says.
-    fn take(
-        &mut self,
-        now: Stamp<HostClock>,
-        line: &Line,
-        sink: &mut Sink<'_>,
-    ) -> Result<(), Flaw> {
+    fn take(&mut self, now: Stamp<HostClock>, line: &Line, sink: &mut Sink<'_>) -> Result<(), Flaw> {
         let Some((from, camera, is_new)) = self.cameras.named(line.camera) else {
             if !std::mem::replace(&mut self.is_crowd_told, true) {
                 let text = format!("there are more than {MOST_CAMERAS} cameras on one link");
@@ -246,10 +217,7 @@ impl Fixes {
     }
 
     fn say_fix(&self, now: Stamp<HostClock>, from: Address, fix: &SeenFix, sink: &mut Sink<'_>) {
-        if fix
-            .quality
-            .is_some_and(|quality| quality < self.settings.least_quality)
-        {
+        if fix.quality.is_some_and(|quality| quality < self.settings.least_quality) {
             // Good to know and no flaw of the line: it is counted, and not used.
             let message_id = ids::VISION_POSITION_ESTIMATE;
             sink(Heard::Defect(Defect::Payload { message_id }));
@@ -258,10 +226,7 @@ impl Fixes {
         let latest = now - (self.settings.delay - self.settings.delay_spread).max(Span::ZERO);
         let stamp = match fix.exposed_micros {
             Some(micros) => WireStamp::Micros64(micros),
-            None => WireStamp::Asked {
-                sent: now - self.settings.delay - self.settings.delay_spread,
-                answered: latest,
-            },
+            None => WireStamp::Asked { sent: now - self.settings.delay - self.settings.delay_spread, answered: latest },
         };
         let message = Message::VisionPosition(VisionFix {
             stamp,
@@ -278,12 +243,7 @@ impl Fixes {
     fn tell_unknown(&mut self, from: Address, unknown: &[String], sink: &mut Sink<'_>) {
         for key in unknown {
             if self.unknown.len() < MOST_UNKNOWN && self.unknown.insert(key.clone()) {
-                tell(
-                    sink,
-                    from,
-                    INFO,
-                    format!("the camera's `{key}` is not used"),
-                );
+                tell(sink, from, INFO, format!("the camera's `{key}` is not used"));
             }
         }
     }
@@ -316,9 +276,5 @@ impl Fixes {
 }
 
 fn tell(sink: &mut Sink<'_>, from: Address, severity: u8, text: String) {
-    sink(Heard::Note {
-        from,
-        severity,
-        text,
-    });
+    sink(Heard::Note { from, severity, text });
 }

@@ -108,10 +108,7 @@ pub(super) struct Flaw {
 
 impl Flaw {
     fn of(key: &'static str, what: &str) -> Self {
-        Self {
-            key: Some(key),
-            text: format!("`{key}` {what}"),
-        }
+        Self { key: Some(key), text: format!("`{key}` {what}") }
     }
 
     pub(super) const fn whole(text: String) -> Self {
@@ -135,11 +132,7 @@ pub(super) fn read(line: &[u8]) -> Result<Line, Flaw> {
         camera: keys.camera()?,
         takes_requests: keys.flag("takes_requests")?,
         said: keys.said()?,
-        unknown: map
-            .keys()
-            .filter(is_unknown)
-            .map(|key| printable(key.as_bytes()))
-            .collect(),
+        unknown: map.keys().filter(is_unknown).map(|key| printable(key.as_bytes())).collect(),
     })
 }
 
@@ -163,13 +156,10 @@ impl Keys<'_> {
             let Some(request) = request.as_i64() else {
                 return Err(Flaw::of("time_answer", "must be the number of the request"));
             };
-            return Ok(Said::Time {
-                request,
-                nanos: self.time_nanos()?,
-            });
+            return Ok(Said::Time { request, nanos: self.time_nanos()? });
         }
-        let is_hello = self.0.contains_key("takes_requests")
-            && !["x_m", "y_m"].iter().any(|key| self.0.contains_key(*key));
+        let is_hello =
+            self.0.contains_key("takes_requests") && !["x_m", "y_m"].iter().any(|key| self.0.contains_key(*key));
         if is_hello {
             return Ok(Said::Hello);
         }
@@ -196,11 +186,7 @@ impl Keys<'_> {
             let value = self.bounded(key, -FURTHEST_M, FURTHEST_M)?;
             value.ok_or_else(|| Flaw::of(key, "is missing"))
         };
-        let told = Planar {
-            x: coordinate("x_m")?,
-            y: coordinate("y_m")?,
-            angle: self.heading_rad()?.unwrap_or(0.0),
-        };
+        let told = Planar { x: coordinate("x_m")?, y: coordinate("y_m")?, angle: self.heading_rad()?.unwrap_or(0.0) };
         match self.0.get("space").map(Value::as_str) {
             None | Some(Some("arena")) => Ok(told),
             Some(Some("ned")) => Ok(turn_ned(told)),
@@ -248,22 +234,17 @@ impl Keys<'_> {
     }
 
     /// An instant, in seconds under one name or in microseconds under the other.
-    fn time_s(
-        &self,
-        (seconds, micros): (&'static str, &'static str),
-    ) -> Result<Option<Instant>, Flaw> {
+    fn time_s(&self, (seconds, micros): (&'static str, &'static str)) -> Result<Option<Instant>, Flaw> {
         let in_seconds = self.bounded(seconds, 0.0, LATEST_S)?;
         let in_micros = self.bounded(micros, 0.0, LATEST_S * 1e6)?;
         match (in_seconds, in_micros) {
             (Some(_), Some(_)) => Err(Flaw::of(micros, "says the same as the one in seconds")),
-            (Some(told_s), None) => Ok(Some(Instant {
-                micros: (told_s * 1e6).round() as u64,
-                nanos: (told_s * 1e9).round() as i64,
-            })),
-            (None, Some(told_us)) => Ok(Some(Instant {
-                micros: told_us.round() as u64,
-                nanos: (told_us * 1e3).round() as i64,
-            })),
+            (Some(told_s), None) => {
+                Ok(Some(Instant { micros: (told_s * 1e6).round() as u64, nanos: (told_s * 1e9).round() as i64 }))
+            }
+            (None, Some(told_us)) => {
+                Ok(Some(Instant { micros: told_us.round() as u64, nanos: (told_us * 1e3).round() as i64 }))
+            }
             (None, None) => Ok(None),
         }
     }
@@ -319,8 +300,7 @@ impl Keys<'_> {
             Some(Value::String(name)) => name.as_bytes(),
             Some(_) => return Err(Flaw::of("camera", "must be a text")),
         };
-        let is_name = (1..=ChannelName::LONGEST).contains(&name.len())
-            && name.iter().all(u8::is_ascii_graphic);
+        let is_name = (1..=ChannelName::LONGEST).contains(&name.len()) && name.iter().all(u8::is_ascii_graphic);
         if !is_name {
             let what = "must be 1 to 16 printable ASCII characters without a space";
             return Err(Flaw::of("camera", what));
@@ -360,17 +340,13 @@ mod tests {
 
     #[test]
     fn instants_are_the_same_in_either_unit() {
-        for line in [
-            "{\"x_m\": 0, \"y_m\": 0, \"exposed_s\": 12.5}",
-            "{\"x_m\": 0, \"y_m\": 0, \"exposed_us\": 12500000}",
-        ] {
+        for line in
+            ["{\"x_m\": 0, \"y_m\": 0, \"exposed_s\": 12.5}", "{\"x_m\": 0, \"y_m\": 0, \"exposed_us\": 12500000}"]
+        {
             assert_eq!(fix(line).exposed_micros, Some(12_500_000), "{line}");
         }
         let answer = read(b"{\"time_answer\": 77, \"time_us\": 5}").unwrap();
-        let said = Said::Time {
-            request: 77,
-            nanos: 5_000,
-        };
+        let said = Said::Time { request: 77, nanos: 5_000 };
         assert_eq!(answer.said, said);
     }
 
@@ -380,9 +356,7 @@ mod tests {
         let [xx, xy, yy, hh] = fix(line).covariance.unwrap();
         assert!((xx - 0.01).abs() < 1e-15 && xy == 0.0 && yy == xx);
         assert!((hh - 0.04).abs() < 1e-15);
-        let [.., hh] = fix("{\"x_m\": 0, \"y_m\": 0, \"sigma_m\": 0.1}")
-            .covariance
-            .unwrap();
+        let [.., hh] = fix("{\"x_m\": 0, \"y_m\": 0, \"sigma_m\": 0.1}").covariance.unwrap();
         assert_eq!(hh, f64::INFINITY);
     }
 

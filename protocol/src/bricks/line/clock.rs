@@ -51,10 +51,7 @@ impl BoardClock {
             self.last = Some(Seen::first(time, arrival));
             return true;
         };
-        let follows_suspect = || {
-            self.suspect
-                .and_then(|seen| seen.followed_by(time, arrival))
-        };
+        let follows_suspect = || self.suspect.and_then(|seen| seen.followed_by(time, arrival));
         if let Some(seen) = last.followed_by(time, arrival).or_else(follows_suspect) {
             self.last = Some(seen);
             self.suspect = None;
@@ -72,11 +69,7 @@ impl BoardClock {
 
 impl Seen {
     const fn first(time: Time, arrival: Stamp<HostClock>) -> Self {
-        Self {
-            time,
-            arrival,
-            held_back: Span::ZERO,
-        }
+        Self { time, arrival, held_back: Span::ZERO }
     }
 
     /// A later line of the same clock; `None` if it cannot be one.
@@ -98,14 +91,8 @@ impl Seen {
             return None;
         }
         let kept = (self.held_back - skew).max(Span::ZERO);
-        let held_back = (kept + on_host - on_board)
-            .max(Span::ZERO)
-            .min(MOST_HELD_BACK);
-        Some(Self {
-            time,
-            arrival,
-            held_back,
-        })
+        let held_back = (kept + on_host - on_board).max(Span::ZERO).min(MOST_HELD_BACK);
+        Some(Self { time, arrival, held_back })
     }
 }
 
@@ -119,8 +106,7 @@ pub(super) struct LentClock {
 impl LentClock {
     /// A line arrived: whether an exchange of time is due.
     pub(super) fn is_due(&mut self, now: Stamp<HostClock>) -> bool {
-        let is_due = self.exchanges < EXCHANGES_AT_ONCE
-            || self.last.is_none_or(|last| now - last >= EXCHANGE_PERIOD);
+        let is_due = self.exchanges < EXCHANGES_AT_ONCE || self.last.is_none_or(|last| now - last >= EXCHANGE_PERIOD);
         if is_due {
             self.exchanges = self.exchanges.saturating_add(1);
             self.last = Some(now);
@@ -143,12 +129,7 @@ mod tests {
 
     #[test]
     fn a_time_with_a_lost_digit_is_refused_once_and_a_restart_is_followed() {
-        let lines = [
-            (1_000, 12_345),
-            (1_050, 1_395),
-            (1_100, 12_445),
-            (1_150, 812_495),
-        ];
+        let lines = [(1_000, 12_345), (1_050, 1_395), (1_100, 12_445), (1_150, 812_495)];
         assert_eq!(believed(&lines), [true, false, true, false]);
         let lines = [(1_000, 90_000), (3_000, 10), (3_050, 60), (3_100, 110)];
         assert_eq!(believed(&lines), [true, false, true, true]);
@@ -156,14 +137,7 @@ mod tests {
 
     #[test]
     fn a_stall_and_its_burst_and_the_wrap_are_believed() {
-        let stall = [
-            (0, 0),
-            (50, 50),
-            (3_000, 100),
-            (3_000, 1_500),
-            (3_001, 2_950),
-            (3_050, 3_050),
-        ];
+        let stall = [(0, 0), (50, 50), (3_000, 100), (3_000, 1_500), (3_001, 2_950), (3_050, 3_050)];
         assert_eq!(believed(&stall), [true; 6]);
         let wrap = [(0, u32::MAX - 20), (50, 29), (5_000_000, 5_000_029)];
         assert_eq!(believed(&wrap), [true; 3]);

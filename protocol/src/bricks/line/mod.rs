@@ -11,8 +11,7 @@ mod settings;
 use std::collections::BTreeSet;
 
 use posebridge_telemetry::{
-    Address, Celsius, ChannelName, Defect, EncoderTicks, HostClock, Meters, RadiansPerSecond,
-    SourceHealth, Span, Stamp,
+    Address, Celsius, ChannelName, Defect, EncoderTicks, HostClock, Meters, RadiansPerSecond, SourceHealth, Span, Stamp,
 };
 
 use self::clock::{BoardClock, LentClock};
@@ -120,16 +119,8 @@ impl BrickCodec for Line {
         None
     }
 
-    fn encode(
-        &mut self,
-        now: Stamp<HostClock>,
-        _from: Address,
-        message: &Message,
-        out: &mut Vec<u8>,
-    ) -> usize {
-        let (Message::PlanarPose(pose), Some(interval)) =
-            (message, self.settings.estimate_interval)
-        else {
+    fn encode(&mut self, now: Stamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+        let (Message::PlanarPose(pose), Some(interval)) = (message, self.settings.estimate_interval) else {
             return 0;
         };
         if self.last_estimate.is_some_and(|last| now - last < interval) {
@@ -148,11 +139,7 @@ impl BrickCodec for Line {
     }
 
     fn sources(&self) -> Vec<SourceHealth> {
-        let heard = SourceHealth {
-            source: ONLY_BRICK,
-            frames: self.counts.frames,
-            lost: 0,
-        };
+        let heard = SourceHealth { source: ONLY_BRICK, frames: self.counts.frames, lost: 0 };
         (heard.frames > 0).then_some(heard).into_iter().collect()
     }
 }
@@ -186,9 +173,7 @@ impl Line {
     fn take(&mut self, now: Stamp<HostClock>, row: &Row, sink: &mut Sink<'_>) {
         let stamp = match row.time {
             Some(time) if !self.clock.believes(time, now) => {
-                sink(Heard::Defect(Defect::Payload {
-                    message_id: LINE_ID,
-                }));
+                sink(Heard::Defect(Defect::Payload { message_id: LINE_ID }));
                 return;
             }
             Some(Time::Millis(millis)) => WireStamp::Millis32(millis),
@@ -205,16 +190,9 @@ impl Line {
     /// The stamp of a line without a time, by the host's clock.
     fn lend_clock(&mut self, now: Stamp<HostClock>, sink: &mut Sink<'_>) -> WireStamp {
         if self.lent.is_due(now) {
-            sink(Heard::Time {
-                from: ONLY_BRICK,
-                sent: now,
-                peer_nanos: now.as_nanos(),
-            });
+            sink(Heard::Time { from: ONLY_BRICK, sent: now, peer_nanos: now.as_nanos() });
         }
-        WireStamp::Asked {
-            sent: now - self.settings.delay.max(Span::ZERO),
-            answered: now,
-        }
+        WireStamp::Asked { sent: now - self.settings.delay.max(Span::ZERO), answered: now }
     }
 
     fn say_row(&mut self, stamp: WireStamp, row: &Row, sink: &mut Sink<'_>) {
@@ -223,38 +201,22 @@ impl Line {
             // At each doubling: a loose wire resets a board many times a second.
             let falls = self.wheels.falls;
             if is_rebased && falls.is_power_of_two() {
-                let times = if falls == 1 {
-                    String::new()
-                } else {
-                    format!(", {falls} times so far")
-                };
-                let text =
-                    format!("the board's counts fell to zero{times}; that is taken for no motion");
+                let times = if falls == 1 { String::new() } else { format!(", {falls} times so far") };
+                let text = format!("the board's counts fell to zero{times}; that is taken for no motion");
                 tell(sink, INFO, text);
             }
             let [left, right] = total.map(EncoderTicks);
             say(sink, Message::WheelTicks(WheelTicks { stamp, left, right }));
         }
         if let Some(rad_per_s) = row.turn_rate_rad_per_s {
-            let inertial = Inertial {
-                stamp,
-                turn_rate: Some(RadiansPerSecond(rad_per_s)),
-                turn: None,
-                wheel_accelerations: None,
-            };
+            let inertial =
+                Inertial { stamp, turn_rate: Some(RadiansPerSecond(rad_per_s)), turn: None, wheel_accelerations: None };
             say(sink, Message::Inertial(inertial));
         }
         if let Some(range_m) = row.range_m {
             let range = Meters(range_m);
             let sigma = None;
-            say(
-                sink,
-                Message::DistanceSensor {
-                    stamp,
-                    range,
-                    sigma,
-                },
-            );
+            say(sink, Message::DistanceSensor { stamp, range, sigma });
         }
         if let Some(temperature_c) = row.temperature_c {
             let message = Message::Thermometer {
@@ -270,10 +232,7 @@ impl Line {
         let is_cut = std::mem::replace(&mut self.is_cut, false);
         self.count_garbage(bytes, sink);
         if !is_cut && !std::mem::replace(&mut self.is_flaw_told, true) {
-            let text = format!(
-                "a line of {bytes} bytes is longer than {LONGEST}; expected `{}`",
-                self.settings.layout
-            );
+            let text = format!("a line of {bytes} bytes is longer than {LONGEST}; expected `{}`", self.settings.layout);
             tell(sink, WARNING, text);
         }
     }
@@ -322,42 +281,27 @@ impl Wheels {
     /// The totals, and whether the counts were set to zero: both are exactly zero, and one is further from it than its last change explains.
     fn take(&mut self, counts: [i64; 2]) -> ([i64; 2], bool) {
         let last = self.last.replace(counts).unwrap_or(counts);
-        let is_far = |(count, change): (&i64, &i64)| {
-            count.abs() > CHANGES_TO_ZERO * change.abs() + NEAR_ZERO
-        };
+        let is_far = |(count, change): (&i64, &i64)| count.abs() > CHANGES_TO_ZERO * change.abs() + NEAR_ZERO;
         let is_rebased = counts == [0, 0] && last.iter().zip(&self.change).any(is_far);
         let [last_left, last_right] = last;
         let [left, right] = counts;
         if is_rebased {
             self.falls += 1;
-            self.base = [
-                self.base[0].wrapping_add(last_left),
-                self.base[1].wrapping_add(last_right),
-            ];
+            self.base = [self.base[0].wrapping_add(last_left), self.base[1].wrapping_add(last_right)];
             self.change = [0, 0];
         } else {
             self.change = [left - last_left, right - last_right];
         }
         // Totals wrap, as those of every brick.
-        let total = [
-            self.base[0].wrapping_add(left),
-            self.base[1].wrapping_add(right),
-        ];
+        let total = [self.base[0].wrapping_add(left), self.base[1].wrapping_add(right)];
         (total, is_rebased)
     }
 }
 
 fn say(sink: &mut Sink<'_>, message: Message) {
-    sink(Heard::Message {
-        from: ONLY_BRICK,
-        message,
-    });
+    sink(Heard::Message { from: ONLY_BRICK, message });
 }
 
 fn tell(sink: &mut Sink<'_>, severity: u8, text: String) {
-    sink(Heard::Note {
-        from: ONLY_BRICK,
-        severity,
-        text,
-    });
+    sink(Heard::Note { from: ONLY_BRICK, severity, text });
 }

@@ -71,11 +71,7 @@ pub(super) fn text_of(line: &[u8], checksum: Checksum) -> Result<(&str, Proof), 
         };
     };
     let expected = exclusive_or(text.as_bytes());
-    if found == expected {
-        Ok((text, Proof::Checked))
-    } else {
-        Err(Flaw::Checksum { found, expected })
-    }
+    if found == expected { Ok((text, Proof::Checked)) } else { Err(Flaw::Checksum { found, expected }) }
 }
 
 /// The exclusive or of all bytes: NMEA 0183's checksum.
@@ -92,18 +88,10 @@ fn checksum_of(text: &str) -> Option<(&str, u8)> {
 }
 
 /// What a line of this text says. Names that the layout does not know are told to `unknown`.
-pub(super) fn read(
-    text: &str,
-    settings: &LineSettings,
-    unknown: &mut dyn FnMut(&str),
-) -> Result<Row, Flaw> {
+pub(super) fn read(text: &str, settings: &LineSettings, unknown: &mut dyn FnMut(&str)) -> Result<Row, Flaw> {
     match &settings.layout {
         LineLayout::Columns { columns, separator } => read_columns(text, columns, *separator),
-        LineLayout::Pairs {
-            keys,
-            separator,
-            key_separator,
-        } => {
+        LineLayout::Pairs { keys, separator, key_separator } => {
             let pairs = pairs(text, *separator, *key_separator);
             read_pairs(&pairs, keys, unknown)
         }
@@ -113,24 +101,16 @@ pub(super) fn read(
 fn read_columns(text: &str, columns: &[Column], separator: Separator) -> Result<Row, Flaw> {
     let values: Vec<&str> = split(text, separator).collect();
     if values.len() != columns.len() {
-        return Err(Flaw::Count {
-            found: values.len(),
-            expected: columns.len(),
-        });
+        return Err(Flaw::Count { found: values.len(), expected: columns.len() });
     }
     let mut row = Row::default();
     for (column, value) in columns.iter().zip(values) {
-        row.set(*column, value)
-            .ok_or(Flaw::NoNumber(column.quantity))?;
+        row.set(*column, value).ok_or(Flaw::NoNumber(column.quantity))?;
     }
     Ok(row)
 }
 
-fn read_pairs(
-    pairs: &[(&str, &str)],
-    keys: &[(String, Column)],
-    unknown: &mut dyn FnMut(&str),
-) -> Result<Row, Flaw> {
+fn read_pairs(pairs: &[(&str, &str)], keys: &[(String, Column)], unknown: &mut dyn FnMut(&str)) -> Result<Row, Flaw> {
     let mut row = Row::default();
     for (key, column) in keys {
         let mut values = pairs.iter().filter(|(said, _)| said == key);
@@ -138,8 +118,7 @@ fn read_pairs(
         if values.next().is_some() {
             return Err(Flaw::Twice(column.quantity));
         }
-        row.set(*column, value)
-            .ok_or(Flaw::NoNumber(column.quantity))?;
+        row.set(*column, value).ok_or(Flaw::NoNumber(column.quantity))?;
     }
     for (said, _) in pairs {
         if !keys.iter().any(|(key, _)| key == said) {
@@ -161,30 +140,20 @@ fn pairs(text: &str, separator: Separator, key_separator: Separator) -> Vec<(&st
     }
     let pairs = split(text, separator).filter_map(|pair| match key_separator {
         Separator::Blank => pair.split_once([' ', '\t']),
-        Separator::Comma
-        | Separator::Semicolon
-        | Separator::Pipe
-        | Separator::Colon
-        | Separator::Equals => pair.split_once(key_separator.text()),
+        Separator::Comma | Separator::Semicolon | Separator::Pipe | Separator::Colon | Separator::Equals => {
+            pair.split_once(key_separator.text())
+        }
     });
-    pairs
-        .map(|(key, value)| (key.trim_ascii(), value.trim_ascii()))
-        .collect()
+    pairs.map(|(key, value)| (key.trim_ascii(), value.trim_ascii())).collect()
 }
 
 /// The parts of a text, without blanks around them. Several blanks are one.
 fn split(text: &str, separator: Separator) -> impl Iterator<Item = &str> {
     let is_blank = separator == Separator::Blank;
     let is_between = move |c: char| {
-        if is_blank {
-            c == ' ' || c == '\t'
-        } else {
-            separator.text().contains(c)
-        }
+        if is_blank { c == ' ' || c == '\t' } else { separator.text().contains(c) }
     };
-    text.split(is_between)
-        .map(str::trim_ascii)
-        .filter(move |part| !(is_blank && part.is_empty()))
+    text.split(is_between).map(str::trim_ascii).filter(move |part| !(is_blank && part.is_empty()))
 }
 
 impl Row {
@@ -225,9 +194,7 @@ fn whole(text: &str) -> Option<i64> {
         Ok(value) => value,
         Err(_) => real(text).filter(|value| value.fract() == 0.0)? as i64,
     };
-    (-LARGEST_COUNT..=LARGEST_COUNT)
-        .contains(&value)
-        .then_some(value)
+    (-LARGEST_COUNT..=LARGEST_COUNT).contains(&value).then_some(value)
 }
 
 /// A clock, modulo its period.

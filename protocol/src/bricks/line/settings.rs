@@ -22,10 +22,7 @@ impl Default for LineSettings {
     fn default() -> Self {
         let columns = [Quantity::TimeMs, Quantity::LeftTicks, Quantity::RightTicks];
         Self {
-            layout: LineLayout::Columns {
-                columns: columns.map(Column::of).to_vec(),
-                separator: Separator::Comma,
-            },
+            layout: LineLayout::Columns { columns: columns.map(Column::of).to_vec(), separator: Separator::Comma },
             checksum: Checksum::Optional,
             estimate_interval: None,
             delay: Span::from_millis(40),
@@ -50,11 +47,7 @@ impl LineSettings {
         for (index, column) in columns.iter().enumerate() {
             let kind = column.quantity.kind();
             let before = columns.iter().take(index);
-            if kind != Kind::Ignored
-                && before
-                    .into_iter()
-                    .any(|other| other.quantity.kind() == kind)
-            {
+            if kind != Kind::Ignored && before.into_iter().any(|other| other.quantity.kind() == kind) {
                 return Err(LayoutError::Twice(column.quantity));
             }
         }
@@ -122,11 +115,7 @@ impl fmt::Display for LineLayout {
                     write!(f, "{between}{column}")?;
                 }
             }
-            Self::Pairs {
-                keys,
-                separator,
-                key_separator,
-            } => {
+            Self::Pairs { keys, separator, key_separator } => {
                 for (index, (key, column)) in keys.iter().enumerate() {
                     let between = if index > 0 { separator.text() } else { "" };
                     write!(f, "{between}{key}{}<{column}>", key_separator.text())?;
@@ -150,10 +139,7 @@ impl Column {
     /// A quantity with the sign that is usual here.
     #[must_use]
     pub const fn of(quantity: Quantity) -> Self {
-        Self {
-            quantity,
-            sense: Sense::Same,
-        }
+        Self { quantity, sense: Sense::Same }
     }
 
     /// The column with this name, such as `left_ticks`, or `-gyro_deg_per_s` for a gyro that counts clockwise. `None` if there is none, or
@@ -166,10 +152,7 @@ impl Column {
         };
         let (_, quantity) = QUANTITIES.iter().find(|(known, _)| *known == plain)?;
         let can_turn = matches!(quantity.kind(), Kind::Left | Kind::Right | Kind::TurnRate);
-        (sense == Sense::Same || can_turn).then_some(Self {
-            quantity: *quantity,
-            sense,
-        })
+        (sense == Sense::Same || can_turn).then_some(Self { quantity: *quantity, sense })
     }
 }
 
@@ -293,14 +276,7 @@ impl Separator {
     /// The separator that is written so.
     #[must_use]
     pub fn from_text(text: &str) -> Option<Self> {
-        let all = [
-            Self::Comma,
-            Self::Semicolon,
-            Self::Pipe,
-            Self::Colon,
-            Self::Equals,
-            Self::Blank,
-        ];
+        let all = [Self::Comma, Self::Semicolon, Self::Pipe, Self::Colon, Self::Equals, Self::Blank];
         if text == "\t" {
             return Some(Self::Blank);
         }
@@ -339,10 +315,7 @@ mod tests {
     fn checked(names: &[&str]) -> Result<(), LayoutError> {
         let columns = names.iter().map(|name| Column::from_name(name).unwrap());
         let settings = LineSettings {
-            layout: LineLayout::Columns {
-                columns: columns.collect(),
-                separator: Separator::Comma,
-            },
+            layout: LineLayout::Columns { columns: columns.collect(), separator: Separator::Comma },
             ..LineSettings::default()
         };
         settings.check()

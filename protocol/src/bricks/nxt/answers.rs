@@ -1,8 +1,6 @@
 //! What the brick's answers mean.
 
-use posebridge_telemetry::{
-    ChannelName, Defect, EncoderTicks, Heading, HostClock, MetersPerSecondSquared, Stamp,
-};
+use posebridge_telemetry::{ChannelName, Defect, EncoderTicks, Heading, HostClock, MetersPerSecondSquared, Stamp};
 
 use super::codec::Nxt;
 use super::conversation::Asked;
@@ -41,13 +39,7 @@ fn middle_of((sent, answered): Between) -> Stamp<HostClock> {
 
 impl Nxt {
     /// A question was answered.
-    pub(super) fn answered(
-        &mut self,
-        now: Stamp<HostClock>,
-        asked: &Asked,
-        reply: &Reply<'_>,
-        sink: Sink<'_>,
-    ) {
+    pub(super) fn answered(&mut self, now: Stamp<HostClock>, asked: &Asked, reply: &Reply<'_>, sink: Sink<'_>) {
         let between = (asked.sent, now);
         self.stand_in_for_clock(between, sink);
         if let Question::Mailbox(_) = asked.question {
@@ -92,11 +84,7 @@ impl Nxt {
         self.since_own_tick += 1;
         if self.since_own_tick > BETWEEN_OWN_TICKS {
             self.since_own_tick = 0;
-            sink(Heard::Time {
-                from: self.brick,
-                sent: between.0,
-                peer_nanos: middle_of(between).as_nanos().max(0),
-            });
+            sink(Heard::Time { from: self.brick, sent: between.0, peer_nanos: middle_of(between).as_nanos().max(0) });
         }
     }
 
@@ -175,21 +163,13 @@ impl Nxt {
 
     fn hear_tick(&mut self, millis: u32, between: Between, sink: Sink<'_>) {
         if self.clock.take(millis, middle_of(between)) == Ran::Anew {
-            self.note(
-                (Topic::Clock, NOTICE),
-                "the NXT was switched off and on",
-                sink,
-            );
+            self.note((Topic::Clock, NOTICE), "the NXT was switched off and on", sink);
             self.notes.clear(Topic::Clock);
             self.totals.brick_restarted();
             self.plan.set_up_again();
             self.mailbox.begin();
         }
-        sink(Heard::Time {
-            from: self.brick,
-            sent: between.0,
-            peer_nanos: i64::from(millis) * 1_000_000,
-        });
+        sink(Heard::Time { from: self.brick, sent: between.0, peer_nanos: i64::from(millis) * 1_000_000 });
     }
 
     fn hear_wheels(&mut self, sink: Sink<'_>) {
@@ -299,13 +279,7 @@ impl Nxt {
         }
     }
 
-    fn look_at_buffer(
-        &mut self,
-        port: u8,
-        cutout: &Cutout<'_>,
-        now: Stamp<HostClock>,
-        sink: Sink<'_>,
-    ) {
+    fn look_at_buffer(&mut self, port: u8, cutout: &Cutout<'_>, now: Stamp<HostClock>, sink: Sink<'_>) {
         let Some(device) = device_at(&mut self.devices, port) else {
             return;
         };
@@ -320,27 +294,18 @@ impl Nxt {
         let Some(device) = device_at(&mut self.devices, port) else {
             return;
         };
-        let (Some(written), Some([said]), Some(data)) = (
-            device.asked(),
-            bytes_at(reply.values, 0),
-            bytes_at(reply.values, 1),
-        ) else {
+        let (Some(written), Some([said]), Some(data)) =
+            (device.asked(), bytes_at(reply.values, 0), bytes_at(reply.values, 1))
+        else {
             return;
         };
         let measured = device.fetched(said, data);
         self.hear_device(port, measured, (written, now), sink);
     }
 
-    fn hear_device(
-        &mut self,
-        port: u8,
-        measured: Option<Measured>,
-        between: Between,
-        sink: Sink<'_>,
-    ) {
+    fn hear_device(&mut self, port: u8, measured: Option<Measured>, between: Between, sink: Sink<'_>) {
         let Some(measured) = measured else {
-            let is_silent =
-                device_at(&mut self.devices, port).is_some_and(|device| device.is_silent());
+            let is_silent = device_at(&mut self.devices, port).is_some_and(|device| device.is_silent());
             if is_silent {
                 // A program may have set up the port for something else.
                 if let Some(stands) = self.plan.ports.get_mut(usize::from(port)) {
@@ -358,11 +323,7 @@ impl Nxt {
         let stamp = stamp_of(between);
         let message = match measured {
             Measured::NoEcho => return,
-            Measured::Range(range) => Message::DistanceSensor {
-                stamp,
-                range,
-                sigma: None,
-            },
+            Measured::Range(range) => Message::DistanceSensor { stamp, range, sigma: None },
             Measured::Temperature(temperature) => Message::Thermometer {
                 stamp,
                 channel: ChannelName::from_bytes(&[b't', b'e', b'm', b'p', b'1' + port]),
@@ -371,10 +332,7 @@ impl Nxt {
             Measured::CompassDegrees(degrees) => {
                 // Clockwise on the device, counter-clockwise here.
                 let turned_deg = self.settings.compass_zero_deg - degrees;
-                Message::Compass {
-                    stamp,
-                    heading: Heading::from_rad(turned_deg.to_radians()),
-                }
+                Message::Compass { stamp, heading: Heading::from_rad(turned_deg.to_radians()) }
             }
             Measured::Acceleration(along) => {
                 let Some(message) = self.accelerated(port, along, between) else {
@@ -387,12 +345,7 @@ impl Nxt {
     }
 
     /// Both wheels' accelerations once both are known; that of the middle at once.
-    fn accelerated(
-        &mut self,
-        port: u8,
-        along: MetersPerSecondSquared,
-        between: Between,
-    ) -> Option<Message> {
+    fn accelerated(&mut self, port: u8, along: MetersPerSecondSquared, between: Between) -> Option<Message> {
         let sensor = self.settings.sensors.get(usize::from(port)).copied();
         let Some(NxtSensor::HtAccelerometer { place, .. }) = sensor else {
             return None;
@@ -439,11 +392,7 @@ fn device_at(devices: &mut [Option<Device>; 4], port: u8) -> Option<&mut Device>
 /// GETINPUTVALUES: port, valid, calibrated, type, mode, raw.
 fn input_of(reply: &Reply<'_>) -> Option<Input> {
     let [_, valid, _, kind, _] = bytes_at(reply.values, 0)?;
-    Some(Input {
-        raw: u16::from_le_bytes(bytes_at(reply.values, 5)?),
-        kind,
-        is_valid: valid != 0,
-    })
+    Some(Input { raw: u16::from_le_bytes(bytes_at(reply.values, 5)?), kind, is_valid: valid != 0 })
 }
 
 const fn mounted(total: EncoderTicks, mounting: Mounting) -> EncoderTicks {

@@ -122,12 +122,7 @@ impl Nxt {
     }
 
     /// Says a line to people, once.
-    pub(super) fn note(
-        &mut self,
-        about: (Topic, u8),
-        text: impl Into<String>,
-        sink: &mut dyn FnMut(Heard<'_>),
-    ) {
+    pub(super) fn note(&mut self, about: (Topic, u8), text: impl Into<String>, sink: &mut dyn FnMut(Heard<'_>)) {
         self.notes.say(about, text.into(), self.brick, sink);
     }
 
@@ -153,9 +148,7 @@ impl Nxt {
         match piece {
             Piece::OutOfStep { bytes } => {
                 self.broken.garbage_bytes += bytes as u64;
-                sink(Heard::Defect(Defect::Garbage {
-                    bytes: bytes as u32,
-                }));
+                sink(Heard::Defect(Defect::Garbage { bytes: bytes as u32 }));
                 for question in self.talk.break_off() {
                     self.lose(&question, sink);
                 }
@@ -174,12 +167,7 @@ impl Nxt {
     }
 
     /// A program on the brick says something that is not for this station.
-    fn hear_foreign(
-        &mut self,
-        now: Stamp<HostClock>,
-        telegram: &[u8],
-        sink: &mut dyn FnMut(Heard<'_>),
-    ) {
+    fn hear_foreign(&mut self, now: Stamp<HostClock>, telegram: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
         self.broken.unknown_ids += 1;
         // Whether or not it answers, it is there, and why it may not answer is told.
         self.presence.speaks(now);
@@ -210,12 +198,7 @@ impl Nxt {
         }
     }
 
-    fn hear_reply(
-        &mut self,
-        now: Stamp<HostClock>,
-        reply: &Reply<'_>,
-        sink: &mut dyn FnMut(Heard<'_>),
-    ) {
+    fn hear_reply(&mut self, now: Stamp<HostClock>, reply: &Reply<'_>, sink: &mut dyn FnMut(Heard<'_>)) {
         self.lost_fences = 0;
         match self.talk.take(reply) {
             Matched::Answer(asked) => self.answered(now, &asked, reply, sink),
@@ -234,10 +217,7 @@ impl Nxt {
             self.plan.try_tick_again(now);
         }
         if sign.is_beat {
-            sink(Heard::Message {
-                from: self.brick,
-                message: Message::Heartbeat(HEARTBEAT),
-            });
+            sink(Heard::Message { from: self.brick, message: Message::Heartbeat(HEARTBEAT) });
         }
     }
 
@@ -246,8 +226,7 @@ impl Nxt {
         let late = self.talk.tally().late;
         if late.is_power_of_two() {
             let limit = self.settings.answer_timeout.as_millis_f64();
-            let text =
-                format!("{late} answers so far came later than {limit:.0} ms and were not used");
+            let text = format!("{late} answers so far came later than {limit:.0} ms and were not used");
             self.note((Topic::Late, INFO), text, sink);
         }
     }
@@ -265,20 +244,12 @@ impl Nxt {
         if *question == Question::Fence {
             return;
         }
-        sink(Heard::Defect(Defect::Lost {
-            source: self.brick,
-            frames: 1,
-        }));
+        sink(Heard::Defect(Defect::Lost { source: self.brick, frames: 1 }));
         self.fail(question, Failure::Lost, sink);
     }
 
     /// A question failed; people hear what changes by it.
-    pub(super) fn fail(
-        &mut self,
-        question: &Question,
-        why: Failure,
-        sink: &mut dyn FnMut(Heard<'_>),
-    ) {
+    pub(super) fn fail(&mut self, question: &Question, why: Failure, sink: &mut dyn FnMut(Heard<'_>)) {
         match self.plan.failed(question, why) {
             None => {}
             Some(Change::Reach) => {
@@ -415,15 +386,10 @@ impl BrickCodec for Nxt {
             && !self.is_refused_by_program()
             && self.held.is_none()
             && self.talk.has_room(self.plan.most());
-        [
-            self.cutter.deadline(),
-            self.talk.deadline(),
-            self.presence.deadline(),
-            self.plan.wake().filter(|_| is_free),
-        ]
-        .into_iter()
-        .flatten()
-        .min()
+        [self.cutter.deadline(), self.talk.deadline(), self.presence.deadline(), self.plan.wake().filter(|_| is_free)]
+            .into_iter()
+            .flatten()
+            .min()
     }
 
     fn tick(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
@@ -435,13 +401,7 @@ impl BrickCodec for Nxt {
         self.outbox.pop_front()
     }
 
-    fn encode(
-        &mut self,
-        now: Stamp<HostClock>,
-        _from: Address,
-        message: &Message,
-        out: &mut Vec<u8>,
-    ) -> usize {
+    fn encode(&mut self, now: Stamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
         let Message::PlanarPose(pose) = message else {
             return 0;
         };
@@ -471,11 +431,7 @@ impl BrickCodec for Nxt {
         if tally.answered == 0 {
             return Vec::new();
         }
-        vec![SourceHealth {
-            source: self.brick,
-            frames: tally.answered,
-            lost: tally.lost,
-        }]
+        vec![SourceHealth { source: self.brick, frames: tally.answered, lost: tally.lost }]
     }
 }
 
@@ -485,9 +441,7 @@ impl Nxt {
         match pose.stamp {
             WireStamp::Micros32(micros) => self.clock.millis_of(micros),
             WireStamp::Millis32(millis) => millis,
-            WireStamp::Micros64(_) | WireStamp::Asked { .. } => {
-                (pose.stamp.as_micros() / 1_000) as u32
-            }
+            WireStamp::Micros64(_) | WireStamp::Asked { .. } => (pose.stamp.as_micros() / 1_000) as u32,
         }
     }
 }

@@ -76,11 +76,7 @@ impl Conversation {
             waiting: VecDeque::new(),
             overdue: VecDeque::new(),
             fence: Fence::Wanted,
-            tally: Tally {
-                answered: 0,
-                lost: 0,
-                late: 0,
-            },
+            tally: Tally { answered: 0, lost: 0, late: 0 },
         }
     }
 
@@ -144,17 +140,10 @@ impl Conversation {
     /// Any fence that comes back is one: all that stood before it is known to be over.
     fn take_fence(&mut self) -> Matched {
         let is_waited_for = self.fence == Fence::Asked;
-        let waiting = self
-            .waiting
-            .iter()
-            .position(|asked| asked.question == Question::Fence);
+        let waiting = self.waiting.iter().position(|asked| asked.question == Question::Fence);
         let Some(asked) = waiting.and_then(|at| self.waiting.remove(at)) else {
             self.tally.late += 1;
-            return if is_waited_for {
-                Matched::TooLate
-            } else {
-                Matched::Unasked
-            };
+            return if is_waited_for { Matched::TooLate } else { Matched::Unasked };
         };
         self.overdue.clear();
         self.fence = Fence::Down;
@@ -236,15 +225,9 @@ mod tests {
         assert!(!talk.has_room(2));
         let motors = motors();
         assert_eq!(talk.take(&Reply::of(&motors).unwrap()), Matched::TooLate);
-        assert!(matches!(
-            talk.take(&Reply::of(&VERSION).unwrap()),
-            Matched::Answer(_)
-        ));
+        assert!(matches!(talk.take(&Reply::of(&VERSION).unwrap()), Matched::Answer(_)));
         talk.ask(Question::Map(ALL_MOTORS), Stamp::from_millis(600));
-        assert!(matches!(
-            talk.take(&Reply::of(&motors).unwrap()),
-            Matched::Answer(_)
-        ));
+        assert!(matches!(talk.take(&Reply::of(&motors).unwrap()), Matched::Answer(_)));
         let tally = talk.tally();
         assert_eq!((tally.answered, tally.lost, tally.late), (4 - 1, 1, 1));
     }

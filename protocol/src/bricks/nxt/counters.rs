@@ -26,10 +26,7 @@ pub(super) struct Totals {
 
 impl Default for Totals {
     fn default() -> Self {
-        Self {
-            counters: Counters::new(LIMITS),
-            last_sent: None,
-        }
+        Self { counters: Counters::new(LIMITS), last_sent: None }
     }
 }
 

@@ -22,9 +22,7 @@
 use posebridge_telemetry::{HostClock, Span, Stamp};
 
 use super::io_maps;
-use super::telegram::{
-    DIRECT_NO_REPLY, LONGEST, PREFIX_BYTES, REPLY, Reply, bytes_at, opcode, reply_bytes,
-};
+use super::telegram::{DIRECT_NO_REPLY, LONGEST, PREFIX_BYTES, REPLY, Reply, bytes_at, opcode, reply_bytes};
 use crate::dialect::catalogue::CATALOGUE;
 use crate::framing::{START_V2, checksum};
 
@@ -80,12 +78,7 @@ enum Judgement {
 
 impl Cutter {
     pub(super) fn new(speech: Speech) -> Self {
-        Self {
-            speech,
-            begun: Vec::with_capacity(2 * LONGEST),
-            last_byte: None,
-            draining_since: None,
-        }
+        Self { speech, begun: Vec::with_capacity(2 * LONGEST), last_byte: None, draining_since: None }
     }
 
     /// True while everything is thrown away: no question can be answered.
@@ -181,11 +174,7 @@ impl Cutter {
             &START_V2 => self.speech == Speech::TelegramsAndFrames,
             _ => false,
         };
-        Some(if is_ours {
-            Piece::Telegram(telegram)
-        } else {
-            Piece::Foreign(telegram)
-        })
+        Some(if is_ours { Piece::Telegram(telegram) } else { Piece::Foreign(telegram) })
     }
 }
 
@@ -198,10 +187,7 @@ struct Hunted {
 
 impl Hunted {
     const fn nothing_in(stream: &[u8]) -> Self {
-        Self {
-            at: stream.len(),
-            length: None,
-        }
+        Self { at: stream.len(), length: None }
     }
 }
 
@@ -217,26 +203,19 @@ fn hunted(stream: &[u8]) -> Hunted {
             Judgement::Wrong => {}
             Judgement::NotWhole => begun = begun.or(Some(at)),
             Judgement::Whole(length) => {
-                if rest
-                    .get(PREFIX_BYTES..length)
-                    .is_some_and(has_right_checksum)
-                {
+                if rest.get(PREFIX_BYTES..length).is_some_and(has_right_checksum) {
                     let length = Some(length);
                     return Hunted { at, length };
                 }
             }
         }
     }
-    Hunted {
-        at: begun.unwrap_or(stream.len()),
-        ..Hunted::nothing_in(stream)
-    }
+    Hunted { at: begun.unwrap_or(stream.len()), ..Hunted::nothing_in(stream) }
 }
 
 /// Whether this is a MAVLink 2 frame of a message that is known, and undamaged.
 fn has_right_checksum(frame: &[u8]) -> bool {
-    let Some([START_V2, payload, _, _, _, _, _, id @ ..]) = bytes_at::<HEADER_BYTES>(frame, 0)
-    else {
+    let Some([START_V2, payload, _, _, _, _, _, id @ ..]) = bytes_at::<HEADER_BYTES>(frame, 0) else {
         return false;
     };
     let end = HEADER_BYTES + usize::from(payload);
@@ -277,9 +256,7 @@ fn could_be_reply(begun: &[u8], length: usize) -> bool {
         return false;
     }
     let Some(reply) = Reply::of(begun) else {
-        return begun
-            .get(1)
-            .is_none_or(|code| *code == opcode::READ_IO_MAP || reply_bytes(*code).is_some());
+        return begun.get(1).is_none_or(|code| *code == opcode::READ_IO_MAP || reply_bytes(*code).is_some());
     };
     if !reply.status.is_known() {
         return false;
@@ -389,14 +366,7 @@ mod tests {
         let nothing = [0x00, 0x00];
         let too_long = [0x81, 0x00];
         let wrong_map: [u8; 12] = [0x0D, 0, 2, 0x94, 0, 1, 0, 1, 0, 5, 0, 0];
-        for bytes in [
-            &long_version[..],
-            &unknown_status,
-            &never_asked,
-            &nothing,
-            &too_long,
-            &wrong_map,
-        ] {
+        for bytes in [&long_version[..], &unknown_status, &never_asked, &nothing, &too_long, &wrong_map] {
             let (found, cutter) = cut(&[bytes]);
             assert_eq!(found, [Piece::OutOfStep { bytes: bytes.len() }]);
             assert!(cutter.is_draining(), "{bytes:02x?}");
@@ -431,9 +401,7 @@ mod tests {
             assert_eq!(cutter.expire(now), None);
             cutter.push(now, &HELLO, &mut found);
         }
-        let heard = found
-            .iter()
-            .filter(|piece| **piece == Piece::Foreign(HELLO[2..].to_vec()));
+        let heard = found.iter().filter(|piece| **piece == Piece::Foreign(HELLO[2..].to_vec()));
         // Those of the first second are thrown away, and the one that ends it.
         assert_eq!(heard.count(), 29 - 13);
         assert!(!cutter.is_draining());

@@ -72,19 +72,9 @@ const fn manner(sensor: NxtSensor) -> Option<Manner> {
         NxtSensor::HtAccelerometer { .. } => (&[SENSOR, MEASURED], 6, None, 0),
         NxtSensor::HtCompass => (&[SENSOR, MEASURED], 2, None, 100),
         NxtSensor::Ultrasonic => (&[SENSOR, MEASURED], 1, Some(&[SENSOR, 0x41, 0x02]), 100),
-        NxtSensor::Temperature => (
-            &[THERMOMETER, 0x00],
-            2,
-            Some(&[THERMOMETER, 0x01, 0x60]),
-            1_000,
-        ),
+        NxtSensor::Temperature => (&[THERMOMETER, 0x00], 2, Some(&[THERMOMETER, 0x01, 0x60]), 1_000),
     };
-    Some(Manner {
-        ask,
-        answer_bytes,
-        prepare,
-        period: Span::from_millis(period),
-    })
+    Some(Manner { ask, answer_bytes, prepare, period: Span::from_millis(period) })
 }
 
 /// True for sensors on the bus.
@@ -158,9 +148,7 @@ impl Device {
         self.asked = Some(now);
         self.rounds = 0;
         self.due = now + self.manner.period;
-        let Manner {
-            ask, answer_bytes, ..
-        } = self.manner;
+        let Manner { ask, answer_bytes, .. } = self.manner;
         Some(telegram::ls_write(port, ask, answer_bytes))
     }
 
@@ -204,14 +192,7 @@ impl Device {
         self.answered();
         let end = said % RING_BYTES;
         let to_come = 0;
-        self.measured(
-            Buffer {
-                ring: data,
-                end,
-                to_come,
-            }
-            .last(),
-        )
+        self.measured(Buffer { ring: data, end, to_come }.last())
     }
 
     /// The answer is not there yet.
@@ -234,9 +215,7 @@ impl Device {
         match self.sensor {
             NxtSensor::None | NxtSensor::HtGyro => None,
             NxtSensor::HtAccelerometer { forward, .. } => {
-                let counts = |high: u8, low: u8| {
-                    f64::from((i16::from(high.cast_signed()) << 2) | i16::from(low & 3))
-                };
+                let counts = |high: u8, low: u8| f64::from((i16::from(high.cast_signed()) << 2) | i16::from(low & 3));
                 let along = match forward {
                     ForwardAxis::X => counts(x, x_low),
                     ForwardAxis::MinusX => -counts(x, x_low),
@@ -277,18 +256,11 @@ mod tests {
     }
 
     const fn standing(ring: [u8; 16], end: u8) -> Buffer {
-        Buffer {
-            ring,
-            end,
-            to_come: 0,
-        }
+        Buffer { ring, end, to_come: 0 }
     }
 
     fn accelerometer(forward: ForwardAxis) -> NxtSensor {
-        NxtSensor::HtAccelerometer {
-            forward,
-            place: AccelerometerPlace::Centre,
-        }
+        NxtSensor::HtAccelerometer { forward, place: AccelerometerPlace::Centre }
     }
 
     #[test]
@@ -320,11 +292,7 @@ mod tests {
         let nothing = answered(NxtSensor::Ultrasonic, &[0xFF]);
         assert_eq!(nothing, Some(Measured::NoEcho));
         // TMP275 datasheet, table 5: 19 00 is 25 degrees, e7 00 is -25, ff f0 is -0.0625.
-        for (bytes, degrees) in [
-            ([0x19, 0x00], 25.0),
-            ([0xE7, 0x00], -25.0),
-            ([0xFF, 0xF0], -0.0625),
-        ] {
+        for (bytes, degrees) in [([0x19, 0x00], 25.0), ([0xE7, 0x00], -25.0), ([0xFF, 0xF0], -0.0625)] {
             let found = answered(NxtSensor::Temperature, &bytes);
             assert_eq!(found, Some(Measured::Temperature(Celsius(degrees))));
         }
@@ -362,11 +330,7 @@ mod tests {
         device.look(empty);
         for second in 0..10 {
             assert!(!device.is_silent());
-            assert!(
-                device
-                    .write(0, Stamp::from_millis(1_000 * second))
-                    .is_some()
-            );
+            assert!(device.write(0, Stamp::from_millis(1_000 * second)).is_some());
             for _ in 0..3 {
                 assert_eq!(device.look(empty), None);
             }
@@ -395,11 +359,7 @@ mod tests {
     fn an_answer_that_is_still_on_the_bus_is_waited_for() {
         let mut device = Device::new(NxtSensor::HtCompass).unwrap();
         device.look(standing([9; 16], 0));
-        let half = Buffer {
-            ring: [9; 16],
-            end: 1,
-            to_come: 1,
-        };
+        let half = Buffer { ring: [9; 16], end: 1, to_come: 1 };
         assert_eq!(device.look(half), None);
         let found = device.look(standing([9; 16], 2));
         assert_eq!(found, Some(Measured::CompassDegrees(27.0)));

@@ -50,32 +50,16 @@ pub(super) struct Mailbox {
 
 impl Mailbox {
     pub(super) const fn new(number: u8, interval: Span) -> Self {
-        Self {
-            number,
-            interval,
-            last: None,
-            reader: Reader::Unknown,
-            next_probe: None,
-            probe: None,
-            sequence: 0,
-        }
+        Self { number, interval, last: None, reader: Reader::Unknown, next_probe: None, probe: None, sequence: 0 }
     }
 
     /// Nothing is known of who reads.
     pub(super) fn begin(&mut self) {
-        *self = Self {
-            sequence: self.sequence,
-            ..Self::new(self.number, self.interval)
-        };
+        *self = Self { sequence: self.sequence, ..Self::new(self.number, self.interval) };
     }
 
     /// The telegram that takes an estimate to the brick at once, if it may; the next probe takes it otherwise, or nobody.
-    pub(super) fn post(
-        &mut self,
-        now: Stamp<HostClock>,
-        pose: &PlanarPose,
-        brick_millis: u32,
-    ) -> Option<Vec<u8>> {
+    pub(super) fn post(&mut self, now: Stamp<HostClock>, pose: &PlanarPose, brick_millis: u32) -> Option<Vec<u8>> {
         let is_probe = self.probe.is_some() || self.next_probe.is_none_or(|due| now >= due);
         if !is_probe && self.reader != Reader::Program {
             return None;
@@ -103,47 +87,22 @@ impl Mailbox {
     /// What became of the probe.
     pub(super) fn answered(&mut self, status: Status) {
         // A full mailbox drops its oldest message: somebody will read it, or a program runs that does not.
-        self.reader = if status == Status::OK {
-            Reader::Program
-        } else {
-            Reader::Nobody
-        };
+        self.reader = if status == Status::OK { Reader::Program } else { Reader::Nobody };
     }
 }
 
 fn estimate_bytes(pose: &PlanarPose, brick_millis: u32, sequence: u16) -> [u8; ESTIMATE_BYTES] {
     let [xx, _, _, yy, ..] = pose.covariance;
     let variance_m2 = xx.max(yy);
-    let sigma_m = if variance_m2 >= 0.0 {
-        variance_m2.sqrt()
-    } else {
-        f64::INFINITY
-    };
-    let position = if pose.flags.position_valid {
-        POSITION_VALID
-    } else {
-        0
-    };
-    let heading = if pose.flags.heading_valid {
-        HEADING_VALID
-    } else {
-        0
-    };
-    let floats = [
-        pose.pose.x.0,
-        pose.pose.y.0,
-        pose.pose.heading.rad(),
-        sigma_m,
-    ];
+    let sigma_m = if variance_m2 >= 0.0 { variance_m2.sqrt() } else { f64::INFINITY };
+    let position = if pose.flags.position_valid { POSITION_VALID } else { 0 };
+    let heading = if pose.flags.heading_valid { HEADING_VALID } else { 0 };
+    let floats = [pose.pose.x.0, pose.pose.y.0, pose.pose.heading.rad(), sigma_m];
     let mut bytes = [0; ESTIMATE_BYTES];
     let parts = brick_millis
         .to_le_bytes()
         .into_iter()
-        .chain(
-            floats
-                .into_iter()
-                .flat_map(|value| (value as f32).to_le_bytes()),
-        )
+        .chain(floats.into_iter().flat_map(|value| (value as f32).to_le_bytes()))
         .chain([position | heading, pose.reset_counter])
         .chain(sequence.to_le_bytes());
     for (byte, part) in bytes.iter_mut().zip(parts) {
@@ -167,11 +126,7 @@ mod tests {
             covariance: [1e-4, 0.0, 0.0, 0.0625, 0.0, 1e-4],
             fix_age: None,
             reset_counter: 3,
-            flags: PoseFlags {
-                position_valid: true,
-                heading_valid: true,
-                ..PoseFlags::default()
-            },
+            flags: PoseFlags { position_valid: true, heading_valid: true, ..PoseFlags::default() },
         }
     }
 
@@ -179,8 +134,8 @@ mod tests {
     #[test]
     fn an_estimate_is_these_bytes() {
         let expected = [
-            0x78, 0x56, 0x34, 0x12, 0x00, 0x00, 0xC0, 0x3F, 0x00, 0x00, 0x00, 0xC0, 0x00, 0x00,
-            0x00, 0x3F, 0x00, 0x00, 0x80, 0x3E, 0x03, 0x03, 0x02, 0x01,
+            0x78, 0x56, 0x34, 0x12, 0x00, 0x00, 0xC0, 0x3F, 0x00, 0x00, 0x00, 0xC0, 0x00, 0x00, 0x00, 0x3F, 0x00, 0x00,
+            0x80, 0x3E, 0x03, 0x03, 0x02, 0x01,
         ];
         assert_eq!(estimate_bytes(&pose(), 0x1234_5678, 0x0102), expected);
         let mut lost = pose();
@@ -220,11 +175,7 @@ mod tests {
         mailbox.post(Stamp::from_millis(5_000), &pose(), 0);
         assert!(mailbox.take_probe(Stamp::from_millis(5_000)).is_some());
         mailbox.answered(Status::OK);
-        assert!(
-            mailbox
-                .post(Stamp::from_millis(5_050), &pose(), 0)
-                .is_some()
-        );
+        assert!(mailbox.post(Stamp::from_millis(5_050), &pose(), 0).is_some());
     }
 
     #[test]

@@ -119,12 +119,7 @@ impl Gyro {
     }
 
     /// What a reading of the instant `at` means, and what it taught.
-    pub(super) fn take(
-        &mut self,
-        at: Stamp<HostClock>,
-        raw: u16,
-        wheels: Wheels,
-    ) -> (Turning, Taught) {
+    pub(super) fn take(&mut self, at: Stamp<HostClock>, raw: u16, wheels: Wheels) -> (Turning, Taught) {
         if raw >= OPEN {
             self.calm = Calm::default();
             return (Turning::Empty, Taught::Nothing);
@@ -134,11 +129,7 @@ impl Gyro {
         let Some(rest) = self.rest() else {
             let since = *self.since.get_or_insert(at);
             let is_overdue = at - since >= OVERDUE;
-            let turning = if is_overdue {
-                Turning::Overdue
-            } else {
-                Turning::Unknown
-            };
+            let turning = if is_overdue { Turning::Overdue } else { Turning::Unknown };
             return (turning, taught);
         };
         if (raw - rest).abs() > RANGE {
@@ -258,11 +249,7 @@ mod tests {
 
     impl Bench {
         fn new(rest: Option<f64>, sign: GyroSign) -> Self {
-            Self {
-                gyro: Gyro::new(rest, sign),
-                at: Stamp::ZERO,
-                taught: Vec::new(),
-            }
+            Self { gyro: Gyro::new(rest, sign), at: Stamp::ZERO, taught: Vec::new() }
         }
 
         fn take(&mut self, raw: u16, wheels: Wheels) -> Turning {

@@ -44,11 +44,7 @@ impl Module {
 }
 
 /// The brick's clock.
-pub(super) const TICK: Window = Window {
-    module: Module::Command,
-    offset: 20,
-    length: 4,
-};
+pub(super) const TICK: Window = Window { module: Module::Command, offset: 20, length: 4 };
 
 /// Bytes of one motor.
 const MOTOR_BYTES: u16 = 32;
@@ -62,58 +58,30 @@ const MOTOR_USED_BYTES: u16 = 28;
 const PORT_USED_BYTES: u16 = 17;
 
 /// All three motors.
-pub(super) const ALL_MOTORS: Window = Window {
-    module: Module::Output,
-    offset: 0,
-    length: 3 * MOTOR_BYTES,
-};
+pub(super) const ALL_MOTORS: Window = Window { module: Module::Output, offset: 0, length: 3 * MOTOR_BYTES };
 /// All four analog ports.
-pub(super) const ALL_INPUTS: Window = Window {
-    module: Module::Input,
-    offset: 0,
-    length: 4 * INPUT_BYTES,
-};
+pub(super) const ALL_INPUTS: Window = Window { module: Module::Input, offset: 0, length: 4 * INPUT_BYTES };
 /// All four receive buffers of the digital ports.
-pub(super) const ALL_BUFFERS: Window = Window {
-    module: Module::LowSpeed,
-    offset: 0,
-    length: 4 * BUFFER_BYTES,
-};
+pub(super) const ALL_BUFFERS: Window = Window { module: Module::LowSpeed, offset: 0, length: 4 * BUFFER_BYTES };
 
 /// Two neighbouring motors, the first wholly and the second's count: 36 of the 55 bytes that every firmware allows.
 pub(super) const fn neighbours(first: u8) -> Window {
-    Window {
-        module: Module::Output,
-        offset: MOTOR_BYTES * first as u16,
-        length: MOTOR_BYTES + 4,
-    }
+    Window { module: Module::Output, offset: MOTOR_BYTES * first as u16, length: MOTOR_BYTES + 4 }
 }
 
 /// One motor.
 pub(super) const fn motor(index: u8) -> Window {
-    Window {
-        module: Module::Output,
-        offset: MOTOR_BYTES * index as u16,
-        length: MOTOR_USED_BYTES - index as u16,
-    }
+    Window { module: Module::Output, offset: MOTOR_BYTES * index as u16, length: MOTOR_USED_BYTES - index as u16 }
 }
 
 /// One analog port.
 pub(super) const fn input(port: u8) -> Window {
-    Window {
-        module: Module::Input,
-        offset: INPUT_BYTES * port as u16,
-        length: PORT_USED_BYTES + port as u16,
-    }
+    Window { module: Module::Input, offset: INPUT_BYTES * port as u16, length: PORT_USED_BYTES + port as u16 }
 }
 
 /// One digital port's receive buffer.
 pub(super) const fn buffer(port: u8) -> Window {
-    Window {
-        module: Module::LowSpeed,
-        offset: BUFFER_BYTES * port as u16,
-        length: BUFFER_BYTES + port as u16,
-    }
+    Window { module: Module::LowSpeed, offset: BUFFER_BYTES * port as u16, length: BUFFER_BYTES + port as u16 }
 }
 
 /// Bytes of a map in an answer, and where in the module they stand.
@@ -175,8 +143,7 @@ impl<'a> Cutout<'a> {
 
     /// A motor's count in degrees, if the window holds it.
     pub(super) fn count(&self, motor: u8) -> Option<i32> {
-        self.at(MOTOR_BYTES * u16::from(motor))
-            .map(i32::from_le_bytes)
+        self.at(MOTOR_BYTES * u16::from(motor)).map(i32::from_le_bytes)
     }
 
     /// An analog port, if the window holds it.
@@ -193,11 +160,7 @@ impl<'a> Cutout<'a> {
     pub(super) fn buffer(&self, port: u8) -> Option<Buffer> {
         let base = BUFFER_BYTES * u16::from(port);
         let [end, _, to_come] = self.at(base + 16)?;
-        Some(Buffer {
-            ring: self.at(base)?,
-            end,
-            to_come,
-        })
+        Some(Buffer { ring: self.at(base)?, end, to_come })
     }
 }
 

@@ -34,10 +34,8 @@ mod tick;
 
 pub(super) use codec::{open, open_push};
 pub use settings::{
-    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings,
-    NxtSettingsError, Outstanding, WheelMotor,
+    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings, NxtSettingsError,
+    Outstanding, WheelMotor,
 };
 pub use status::Status;
-pub use telegram::{
-    Answer, OutputState, framed, message_write, set_output_state, start_program, stop_program,
-};
+pub use telegram::{Answer, OutputState, framed, message_write, set_output_state, start_program, stop_program};

@@ -42,11 +42,7 @@ impl Motors {
         count: i32,
         (sent, answered): (Stamp<HostClock>, Stamp<HostClock>),
     ) {
-        self.read[motor.index()] = Some(Read {
-            count,
-            sent,
-            answered,
-        });
+        self.read[motor.index()] = Some(Read { count, sent, answered });
     }
 
     /// Both wheels, once both were read since the last time.
@@ -63,10 +59,7 @@ impl Motors {
             self.stand_since = Some(answered);
         }
         Some(BothWheels {
-            counts: Counts {
-                wheels,
-                third: third.map(|read| read.count),
-            },
+            counts: Counts { wheels, third: third.map(|read| read.count) },
             sent: first.sent.min(second.sent),
             answered,
         })

@@ -47,11 +47,7 @@ impl Notes {
             return;
         }
         self.said.insert(topic, text.clone());
-        sink(Heard::Note {
-            from,
-            severity,
-            text,
-        });
+        sink(Heard::Note { from, severity, text });
     }
 
     /// There is nothing to say about a topic any more; what is said next is news.

@@ -213,11 +213,7 @@ impl Plan {
         if let Some((unasked @ 1.., unanswered)) = self.trial {
             self.trial = Some((unasked - 1, unanswered));
             self.most = 2;
-            return if unasked % 2 == 0 {
-                Some(Question::Map(TICK))
-            } else {
-                self.motors().first().cloned()
-            };
+            return if unasked % 2 == 0 { Some(Question::Map(TICK)) } else { self.motors().first().cloned() };
         }
         if self.round.is_empty() {
             if now < self.next_round {
@@ -250,11 +246,7 @@ impl Plan {
     fn next_set_up(&mut self) -> Option<Question> {
         let index = self.ports.iter().position(|port| *port == Port::Wanted)?;
         self.ports[index] = Port::Told;
-        let kind = if is_digital(self.sensors[index]) {
-            LOWSPEED_9V
-        } else {
-            LIGHT_INACTIVE
-        };
+        let kind = if is_digital(self.sensors[index]) { LOWSPEED_9V } else { LIGHT_INACTIVE };
         let port = index as u8;
         Some(Question::SetUp { port, kind })
     }
@@ -295,10 +287,7 @@ impl Plan {
 
     fn motors(&self) -> Vec<Question> {
         let [left, right] = self.wheels;
-        let (first, last) = (
-            left.number().min(right.number()),
-            left.number().max(right.number()),
-        );
+        let (first, last) = (left.number().min(right.number()), left.number().max(right.number()));
         match self.reach {
             Reach::Whole => vec![Question::Map(ALL_MOTORS)],
             Reach::Short if last - first == 1 => vec![Question::Map(io_maps::neighbours(first))],
@@ -329,9 +318,7 @@ impl Plan {
     /// A question was not answered, or refused. Says whether the plan had to change for it.
     pub(super) fn failed(&mut self, question: &Question, why: Failure) -> Option<Change> {
         let is_tick = *question == Question::Map(TICK);
-        let is_trial = self
-            .trial
-            .is_some_and(|(unasked, _)| unasked < TRIAL_QUESTIONS);
+        let is_trial = self.trial.is_some_and(|(unasked, _)| unasked < TRIAL_QUESTIONS);
         if is_trial && (is_tick || question.is_for_data()) {
             self.trial = None;
             self.most = 1;
@@ -350,8 +337,7 @@ impl Plan {
         if is_tick {
             return self.tick_failed();
         }
-        if why == Failure::Refused && matches!(question, Question::Analog(_) | Question::Digital(_))
-        {
+        if why == Failure::Refused && matches!(question, Question::Analog(_) | Question::Digital(_)) {
             // One sensor is not there. The rest of the round has nothing to do with it.
             return None;
         }
@@ -377,11 +363,7 @@ impl Plan {
         self.round.clear();
         self.strikes += 1;
         // What has worked is not given up for two stalls in a row.
-        let allowed = if self.is_reach_known {
-            2 * STRIKES
-        } else {
-            STRIKES
-        };
+        let allowed = if self.is_reach_known { 2 * STRIKES } else { STRIKES };
         if self.strikes < allowed {
             return false;
         }

@@ -9,12 +9,7 @@ const LOST_AFTER: Span = Span::from_millis(2_000);
 /// The usual period of heartbeats.
 const HEARTBEAT_PERIOD: Span = Span::from_millis(1_000);
 /// MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, nothing armed, MAV_STATE_ACTIVE.
-pub(super) const HEARTBEAT: Heartbeat = Heartbeat {
-    vehicle_type: 10,
-    autopilot: 0,
-    base_mode: 0,
-    system_status: 4,
-};
+pub(super) const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
 
 /// A change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,9 +39,7 @@ impl Presence {
     pub(super) fn answered(&mut self, now: Stamp<HostClock>) -> Sign {
         self.last_answer = Some(now);
         let is_return = std::mem::take(&mut self.is_lost);
-        let is_beat = self
-            .last_beat
-            .is_none_or(|last| now - last >= HEARTBEAT_PERIOD);
+        let is_beat = self.last_beat.is_none_or(|last| now - last >= HEARTBEAT_PERIOD);
         if is_beat {
             self.last_beat = Some(now);
         }
@@ -83,9 +76,7 @@ mod tests {
         let mut presence = Presence::default();
         assert_eq!(presence.deadline(), None);
         presence.begin(Stamp::ZERO);
-        let beats = (0..40)
-            .filter(|step| presence.answered(Stamp::from_millis(50 * step)).is_beat)
-            .count();
+        let beats = (0..40).filter(|step| presence.answered(Stamp::from_millis(50 * step)).is_beat).count();
         assert_eq!(beats, 2);
         assert!(!presence.expire(Stamp::from_millis(3_949)));
         assert!(presence.expire(Stamp::from_millis(3_950)));

@@ -27,9 +27,7 @@ impl Question {
     pub(super) fn telegram(&self) -> Vec<u8> {
         match self {
             Self::Fence => telegram::firmware_version(),
-            Self::Map(window) => {
-                telegram::read_io_map(window.module.id(), window.offset, window.length)
-            }
+            Self::Map(window) => telegram::read_io_map(window.module.id(), window.offset, window.length),
             Self::Motor(port) => telegram::get_output_state(*port),
             Self::Analog(port) => telegram::get_input_values(*port),
             Self::Digital(port) => telegram::ls_read(*port),
@@ -59,9 +57,8 @@ impl Question {
         let repeated = bytes_at::<1>(reply.values, 0);
         match self {
             _ if reply.status.0 != 0 => true,
-            Self::Map(window) => answered(reply).is_some_and(|(module, length, _)| {
-                module == window.module.id() && length == window.length
-            }),
+            Self::Map(window) => answered(reply)
+                .is_some_and(|(module, length, _)| module == window.module.id() && length == window.length),
             Self::Motor(port) => repeated == Some([port.number()]),
             Self::Analog(port) => repeated == Some([*port]),
             Self::Fence | Self::Digital(_) | Self::SetUp { .. } | Self::Mailbox(_) => true,

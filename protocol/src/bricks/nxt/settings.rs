@@ -154,10 +154,7 @@ pub struct NxtSettings {
 impl Default for NxtSettings {
     /// The robot of LEGO's building instructions: left wheel at B, right wheel at C, no sensor.
     fn default() -> Self {
-        let motor = |port| WheelMotor {
-            port,
-            mounting: Mounting::Forward,
-        };
+        let motor = |port| WheelMotor { port, mounting: Mounting::Forward };
         Self {
             left_motor: motor(MotorPort::B),
             right_motor: motor(MotorPort::C),
@@ -230,35 +227,17 @@ mod tests {
     fn the_settings_of_no_robot_are_refused_by_name() {
         let sound = NxtSettings::default();
         assert_eq!(sound.check(), Ok(()));
-        let one = NxtSettings {
-            right_motor: sound.left_motor,
-            ..NxtSettings::default()
-        };
-        assert_eq!(
-            one.check().unwrap_err().to_string(),
-            "both wheels are at motor port B"
-        );
-        let mailbox = NxtSettings {
-            mailbox: 10,
-            ..NxtSettings::default()
-        };
+        let one = NxtSettings { right_motor: sound.left_motor, ..NxtSettings::default() };
+        assert_eq!(one.check().unwrap_err().to_string(), "both wheels are at motor port B");
+        let mailbox = NxtSettings { mailbox: 10, ..NxtSettings::default() };
         assert_eq!(mailbox.check(), Err(NxtSettingsError::Mailbox(10)));
         for rest in [f64::NAN, -1.0, 1024.0] {
-            let gyro = NxtSettings {
-                gyro_rest: Some(rest),
-                ..NxtSettings::default()
-            };
+            let gyro = NxtSettings { gyro_rest: Some(rest), ..NxtSettings::default() };
             assert!(matches!(gyro.check(), Err(NxtSettingsError::GyroRest(_))));
         }
-        let compass = NxtSettings {
-            compass_zero_deg: f64::INFINITY,
-            ..NxtSettings::default()
-        };
+        let compass = NxtSettings { compass_zero_deg: f64::INFINITY, ..NxtSettings::default() };
         assert!(compass.check().is_err());
-        let hasty = NxtSettings {
-            answer_timeout: Span::ZERO,
-            ..NxtSettings::default()
-        };
+        let hasty = NxtSettings { answer_timeout: Span::ZERO, ..NxtSettings::default() };
         assert!(hasty.check().is_err());
     }
 }

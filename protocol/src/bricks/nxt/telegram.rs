@@ -87,29 +87,13 @@ impl OutputState {
     /// The motor runs at this power with its speed regulated, until it is told otherwise.
     #[must_use]
     pub const fn run(port: MotorPort, power: i8) -> Self {
-        Self {
-            port: Some(port),
-            power,
-            mode: 0b111,
-            regulation: 1,
-            turn_ratio: 0,
-            run_state: 0x20,
-            tacho_limit: 0,
-        }
+        Self { port: Some(port), power, mode: 0b111, regulation: 1, turn_ratio: 0, run_state: 0x20, tacho_limit: 0 }
     }
 
     /// All motors are let go.
     #[must_use]
     pub const fn coast() -> Self {
-        Self {
-            port: None,
-            power: 0,
-            mode: 0,
-            regulation: 0,
-            turn_ratio: 0,
-            run_state: 0,
-            tacho_limit: 0,
-        }
+        Self { port: None, power: 0, mode: 0, regulation: 0, turn_ratio: 0, run_state: 0, tacho_limit: 0 }
     }
 }
 
@@ -175,13 +159,7 @@ pub(super) fn get_input_values(port: u8) -> Vec<u8> {
 /// `answer_bytes` are read from the sensor after `bytes` were written to it; at most 16 each.
 pub(super) fn ls_write(port: u8, bytes: &[u8], answer_bytes: u8) -> Vec<u8> {
     let length = bytes.len() as u8;
-    let mut telegram = vec![
-        DIRECT_NO_REPLY,
-        opcode::LS_WRITE,
-        port,
-        length,
-        answer_bytes,
-    ];
+    let mut telegram = vec![DIRECT_NO_REPLY, opcode::LS_WRITE, port, length, answer_bytes];
     telegram.extend_from_slice(bytes);
     telegram
 }
@@ -227,11 +205,7 @@ impl<'a> Reply<'a> {
     /// `None` if these bytes are no reply.
     pub(super) const fn of(telegram: &'a [u8]) -> Option<Self> {
         match telegram {
-            [REPLY, opcode, status, values @ ..] => Some(Self {
-                opcode: *opcode,
-                status: Status(*status),
-                values,
-            }),
+            [REPLY, opcode, status, values @ ..] => Some(Self { opcode: *opcode, status: Status(*status), values }),
             _ => None,
         }
     }

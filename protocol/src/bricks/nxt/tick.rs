@@ -34,11 +34,7 @@ impl TickClock {
         let expected = i64::from(last) + elapsed;
         let ahead = wrapped(i64::from(millis) - expected, PERIOD_MILLIS);
         // A hundredth of the time that passed is five times what the worst resonator explains.
-        if ahead < -(RESTART_BACK_MILLIS + elapsed / 100) {
-            Ran::Anew
-        } else {
-            Ran::On
-        }
+        if ahead < -(RESTART_BACK_MILLIS + elapsed / 100) { Ran::Anew } else { Ran::On }
     }
 
     /// The tick whose microseconds show this in 32 bits, next to the one that was read last.

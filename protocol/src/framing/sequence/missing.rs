@@ -14,10 +14,7 @@ pub(super) struct Missing {
 impl Missing {
     /// Nothing is missing before the first frame.
     pub(super) const fn new() -> Self {
-        Self {
-            bits: [0; (WINDOW / 64) as usize],
-            newest: 0,
-        }
+        Self { bits: [0; (WINDOW / 64) as usize], newest: 0 }
     }
 
     /// The next frame has come.

@@ -83,10 +83,7 @@ impl Pace {
         }
         let seen_per_s = self.gathered / self.gathered_s;
         let weight = self.gathered_s / (self.gathered_s + AVERAGE_S);
-        self.per_s = Some(
-            self.per_s
-                .map_or(seen_per_s, |per_s| per_s + weight * (seen_per_s - per_s)),
-        );
+        self.per_s = Some(self.per_s.map_or(seen_per_s, |per_s| per_s + weight * (seen_per_s - per_s)));
         (self.gathered, self.gathered_s) = (0.0, 0.0);
     }
 }
@@ -116,10 +113,7 @@ mod tests {
     fn a_brick_that_nobody_asks_for_the_time_is_not_taken_for_silent() {
         // 46 frames per second with the answers, 41 without; the number is that of the first frames after a turn.
         for sent in 513_u32..525 {
-            assert_eq!(
-                of(46).sent(f64::from(sent) / 41.0, sent as u8, 1),
-                Some(sent)
-            );
+            assert_eq!(of(46).sent(f64::from(sent) / 41.0, sent as u8, 1), Some(sent));
         }
     }
 
@@ -128,11 +122,7 @@ mod tests {
         for sent in (1_080_u32..1_600).step_by(7) {
             for of_pace in [0.89, 0.95, 1.01] {
                 let elapsed_s = f64::from(sent) / 45.0 / of_pace;
-                assert_eq!(
-                    of(45).sent(elapsed_s, sent as u8, 1),
-                    Some(sent),
-                    "{of_pace}"
-                );
+                assert_eq!(of(45).sent(elapsed_s, sent as u8, 1), Some(sent), "{of_pace}");
             }
         }
     }

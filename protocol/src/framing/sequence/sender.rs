@@ -48,14 +48,7 @@ struct Interval {
 
 impl Interval {
     fn new(from: u8, dated: Dated) -> Self {
-        Self {
-            from,
-            dated,
-            noted: SequenceSet::default(),
-            received: 0,
-            gaps: 0,
-            late: 0,
-        }
+        Self { from, dated, noted: SequenceSet::default(), received: 0, gaps: 0, late: 0 }
     }
 }
 
@@ -105,9 +98,7 @@ impl Sender {
 
     /// Frames that are missing.
     pub(super) fn lost(&self) -> u64 {
-        let (gaps, late) = self
-            .interval
-            .map_or((0, 0), |interval| (interval.gaps, interval.late));
+        let (gaps, late) = self.interval.map_or((0, 0), |interval| (interval.gaps, interval.late));
         (self.lost + u64::from(gaps)).saturating_sub(u64::from(late))
     }
 
@@ -136,10 +127,7 @@ impl Sender {
             return;
         }
         self.follow(sequence);
-        if self
-            .interval
-            .is_some_and(|interval| interval.received >= MOST_NOTED)
-        {
+        if self.interval.is_some_and(|interval| interval.received >= MOST_NOTED) {
             self.give_up_stamps();
         }
     }
@@ -194,9 +182,7 @@ impl Sender {
         let was_missing = self.missing.comes_late(behind);
         if was_missing {
             self.lost = self.lost.saturating_sub(1);
-            self.beside = behind
-                .checked_sub(1)
-                .map(|behind| (sequence.wrapping_add(1), behind));
+            self.beside = behind.checked_sub(1).map(|behind| (sequence.wrapping_add(1), behind));
         }
         was_missing
     }
@@ -234,10 +220,7 @@ impl Sender {
 
     /// A number from behind.
     fn take_old(&mut self, newest: u8, sequence: u8) {
-        if self
-            .missing
-            .comes_late(u64::from(newest.wrapping_sub(sequence)))
-        {
+        if self.missing.comes_late(u64::from(newest.wrapping_sub(sequence))) {
             self.lost = self.lost.saturating_sub(1);
         } else if self.stray.replace(sequence) == Some(sequence.wrapping_sub(1)) {
             self.newest = Some(sequence);
@@ -309,11 +292,7 @@ impl Sender {
         for step in 1..=sent {
             let sequence = from.wrapping_add(step as u8);
             let (ahead, behind) = (sequence.wrapping_sub(from), to.wrapping_sub(sequence));
-            let is_here = if ahead <= behind {
-                u32::from(ahead) == step
-            } else {
-                u32::from(behind) == sent - step
-            };
+            let is_here = if ahead <= behind { u32::from(ahead) == step } else { u32::from(behind) == sent - step };
             if is_here && noted.contains(sequence) {
                 self.missing.came();
             } else {

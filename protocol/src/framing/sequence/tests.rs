@@ -26,11 +26,7 @@ fn duplicates_and_absurd_gaps_are_no_losses_and_late_frames_are_taken_off() {
     assert_eq!(lost(&tracker), 126, "11 came late");
     assert_eq!(tracker.missing_before(ROBOT, 11), 0, "and again");
     assert_eq!(lost(&tracker), 126);
-    assert_eq!(
-        tracker.missing_before(ROBOT, 139),
-        0,
-        "nothing new is missing"
-    );
+    assert_eq!(tracker.missing_before(ROBOT, 139), 0, "nothing new is missing");
 }
 
 #[test]
@@ -299,12 +295,7 @@ impl Robot {
     }
 
     fn heartbeat(&mut self) -> Vec<u8> {
-        self.encoded(&Message::Heartbeat(Heartbeat {
-            vehicle_type: 10,
-            autopilot: 0,
-            base_mode: 0,
-            system_status: 4,
-        }))
+        self.encoded(&Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 }))
     }
 
     fn encoded(&mut self, message: &Message) -> Vec<u8> {
@@ -318,9 +309,7 @@ impl Robot {
     }
 
     fn hear_at(&mut self, (sent_ms, frame): &(i64, Vec<u8>)) {
-        let arrival = self
-            .arrival
-            .unwrap_or_else(|| Stamp::ZERO + Span::from_millis(*sent_ms));
+        let arrival = self.arrival.unwrap_or_else(|| Stamp::ZERO + Span::from_millis(*sent_ms));
         let (tracker, news) = (&mut self.tracker, &mut self.news);
         Scanner::new(ScannerConfig::default()).push(arrival, frame, &mut |scanned| {
             if let Scanned::Frame(frame) = scanned {

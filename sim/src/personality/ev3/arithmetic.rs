@@ -19,11 +19,7 @@ enum Number {
 pub(super) fn calculate(code: u8, machine: &mut Machine) -> Option<Result<(), Fault>> {
     match code {
         0x10..=0x1F => Some(combine((code - 0x10) >> 2, Width::of(code), machine)),
-        0x30..=0x3F => Some(convert(
-            Width::of((code - 0x30) >> 2),
-            Width::of(code),
-            machine,
-        )),
+        0x30..=0x3F => Some(convert(Width::of((code - 0x30) >> 2), Width::of(code), machine)),
         0x40..=0x42 => Some(jump(code, machine)),
         0x64..=0x7B => Some(jump_compared((code - 0x64) >> 2, Width::of(code), machine)),
         _ => None,
@@ -41,11 +37,7 @@ pub(super) fn math(machine: &mut Machine) -> Result<(), Fault> {
 }
 
 fn load(width: Width, machine: &mut Machine) -> Result<Number, Fault> {
-    if width == Width::Real {
-        machine.real().map(Number::Real)
-    } else {
-        machine.int(width).map(Number::Whole)
-    }
+    if width == Width::Real { machine.real().map(Number::Real) } else { machine.int(width).map(Number::Whole) }
 }
 
 fn combine(operation: u8, width: Width, machine: &mut Machine) -> Result<(), Fault> {
@@ -128,10 +120,7 @@ mod tests {
         assert_eq!(memory[0], 38);
         assert_eq!(memory[4..], 38.0_f32.to_le_bytes());
         // 7 / 2 and 7 / 0 as longs.
-        assert_eq!(
-            run(&[0x1E, 7, 2, 0x60, 0x1E, 7, 0, 0x64]),
-            [3, 0, 0, 0, 0, 0, 0, 0]
-        );
+        assert_eq!(run(&[0x1E, 7, 2, 0x60, 0x1E, 7, 0, 0x64]), [3, 0, 0, 0, 0, 0, 0, 0]);
         // 5 >= 4: the move is jumped over.
         assert_eq!(run(&[0x7A, 5, 4, 3, 0x30, 9, 0x60])[0], 0);
         assert_eq!(run(&[0x7A, 3, 4, 3, 0x30, 9, 0x60])[0], 9);
@@ -141,9 +130,7 @@ mod tests {
     #[test]
     fn a_real_number_is_cut_to_a_whole_one() {
         // 7 as a real number, halved, as a byte.
-        let memory = run(&[
-            0x33, 7, 0x40, 0x33, 2, 0x44, 0x1F, 0x40, 0x44, 0x40, 0x3C, 0x40, 0x60,
-        ]);
+        let memory = run(&[0x33, 7, 0x40, 0x33, 2, 0x44, 0x1F, 0x40, 0x44, 0x40, 0x3C, 0x40, 0x60]);
         assert_eq!(memory[0], 3);
     }
 }

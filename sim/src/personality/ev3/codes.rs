@@ -31,12 +31,7 @@ const CURRENT_A: f32 = 0.2;
 
 impl Ev3 {
     /// Follows one byte code.
-    pub(super) fn follow(
-        &mut self,
-        code: u8,
-        machine: &mut Machine,
-        moment: &mut Moment<'_>,
-    ) -> Result<Flow, Fault> {
+    pub(super) fn follow(&mut self, code: u8, machine: &mut Machine, moment: &mut Moment<'_>) -> Result<Flow, Fault> {
         if let Some(done) = calculate(code, machine) {
             return done.map(|()| Flow::Next);
         }
@@ -174,12 +169,7 @@ impl Ev3 {
     }
 
     /// INPUT_READ and INPUT_READSI, which take what is there without waiting.
-    fn input_read(
-        &mut self,
-        code: u8,
-        machine: &mut Machine,
-        moment: &Moment<'_>,
-    ) -> Result<Flow, Fault> {
+    fn input_read(&mut self, code: u8, machine: &mut Machine, moment: &Moment<'_>) -> Result<Flow, Fault> {
         let (layer, port) = (machine.byte()?, machine.byte()?);
         let (kind, mode) = (machine.byte()?, machine.byte()?);
         let reading = self.read(moment, (port_of(layer, port), kind, mode));
@@ -189,19 +179,11 @@ impl Ev3 {
     }
 
     fn read(&mut self, moment: &Moment<'_>, what: (usize, i32, i32)) -> Reading {
-        let sources = Sources {
-            senses: moment.senses,
-            motors: &self.motors,
-        };
+        let sources = Sources { senses: moment.senses, motors: &self.motors };
         self.sensors.read(moment.world, what, sources)
     }
 
-    fn output(
-        &mut self,
-        code: u8,
-        machine: &mut Machine,
-        moment: &Moment<'_>,
-    ) -> Result<(), Fault> {
+    fn output(&mut self, code: u8, machine: &mut Machine, moment: &Moment<'_>) -> Result<(), Fault> {
         let (layer, which) = (machine.byte()?, machine.byte()?);
         // Other layers are other bricks, of which there are none.
         let which = if layer == 0 { which } else { 0 };
@@ -213,12 +195,8 @@ impl Ev3 {
                 machine.byte()?;
                 self.motors.stop(which);
             }
-            0xA4 => self
-                .motors
-                .set(which, Drive::Power(f64::from(machine.byte()?) / 100.0)),
-            0xA5 => self
-                .motors
-                .set(which, Drive::Speed(f64::from(machine.byte()?))),
+            0xA4 => self.motors.set(which, Drive::Power(f64::from(machine.byte()?) / 100.0)),
+            0xA5 => self.motors.set(which, Drive::Speed(f64::from(machine.byte()?))),
             0xA6 => self.motors.start(which),
             0xA7 => self.motors.set_polarity(which, machine.byte()?),
             // READ.
@@ -239,28 +217,15 @@ impl Ev3 {
         Ok(())
     }
 
-    fn movement(
-        &mut self,
-        code: u8,
-        which: i32,
-        (machine, now): (&mut Machine, Span),
-    ) -> Result<(), Fault> {
+    fn movement(&mut self, code: u8, which: i32, (machine, now): (&mut Machine, Span)) -> Result<(), Fault> {
         let percent = f64::from(machine.byte()?);
-        let drive = if code < 0xAE {
-            Drive::Power(percent / 100.0)
-        } else {
-            Drive::Speed(percent)
-        };
+        let drive = if code < 0xAE { Drive::Power(percent / 100.0) } else { Drive::Speed(percent) };
         let mut length = 0_i64;
         for _ in 0..3 {
             length += i64::from(machine.int(Width::Long)?);
         }
         let _brake = machine.byte()?;
-        let until = if code & 1 == 0 {
-            Until::Turned(length)
-        } else {
-            Until::Time(now + Span::from_millis(length))
-        };
+        let until = if code & 1 == 0 { Until::Turned(length) } else { Until::Time(now + Span::from_millis(length)) };
         self.motors.begin(which, drive, until);
         Ok(())
     }
@@ -271,11 +236,7 @@ const READY_PCT: i32 = 0x1B;
 const READY_RAW: i32 = 0x1C;
 const READY_SI: i32 = 0x1D;
 
-fn put_reading(
-    format: i32,
-    (reading, index): (&Reading, usize),
-    machine: &mut Machine,
-) -> Result<(), Fault> {
+fn put_reading(format: i32, (reading, index): (&Reading, usize), machine: &mut Machine) -> Result<(), Fault> {
     let value = match reading {
         Reading::Values(values, full) => values.get(index).map(|value| (*value, *full)),
         Reading::Nothing | Reading::NotYet => None,
@@ -285,9 +246,7 @@ fn put_reading(
             let percent = value.map_or(0.0, |(value, full)| value / full * 100.0);
             machine.put_int(Width::Byte, percent.round().clamp(-100.0, 100.0) as i32)
         }
-        (READY_RAW, value) => {
-            machine.put_int(Width::Long, value.map_or(0, |(value, _)| value as i32))
-        }
+        (READY_RAW, value) => machine.put_int(Width::Long, value.map_or(0, |(value, _)| value as i32)),
         (_, Some((value, _))) => machine.put_real(value as f32),
         (_, None) => machine.put_real(f32::NAN),
     }
@@ -345,9 +304,5 @@ fn sound(machine: &mut Machine) -> Result<Flow, Fault> {
 
 /// A port of this brick; any other layer has none.
 fn port_of(layer: i32, port: i32) -> usize {
-    if layer == 0 {
-        usize::try_from(port).unwrap_or(usize::MAX)
-    } else {
-        usize::MAX
-    }
+    if layer == 0 { usize::try_from(port).unwrap_or(usize::MAX) } else { usize::MAX }
 }

@@ -178,19 +178,12 @@ impl Ev3 {
         match (kind & !NO_ANSWER, body) {
             (DIRECT, [low, high, code @ ..]) => {
                 let memory = usize::from(u16::from_le_bytes([*low, *high]));
-                self.command = Some(Command {
-                    counter,
-                    is_answered,
-                    machine: Machine::new(code, memory & 0x3FF, memory >> 10),
-                });
+                self.command =
+                    Some(Command { counter, is_answered, machine: Machine::new(code, memory & 0x3FF, memory >> 10) });
             }
             (SYSTEM, [opcode, rest @ ..]) => {
                 let status = self.system(*opcode, rest);
-                let kind = if status == STATUS_OK {
-                    SYSTEM_DONE
-                } else {
-                    SYSTEM_FAILED
-                };
+                let kind = if status == STATUS_OK { SYSTEM_DONE } else { SYSTEM_FAILED };
                 if is_answered {
                     self.wire.send(&[*low, *high, kind, *opcode, status]);
                 }
@@ -222,8 +215,7 @@ impl Ev3 {
     fn answer(&mut self, command: &Command, kind: u8) {
         if command.is_answered {
             let globals = command.machine.globals();
-            self.wire
-                .send(&[&command.counter[..], &[kind], globals].concat());
+            self.wire.send(&[&command.counter[..], &[kind], globals].concat());
         }
     }
 

@@ -93,11 +93,7 @@ impl Motors {
             control: control.clone(),
             duty: 0.0,
         };
-        Self {
-            ports: [port(), port(), port(), port()],
-            fresh_control: control,
-            passes: 0,
-        }
+        Self { ports: [port(), port(), port(), port()], fresh_control: control, passes: 0 }
     }
 
     /// Whether a motor is plugged in there.
@@ -121,10 +117,7 @@ impl Motors {
             }
         }
         let duty = |place: usize| self.ports.get(place).map_or(0.0, |port| port.duty);
-        Pair {
-            left: duty(LEFT),
-            right: duty(RIGHT),
-        }
+        Pair { left: duty(LEFT), right: duty(RIGHT) }
     }
 
     /// What the program on the brick does: both motors on at these duties.
@@ -185,11 +178,8 @@ impl Motors {
 
     /// Whether one of the ports of a bit field has a movement with an end before it.
     pub(super) fn is_busy(&self, field: i32) -> bool {
-        let is_moving =
-            |port: &Output| matches!(port.running, Some((_, Until::Turned(_) | Until::Time(_))));
-        (0..)
-            .zip(&self.ports)
-            .any(|(bit, port)| field >> bit & 1 == 1 && is_moving(port))
+        let is_moving = |port: &Output| matches!(port.running, Some((_, Until::Turned(_) | Until::Time(_))));
+        (0..).zip(&self.ports).any(|(bit, port)| field >> bit & 1 == 1 && is_moving(port))
     }
 
     /// The counter of a port, in degrees; 0 where there is none.

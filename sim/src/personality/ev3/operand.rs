@@ -57,12 +57,7 @@ pub(super) struct Machine {
 impl Machine {
     /// A command that has not begun, with that many bytes of memory, all zero.
     pub(super) fn new(code: &[u8], globals: usize, locals: usize) -> Self {
-        Self {
-            code: code.to_vec(),
-            place: 0,
-            globals: vec![0; globals],
-            locals: vec![0; locals],
-        }
+        Self { code: code.to_vec(), place: 0, globals: vec![0; globals], locals: vec![0; locals] }
     }
 
     /// The memory that an answer holds.
@@ -163,11 +158,7 @@ impl Machine {
         let head = self.next_code().ok_or(Fault)?;
         let is_global = head & 0x20 != 0;
         let variable = |at: usize| {
-            if is_global {
-                Operand::Global(at)
-            } else {
-                Operand::Local(at)
-            }
+            if is_global { Operand::Global(at) } else { Operand::Local(at) }
         };
         match head >> 6 {
             // Six bits with a sign, moved up to the sign of a byte and back.
@@ -215,9 +206,7 @@ fn load_int(memory: &[u8], at: usize, width: Width) -> Result<i32, Fault> {
     let rest = memory.get(at..).ok_or(Fault)?;
     let loaded = match width {
         Width::Byte => rest.first().map(|byte| i32::from(*byte as i8)),
-        Width::Word => rest
-            .first_chunk()
-            .map(|bytes| i32::from(i16::from_le_bytes(*bytes))),
+        Width::Word => rest.first_chunk().map(|bytes| i32::from(i16::from_le_bytes(*bytes))),
         Width::Long | Width::Real => rest.first_chunk().map(|bytes| i32::from_le_bytes(*bytes)),
     };
     loaded.ok_or(Fault)
@@ -254,11 +243,7 @@ mod tests {
         for code in [&[0x60][..], &[0xE1, 0], &[0xE2, 0, 0], &[0xE3, 0, 0, 0, 0]] {
             assert_eq!(machine(code).int(Width::Byte), Ok(-2), "{code:02x?}");
             assert_eq!(machine(code).int(Width::Word), Ok(-2), "{code:02x?}");
-            assert_eq!(
-                machine(code).int(Width::Long),
-                Ok(0x7FFF_FFFE),
-                "{code:02x?}"
-            );
+            assert_eq!(machine(code).int(Width::Long), Ok(0x7FFF_FFFE), "{code:02x?}");
         }
     }
 
@@ -275,21 +260,11 @@ mod tests {
 
     #[test]
     fn outside_the_memory_and_the_code_is_a_fault() {
-        for code in [
-            &[0x64][..],
-            &[0xE1, 4],
-            &[0xE3, 0xFF, 0xFF, 0xFF, 0x7F],
-            &[0x88, 0],
-            &[0x84, b'a'],
-            &[0x82, 1],
-            &[],
-        ] {
+        for code in
+            [&[0x64][..], &[0xE1, 4], &[0xE3, 0xFF, 0xFF, 0xFF, 0x7F], &[0x88, 0], &[0x84, b'a'], &[0x82, 1], &[]]
+        {
             assert_eq!(machine(code).int(Width::Byte), Err(Fault), "{code:02x?}");
-            assert_eq!(
-                machine(code).put_int(Width::Byte, 1),
-                Err(Fault),
-                "{code:02x?}"
-            );
+            assert_eq!(machine(code).put_int(Width::Byte, 1), Err(Fault), "{code:02x?}");
         }
         assert_eq!(machine(&[0x61]).put_real(1.0), Err(Fault));
         assert_eq!(machine(&[]).jump(-1), Err(Fault));

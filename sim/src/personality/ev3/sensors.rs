@@ -63,10 +63,7 @@ pub(super) enum Reading {
 
 impl Sensors {
     pub(super) fn new(missing: MissingSensor) -> Self {
-        Self {
-            missing,
-            ..Self::default()
-        }
+        Self { missing, ..Self::default() }
     }
 
     /// As after a start of a program.
@@ -101,12 +98,7 @@ impl Sensors {
     }
 
     /// Reads a port as a device of `wanted` type in `mode`; type 0 takes what is there, mode -1 leaves it.
-    pub(super) fn read(
-        &mut self,
-        now: Span,
-        (port, wanted, mode): (usize, i32, i32),
-        sources: Sources<'_>,
-    ) -> Reading {
+    pub(super) fn read(&mut self, now: Span, (port, wanted, mode): (usize, i32, i32), sources: Sources<'_>) -> Reading {
         let kind = kind(port);
         if kind == NOTHING || (wanted != 0 && wanted != i32::from(kind)) {
             return Reading::Nothing;

@@ -16,10 +16,7 @@ impl Host {
         scenario.brick.personality = Personality::Ev3;
         scenario.brick.program = BrickProgram::None;
         change(&mut scenario);
-        Self {
-            simulation: Simulation::new(scenario),
-            counter: 41,
-        }
+        Self { simulation: Simulation::new(scenario), counter: 41 }
     }
 
     fn programless() -> Self {
@@ -40,8 +37,7 @@ impl Host {
     fn ask(&mut self, globals: u8, code: &[u8]) -> (usize, u8, Vec<u8>) {
         self.counter += 1;
         let body = [&self.counter.to_le_bytes()[..], &[0, globals, 0], code].concat();
-        self.simulation
-            .receive(&[&(body.len() as u16).to_le_bytes()[..], &body].concat());
+        self.simulation.receive(&[&(body.len() as u16).to_le_bytes()[..], &body].concat());
         let heard = self.listen(300);
         assert_eq!(heard.len(), 1, "{code:02x?}: {heard:02x?}");
         let (at, bytes) = &heard[0];
@@ -53,11 +49,7 @@ impl Host {
 
     fn value(&mut self, globals: u8, code: &[u8]) -> Vec<u8> {
         let (_, kind, memory) = self.ask(globals, code);
-        assert_eq!(
-            (kind, memory.len()),
-            (2, usize::from(globals)),
-            "{code:02x?}"
-        );
+        assert_eq!((kind, memory.len()), (2, usize::from(globals)), "{code:02x?}");
         memory
     }
 
@@ -80,8 +72,8 @@ fn one_telegram_asks_for_clock_encoders_and_gyro() {
     });
     // Published for ev3-dc's encoder; counter 1, 16 bytes of answer.
     let telegram = [
-        0x18, 0x00, 0x01, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00,
-        0x02, 0x68, 0x99, 0x1D, 0x00, 0x01, 0x81, 0x20, 0x01, 0x01, 0x6C,
+        0x18, 0x00, 0x01, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00, 0x02, 0x68, 0x99,
+        0x1D, 0x00, 0x01, 0x81, 0x20, 0x01, 0x01, 0x6C,
     ];
     host.simulation.receive(&telegram);
     let heard = host.listen(200);
@@ -112,13 +104,7 @@ fn the_clock_of_microseconds_wraps() {
 #[test]
 fn unknown_and_broken_codes_are_answered_with_an_error() {
     let mut host = Host::programless();
-    for code in [
-        &[0xFF][..],
-        &[0xB3, 0, 1],
-        &[0xB3, 0, 1, 0x64],
-        &[0x81, 0x63, 0x60],
-        &[0xB0, 0, 6, 50, 0, 0, 0],
-    ] {
+    for code in [&[0xFF][..], &[0xB3, 0, 1], &[0xB3, 0, 1, 0x64], &[0x81, 0x63, 0x60], &[0xB0, 0, 6, 50, 0, 0, 0]] {
         assert_eq!(host.ask(4, code).1, 4, "{code:02x?}");
     }
     // Without a wish for an answer there is none.
@@ -139,10 +125,7 @@ fn motors_follow_power_speed_and_steps() {
     assert_eq!(host.count(1), 0);
     // 30, 120 and 30 degrees at 30 percent on C, with brake.
     let steps = [0xAE, 0, 4, 30, 30, 0x81, 120, 30, 1];
-    assert_eq!(
-        host.value(1, &[&steps[..], &[0xA9, 0, 4, 0x60]].concat()),
-        [1]
-    );
+    assert_eq!(host.value(1, &[&steps[..], &[0xA9, 0, 4, 0x60]].concat()), [1]);
     host.listen(2_500);
     assert_eq!(host.value(1, &[0xA9, 0, 4, 0x60]), [0]);
     assert!((175..=190).contains(&host.count(2)), "{}", host.count(2));
@@ -180,9 +163,7 @@ fn the_gyro_turns_clockwise_and_empty_ports_have_nothing_to_say() {
     // READSI of an empty port, and of the gyro as something else.
     assert!(real(&host.value(4, &[0x9D, 0, 0, 0, 0x3F, 0x60])).is_nan());
     assert!(real(&host.value(4, &[0x9D, 0, 1, 0x81, 30, 0, 0x60])).is_nan());
-    let kinds = [
-        0x99, 5, 0, 1, 0x60, 0x61, 0x99, 5, 0, 0, 0x62, 0x63, 0x99, 5, 0, 0x11, 0x64, 0x65,
-    ];
+    let kinds = [0x99, 5, 0, 1, 0x60, 0x61, 0x99, 5, 0, 0, 0x62, 0x63, 0x99, 5, 0, 0x11, 0x64, 0x65];
     assert_eq!(host.value(6, &kinds), [32, 3, 126, 0, 7, 0]);
 }
 
@@ -190,9 +171,7 @@ fn the_gyro_turns_clockwise_and_empty_ports_have_nothing_to_say() {
 fn commands_that_wait_are_followed_in_their_order() {
     let mut host = Host::programless();
     // The first waits for the gyro's mode, the second for the first.
-    host.simulation.receive(&[
-        0x0F, 0, 1, 0, 0, 4, 0, 0x99, 0x1D, 0, 1, 0x81, 0x20, 1, 1, 0x60, 0x01,
-    ]);
+    host.simulation.receive(&[0x0F, 0, 1, 0, 0, 4, 0, 0x99, 0x1D, 0, 1, 0x81, 0x20, 1, 1, 0x60, 0x01]);
     host.simulation.receive(&[7, 0, 2, 0, 0, 4, 0, 0x8F, 0x60]);
     let heard = host.listen(300);
     let counters: Vec<u8> = heard.iter().map(|(_, bytes)| bytes[2]).collect();
@@ -202,8 +181,7 @@ fn commands_that_wait_are_followed_in_their_order() {
 #[test]
 fn a_jump_to_itself_holds_nobody_up() {
     let mut host = Host::programless();
-    host.simulation
-        .receive(&[8, 0, 1, 0, 0, 0, 0, 0x40, 0x3E, 0x01]);
+    host.simulation.receive(&[8, 0, 1, 0, 0, 0, 0, 0x40, 0x3E, 0x01]);
     assert_eq!(host.listen(50), []);
     host.simulation.reopen_link();
     assert_eq!(host.count(0), 0);
@@ -237,14 +215,9 @@ fn the_program_takes_the_estimate_out_of_its_mailbox() {
 fn names_volume_and_battery() {
     let mut host = Host::programless();
     // COM_SET name, COM_GET name with room for four bytes.
-    let name = [
-        0xD4, 8, 0x84, b'r', b'o', b'v', b'e', b'r', 0, 0xD3, 0x0D, 4, 0x60,
-    ];
+    let name = [0xD4, 8, 0x84, b'r', b'o', b'v', b'e', b'r', 0, 0xD3, 0x0D, 4, 0x60];
     assert_eq!(host.value(4, &name), *b"rov\0");
-    assert_eq!(
-        host.value(2, &[0x7C, 5, 7, 0x7C, 4, 0x60, 0x7C, 6, 0x61]),
-        [7, 30]
-    );
+    assert_eq!(host.value(2, &[0x7C, 5, 7, 0x7C, 4, 0x60, 0x7C, 6, 0x61]), [7, 30]);
     let battery = host.value(5, &[0x81, 1, 0x60, 0x81, 0x12, 0x64]);
     assert!((real(&battery[..4]) - 8.0).abs() < 0.01 && battery[4] == 100);
 }

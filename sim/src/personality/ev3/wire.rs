@@ -121,10 +121,7 @@ impl Wire {
     fn greet(&mut self) {
         let windows = self.received.windows(GREETING_END.len());
         // The line itself may name the brick; the protocol comes last.
-        let protocol = self
-            .received
-            .windows(9)
-            .position(|text| text == b"Protocol:");
+        let protocol = self.received.windows(9).position(|text| text == b"Protocol:");
         let end = windows
             .enumerate()
             .filter(|(at, text)| protocol.is_some_and(|from| *at > from) && *text == GREETING_END)
@@ -197,11 +194,7 @@ mod tests {
 
     #[test]
     fn a_greeting_without_end_and_a_length_that_cannot_be_are_thrown_away() {
-        for bytes in [
-            &[b"GET ".as_slice(), &[b'x'; 300]].concat(),
-            &vec![2, 0, 1, 1],
-            &vec![1, 4],
-        ] {
+        for bytes in [&[b"GET ".as_slice(), &[b'x'; 300]].concat(), &vec![2, 0, 1, 1], &vec![1, 4]] {
             let mut wire = Wire::new(Span::ZERO);
             wire.receive(ms(1), bytes);
             assert_eq!(wire.next_frame(), None);
@@ -216,14 +209,6 @@ mod tests {
     fn the_beacon_has_the_lines_that_clients_look_for() {
         let text = String::from_utf8(beacon(5_555)).unwrap();
         let lines: Vec<&str> = text.split_terminator("\r\n").collect();
-        assert_eq!(
-            lines,
-            [
-                "Serial-Number: 0016530B0E03",
-                "Port: 5555",
-                "Name: EV3",
-                "Protocol: EV3"
-            ]
-        );
+        assert_eq!(lines, ["Serial-Number: 0016530B0E03", "Port: 5555", "Name: EV3", "Protocol: EV3"]);
     }
 }

@@ -54,11 +54,7 @@ impl Default for Device {
         let mut registers = [0; 256];
         registers[INTERVAL] = 1;
         registers[COMMAND] = CONTINUOUS;
-        Self {
-            registers,
-            pointer: POINT_TEMPERATURE,
-            configuration: 0,
-        }
+        Self { registers, pointer: POINT_TEMPERATURE, configuration: 0 }
     }
 }
 
@@ -75,10 +71,7 @@ impl Device {
             (PortSensor::Temperature, TEMPERATURE_ADDRESS) => {
                 Some(self.thermometer(rest, wanted, inside.temperature_c))
             }
-            (
-                PortSensor::Accelerometer | PortSensor::Compass | PortSensor::Ultrasonic,
-                USUAL_ADDRESS,
-            ) => {
+            (PortSensor::Accelerometer | PortSensor::Compass | PortSensor::Ultrasonic, USUAL_ADDRESS) => {
                 let (first, values) = rest.split_first().map_or((0, rest), |(r, v)| (*r, v));
                 for (register, value) in (usize::from(first)..).zip(values) {
                     self.put(register, *value);
@@ -162,24 +155,16 @@ impl Device {
         }
         // Bits 6 and 5: 9, 10, 11 or 12 bits are converted, the others are zero.
         let unused_bits = 3 - ((self.configuration >> 5) & 3);
-        let counts = (temperature_c * COUNTS_PER_K)
-            .floor()
-            .clamp(-2_048.0, 2_047.0) as i16;
+        let counts = (temperature_c * COUNTS_PER_K).floor().clamp(-2_048.0, 2_047.0) as i16;
         let register = (counts >> unused_bits << unused_bits) << 4;
-        let bytes = register
-            .to_be_bytes()
-            .into_iter()
-            .chain(std::iter::repeat(0xFF));
+        let bytes = register.to_be_bytes().into_iter().chain(std::iter::repeat(0xFF));
         bytes.take(wanted).collect()
     }
 }
 
 /// Ten bits of each axis with a sign: the upper eight, then the lower two.
 fn acceleration_registers(counts: [i16; 3]) -> [[u8; 3]; 2] {
-    [
-        counts.map(|count| (count >> 2) as u8),
-        counts.map(|count| (count & 3) as u8),
-    ]
+    [counts.map(|count| (count >> 2) as u8), counts.map(|count| (count & 3) as u8)]
 }
 
 #[cfg(test)]
@@ -187,17 +172,9 @@ mod tests {
     use super::*;
     use crate::scenario::Scenario;
 
-    fn ask(
-        sensor: PortSensor,
-        request: &[u8],
-        wanted: usize,
-        temperature_c: f64,
-    ) -> Option<Vec<u8>> {
+    fn ask(sensor: PortSensor, request: &[u8], wanted: usize, temperature_c: f64) -> Option<Vec<u8>> {
         let senses = Senses::new(&Scenario::default());
-        let inside = Inside {
-            senses: &senses,
-            temperature_c,
-        };
+        let inside = Inside { senses: &senses, temperature_c };
         Device::default().transact(sensor, (request, wanted), inside)
     }
 
@@ -211,10 +188,7 @@ mod tests {
     fn an_acceleration_is_eight_bits_with_a_sign_and_two_without() {
         let registers = acceleration_registers([-1, 2, 203]);
         assert_eq!(registers, [[0xFF, 0, 50], [3, 2, 3]]);
-        assert_eq!(
-            acceleration_registers([-512, 511, -6])[0],
-            [0x80, 0x7F, 0xFE]
-        );
+        assert_eq!(acceleration_registers([-512, 511, -6])[0], [0x80, 0x7F, 0xFE]);
     }
 
     #[test]
@@ -223,14 +197,8 @@ mod tests {
         assert_eq!(&answer, b"LEGO\0\0\0\0Sonar\0\0\0");
         let unit = ask(PortSensor::Ultrasonic, &[0x02, 0x14], 7, 0.0).unwrap();
         assert_eq!(&unit, b"10E-2m\0");
-        assert_eq!(
-            ask(PortSensor::Compass, &[0x02, 0x10], 8, 0.0).unwrap(),
-            b"Compass "
-        );
-        assert_eq!(
-            ask(PortSensor::Ultrasonic, &[0x02, 0x42], 1, 0.0).unwrap(),
-            [255]
-        );
+        assert_eq!(ask(PortSensor::Compass, &[0x02, 0x10], 8, 0.0).unwrap(), b"Compass ");
+        assert_eq!(ask(PortSensor::Ultrasonic, &[0x02, 0x42], 1, 0.0).unwrap(), [255]);
     }
 
     #[test]
@@ -242,16 +210,10 @@ mod tests {
         assert_eq!(ask(&[0x98, 0x00], 2, 21.7), [0x15, 0x80]);
         assert_eq!(ask(&[0x98, 0x00], 2, -0.1), [0xFF, 0x80]);
         let senses = Senses::new(&Scenario::default());
-        let inside = Inside {
-            senses: &senses,
-            temperature_c: 21.7,
-        };
+        let inside = Inside { senses: &senses, temperature_c: 21.7 };
         let mut device = Device::default();
-        let mut twelve = |request: &[u8], wanted| {
-            device
-                .transact(PortSensor::Temperature, (request, wanted), inside)
-                .unwrap()
-        };
+        let mut twelve =
+            |request: &[u8], wanted| device.transact(PortSensor::Temperature, (request, wanted), inside).unwrap();
         assert_eq!(twelve(&[0x98, 0x01, 0x60], 1), [0x60]);
         assert_eq!(twelve(&[0x98, 0x00], 2), [0x15, 0xB0]);
     }

@@ -61,11 +61,7 @@ pub(super) struct Inputs {
 impl Inputs {
     /// Ports that nobody has set up; the gyro's rest value is drawn.
     pub(super) fn new(sensors: [PortSensor; PORTS], seed: u64) -> Self {
-        let ports = sensors.map(|sensor| Input {
-            sensor,
-            raw: FULL_SCALE,
-            ..Input::default()
-        });
+        let ports = sensors.map(|sensor| Input { sensor, raw: FULL_SCALE, ..Input::default() });
         let gyro_rest = Stream::new(seed, "gyro at rest").uniform(REST_COUNTS.0, REST_COUNTS.1);
         Self { ports, gyro_rest }
     }
@@ -95,11 +91,7 @@ impl Inputs {
             return false;
         }
         (input.kind, input.mode) = (kind, mode);
-        input.invalid_passes = if is_low_speed(kind) {
-            LOW_SPEED_PASSES
-        } else {
-            ANALOG_PASSES
-        };
+        input.invalid_passes = if is_low_speed(kind) { LOW_SPEED_PASSES } else { ANALOG_PASSES };
         true
     }
 
@@ -161,11 +153,7 @@ impl Input {
     }
 
     const fn normalised(&self) -> u16 {
-        if matches!(self.kind, LIGHT_ACTIVE | LIGHT_INACTIVE) {
-            FULL_SCALE - self.raw
-        } else {
-            self.raw
-        }
+        if matches!(self.kind, LIGHT_ACTIVE | LIGHT_INACTIVE) { FULL_SCALE - self.raw } else { self.raw }
     }
 
     const fn is_pressed(&self) -> bool {

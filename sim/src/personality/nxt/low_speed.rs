@@ -67,16 +67,8 @@ impl LowSpeed {
     }
 
     /// Begins a transaction on a port that is set up and holds `sensor`.
-    pub(super) fn write(
-        &mut self,
-        port: u8,
-        sensor: PortSensor,
-        (request, wanted): (&[u8], usize),
-    ) -> Result<(), u8> {
-        let channel = self
-            .channels
-            .get_mut(usize::from(port))
-            .ok_or(status::OUT_OF_RANGE)?;
+    pub(super) fn write(&mut self, port: u8, sensor: PortSensor, (request, wanted): (&[u8], usize)) -> Result<(), u8> {
+        let channel = self.channels.get_mut(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         if request.is_empty() || request.len() > LONGEST || wanted > LONGEST {
             return Err(status::ILLEGAL_SIZE);
         }
@@ -84,9 +76,7 @@ impl LowSpeed {
             return Err(status::PENDING);
         }
         let bytes = request.len() + usize::from(wanted > 0) + wanted;
-        channel.state = State::Busy {
-            passes: (bytes as f64 * MS_PER_BYTE).ceil() as u32,
-        };
+        channel.state = State::Busy { passes: (bytes as f64 * MS_PER_BYTE).ceil() as u32 };
         channel.sensor = sensor;
         channel.request = request.to_vec();
         channel.wanted = wanted;
@@ -95,10 +85,7 @@ impl LowSpeed {
 
     /// How many bytes wait to be read.
     pub(super) fn ready(&self, port: u8) -> Result<usize, u8> {
-        let channel = self
-            .channels
-            .get(usize::from(port))
-            .ok_or(status::OUT_OF_RANGE)?;
+        let channel = self.channels.get(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         match channel.state {
             State::Idle => Ok(channel.unread),
             State::Busy { .. } => Err(status::PENDING),
@@ -109,10 +96,7 @@ impl LowSpeed {
     /// Takes out what waits.
     pub(super) fn read(&mut self, port: u8) -> Result<Vec<u8>, u8> {
         let unread = self.ready(port)?;
-        let channel = self
-            .channels
-            .get_mut(usize::from(port))
-            .ok_or(status::OUT_OF_RANGE)?;
+        let channel = self.channels.get_mut(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         let ring = channel.ring.iter().cycle().skip(channel.next_out);
         let bytes = ring.take(unread).copied().collect();
         channel.next_out = channel.next_in;
@@ -123,10 +107,7 @@ impl LowSpeed {
     /// A program was started or stopped: what was under way is forgotten, the sensors keep their settings.
     pub(super) fn reset(&mut self) {
         for channel in &mut self.channels {
-            *channel = Channel {
-                device: channel.device.clone(),
-                ..Channel::default()
-            };
+            *channel = Channel { device: channel.device.clone(), ..Channel::default() };
         }
     }
 
@@ -155,9 +136,7 @@ impl LowSpeed {
         map.extend(self.channels.each_ref().map(Channel::shown_error));
         let is_busy = |channel: &Channel| matches!(channel.state, State::Busy { .. });
         let busy = (0_u8..).zip(&self.channels);
-        map.push(busy.fold(0, |bits, (port, channel)| {
-            bits | (u8::from(is_busy(channel)) << port)
-        }));
+        map.push(busy.fold(0, |bits, (port, channel)| bits | (u8::from(is_busy(channel)) << port)));
         map.push(0);
         map
     }
@@ -220,10 +199,7 @@ mod tests {
 
     fn pass(bus: &mut LowSpeed, count: u32) {
         let senses = Senses::new(&Scenario::default());
-        let inside = Inside {
-            senses: &senses,
-            temperature_c: 20.0,
-        };
+        let inside = Inside { senses: &senses, temperature_c: 20.0 };
         (0..count).for_each(|_| bus.step(inside));
     }
 
@@ -236,20 +212,11 @@ mod tests {
         // 2 out, the address again, 6 in: 9 bytes of 1.04 ms.
         pass(&mut bus, 9);
         assert_eq!(bus.ready(1), Err(status::PENDING));
-        assert_eq!(
-            bus.write(1, PortSensor::Accelerometer, ASK),
-            Err(status::PENDING)
-        );
-        assert_eq!(
-            (bus.map()[19 + 18], bus.map()[157], bus.map()[164]),
-            (6, 3, 2)
-        );
+        assert_eq!(bus.write(1, PortSensor::Accelerometer, ASK), Err(status::PENDING));
+        assert_eq!((bus.map()[19 + 18], bus.map()[157], bus.map()[164]), (6, 3, 2));
         pass(&mut bus, 1);
         assert_eq!(bus.ready(1), Ok(6));
-        assert_eq!(
-            bus.map()[19..19 + 19],
-            [0, 0, 50, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 0, 0]
-        );
+        assert_eq!(bus.map()[19..19 + 19], [0, 0, 50, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 0, 0]);
         assert_eq!(bus.read(1).unwrap(), [0, 0, 50, 0, 0, 0]);
         assert_eq!(bus.read(1).unwrap(), [0_u8; 0]);
     }
@@ -282,18 +249,9 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused() {
         let mut bus = LowSpeed::default();
-        assert_eq!(
-            bus.write(4, PortSensor::None, ASK),
-            Err(status::OUT_OF_RANGE)
-        );
-        assert_eq!(
-            bus.write(0, PortSensor::None, (&[], 1)),
-            Err(status::ILLEGAL_SIZE)
-        );
-        assert_eq!(
-            bus.write(0, PortSensor::None, (&[2], 17)),
-            Err(status::ILLEGAL_SIZE)
-        );
+        assert_eq!(bus.write(4, PortSensor::None, ASK), Err(status::OUT_OF_RANGE));
+        assert_eq!(bus.write(0, PortSensor::None, (&[], 1)), Err(status::ILLEGAL_SIZE));
+        assert_eq!(bus.write(0, PortSensor::None, (&[2], 17)), Err(status::ILLEGAL_SIZE));
         assert_eq!(bus.map().len(), 166);
     }
 }

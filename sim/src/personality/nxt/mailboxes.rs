@@ -23,10 +23,7 @@ pub(super) struct Mailboxes {
 impl Mailboxes {
     /// Adds a message, `size` bytes long by its sender's word.
     pub(super) fn write(&mut self, queue: u8, size: u8, message: &[u8]) -> Result<(), u8> {
-        let queue = self
-            .queues
-            .get_mut(usize::from(queue))
-            .ok_or(status::ILLEGAL_MAILBOX)?;
+        let queue = self.queues.get_mut(usize::from(queue)).ok_or(status::ILLEGAL_MAILBOX)?;
         if message.len() != usize::from(size) || message.len() > LONGEST {
             return Err(status::ILLEGAL_SIZE);
         }
@@ -42,14 +39,8 @@ impl Mailboxes {
 
     /// The oldest message, its final zero included.
     pub(super) fn oldest(&self, queue: u8) -> Result<&[u8], u8> {
-        let queue = self
-            .queues
-            .get(usize::from(queue))
-            .ok_or(status::ILLEGAL_MAILBOX)?;
-        queue
-            .front()
-            .map(Vec::as_slice)
-            .ok_or(status::MAILBOX_EMPTY)
+        let queue = self.queues.get(usize::from(queue)).ok_or(status::ILLEGAL_MAILBOX)?;
+        queue.front().map(Vec::as_slice).ok_or(status::MAILBOX_EMPTY)
     }
 
     /// Takes the oldest message out.

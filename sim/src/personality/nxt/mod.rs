@@ -112,10 +112,8 @@ impl Nxt {
             return Pair::default();
         }
         self.inputs.step(moment.senses);
-        self.low_speed.step(Inside {
-            senses: moment.senses,
-            temperature_c: moment.board.read_temperature().unwrap_or(ROOM_C),
-        });
+        self.low_speed
+            .step(Inside { senses: moment.senses, temperature_c: moment.board.read_temperature().unwrap_or(ROOM_C) });
         if let Some(telegram) = self.wire.next_telegram() {
             self.follow(&telegram, moment);
         }

@@ -126,11 +126,7 @@ impl Outputs {
             is_overloaded: false,
             written: [0; MAP_BYTES],
         };
-        Self {
-            ports: [port(), port(), port()],
-            fresh_control: control,
-            passes: 0,
-        }
+        Self { ports: [port(), port(), port()], fresh_control: control, passes: 0 }
     }
 
     /// Follows the encoders by one pass and returns the duty of both motors.
@@ -149,20 +145,13 @@ impl Outputs {
             }
         }
         let duty = |place: usize| self.ports.get(place).map_or(0.0, |port| port.duty);
-        Pair {
-            left: duty(LEFT),
-            right: duty(RIGHT),
-        }
+        Pair { left: duty(LEFT), right: duty(RIGHT) }
     }
 
     /// Gives an order to a port, or to all; false if there is no such port.
     pub(super) fn order(&mut self, port: u8, order: Order) -> bool {
         let fresh = self.fresh_control.clone();
-        let places = if port == ALL {
-            0..PORTS
-        } else {
-            usize::from(port)..usize::from(port) + 1
-        };
+        let places = if port == ALL { 0..PORTS } else { usize::from(port)..usize::from(port) + 1 };
         let Some(ports) = self.ports.get_mut(places) else {
             return false;
         };
@@ -282,19 +271,12 @@ impl Output {
         let power = f64::from(self.order.power);
         let ratio = f64::from(self.order.turn_ratio);
         let is_slower = (ratio < 0.0) == (place == RIGHT);
-        if self.order.regulation == SYNC && is_slower {
-            power * (1.0 - ratio.abs() / 50.0)
-        } else {
-            power
-        }
+        if self.order.regulation == SYNC && is_slower { power * (1.0 - ratio.abs() / 50.0) } else { power }
     }
 
     fn follow(&mut self, order: Order, fresh: SpeedControl) {
-        self.order = Order {
-            power: order.power.clamp(-100, 100),
-            turn_ratio: order.turn_ratio.clamp(-100, 100),
-            ..order
-        };
+        self.order =
+            Order { power: order.power.clamp(-100, 100), turn_ratio: order.turn_ratio.clamp(-100, 100), ..order };
         self.begun = self.position;
         self.control = fresh;
     }
@@ -332,8 +314,7 @@ impl Output {
 
     /// Tacho, block and rotation count.
     fn counts(&self) -> [i32; 3] {
-        [self.tacho_zero, self.block_zero, self.rotation_zero]
-            .map(|zero| (self.position - zero) as i32)
+        [self.tacho_zero, self.block_zero, self.rotation_zero].map(|zero| (self.position - zero) as i32)
     }
 
     fn map(&self) -> [u8; MAP_BYTES] {
@@ -358,14 +339,7 @@ impl Output {
 mod tests {
     use super::*;
 
-    const RUN: Order = Order {
-        power: 50,
-        mode: ON,
-        regulation: 0,
-        turn_ratio: 0,
-        run_state: RUNNING,
-        limit: 0,
-    };
+    const RUN: Order = Order { power: 50, mode: ON, regulation: 0, turn_ratio: 0, run_state: RUNNING, limit: 0 };
 
     fn at(left: i64, right: i64) -> Pair<i64> {
         Pair { left, right }
@@ -424,29 +398,11 @@ mod tests {
     #[test]
     fn in_step_a_turn_ratio_slows_the_motor_inside_the_turn() {
         let mut outputs = Outputs::new(&RobotSettings::default());
-        let order = Order {
-            mode: ON | REGULATED,
-            regulation: SYNC,
-            turn_ratio: 25,
-            ..RUN
-        };
+        let order = Order { mode: ON | REGULATED, regulation: SYNC, turn_ratio: 25, ..RUN };
         outputs.order(0xFF, order);
-        let percent =
-            |outputs: &Outputs, place: usize| outputs.ports[place].regulated_percent(place);
-        assert_eq!(
-            (percent(&outputs, LEFT), percent(&outputs, RIGHT)),
-            (25.0, 50.0)
-        );
-        outputs.order(
-            0xFF,
-            Order {
-                turn_ratio: -50,
-                ..order
-            },
-        );
-        assert_eq!(
-            (percent(&outputs, LEFT), percent(&outputs, RIGHT)),
-            (50.0, 0.0)
-        );
+        let percent = |outputs: &Outputs, place: usize| outputs.ports[place].regulated_percent(place);
+        assert_eq!((percent(&outputs, LEFT), percent(&outputs, RIGHT)), (25.0, 50.0));
+        outputs.order(0xFF, Order { turn_ratio: -50, ..order });
+        assert_eq!((percent(&outputs, LEFT), percent(&outputs, RIGHT)), (50.0, 0.0));
     }
 }

@@ -83,12 +83,7 @@ impl<'a> Request<'a> {
             SYSTEM => Family::System,
             _ => return None,
         };
-        Some(Self {
-            family,
-            is_answered: kind & NO_ANSWER == 0,
-            opcode: *opcode,
-            rest,
-        })
+        Some(Self { family, is_answered: kind & NO_ANSWER == 0, opcode: *opcode, rest })
     }
 
     /// The byte at `index` behind the opcode.
@@ -99,24 +94,18 @@ impl<'a> Request<'a> {
     /// The 16-bit word at `index` behind the opcode.
     pub(super) fn word(&self, index: usize) -> Result<u16, u8> {
         let bytes = self.rest.get(index..).and_then(<[u8]>::first_chunk);
-        bytes
-            .map(|bytes| u16::from_le_bytes(*bytes))
-            .ok_or(status::INSANE_PACKET)
+        bytes.map(|bytes| u16::from_le_bytes(*bytes)).ok_or(status::INSANE_PACKET)
     }
 
     /// The 32-bit word at `index` behind the opcode.
     pub(super) fn long(&self, index: usize) -> Result<u32, u8> {
         let bytes = self.rest.get(index..).and_then(<[u8]>::first_chunk);
-        bytes
-            .map(|bytes| u32::from_le_bytes(*bytes))
-            .ok_or(status::INSANE_PACKET)
+        bytes.map(|bytes| u32::from_le_bytes(*bytes)).ok_or(status::INSANE_PACKET)
     }
 
     /// `count` bytes at `index` behind the opcode.
     pub(super) fn bytes(&self, index: usize, count: usize) -> Result<&'a [u8], u8> {
-        self.rest
-            .get(index..index + count)
-            .ok_or(status::INSANE_PACKET)
+        self.rest.get(index..index + count).ok_or(status::INSANE_PACKET)
     }
 }
 
@@ -137,16 +126,12 @@ pub(super) fn request_length(bytes: &[u8]) -> Option<usize> {
     let counted = |index: usize| request.byte(index).ok().map(usize::from);
     match (request.family, request.opcode) {
         (Family::Direct, opcode) => match opcode {
-            direct::STOP_PROGRAM
-            | direct::BATTERY
-            | direct::STOP_SOUND
-            | direct::KEEP_ALIVE
-            | direct::PROGRAM_NAME => Some(2),
-            direct::GET_OUTPUT
-            | direct::GET_INPUT
-            | direct::RESET_SCALED
-            | direct::BUS_STATUS
-            | direct::BUS_READ => Some(3),
+            direct::STOP_PROGRAM | direct::BATTERY | direct::STOP_SOUND | direct::KEEP_ALIVE | direct::PROGRAM_NAME => {
+                Some(2)
+            }
+            direct::GET_OUTPUT | direct::GET_INPUT | direct::RESET_SCALED | direct::BUS_STATUS | direct::BUS_READ => {
+                Some(3)
+            }
             direct::RESET_POSITION => Some(4),
             direct::SET_INPUT | direct::READ_MESSAGE => Some(5),
             direct::PLAY_TONE => Some(6),

@@ -15,9 +15,7 @@ impl Host {
         scenario.brick.personality = Personality::Nxt;
         scenario.brick.program = BrickProgram::None;
         change(&mut scenario);
-        Self {
-            simulation: Simulation::new(scenario),
-        }
+        Self { simulation: Simulation::new(scenario) }
     }
 
     fn programless() -> Self {
@@ -71,15 +69,9 @@ fn the_brick_tells_who_it_is() {
     // Published: 02 00 01 88 and 02 00 01 9b.
     assert_eq!(host.ask(&[0x01, 0x88]), [2, 0x88, 0, 124, 1, 31, 1]);
     let info = host.ask(&[0x01, 0x9B]);
-    assert_eq!(
-        (info.len(), &info[..7]),
-        (33, b"\x02\x9b\0NXT\0".as_slice())
-    );
+    assert_eq!((info.len(), &info[..7]), (33, b"\x02\x9b\0NXT\0".as_slice()));
     assert_eq!(info[18..21], [0x00, 0x16, 0x53]);
-    assert_eq!(
-        host.ask(&[&[0x01, 0x98][..], b"rover", &[0; 11]].concat()),
-        [2, 0x98, 0]
-    );
+    assert_eq!(host.ask(&[&[0x01, 0x98][..], b"rover", &[0; 11]].concat()), [2, 0x98, 0]);
     assert_eq!(host.ask(&[0x01, 0x9B])[3..9], *b"rover\0");
     // 8 V, and a hundredth less after a minute.
     let battery = host.ask(&[0x00, 0x0B]);
@@ -113,11 +105,7 @@ fn what_it_does_not_know_has_a_status_of_its_own() {
         (&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 120, 0], 0x91),
     ];
     for (request, status) in cases {
-        assert_eq!(
-            host.ask(request),
-            [2, request[1], *status],
-            "{request:02x?}"
-        );
+        assert_eq!(host.ask(request), [2, request[1], *status], "{request:02x?}");
     }
     // Without a wish for an answer there is none, and what is no request has none either.
     host.tell(&[0x80, 0x77]);
@@ -139,10 +127,7 @@ fn an_order_turns_a_motor_and_all_counters_count() {
     let state = host.ask(&[0x00, 0x06, 1]);
     assert_eq!(state[3..13], [1, 50, 1, 0, 0, 0x20, 0, 0, 0, 0]);
     let long = |at: usize| i32::from_le_bytes(state[at..at + 4].try_into().unwrap());
-    assert!(
-        long(13) > turned && long(17) == long(13) && long(21) < 60,
-        "{state:?}"
-    );
+    assert!(long(13) > turned && long(17) == long(13) && long(21) < 60, "{state:?}");
 }
 
 #[test]
@@ -164,20 +149,13 @@ fn the_io_maps_show_what_single_commands_show() {
     host.listen(500);
     // Published: 0a 00 01 94 01 00 02 00 00 00 60 00.
     let outputs = host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 0x60, 0]);
-    assert_eq!(
-        (outputs.len(), &outputs[..9]),
-        (105, &[2, 0x94, 0, 1, 0, 2, 0, 0x60, 0][..])
-    );
+    assert_eq!((outputs.len(), &outputs[..9]), (105, &[2, 0x94, 0, 1, 0, 2, 0, 0x60, 0][..]));
     let tacho = i32::from_le_bytes(outputs[9 + 32..][..4].try_into().unwrap());
     assert!(tacho > 100, "{tacho}");
     assert_eq!((outputs[9 + 32 + 20], outputs[9 + 32 + 25]), (60, 0x20));
     let inputs = host.ask(&[0x01, 0x94, 1, 0, 3, 0, 0, 0, 80, 0]);
-    let raw =
-        |port: usize| u16::from_le_bytes([inputs[9 + 20 * port + 2], inputs[9 + 20 * port + 3]]);
-    assert!(
-        (550..660).contains(&raw(0)) && raw(1) == 1_023,
-        "{inputs:?}"
-    );
+    let raw = |port: usize| u16::from_le_bytes([inputs[9 + 20 * port + 2], inputs[9 + 20 * port + 3]]);
+    assert!((550..660).contains(&raw(0)) && raw(1) == 1_023, "{inputs:?}");
     assert_eq!((inputs[9 + 8], inputs[9 + 16]), (6, 0));
     let buses = host.ask(&[0x01, 0x94, 1, 0, 0x0B, 0, 0, 0, 76, 0]);
     assert_eq!(buses[9..], [0; 76]);
@@ -194,10 +172,7 @@ fn the_io_maps_show_what_single_commands_show() {
 #[test]
 fn an_old_firmware_takes_and_sends_64_bytes() {
     let mut host = Host::of(|scenario| scenario.brick.telegram_bytes = 64);
-    assert_eq!(
-        host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 56, 0]),
-        [2, 0x94, 0x91]
-    );
+    assert_eq!(host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 56, 0]), [2, 0x94, 0x91]);
     assert_eq!(host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 55, 0]).len(), 64);
 }
 
@@ -212,25 +187,16 @@ fn the_accelerometer_answers_over_the_bus() {
     assert_eq!(host.ask(&[0x00, 0x0F, 1, 2, 6, 0x02, 0x42]), [2, 0x0F, 0]);
     assert_eq!(host.ask(&[0x00, 0x0E, 1]), [2, 0x0E, 0, 6]);
     let answer = host.ask(&[0x00, 0x10, 1]);
-    assert_eq!(
-        (answer.len(), &answer[..10]),
-        (20, &[2, 0x10, 0, 6, 0, 0, 50, 0, 0, 0][..])
-    );
+    assert_eq!((answer.len(), &answer[..10]), (20, &[2, 0x10, 0, 6, 0, 0, 50, 0, 0, 0][..]));
 }
 
 #[test]
 fn a_fresh_bus_is_not_ready_and_a_running_transaction_is_pending() {
     let mut host = Host::programless();
-    let requests = [
-        framed(&[0x80, 0x05, 3, 0x0B, 0]),
-        framed(&[0x00, 0x0F, 3, 2, 1, 0x02, 0x42]),
-    ];
+    let requests = [framed(&[0x80, 0x05, 3, 0x0B, 0]), framed(&[0x00, 0x0F, 3, 2, 1, 0x02, 0x42])];
     host.simulation.receive(&requests.concat());
     assert_eq!(host.listen(60)[0].1, [3, 0, 2, 0x0F, 0xE0]);
-    let requests = [
-        framed(&[0x80, 0x0F, 3, 2, 1, 0x02, 0x42]),
-        framed(&[0x00, 0x0E, 3]),
-    ];
+    let requests = [framed(&[0x80, 0x0F, 3, 2, 1, 0x02, 0x42]), framed(&[0x00, 0x0E, 3])];
     host.simulation.receive(&requests.concat());
     assert_eq!(host.listen(60)[0].1, [3, 0, 2, 0x0E, 0x20]);
     // Nothing ahead.
@@ -301,9 +267,7 @@ fn the_program_takes_the_estimate_out_of_its_mailbox() {
     let mut host = Host::with_program();
     host.listen(100);
     // Tick 5100 ms, 1.5 m, -0.5 m, 0.25 rad, flags 3.
-    let mut estimate = vec![
-        0x80, 0x09, 0, 25, 0xEC, 0x13, 0, 0, 0, 0, 0xC0, 0x3F, 0, 0, 0, 0xBF,
-    ];
+    let mut estimate = vec![0x80, 0x09, 0, 25, 0xEC, 0x13, 0, 0, 0, 0, 0xC0, 0x3F, 0, 0, 0, 0xBF];
     estimate.extend([0, 0, 0x80, 0x3E, 0, 0, 0, 0x3C, 3, 0, 1, 0, 0]);
     host.tell(&estimate);
     let received = host.simulation.received_estimates();

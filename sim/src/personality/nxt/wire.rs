@@ -71,11 +71,7 @@ impl Wire {
             telegrams: VecDeque::new(),
             last_heard: Span::ZERO,
             is_lost: false,
-            radio: Radio::new(RadioSettings {
-                turn_around,
-                byte_s: BYTE_S,
-                buffers: SEND_BUFFERS,
-            }),
+            radio: Radio::new(RadioSettings { turn_around, byte_s: BYTE_S, buffers: SEND_BUFFERS }),
         }
     }
 
@@ -161,11 +157,7 @@ impl Wire {
     /// Sends a telegram; one for which there is no buffer is dropped.
     pub(super) fn send(&mut self, telegram: &[u8]) {
         let prefix = (telegram.len() as u16).to_le_bytes();
-        let prefix = if self.form == Form::Bare {
-            &[][..]
-        } else {
-            &prefix[..]
-        };
+        let prefix = if self.form == Form::Bare { &[][..] } else { &prefix[..] };
         self.radio.send([prefix, telegram].concat());
     }
 

@@ -15,24 +15,15 @@ fn golden(name: &str) -> Vec<u8> {
     let text = include_str!("../../../../protocol/tests/data/golden.json");
     let frames: BTreeMap<String, String> = serde_json::from_str(text).unwrap();
     let hex = &frames[name];
-    (0..hex.len())
-        .step_by(2)
-        .map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap())
-        .collect()
+    (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
 }
 
 fn heard(bytes: &[u8]) -> Heard {
-    Heard {
-        bytes: bytes.to_vec(),
-        lost: None,
-    }
+    Heard { bytes: bytes.to_vec(), lost: None }
 }
 
 fn listener() -> Listener {
-    Listener {
-        timer: HostTimer::start(),
-        listen_for: Span::from_millis(3_000),
-    }
+    Listener { timer: HostTimer::start(), listen_for: Span::from_millis(3_000) }
 }
 
 #[test]
@@ -68,10 +59,7 @@ fn a_protocol_is_fine_as_soon_as_there_is_a_codec_for_it() {
 
 #[test]
 fn a_link_that_is_lost_in_silence_says_why() {
-    let lost = Heard {
-        bytes: vec![],
-        lost: Some("the other end is gone".to_owned()),
-    };
+    let lost = Heard { bytes: vec![], lost: Some("the other end is gone".to_owned()) };
     let verdict = judge("here", &lost);
     assert_eq!(verdict.status, Status::Problem);
     assert!(verdict.what.contains("the other end is gone"));
@@ -84,36 +72,22 @@ async fn try_line(link: &str, right_baud: u32) -> (Verdict, Vec<u32>) {
     let verdict = try_speeds(&url, async |url: &LinkUrl| {
         let baud = baud_of(url);
         tried.push(baud);
-        Ok(heard(if baud == right_baud {
-            &FRAME
-        } else {
-            &[0x11; 50]
-        }))
+        Ok(heard(if baud == right_baud { &FRAME } else { &[0x11; 50] }))
     })
     .await;
     (verdict, tried)
 }
 
 /// The heartbeat of a ground rover, as in the example of `framing::Scanner`.
-const FRAME: [u8; 21] = [
-    0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 10, 0, 0, 4, 3, 0xDE, 0xEB,
-];
+const FRAME: [u8; 21] = [0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 10, 0, 0, 4, 3, 0xDE, 0xEB];
 
 #[tokio::test]
 async fn a_line_at_another_speed_is_found_and_the_right_link_is_told() {
     let (verdict, tried) = try_line("serial:///nowhere/ttyUSB0", 9_600).await;
     assert_eq!(tried, [115_200, 57_600, 9_600]);
     assert_eq!(verdict.status, Status::Warning);
-    assert!(
-        verdict
-            .what
-            .starts_with("/nowhere/ttyUSB0 at 9600 baud: MAVLink 2"),
-        "{verdict:?}"
-    );
-    assert_eq!(
-        verdict.advice,
-        "write the link as serial:/nowhere/ttyUSB0?baud=9600"
-    );
+    assert!(verdict.what.starts_with("/nowhere/ttyUSB0 at 9600 baud: MAVLink 2"), "{verdict:?}");
+    assert_eq!(verdict.advice, "write the link as serial:/nowhere/ttyUSB0?baud=9600");
 }
 
 #[tokio::test]
@@ -128,10 +102,7 @@ async fn the_other_options_stay_at_every_speed() {
     .await;
     let expected = "serial:/nowhere/ttyUSB0?baud=9600&dtr=off&rate=900";
     assert_eq!(tried.last().map(String::as_str), Some(expected));
-    assert!(
-        tried.iter().all(|link| link.contains("dtr=off")),
-        "{tried:?}"
-    );
+    assert!(tried.iter().all(|link| link.contains("dtr=off")), "{tried:?}");
     assert_eq!(verdict.advice, format!("write the link as {expected}"));
 }
 
@@ -151,20 +122,13 @@ async fn noise_at_every_speed_is_a_problem_after_each_was_tried_once() {
     tried.dedup();
     assert_eq!(tried.len(), SPEEDS_BAUD.len());
     assert_eq!(verdict.status, Status::Problem);
-    assert!(
-        verdict.what.contains("every other usual speed"),
-        "{verdict:?}"
-    );
+    assert!(verdict.what.contains("every other usual speed"), "{verdict:?}");
 }
 
 /// A pseudo-terminal of our own, open, and a link to its other side.
 async fn pseudo_terminal(folder: &tempfile::TempDir) -> (Port, String) {
     let path = folder.path().join("brick.tty");
-    let config = PortConfig {
-        id: LinkId(1),
-        url: LinkUrl::pty(&path).unwrap(),
-        role: Role::Listen,
-    };
+    let config = PortConfig { id: LinkId(1), url: LinkUrl::pty(&path).unwrap(), role: Role::Listen };
     let mut port = Port::new(config, HostTimer::start());
     port.open_first().await.unwrap();
     assert!(matches!(port.next().await, PortEvent::Up { .. }));
@@ -196,10 +160,7 @@ async fn on_a_pseudo_terminal_the_speed_does_not_matter() {
     let (mut port, link) = pseudo_terminal(&folder).await;
     let verdict = listen_while_sending(&mut port, &format!("{link}?baud=9600"), &FRAME).await;
     assert_eq!(verdict.status, Status::Ok, "{verdict:?}");
-    assert!(
-        verdict.what.contains("the speed does not matter"),
-        "{verdict:?}"
-    );
+    assert!(verdict.what.contains("the speed does not matter"), "{verdict:?}");
     assert!(verdict.what.contains("MAVLink 2"), "{verdict:?}");
 }
 

@@ -66,7 +66,5 @@ fn scenario(args: &LabIndirectArgs) -> anyhow::Result<Scenario> {
         None => Scenario::from_toml(SQUARE)?,
         Some(path) => drawn::scenario(&path.to_string_lossy())?.1,
     };
-    Ok(args
-        .seed
-        .map_or(scenario.clone(), |seed| scenario.with_seed(seed)))
+    Ok(args.seed.map_or(scenario.clone(), |seed| scenario.with_seed(seed)))
 }

@@ -12,7 +12,8 @@ use crate::progress;
 use crate::stderr::say;
 
 /// What a person with a live robot is told to do.
-pub(super) const TASK: &str = "leave the robot standing for two seconds, then drive the closed square, and let it stand again";
+pub(super) const TASK: &str =
+    "leave the robot standing for two seconds, then drive the closed square, and let it stand again";
 
 /// Every row over every drive, on all cores. Rows for sensors that a recording does not hold are left out.
 ///
@@ -32,10 +33,8 @@ pub(super) fn rounds_of(drives: &RobotDrives) -> Result<Found> {
     if !has_gyro {
         say("no gyro in every recording: the rows with a gyro are left out");
     }
-    let rows: Vec<Row> = ROWS
-        .into_iter()
-        .filter(|row| has_gyro || row.sensors != Sensors::AccelerometersAndGyro)
-        .collect();
+    let rows: Vec<Row> =
+        ROWS.into_iter().filter(|row| has_gyro || row.sensors != Sensors::AccelerometersAndGyro).collect();
     let bar = progress::bar(drives.drives.len() as u64, "drives")?;
     let rounds = run_all(&drives.drives, |one| round(one, &rows), || bar.inc(1));
     bar.finish_and_clear();

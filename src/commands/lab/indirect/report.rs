@@ -97,12 +97,7 @@ pub(super) fn outcome(told: &Told, found: &Found) -> Outcome {
     let mut json = told.object.clone();
     json["paper_end_m"] = json!({ "x": PAPER_END_M.0, "y": PAPER_END_M.1 });
     json["rows"] = found.rows.iter().map(object).collect();
-    Outcome {
-        name: "lab-indirect",
-        page,
-        text,
-        json,
-    }
+    Outcome { name: "lab-indirect", page, text, json }
 }
 
 fn cells(found: &RowFound) -> [String; 10] {
@@ -119,22 +114,15 @@ fn cells(found: &RowFound) -> [String; 10] {
         format!("{} / {} / {}", sum.within.0, sum.within.1, sum.within.2),
         count(is_fused.then_some(found.nearer_than_wheels)),
         count(found.nearer_than_twin),
-        found
-            .gain_on_twin
-            .map_or_else(|| NO_VALUE.to_owned(), |gain| gain_cm2(&gain)),
-        sum.anees
-            .map_or_else(|| NO_VALUE.to_owned(), |anees| format!("{anees:.2}")),
+        found.gain_on_twin.map_or_else(|| NO_VALUE.to_owned(), |gain| gain_cm2(&gain)),
+        sum.anees.map_or_else(|| NO_VALUE.to_owned(), |anees| format!("{anees:.2}")),
     ]
 }
 
 /// Means of squares and their standard deviations.
 fn gain_cm2(gain: &Paired) -> String {
     let of = |mean_m2: f64, sigma_m2: f64| format!("{:+.1}±{:.1}", 1e4 * mean_m2, 1e4 * sigma_m2);
-    format!(
-        "{} / {}",
-        of(gain.mean_m2.0, gain.sigma_m2.0),
-        of(gain.mean_m2.1, gain.sigma_m2.1)
-    )
+    format!("{} / {}", of(gain.mean_m2.0, gain.sigma_m2.0), of(gain.mean_m2.1, gain.sigma_m2.1))
 }
 
 fn object(found: &RowFound) -> Value {
@@ -176,56 +164,26 @@ fn name(found: &RowFound) -> String {
 }
 
 fn map(y_height_px: f64, curves: Vec<Curve>) -> Axes {
-    Axes {
-        x_name: "x [m]".to_owned(),
-        y_name: "y [m]".to_owned(),
-        height_px: y_height_px,
-        is_map: true,
-        curves,
-    }
+    Axes { x_name: "x [m]".to_owned(), y_name: "y [m]".to_owned(), height_px: y_height_px, is_map: true, curves }
 }
 
 fn figure(title: &str, axes: Axes) -> Part {
-    let picture = Plot {
-        title: title.to_owned(),
-        key_figures: String::new(),
-        axes: vec![axes],
-    };
-    Part::Figure {
-        svg: plot(&picture),
-        caption: title.to_owned(),
-    }
+    let picture = Plot { title: title.to_owned(), key_figures: String::new(), axes: vec![axes] };
+    Part::Figure { svg: plot(&picture), caption: title.to_owned() }
 }
 
 fn tracks(true_name: &str, found: &Found) -> Part {
-    let truth = (!found.truth_m.is_empty()).then(|| Curve {
-        name: true_name.to_owned(),
-        shape: Shape::Line(found.truth_m.clone()),
-    });
-    let estimated = found.rows.iter().map(|row| Curve {
-        name: name(row),
-        shape: Shape::Line(row.way_m.clone()),
-    });
+    let truth = (!found.truth_m.is_empty())
+        .then(|| Curve { name: true_name.to_owned(), shape: Shape::Line(found.truth_m.clone()) });
+    let estimated = found.rows.iter().map(|row| Curve { name: name(row), shape: Shape::Line(row.way_m.clone()) });
     let curves = truth.into_iter().chain(estimated).collect();
-    figure(
-        "The first round: true and believed ways",
-        map(560.0, curves),
-    )
+    figure("The first round: true and believed ways", map(560.0, curves))
 }
 
 fn ends(found: &Found) -> Part {
     let curves = found.rows.iter().map(|row| Curve {
         name: name(row),
-        shape: Shape::Dots(
-            row.ends
-                .iter()
-                .flatten()
-                .map(|end| (end.dx_m, end.dy_m))
-                .collect(),
-        ),
+        shape: Shape::Dots(row.ends.iter().flatten().map(|end| (end.dx_m, end.dy_m)).collect()),
     });
-    figure(
-        "Where the rounds end: believed minus true",
-        map(480.0, curves.collect()),
-    )
+    figure("Where the rounds end: believed minus true", map(480.0, curves.collect()))
 }

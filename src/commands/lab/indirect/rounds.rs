@@ -1,8 +1,6 @@
 //! Rounds of the square by every row, on all cores.
 
-use posebridge_analysis::ends::{
-    Course, EndSummary, Paired, nearer, paired, run_course, summarise_ends,
-};
+use posebridge_analysis::ends::{Course, EndSummary, Paired, nearer, paired, run_course, summarise_ends};
 use posebridge_analysis::metrics::PoseError;
 use posebridge_estimator::filter_named;
 use posebridge_sim::frame_accelerometers::FrameAccelerometers;
@@ -101,11 +99,7 @@ pub(super) struct Found {
 pub(super) fn drive_all(scenario: &Scenario, runs: u32, ended: impl FnMut()) -> Found {
     let jobs: Vec<u32> = (0..runs).collect();
     let rounds = run_all(&jobs, |run| round(scenario, *run), ended);
-    let truth_m = drawn(scenario, 0)
-        .truth
-        .iter()
-        .map(|pose| (pose.x.0, pose.y.0))
-        .collect();
+    let truth_m = drawn(scenario, 0).truth.iter().map(|pose| (pose.x.0, pose.y.0)).collect();
     found_of(&ROWS, &rounds, truth_m)
 }
 
@@ -125,10 +119,7 @@ pub(super) fn found_of(wanted: &[Row], rounds: &[Vec<Course>], truth_m: Vec<(f64
             summary: summarise_ends(&ends, PAPER_END_M),
             nearer_than_wheels: of(&rows, &|other| other.sensors == Sensors::Wheels).unwrap_or(0),
             nearer_than_twin: of(&rows, &|other| is_twin(other, row)),
-            gain_on_twin: rows
-                .iter()
-                .find(|found| is_twin(&found.row, row))
-                .and_then(|twin| paired(&ends, &twin.ends)),
+            gain_on_twin: rows.iter().find(|found| is_twin(&found.row, row)).and_then(|twin| paired(&ends, &twin.ends)),
             way_m: first.map_or_else(Vec::new, |course| course.way_m.clone()),
             ends,
         });

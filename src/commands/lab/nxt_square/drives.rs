@@ -1,8 +1,6 @@
 //! Simulated drives as tables of sensor readings, and every method over them, on all cores.
 
-use posebridge_analysis::square::{
-    Errors, Method, SeenPose, SensorRow, SensorTable, add_compass, errors, prepared,
-};
+use posebridge_analysis::square::{Errors, Method, SeenPose, SensorRow, SensorTable, add_compass, errors, prepared};
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_sim::montecarlo::{Camera, CameraSees, Scenario, ScenarioError};
 use posebridge_telemetry::Calibration;
@@ -63,14 +61,8 @@ pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {
         .truth
         .iter()
         .enumerate()
-        .map(|(step, truth)| SensorRow {
-            truth: Some(SeenPose::of(*truth)),
-            ..SensorRow::silent(drive.stamp(step))
-        });
-    let mut table = SensorTable {
-        rows: rows.collect(),
-        ..SensorTable::default()
-    };
+        .map(|(step, truth)| SensorRow { truth: Some(SeenPose::of(*truth)), ..SensorRow::silent(drive.stamp(step)) });
+    let mut table = SensorTable { rows: rows.collect(), ..SensorTable::default() };
     for arrival in &drive.arrivals {
         if let Some(row) = table.rows.get_mut(arrival.step) {
             row.hear(&arrival.observation.observed, tick_rad);
@@ -82,10 +74,7 @@ pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {
 
 /// For what the drives themselves do not draw.
 fn seed_of(scenario: &Scenario, run: u32) -> u64 {
-    scenario
-        .seed
-        .wrapping_mul(0x9e37_79b9)
-        .wrapping_add(u64::from(run))
+    scenario.seed.wrapping_mul(0x9e37_79b9).wrapping_add(u64::from(run))
 }
 
 /// Methods over one table.
@@ -96,16 +85,7 @@ pub(super) fn errors_of(
     camera_every: usize,
 ) -> Vec<Errors> {
     let config = prepared(table, base);
-    methods
-        .iter()
-        .map(|method| {
-            errors(
-                table,
-                &method.follow(table, &config, camera_every),
-                camera_every,
-            )
-        })
-        .collect()
+    methods.iter().map(|method| errors(table, &method.follow(table, &config, camera_every), camera_every)).collect()
 }
 
 /// Drives of one kind, and what runs over them.
@@ -127,19 +107,12 @@ pub(super) fn all_errors(
     camera_every: usize,
     ended: impl FnMut(),
 ) -> Vec<Vec<Vec<Errors>>> {
-    let jobs: Vec<(usize, u32)> = (0..series.len())
-        .flat_map(|index| (0..runs).map(move |run| (index, run)))
-        .collect();
+    let jobs: Vec<(usize, u32)> = (0..series.len()).flat_map(|index| (0..runs).map(move |run| (index, run))).collect();
     let run = |&(index, run): &(usize, u32)| {
         let series = series.get(index)?;
         let mut table = table(&series.scenario, run);
         (series.adjust)(&mut table, seed_of(&series.scenario, run));
-        Some(errors_of(
-            &table,
-            &series.base,
-            &series.methods,
-            camera_every,
-        ))
+        Some(errors_of(&table, &series.base, &series.methods, camera_every))
     };
     let mut by_series: Vec<Vec<Vec<Errors>>> = series.iter().map(|_| Vec::new()).collect();
     for ((index, _), errors) in jobs.iter().zip(run_all(&jobs, run, ended)) {

@@ -1,8 +1,6 @@
 //! `lab nxt-square --json`: one object, documented in docs/lab/nxt-square.md. The same drives give the same text.
 
-use posebridge_analysis::square::{
-    Chain, Errors, Metric, Order, OrderStep, Record, Report, Spread,
-};
+use posebridge_analysis::square::{Chain, Errors, Metric, Order, OrderStep, Record, Report, Spread};
 use serde_json::{Value, json};
 
 /// The object; `recordings` are the files of a real robot's drives.
@@ -28,12 +26,7 @@ pub(super) fn object(report: &Report, recordings: &[String]) -> Value {
 
 fn chain(chain: &Chain) -> Value {
     let methods = chain.names.iter().enumerate().map(|(index, name)| {
-        let runs: Vec<Value> = chain
-            .runs
-            .iter()
-            .filter_map(|run| run.get(index))
-            .map(errors)
-            .collect();
+        let runs: Vec<Value> = chain.runs.iter().filter_map(|run| run.get(index)).map(errors).collect();
         json!({
             "name": name,
             "position_rms_m": chain.rms(index, Metric::Position),
@@ -86,8 +79,7 @@ fn order(order: &Order) -> Value {
 
 fn record(record: &Record) -> Value {
     let variance = |spread: &Option<Spread>| spread.map(|spread| spread.variance);
-    let both =
-        |spreads: &Option<[Spread; 2]>| spreads.map(|both| both.map(|spread| spread.variance));
+    let both = |spreads: &Option<[Spread; 2]>| spreads.map(|both| both.map(|spread| spread.variance));
     json!({
         "from_row": record.from,
         "rows": record.rows,

@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use posebridge_analysis::square::{
-    Chain, Errors, Example, Method, Reading, Report, SensorTable, corrected, order, outlook, parse,
-    prepared, printed, stop, straight, swapped, write,
+    Chain, Errors, Example, Method, Reading, Report, SensorTable, corrected, order, outlook, parse, prepared, printed,
+    stop, straight, swapped, write,
 };
 use posebridge_estimator::FilterConfig;
 use posebridge_sim::montecarlo::Scenario;
@@ -35,12 +35,7 @@ pub struct LabNxtSquareArgs {
     #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub runs: u32,
     /// Base seed; drive i draws from it and i.
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 1,
-        conflicts_with = "real_robot"
-    )]
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "real_robot")]
     pub seed: u64,
     /// Take exported sensor data (docs/lab/nxt-square.md has the columns) instead of simulated drives.
     #[arg(long, value_name = "FILE.csv", group = "real_robot", conflicts_with_all = ["judge", "settings"])]
@@ -103,29 +98,16 @@ fn chains(runs: &[Vec<Errors>]) -> (Vec<Chain>, Chain) {
     let mut all: Vec<Chain> = Vec::new();
     for (setting, methods) in groups() {
         let to = from + methods.len();
-        let runs = runs
-            .iter()
-            .filter_map(|run| Some(run.get(from..to)?.to_vec()));
-        all.push(Chain {
-            setting,
-            names: methods.iter().map(|method| method.name).collect(),
-            runs: runs.collect(),
-        });
+        let runs = runs.iter().filter_map(|run| Some(run.get(from..to)?.to_vec()));
+        all.push(Chain { setting, names: methods.iter().map(|method| method.name).collect(), runs: runs.collect() });
         from = to;
     }
-    let outlook = all.pop().unwrap_or(Chain {
-        setting: "outlook",
-        names: Vec::new(),
-        runs: Vec::new(),
-    });
+    let outlook = all.pop().unwrap_or(Chain { setting: "outlook", names: Vec::new(), runs: Vec::new() });
     (all, outlook)
 }
 
 fn every_method() -> Vec<Method> {
-    groups()
-        .into_iter()
-        .flat_map(|(_, methods)| methods)
-        .collect()
+    groups().into_iter().flat_map(|(_, methods)| methods).collect()
 }
 
 fn example(table: SensorTable, base: &FilterConfig, camera_every: usize) -> Example {
@@ -134,21 +116,10 @@ fn example(table: SensorTable, base: &FilterConfig, camera_every: usize) -> Exam
         let path = method.follow(&table, &config, camera_every);
         (method.name, path)
     });
-    Example {
-        paths: paths.collect(),
-        table,
-        config,
-        camera_every,
-    }
+    Example { paths: paths.collect(), table, config, camera_every }
 }
 
-fn report(
-    source: String,
-    command: String,
-    runs: &[Vec<Errors>],
-    readings: Vec<Reading>,
-    example: Example,
-) -> Report {
+fn report(source: String, command: String, runs: &[Vec<Errors>], readings: Vec<Reading>, example: Example) -> Report {
     let (chains, outlook) = chains(runs);
     Report {
         source,
@@ -168,17 +139,9 @@ fn simulated(args: &LabNxtSquareArgs) -> Result<Report> {
     if let Some(path) = &args.export {
         export(path, &scenario, args.seed)?;
     }
-    let mut series = vec![Series {
-        base: told(&scenario),
-        scenario: scenario.clone(),
-        methods: every_method(),
-        adjust: untouched,
-    }];
-    series.extend(
-        VARIATIONS
-            .iter()
-            .map(|variation| variation.series(&scenario)),
-    );
+    let mut series =
+        vec![Series { base: told(&scenario), scenario: scenario.clone(), methods: every_method(), adjust: untouched }];
+    series.extend(VARIATIONS.iter().map(|variation| variation.series(&scenario)));
     let bar = progress::bar(u64::from(args.runs) * series.len() as u64, "drives")?;
     let mut errors = all_errors(&series, args.runs, camera_every, || bar.inc(1)).into_iter();
     bar.finish_and_clear();
@@ -214,8 +177,7 @@ fn export(path: &Path, scenario: &Scenario, seed: u64) -> Result<()> {
 
 fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<Report> {
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("reading the sensor data `{name}`"))?;
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading the sensor data `{name}`"))?;
     let table = parse(&text).with_context(|| format!("sensor data `{name}`"))?;
     let base = base_of(args)?;
     let camera_every = args.camera_every as usize;

@@ -3,8 +3,7 @@
 //! Nothing is tuned for one filter: each reading changes the world or what is compared, for all of them alike.
 
 use posebridge_analysis::square::{
-    Method, Metric, SensorTable, WheelMatrices, add_jitter, feel_in_its_interval,
-    make_reference_late, printed, swapped,
+    Method, Metric, SensorTable, WheelMatrices, add_jitter, feel_in_its_interval, make_reference_late, printed, swapped,
 };
 use posebridge_sim::montecarlo::{Course, Laps, Scenario};
 
@@ -26,14 +25,7 @@ pub(super) const fn untouched(_table: &mut SensorTable, _seed: u64) {}
 
 impl Variation {
     const fn of(name: &'static str, metric: Metric, note: &'static str) -> Self {
-        Self {
-            name,
-            note,
-            metric,
-            alter: as_it_is,
-            adjust: untouched,
-            methods: printed,
-        }
+        Self { name, note, metric, alter: as_it_is, adjust: untouched, methods: printed }
     }
 
     const fn in_world(mut self, alter: fn(&mut Scenario)) -> Self {
@@ -55,12 +47,7 @@ impl Variation {
     pub(super) fn series(&self, scenario: &Scenario) -> Series {
         let mut scenario = scenario.clone();
         (self.alter)(&mut scenario);
-        Series {
-            base: told(&scenario),
-            scenario,
-            methods: (self.methods)(),
-            adjust: self.adjust,
-        }
+        Series { base: told(&scenario), scenario, methods: (self.methods)(), adjust: self.adjust }
     }
 }
 
@@ -142,20 +129,11 @@ fn in_its_interval(table: &mut SensorTable, _seed: u64) {
 
 /// All that were tried.
 pub(super) const VARIATIONS: &[Variation] = &[
-    Variation::of(
-        "the end",
-        Metric::End,
-        "where the robot is after the lap, instead of the whole way",
-    ),
+    Variation::of("the end", Metric::End, "where the robot is after the lap, instead of the whole way"),
     Variation::of("heading", Metric::Heading, "the heading instead of the position"),
     Variation::of("forward speed", Metric::Forward, "figure 6 instead of figure 7"),
     Variation::of("turn rate", Metric::Turn, "figure 6 instead of figure 7"),
-    Variation::of(
-        "Q swapped",
-        Metric::Position,
-        "the last two numbers of Q in the order of equation 24",
-    )
-    .with(swapped),
+    Variation::of("Q swapped", Metric::Position, "the last two numbers of Q in the order of equation 24").with(swapped),
     Variation::of(
         "own interval",
         Metric::Position,
@@ -168,12 +146,8 @@ pub(super) const VARIATIONS: &[Variation] = &[
         "wheels 0.5 % and track 3 % off, as before the calibration of Michel and Rohrer",
     )
     .in_world(uncalibrated),
-    Variation::of(
-        "not calibrated, long rest",
-        Metric::Position,
-        "the same, and the gyro zeroed over 30 s at rest",
-    )
-    .in_world(uncalibrated_and_long_rest),
+    Variation::of("not calibrated, long rest", Metric::Position, "the same, and the gyro zeroed over 30 s at rest")
+        .in_world(uncalibrated_and_long_rest),
     Variation::of(
         "not calibrated, good gyro",
         Metric::Position,
@@ -184,12 +158,8 @@ pub(super) const VARIATIONS: &[Variation] = &[
         good_gyro(scenario);
     }),
     Variation::of("slippery floor", Metric::Position, "five times the slip").in_world(slippery),
-    Variation::of(
-        "coarse counts",
-        Metric::Position,
-        "an exact robot without slip whose encoders count 10 degrees",
-    )
-    .in_world(exact_and_coarse),
+    Variation::of("coarse counts", Metric::Position, "an exact robot without slip whose encoders count 10 degrees")
+        .in_world(exact_and_coarse),
     Variation::of(
         "late camera",
         Metric::Position,
@@ -209,12 +179,8 @@ pub(super) const VARIATIONS: &[Variation] = &[
         "counters as noisy as the paper's R says: 1.5 and 2.5 deg^2, white",
     )
     .on_table(noisy_counters),
-    Variation::of(
-        "noisy counters, turn rate",
-        Metric::Turn,
-        "the same, figure 6 instead of figure 7",
-    )
-    .on_table(noisy_counters),
+    Variation::of("noisy counters, turn rate", Metric::Turn, "the same, figure 6 instead of figure 7")
+        .on_table(noisy_counters),
     Variation::of(
         "noisy counters, turn rate, gentle",
         Metric::Turn,
@@ -222,12 +188,8 @@ pub(super) const VARIATIONS: &[Variation] = &[
     )
     .in_world(gentle)
     .on_table(noisy_counters),
-    Variation::of(
-        "noisy counters, forward speed",
-        Metric::Forward,
-        "noisy counters, figure 6 instead of figure 7",
-    )
-    .on_table(noisy_counters),
+    Variation::of("noisy counters, forward speed", Metric::Forward, "noisy counters, figure 6 instead of figure 7")
+        .on_table(noisy_counters),
     Variation::of(
         "noisy counters, forward speed, gentle",
         Metric::Forward,

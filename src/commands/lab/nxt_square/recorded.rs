@@ -10,19 +10,15 @@ use crate::parallel::run_all;
 use crate::progress;
 
 /// What a person with a live robot is told to do.
-pub(super) const TASK: &str =
-    "leave the robot standing for two seconds, then drive the square, and let it stand again";
+pub(super) const TASK: &str = "leave the robot standing for two seconds, then drive the square, and let it stand again";
 
 /// Every method over every drive; the first one is drawn.
 ///
 /// # Errors
 /// A recording holds no drive that could be judged.
 pub(super) fn report_of(drives: &RobotDrives, camera_every: usize) -> Result<Report> {
-    let tables: Vec<(&RobotDrive, SensorTable)> = drives
-        .drives
-        .iter()
-        .map(|one| (one, table_of(&one.drive, &one.config.geometry)))
-        .collect();
+    let tables: Vec<(&RobotDrive, SensorTable)> =
+        drives.drives.iter().map(|one| (one, table_of(&one.drive, &one.config.geometry))).collect();
     for (one, table) in &tables {
         ensure!(
             table.references(camera_every).iter().any(Option::is_some),
@@ -33,9 +29,7 @@ pub(super) fn report_of(drives: &RobotDrives, camera_every: usize) -> Result<Rep
     }
     let bar = progress::bar(tables.len() as u64, "drives")?;
     let methods = every_method();
-    let errors = |(one, table): &(&RobotDrive, SensorTable)| {
-        errors_of(table, &one.config, &methods, camera_every)
-    };
+    let errors = |(one, table): &(&RobotDrive, SensorTable)| errors_of(table, &one.config, &methods, camera_every);
     let runs = run_all(&tables, errors, || bar.inc(1));
     bar.finish_and_clear();
     let rows: Vec<String> = tables.iter().map(described).collect();
@@ -48,9 +42,8 @@ pub(super) fn report_of(drives: &RobotDrives, camera_every: usize) -> Result<Rep
 
 /// Name, length and what was heard besides the wheels.
 fn described((one, table): &(&RobotDrive, SensorTable)) -> String {
-    let count = |has: fn(&posebridge_analysis::square::SensorRow) -> bool| {
-        table.rows.iter().filter(|row| has(row)).count()
-    };
+    let count =
+        |has: fn(&posebridge_analysis::square::SensorRow) -> bool| table.rows.iter().filter(|row| has(row)).count();
     format!(
         "{}: {} rows, {} with gyro, {} with accelerometers, {} with an image",
         one.name,

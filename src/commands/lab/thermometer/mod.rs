@@ -69,11 +69,7 @@ impl LabThermometerArgs {
 /// The recording or a run of it cannot be used, or an output cannot be written.
 pub fn execute(args: &LabThermometerArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
-    let sections = if args.is_real() {
-        recording::sections(args)?
-    } else {
-        simulated(args)?
-    };
+    let sections = if args.is_real() { recording::sections(args)? } else { simulated(args)? };
     args.output.deliver(&folder, &outcome(args, &sections))
 }
 
@@ -93,9 +89,7 @@ enum Done {
 
 fn simulated(args: &LabThermometerArgs) -> Result<Vec<Section>, Failure> {
     let sections = (0..SECTIONS.len()).map(Job::Section);
-    let jobs: Vec<Job> = sections
-        .chain((0..u64::from(args.runs)).map(Job::Bound))
-        .collect();
+    let jobs: Vec<Job> = sections.chain((0..u64::from(args.runs)).map(Job::Bound)).collect();
     let bar = progress::bar(jobs.len() as u64, "parts").at_start()?;
     let run = |job: &Job| match job {
         Job::Section(index) => {
@@ -103,9 +97,7 @@ fn simulated(args: &LabThermometerArgs) -> Result<Vec<Section>, Failure> {
             Done::Section(Box::new(section.unwrap_or_default()))
         }
         // Far from the seeds of the sections.
-        Job::Bound(run) => Done::Bound(bound_run(
-            args.seed.wrapping_mul(1 << 32).wrapping_add(*run),
-        )),
+        Job::Bound(run) => Done::Bound(bound_run(args.seed.wrapping_mul(1 << 32).wrapping_add(*run))),
     };
     let mut sections = Vec::new();
     let mut bound_runs = Vec::new();
@@ -122,10 +114,7 @@ fn simulated(args: &LabThermometerArgs) -> Result<Vec<Section>, Failure> {
 
 fn outcome(args: &LabThermometerArgs, sections: &[Section]) -> Outcome {
     let source = if args.is_real() {
-        let names = args
-            .recordings
-            .iter()
-            .map(|path| path.display().to_string());
+        let names = args.recordings.iter().map(|path| path.display().to_string());
         let live = args.live.is_asked().then(|| "a live robot".to_owned());
         let names: Vec<String> = names.chain(live).collect();
         format!("recording {}", names.join(", "))
@@ -138,10 +127,7 @@ fn outcome(args: &LabThermometerArgs, sections: &[Section]) -> Outcome {
     parts.extend(sections.iter().flat_map(parts_of));
     Outcome {
         name: "lab-thermometer",
-        page: Page {
-            title: "The slow thermometer".to_owned(),
-            parts,
-        },
+        page: Page { title: "The slow thermometer".to_owned(), parts },
         text: sections.iter().map(text_of).collect(),
         json: json_of(&source, sections),
     }
@@ -151,19 +137,10 @@ fn parts_of(section: &Section) -> Vec<Part> {
     let mut parts = vec![Part::Heading(section.title.clone())];
     parts.extend(section.words.iter().cloned().map(Part::Text));
     if !section.header.is_empty() {
-        parts.push(Part::Table {
-            header: section.header.clone(),
-            rows: section.rows.clone(),
-        });
+        parts.push(Part::Table { header: section.header.clone(), rows: section.rows.clone() });
     }
     parts.extend(
-        section
-            .picture
-            .iter()
-            .map(|(picture, caption)| Part::Figure {
-                svg: plot(picture),
-                caption: caption.clone(),
-            }),
+        section.picture.iter().map(|(picture, caption)| Part::Figure { svg: plot(picture), caption: caption.clone() }),
     );
     parts
 }
@@ -181,9 +158,7 @@ fn text_of(section: &Section) -> String {
     let widths: Vec<usize> = (0..section.header.len()).map(width).collect();
     let line = |row: &Vec<String>| {
         let cells = row.iter().zip(&widths);
-        let cells: Vec<String> = cells
-            .map(|(cell, width)| format!("{cell:<width$}"))
-            .collect();
+        let cells: Vec<String> = cells.map(|(cell, width)| format!("{cell:<width$}")).collect();
         cells.join("  ").trim_end().to_owned() + "\n"
     };
     let rows: String = all().map(line).collect();
@@ -194,14 +169,10 @@ fn text_of(section: &Section) -> String {
 fn json_of(source: &str, sections: &[Section]) -> Value {
     let of = |section: &Section| {
         let numbers = section.numbers.iter();
-        let numbers: Map<String, Value> = numbers
-            .map(|(name, value)| (name.clone(), json!(value)))
-            .collect();
+        let numbers: Map<String, Value> = numbers.map(|(name, value)| (name.clone(), json!(value))).collect();
         (section.name.to_owned(), Value::Object(numbers))
     };
-    let with_numbers = sections
-        .iter()
-        .filter(|section| !section.numbers.is_empty());
+    let with_numbers = sections.iter().filter(|section| !section.numbers.is_empty());
     let all: Map<String, Value> = with_numbers.map(of).collect();
     json!({"source": source, "sections": all})
 }

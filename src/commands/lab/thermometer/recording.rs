@@ -28,49 +28,28 @@ const TASK: &str = "leave the thermometer as it is for a few seconds, bring it t
 
 /// Everything that is said about the runs of a descriptor, or of recordings of ours.
 pub(super) fn sections(args: &LabThermometerArgs) -> Result<Vec<Section>, Failure> {
-    let robot = LiveRobot {
-        file: None,
-        settings: &args.settings,
-    };
+    let robot = LiveRobot { file: None, settings: &args.settings };
     let live = args.live.record(&args.output, robot, TASK)?;
     let (chosen, loaded) = match args.recordings.as_slice() {
-        [descriptor] if live.is_none() && !own_recording::is_own(descriptor) => {
-            of_descriptor(args, descriptor)
-        }
+        [descriptor] if live.is_none() && !own_recording::is_own(descriptor) => of_descriptor(args, descriptor),
         recordings => of_recordings(args, recordings, live.as_deref()),
     }
     .at_start()?;
     let bar = progress::bar((loaded.len() + chosen.predict.len()) as u64, "steps").at_start()?;
     let identified = run_all(&loaded, identified, || bar.inc(1));
-    let runs: Vec<RecordedRun> = identified
-        .into_iter()
-        .collect::<Result<_>>()
-        .while_running()?;
+    let runs: Vec<RecordedRun> = identified.into_iter().collect::<Result<_>>().while_running()?;
     let jobs = chosen.jobs(&runs);
-    let likeness = if args.same_sensor {
-        Likeness::SameDynamics
-    } else {
-        Likeness::SameKind
-    };
+    let likeness = if args.same_sensor { Likeness::SameDynamics } else { Likeness::SameKind };
     let predict = |(run, others): &(&RecordedRun, Vec<&RecordedRun>)| {
         let found = Recorded::of(run, others, likeness);
-        let found = found.with_context(|| {
-            format!(
-                "run `{}`: the other runs have no description in common",
-                run.name
-            )
-        })?;
+        let found =
+            found.with_context(|| format!("run `{}`: the other runs have no description in common", run.name))?;
         Ok(((*run).clone(), found))
     };
-    let predicted: Vec<_> = run_all(&jobs, predict, || bar.inc(1))
-        .into_iter()
-        .collect::<Result<_>>()
-        .while_running()?;
+    let predicted: Vec<_> =
+        run_all(&jobs, predict, || bar.inc(1)).into_iter().collect::<Result<_>>().while_running()?;
     bar.finish_and_clear();
-    let used: Vec<RecordedRun> = runs
-        .into_iter()
-        .filter(|run| chosen.identify.contains(&run.name))
-        .collect();
+    let used: Vec<RecordedRun> = runs.into_iter().filter(|run| chosen.identify.contains(&run.name)).collect();
     Ok(recorded(&used, &predicted))
 }
 
@@ -155,10 +134,7 @@ fn of_recordings(
 }
 
 fn thermometers(path: &Path, settings: &[Setting]) -> Result<Vec<Shown>> {
-    let overlay = Overlay {
-        robot: None,
-        settings,
-    };
+    let overlay = Overlay { robot: None, settings };
     let own = own_recording::read(path, overlay)?;
     ensure!(
         !own.thermometers.is_empty(),
@@ -185,17 +161,9 @@ impl Chosen {
     fn of(args: &LabThermometerArgs, all: &[String], usual: [&[String]; 2]) -> Result<Self> {
         let named = |asked: &[String], flag: &str, usual: &[String]| -> Result<Vec<String>> {
             for name in asked {
-                ensure!(
-                    all.contains(name),
-                    "`{flag} {name}`: there is no such run; there are: {}",
-                    all.join(", ")
-                );
+                ensure!(all.contains(name), "`{flag} {name}`: there is no such run; there are: {}", all.join(", "));
             }
-            Ok(if asked.is_empty() {
-                usual.to_vec()
-            } else {
-                asked.to_vec()
-            })
+            Ok(if asked.is_empty() { usual.to_vec() } else { asked.to_vec() })
         };
         let [identify, predict] = usual;
         let identify = named(&args.identify, "--identify", identify)?;
@@ -205,10 +173,7 @@ impl Chosen {
                 "`{only}` is the only run: it is identified, and nothing is foretold. Give a second run of this sensor to see it \
                  foretold by this one"
             ));
-            return Ok(Self {
-                identify,
-                predict: Vec::new(),
-            });
+            return Ok(Self { identify, predict: Vec::new() });
         }
         for name in &predict {
             ensure!(
@@ -238,16 +203,8 @@ impl Chosen {
 
 fn identified(shown: &Shown) -> Result<RecordedRun> {
     let found = identify_step(&shown.samples, &StepOptions::with_sigma(shown.sigma_k));
-    let identified = found.with_context(|| {
-        format!(
-            "run `{}` (noise.temperature_k = {})",
-            shown.run, shown.sigma_k
-        )
-    })?;
-    Ok(RecordedRun {
-        name: shown.run.clone(),
-        identified,
-    })
+    let identified = found.with_context(|| format!("run `{}` (noise.temperature_k = {})", shown.run, shown.sigma_k))?;
+    Ok(RecordedRun { name: shown.run.clone(), identified })
 }
 
 #[cfg(test)]

@@ -1,15 +1,13 @@
 //! Approaches by every source of the distance, over many runs, on all cores.
 
 use posebridge_analysis::wall::{
-    Believer, Kalman, KalmanNoise, LastReading, LineThrough, Paired, StopSummary, Stopped, paired,
-    summarise_stops,
+    Believer, Kalman, KalmanNoise, LastReading, LineThrough, Paired, StopSummary, Stopped, paired, summarise_stops,
 };
 use posebridge_estimator::filters::range_kf::Variant;
 use posebridge_estimator::models::wall_approach::WallApproach;
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::wall::{
-    Approach, Believed, DistanceEstimator, Gains, HostLink, Reading, Task, WallScene, approach,
-    approach_over_link,
+    Approach, Believed, DistanceEstimator, Gains, HostLink, Reading, Task, WallScene, approach, approach_over_link,
 };
 
 use super::steps::Steps;
@@ -68,10 +66,7 @@ impl Source {
             Self::Line => Box::new(LineThrough::default()),
             Self::Faithful => Box::new(Kalman::new(model, KalmanNoise::PAPER, Variant::Paper)),
             Self::Corrected => {
-                let noise = KalmanNoise {
-                    process_m: MEASURED_DRIVE_PROCESS_M,
-                    range_m: steps.all.range_sigma_m,
-                };
+                let noise = KalmanNoise { process_m: MEASURED_DRIVE_PROCESS_M, range_m: steps.all.range_sigma_m };
                 Box::new(Kalman::new(model, noise, Variant::Corrected))
             }
         }
@@ -104,13 +99,7 @@ pub(super) fn cases(scene: &WallScene, model: WallApproach) -> Vec<Case> {
     use Source::{Corrected, Faithful, LastReading, Line};
     let tuned = tuned(scene, model);
     let (most, fast) = (scene.approach.most_pwm, scene.approach.fast_pwm);
-    let case = |source, place, (tuning, gains), most_pwm| Case {
-        source,
-        place,
-        gains,
-        tuning,
-        most_pwm,
-    };
+    let case = |source, place, (tuning, gains), most_pwm| Case { source, place, gains, tuning, most_pwm };
     let (paper, tuned) = (("paper", scene.pid), ("tuned", tuned));
     let mut cases = Vec::new();
     for (gains, most_pwm) in [(paper, most), (tuned, most), (tuned, fast)] {
@@ -129,11 +118,7 @@ pub(super) fn cases(scene: &WallScene, model: WallApproach) -> Vec<Case> {
 /// The differential part takes the drive's own lag away: kd = kp m / d, from the step test.
 fn tuned(scene: &WallScene, model: WallApproach) -> Gains {
     let kp = scene.approach.tuned_kp_pwm_per_m;
-    Gains {
-        kp_pwm_per_m: kp,
-        ki_pwm_per_m_s: 0.0,
-        kd_pwm_s_per_m: kp / model.rate_per_s(),
-    }
+    Gains { kp_pwm_per_m: kp, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: kp / model.rate_per_s() }
 }
 
 /// Drives every kind of approach so many times; `ended` is called once for each approach.
@@ -144,10 +129,7 @@ pub(super) fn drive_all(
     ended: impl FnMut(),
 ) -> Vec<Driven> {
     let cases = cases(scene, steps.all.model());
-    let jobs: Vec<(Case, u32)> = cases
-        .iter()
-        .flat_map(|case| (0..runs).map(|run| (*case, run)))
-        .collect();
+    let jobs: Vec<(Case, u32)> = cases.iter().flat_map(|case| (0..runs).map(|run| (*case, run))).collect();
     let run = |&(case, run): &(Case, u32)| drive(scene, steps, link, (case, run));
     let mut done = run_all(&jobs, run, ended).into_iter();
     let mut driven: Vec<Driven> = Vec::new();
@@ -156,13 +138,7 @@ pub(super) fn drive_all(
         let first = approaches.next().unwrap_or_default();
         let mut stops = vec![stopped(scene, &first)];
         stops.extend(approaches.map(|approach| stopped(scene, &approach)));
-        driven.push(Driven {
-            case,
-            summary: summarise_stops(&stops),
-            stops,
-            against_line: Paired::default(),
-            first,
-        });
+        driven.push(Driven { case, summary: summarise_stops(&stops), stops, against_line: Paired::default(), first });
     }
     compare(&mut driven);
     driven
@@ -181,28 +157,13 @@ fn compare(driven: &mut [Driven]) {
     }
 }
 
-fn drive(
-    scene: &WallScene,
-    steps: &Steps,
-    link: &LinkProfile,
-    (case, run): (Case, u32),
-) -> Approach {
-    let task = Task {
-        gains: case.gains,
-        most_pwm: case.most_pwm,
-        run,
-    };
-    let mut on_car = OnCar {
-        believer: case.source.believer(steps),
-        reference_pwm: scene.car.reference_pwm,
-    };
+fn drive(scene: &WallScene, steps: &Steps, link: &LinkProfile, (case, run): (Case, u32)) -> Approach {
+    let task = Task { gains: case.gains, most_pwm: case.most_pwm, run };
+    let mut on_car = OnCar { believer: case.source.believer(steps), reference_pwm: scene.car.reference_pwm };
     match case.place {
         Place::Brick => approach(scene, &task, &mut on_car),
         Place::Host => {
-            let link = HostLink {
-                profile: link.clone(),
-                seed: scene.seed.wrapping_add(u64::from(run)),
-            };
+            let link = HostLink { profile: link.clone(), seed: scene.seed.wrapping_add(u64::from(run)) };
             approach_over_link(scene, &task, &link, &mut on_car)
         }
     }
@@ -234,9 +195,6 @@ impl DistanceEstimator for OnCar {
 
     fn believed(&mut self, at_s: f64) -> Option<Believed> {
         let belief = self.believer.belief(at_s)?;
-        Some(Believed {
-            distance_m: belief.distance_m,
-            towards_m_per_s: belief.towards_m_per_s,
-        })
+        Some(Believed { distance_m: belief.distance_m, towards_m_per_s: belief.towards_m_per_s })
     }
 }

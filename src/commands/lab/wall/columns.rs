@@ -24,19 +24,12 @@ pub(super) enum Extra<'a> {
 pub(super) fn with_extra(text: &str, run: &str, extra: Extra<'_>) -> Result<Option<String>> {
     let table: toml::Table = text.parse().context("reading the descriptor again")?;
     let streams = table.get("wall_range").and_then(toml::Value::as_array);
-    let of_run = streams
-        .into_iter()
-        .flatten()
-        .filter_map(toml::Value::as_table)
-        .find(|stream| is_in(stream, run));
+    let of_run = streams.into_iter().flatten().filter_map(toml::Value::as_table).find(|stream| is_in(stream, run));
     let Some(stream) = of_run else {
         return Ok(None);
     };
     let mut added = toml::Table::new();
-    for (key, value) in [
-        ("file", stream.get("file")),
-        ("stamp_shift_s", stream.get("stamp_shift_s")),
-    ] {
+    for (key, value) in [("file", stream.get("file")), ("stamp_shift_s", stream.get("stamp_shift_s"))] {
         if let Some(value) = value {
             added.insert(key.to_owned(), value.clone());
         }
@@ -97,9 +90,6 @@ mod tests {
             assert!(Descriptor::from_toml(&more).is_ok(), "{more}");
         }
         let other = TEXT.replace("wall_range]]", "compass]]");
-        assert_eq!(
-            with_extra(&other, "x", Extra::Command("pwm")).unwrap(),
-            None
-        );
+        assert_eq!(with_extra(&other, "x", Extra::Command("pwm")).unwrap(), None);
     }
 }

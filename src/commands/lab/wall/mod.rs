@@ -40,12 +40,7 @@ pub struct LabWallArgs {
     #[arg(long, value_name = "N", conflicts_with = "real_robot")]
     pub seed: Option<u64>,
     /// The link of the approaches whose filter is on the host: a bundled profile's name or a TOML file (docs/impairment.md).
-    #[arg(
-        long,
-        value_name = "NAME|FILE.toml",
-        default_value = "bluetooth-spp",
-        conflicts_with = "real_robot"
-    )]
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "bluetooth-spp", conflicts_with = "real_robot")]
     pub profile: String,
     /// A recording's descriptor (config/recordings/tof-wall.toml) or a recording of ours, instead of the simulated car.
     #[arg(long, value_name = "FILE.toml|FILE.mcap", group = "real_robot")]
@@ -101,10 +96,7 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
 
 /// What a real robot did, live or recorded.
 fn real(args: &LabWallArgs) -> Result<Option<recorded::Prepared>, Failure> {
-    let robot = LiveRobot {
-        file: None,
-        settings: &args.settings,
-    };
+    let robot = LiveRobot { file: None, settings: &args.settings };
     if let Some(recording) = args.live.record(&args.output, robot, recorded::TASK)? {
         let prepared = recorded::prepare(&recording, &choice(args));
         return prepared.map(Some).while_running();
@@ -125,16 +117,12 @@ fn choice(args: &LabWallArgs) -> recorded::Choice<'_> {
 }
 
 /// The scene of a file, or that of the paper, with another seed if one is given.
-pub(in crate::commands) fn scene(
-    file: Option<&Path>,
-    seed: Option<u64>,
-) -> anyhow::Result<WallScene> {
+pub(in crate::commands) fn scene(file: Option<&Path>, seed: Option<u64>) -> anyhow::Result<WallScene> {
     let scene = match file {
         None => WallScene::from_toml(DEFAULT_SCENE)?,
         Some(path) => {
             let name = path.display();
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("reading the scene `{name}`"))?;
+            let text = std::fs::read_to_string(path).with_context(|| format!("reading the scene `{name}`"))?;
             WallScene::from_toml(&text).with_context(|| format!("scene `{name}`"))?
         }
     };

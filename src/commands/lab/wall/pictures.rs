@@ -2,9 +2,7 @@
 
 use posebridge_analysis::figures::{Axes, Curve, Plot, Shape, plot};
 use posebridge_analysis::report::page::Part;
-use posebridge_analysis::wall::{
-    Believer, Foreseen, Kalman, KalmanNoise, Said, differences, overlapping_lines,
-};
+use posebridge_analysis::wall::{Believer, Foreseen, Kalman, KalmanNoise, Said, differences, overlapping_lines};
 use posebridge_estimator::filters::range_kf::Variant;
 use posebridge_sim::wall::WallScene;
 
@@ -15,35 +13,18 @@ use super::steps::{PIECE, Steps};
 const DRAWN_EVERY: usize = 4;
 
 fn curve(name: impl Into<String>, shape: Shape) -> Curve {
-    Curve {
-        name: name.into(),
-        shape,
-    }
+    Curve { name: name.into(), shape }
 }
 
 fn axes(y_name: &str, curves: Vec<Curve>) -> Axes {
-    Axes {
-        x_name: "time [s]".to_owned(),
-        y_name: y_name.to_owned(),
-        height_px: 280.0,
-        is_map: false,
-        curves,
-    }
+    Axes { x_name: "time [s]".to_owned(), y_name: y_name.to_owned(), height_px: 280.0, is_map: false, curves }
 }
 
 fn figure(title: &str, key_figures: &str, axes: Vec<Axes>) -> Part {
-    let picture = Plot {
-        title: title.to_owned(),
-        key_figures: key_figures.to_owned(),
-        axes,
-    };
+    let picture = Plot { title: title.to_owned(), key_figures: key_figures.to_owned(), axes };
     Part::Figure {
         svg: plot(&picture),
-        caption: if key_figures.is_empty() {
-            title.to_owned()
-        } else {
-            format!("{title}: {key_figures}")
-        },
+        caption: if key_figures.is_empty() { title.to_owned() } else { format!("{title}: {key_figures}") },
     }
 }
 
@@ -56,30 +37,18 @@ pub(super) fn step(steps: &Steps) -> Part {
     let first = &steps.first;
     let commands = first.commands.iter().zip(&first.towards_m_per_s);
     let truth = commands.map(|(command, speed)| (command.at_s, *speed));
-    let key = format!(
-        "v_ss {:.3} m/s, t90 {:.3} s",
-        steps.all.steady_m_per_s.0, steps.all.rise_90_s.0
-    );
+    let key = format!("v_ss {:.3} m/s, t90 {:.3} s", steps.all.steady_m_per_s.0, steps.all.rise_90_s.0);
     figure(
         "Step test",
         &key,
         vec![
-            axes(
-                "distance [m]",
-                vec![curve(
-                    "readings",
-                    Shape::Dots(steps.log.readings().collect()),
-                )],
-            ),
+            axes("distance [m]", vec![curve("readings", Shape::Dots(steps.log.readings().collect()))]),
             axes(
                 "speed [m/s]",
                 vec![
                     curve("true", Shape::Line(truth.collect())),
                     curve("differences", Shape::Dots(speeds(differences(&steps.log)))),
-                    curve(
-                        "lines, half overlapping",
-                        Shape::Line(speeds(overlapping_lines(&steps.log, PIECE))),
-                    ),
+                    curve("lines, half overlapping", Shape::Line(speeds(overlapping_lines(&steps.log, PIECE)))),
                     curve("v_ss by the fit", Shape::Level(steps.all.steady_m_per_s.0)),
                 ],
             ),
@@ -89,15 +58,9 @@ pub(super) fn step(steps: &Steps) -> Part {
 
 /// The filter's distance with the paper's three sigmas, less the fitted model's readings.
 pub(super) fn validation(steps: &Steps) -> Part {
-    let mut curves = vec![curve(
-        "readings",
-        Shape::Dots(steps.log.readings().collect()),
-    )];
+    let mut curves = vec![curve("readings", Shape::Dots(steps.log.readings().collect()))];
     for process_m in [0.01, 0.05, 0.5] {
-        let noise = KalmanNoise {
-            process_m,
-            ..KalmanNoise::PAPER
-        };
+        let noise = KalmanNoise { process_m, ..KalmanNoise::PAPER };
         let mut kalman = Kalman::new(steps.all.model(), noise, Variant::Paper);
         let mut points = Vec::new();
         for entry in steps.log.entries() {
@@ -108,16 +71,9 @@ pub(super) fn validation(steps: &Steps) -> Part {
             let belief = kalman.belief(entry.at_s);
             points.extend(belief.map(|belief| (entry.at_s, belief.distance_m)));
         }
-        curves.push(curve(
-            format!("sigma_u {:.0} mm", 1e3 * process_m),
-            Shape::Line(points),
-        ));
+        curves.push(curve(format!("sigma_u {:.0} mm", 1e3 * process_m), Shape::Line(points)));
     }
-    figure(
-        "range-kf on the step's own readings",
-        "",
-        vec![axes("distance [m]", curves)],
-    )
+    figure("range-kf on the step's own readings", "", vec![axes("distance [m]", curves)])
 }
 
 /// The first run of each kind with tuned gains on the brick, and where all runs stopped.
@@ -160,35 +116,22 @@ pub(super) fn approaches(scene: &WallScene, driven: &[Driven]) -> Part {
 pub(super) fn foreseen(run: &str, foreseen: &[Foreseen], theirs: &[(f64, f64)]) -> Part {
     let by = |value: &dyn Fn(&Foreseen) -> Option<f64>| -> Vec<(f64, f64)> {
         let points = foreseen.iter();
-        points
-            .filter_map(|foreseen| Some((foreseen.at_s, value(foreseen)?)))
-            .collect()
+        points.filter_map(|foreseen| Some((foreseen.at_s, value(foreseen)?))).collect()
     };
     let readings = by(&|foreseen| Some(foreseen.range_m));
-    let (low, high) = readings.iter().fold(
-        (f64::INFINITY, f64::NEG_INFINITY),
-        |(low, high), (_, range_m)| (low.min(*range_m), high.max(*range_m)),
-    );
+    let (low, high) = readings
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, range_m)| (low.min(*range_m), high.max(*range_m)));
     // A line through two readings of the same instant leads anywhere: the picture would show nothing else.
     let reach = high - low;
     let is_seen = move |value: &f64| *value > low - reach && *value < high + reach;
     let mut curves = vec![
         curve("readings", Shape::Dots(readings)),
-        curve(
-            "line through two",
-            Shape::Line(by(&|foreseen| foreseen.line_m.filter(is_seen))),
-        ),
-        curve(
-            "range-kf-corrected",
-            Shape::Line(by(&|foreseen| Some(foreseen.kalman_m).filter(is_seen))),
-        ),
+        curve("line through two", Shape::Line(by(&|foreseen| foreseen.line_m.filter(is_seen)))),
+        curve("range-kf-corrected", Shape::Line(by(&|foreseen| Some(foreseen.kalman_m).filter(is_seen)))),
     ];
     if !theirs.is_empty() {
         curves.push(curve("their own filter", Shape::Dots(theirs.to_vec())));
     }
-    figure(
-        &format!("{run}: each reading, and what was foretold of it"),
-        "",
-        vec![axes("distance [m]", curves)],
-    )
+    figure(&format!("{run}: each reading, and what was foretold of it"), "", vec![axes("distance [m]", curves)])
 }

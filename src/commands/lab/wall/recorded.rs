@@ -4,8 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 use posebridge_analysis::wall::{
-    Foreseen, GateUse, HandStep, PlantSearch, Said, Score, StepError, StepFit, WallEntry, WallLog,
-    by_hand, fit_steps, foresee, gate_use, score,
+    Foreseen, GateUse, HandStep, PlantSearch, Said, Score, StepError, StepFit, WallEntry, WallLog, by_hand, fit_steps,
+    foresee, gate_use, score,
 };
 use posebridge_recording::dataset::{Descriptor, Run};
 use posebridge_telemetry::{Observation, Observed, SensorId};
@@ -61,7 +61,8 @@ pub(super) struct RunFound {
 }
 
 /// What a person with a live robot is told to do.
-pub(super) const TASK: &str = "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
+pub(super) const TASK: &str =
+    "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
 /// What to read of a recording.
 #[derive(Clone, Copy, Debug)]
@@ -90,22 +91,13 @@ pub(in crate::commands) fn prepare(path: &Path, choice: &Choice<'_>) -> Result<P
         settings: choice.settings.to_vec(),
     };
     let mut set = DataSet::open(path, &flags)?;
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("reading the descriptor `{}`", path.display()))?;
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{}`", path.display()))?;
     let mut runs = Vec::new();
     for name in set.runs.clone() {
-        let mut reader = Reader {
-            set: &mut set,
-            flags: &flags,
-            text: &text,
-            run: &name,
-        };
+        let mut reader = Reader { set: &mut set, flags: &flags, text: &text, run: &name };
         runs.push(reader.read(choice)?);
     }
-    Ok(Prepared {
-        descriptor: path.display().to_string(),
-        runs,
-    })
+    Ok(Prepared { descriptor: path.display().to_string(), runs })
 }
 
 /// A robot of ours tells its ranges but not what its motors were told: full drive is assumed, as for others who wrote it down nowhere.
@@ -115,14 +107,9 @@ fn prepare_own(path: &Path, choice: &Choice<'_>) -> Result<Prepared> {
         "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
         path.display()
     );
-    let overlay = Overlay {
-        robot: None,
-        settings: choice.settings,
-    };
+    let overlay = Overlay { robot: None, settings: choice.settings };
     let run = own_recording::read(path, overlay)?;
-    let ranges = said(run.observations.iter(), |_, observed| {
-        range_m(observed).map(Said::Range)
-    });
+    let ranges = said(run.observations.iter(), |_, observed| range_m(observed).map(Said::Range));
     ensure!(
         !ranges.is_empty(),
         "`{}` holds no range to a wall: let the robot send DISTANCE_SENSOR and record it again",
@@ -154,15 +141,9 @@ impl Reader<'_> {
         let commanded = self.column(choice.command_column, &COMMAND_COLUMNS, Extra::Command)?;
         let filtered = self.column(choice.kalman_column, &KALMAN_COLUMNS, Extra::Filtered)?;
         let ranges = said(of_run(&plain.run), |sensor, observed| {
-            range_m(observed)
-                .filter(|_| sensor != THEIR_FILTER)
-                .map(Said::Range)
+            range_m(observed).filter(|_| sensor != THEIR_FILTER).map(Said::Range)
         });
-        ensure!(
-            !ranges.is_empty(),
-            "run `{}` holds no range to a wall; choose another with --run",
-            self.run
-        );
+        ensure!(!ranges.is_empty(), "run `{}` holds no range to a wall; choose another with --run", self.run);
         let inputs = commanded.map_or_else(Vec::new, |run| {
             said(of_run(&run), |_, observed| {
                 let Observed::BodyVelocity { forward, .. } = observed else {
@@ -173,9 +154,7 @@ impl Reader<'_> {
         });
         let theirs = filtered.map_or_else(Vec::new, |run| {
             let entries = said(of_run(&run), |sensor, observed| {
-                range_m(observed)
-                    .filter(|_| sensor == THEIR_FILTER)
-                    .map(Said::Range)
+                range_m(observed).filter(|_| sensor == THEIR_FILTER).map(Said::Range)
             });
             WallLog::new(entries).readings().collect()
         });
@@ -202,8 +181,8 @@ impl Reader<'_> {
             let Some(text) = with_extra(self.text, self.run, extra(column))? else {
                 break;
             };
-            self.set.descriptor = Descriptor::from_toml(&text)
-                .with_context(|| format!("the descriptor with the column `{column}`"))?;
+            self.set.descriptor =
+                Descriptor::from_toml(&text).with_context(|| format!("the descriptor with the column `{column}`"))?;
             let loaded = self.set.load(self.run, self.flags);
             match loaded {
                 Ok(loaded) => found = Some(loaded.run),
@@ -250,23 +229,15 @@ pub(super) fn run(prepared: &Prepared, command: String) -> Result<Outcome> {
     let bar = progress::bar(prepared.runs.len() as u64, "runs")?;
     let found = run_all(&prepared.runs, evaluate, || bar.inc(1));
     bar.finish_and_clear();
-    Ok(recorded_report::outcome(
-        &prepared.descriptor,
-        command,
-        &found,
-    ))
+    Ok(recorded_report::outcome(&prepared.descriptor, command, &found))
 }
 
 fn evaluate(run: &RunLog) -> RunFound {
-    let search = PlantSearch {
-        range_sigma_m: run.range_sigma_m,
-    };
+    let search = PlantSearch { range_sigma_m: run.range_sigma_m };
     let foreseen = foresee(&run.log, search);
     // What their filter said last before the reading came.
     let before = |foreseen: &Foreseen| {
-        let earlier = run
-            .theirs
-            .partition_point(|(at_s, _)| *at_s < foreseen.at_s);
+        let earlier = run.theirs.partition_point(|(at_s, _)| *at_s < foreseen.at_s);
         let last = earlier.checked_sub(1).and_then(|last| run.theirs.get(last));
         last.map(|(_, distance_m)| *distance_m)
     };

@@ -9,39 +9,19 @@ use super::pictures;
 use super::recorded::RunFound;
 use crate::commands::lab::outcome::Outcome;
 
-const STEP_HEADER: [&str; 6] = [
-    "run",
-    "readings",
-    "input",
-    "v_ss by lines",
-    "v_ss by fit",
-    "t90 by fit",
-];
-const SCORE_HEADER: [&str; 9] = [
-    "run",
-    "readings",
-    "filter mm",
-    "line mm",
-    "gate mm",
-    "refused",
-    "readings",
-    "filter mm",
-    "theirs mm",
-];
+const STEP_HEADER: [&str; 6] = ["run", "readings", "input", "v_ss by lines", "v_ss by fit", "t90 by fit"];
+const SCORE_HEADER: [&str; 9] =
+    ["run", "readings", "filter mm", "line mm", "gate mm", "refused", "readings", "filter mm", "theirs mm"];
 
 /// Tables, page and object; `command` gives them again.
 pub(super) fn outcome(descriptor: &str, command: String, found: &[RunFound]) -> Outcome {
     let steps: Vec<[String; 6]> = found.iter().map(step_row).collect();
     let scores: Vec<[String; 9]> = found.iter().map(score_row).collect();
-    let step_line =
-        "step: m/s and s under the input 1 (PWM 80, or the whole drive where nobody wrote it down)";
+    let step_line = "step: m/s and s under the input 1 (PWM 80, or the whole drive where nobody wrote it down)";
     let score_line = "each reading foretold from those before it, rms; against a line through two, and against their own filter; \
          gate: its mean half-width, and how many readings it refused";
-    let text = format!(
-        "{step_line}\n{}\n{score_line}\n{}",
-        aligned(STEP_HEADER, &steps),
-        aligned(SCORE_HEADER, &scores)
-    );
+    let text =
+        format!("{step_line}\n{}\n{score_line}\n{}", aligned(STEP_HEADER, &steps), aligned(SCORE_HEADER, &scores));
     let mut parts = vec![
         Part::Text(
             "Nobody measured these cars. Drive and noise are found anew at each reading, from the readings before it alone; then the \
@@ -58,10 +38,7 @@ pub(super) fn outcome(descriptor: &str, command: String, found: &[RunFound]) -> 
     parts.extend(figures.map(|run| pictures::foreseen(&run.name, &run.foreseen, &run.theirs)));
     Outcome {
         name: "lab-wall",
-        page: Page {
-            title: "The distance to a wall: a recording".to_owned(),
-            parts,
-        },
+        page: Page { title: "The distance to a wall: a recording".to_owned(), parts },
         text,
         json: json!({ "recording": descriptor, "runs": found.iter().map(object).collect::<Vec<_>>() }),
     }
@@ -86,12 +63,7 @@ fn step_row(run: &RunFound) -> [String; 6] {
     [
         run.name.clone(),
         run.readings.to_string(),
-        if run.knows_input {
-            "recorded"
-        } else {
-            "assumed"
-        }
-        .to_owned(),
+        if run.knows_input { "recorded" } else { "assumed" }.to_owned(),
         by_hand.map_or_else(none, |hand| format!("{:.2}", hand.steady_m_per_s)),
         fit.map_or_else(none, |fit| with_sigma(fit.steady_m_per_s)),
         fit.map_or_else(none, |fit| with_sigma(fit.rise_90_s)),
@@ -114,8 +86,7 @@ fn score_row(run: &RunFound) -> [String; 9] {
         count,
         kalman,
         line,
-        run.gate
-            .map_or_else(none, |gate| format!("{:.0}", 1e3 * gate.mean_m)),
+        run.gate.map_or_else(none, |gate| format!("{:.0}", 1e3 * gate.mean_m)),
         run.gate.map_or_else(none, |gate| gate.refused.to_string()),
         their_count,
         their_kalman,

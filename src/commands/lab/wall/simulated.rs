@@ -57,12 +57,7 @@ struct Tables(Vec<Told>);
 
 impl Tables {
     fn of(prepared: &Prepared, steps: &Steps, driven: &[Driven]) -> Self {
-        Self(vec![
-            identification(prepared, steps),
-            validation(steps),
-            gate(steps),
-            approaches(prepared, driven),
-        ])
+        Self(vec![identification(prepared, steps), validation(steps), gate(steps), approaches(prepared, driven)])
     }
 
     fn text(&self) -> String {
@@ -79,8 +74,7 @@ impl Tables {
 fn aligned(header: &[&str], rows: &[Vec<String>]) -> String {
     const MOST: usize = 11;
     let cell = |cells: &[&str], column: usize| cells.get(column).copied().unwrap_or("").to_owned();
-    let names: [&str; MOST] =
-        std::array::from_fn(|column| header.get(column).copied().unwrap_or(""));
+    let names: [&str; MOST] = std::array::from_fn(|column| header.get(column).copied().unwrap_or(""));
     let mut table = Table::new(names);
     for row in rows {
         let cells: Vec<&str> = row.iter().map(String::as_str).collect();
@@ -142,10 +136,7 @@ impl Identified {
 
 fn identification(prepared: &Prepared, steps: &Steps) -> Told {
     let truth = steps.truth;
-    let mut table = Identified {
-        truth,
-        rows: Vec::new(),
-    };
+    let mut table = Identified { truth, rows: Vec::new() };
     table.by_hand("the paper's figures", PAPER_STEP.0, PAPER_STEP.1);
     if let Some(hand) = steps.by_hand.first() {
         table.by_hand("first step, lines", hand.steady_m_per_s, hand.rise_90_s);
@@ -180,11 +171,7 @@ const fn variant_name(variant: Variant) -> &'static str {
 
 fn validation(steps: &Steps) -> Told {
     let rows = steps.validations.iter().map(|validated| {
-        let Validated {
-            process_m,
-            variant,
-            found,
-        } = validated;
+        let Validated { process_m, variant, found } = validated;
         vec![
             variant_name(*variant).to_owned(),
             format!("{:.0}", 1e3 * process_m),
@@ -199,26 +186,11 @@ fn validation(steps: &Steps) -> Told {
     });
     let loop_s = steps.log.loop_intervals_s();
     let measured = loop_s.map_or_else(String::new, |(mean, low, high)| {
-        format!(
-            "; measured dt {:.2} ms, {:.2} to {:.2}",
-            1e3 * mean,
-            1e3 * low,
-            1e3 * high
-        )
+        format!("; measured dt {:.2} ms, {:.2} to {:.2}", 1e3 * mean, 1e3 * low, 1e3 * high)
     });
     Told {
         headline: format!("the filter on the first step's own readings, sigma_z 20 mm{measured}"),
-        header: vec![
-            "filter",
-            "sigma_u mm",
-            "gain",
-            "gate mm",
-            "used",
-            "gated",
-            "predicted",
-            "rms mm",
-            "NIS",
-        ],
+        header: vec!["filter", "sigma_u mm", "gain", "gate mm", "used", "gated", "predicted", "rms mm", "NIS"],
         rows: rows.collect(),
     }
 }
@@ -306,10 +278,7 @@ fn page(prepared: &Prepared, steps: &Steps, driven: &[Driven], tables: Tables) -
          Speed: the way over that time."
             .to_owned(),
     ));
-    Page {
-        title: "The distance to a wall".to_owned(),
-        parts,
-    }
+    Page { title: "The distance to a wall".to_owned(), parts }
 }
 
 fn object(prepared: &Prepared, steps: &Steps, driven: &[Driven]) -> Value {
@@ -328,7 +297,8 @@ fn object(prepared: &Prepared, steps: &Steps, driven: &[Driven]) -> Value {
         })
     };
     let paper = WallApproach::from_step_test(PAPER_STEP.0, PAPER_STEP.1);
-    let model = |model: WallApproach| json!({ "drag_s_per_m": model.drag_s_per_m, "mass_s2_per_m": model.mass_s2_per_m });
+    let model =
+        |model: WallApproach| json!({ "drag_s_per_m": model.drag_s_per_m, "mass_s2_per_m": model.mass_s2_per_m });
     let validations = steps.validations.iter().map(|validated| {
         json!({
             "filter": variant_name(validated.variant),
@@ -342,9 +312,10 @@ fn object(prepared: &Prepared, steps: &Steps, driven: &[Driven]) -> Value {
             "nis": validated.found.nis,
         })
     });
-    let gate = steps.gate.iter().map(|trial| {
-        json!({ "added_m": trial.added_m, "refused": trial.is_refused, "jumped_m": trial.jumped_m })
-    });
+    let gate = steps
+        .gate
+        .iter()
+        .map(|trial| json!({ "added_m": trial.added_m, "refused": trial.is_refused, "jumped_m": trial.jumped_m }));
     json!({
         "seed": prepared.scene.seed,
         "truth": model(steps.truth),

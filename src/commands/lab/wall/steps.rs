@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result};
 use posebridge_analysis::wall::{
-    GateTrial, HandStep, KalmanNoise, Said, StepFit, Validation, WallEntry, WallLog, by_hand,
-    fit_steps, gate_trial, validate,
+    GateTrial, HandStep, KalmanNoise, Said, StepFit, Validation, WallEntry, WallLog, by_hand, fit_steps, gate_trial,
+    validate,
 };
 use posebridge_estimator::filters::range_kf::Variant;
 use posebridge_estimator::models::wall_approach::WallApproach;
@@ -61,15 +61,7 @@ pub(super) fn steps(scene: &WallScene, count: u32) -> Result<Steps> {
         [Variant::Paper, Variant::Corrected].map(|variant| Validated {
             process_m,
             variant,
-            found: validate(
-                log,
-                model,
-                KalmanNoise {
-                    process_m,
-                    ..KalmanNoise::PAPER
-                },
-                variant,
-            ),
+            found: validate(log, model, KalmanNoise { process_m, ..KalmanNoise::PAPER }, variant),
         })
     });
     Ok(Steps {
@@ -77,10 +69,7 @@ pub(super) fn steps(scene: &WallScene, count: u32) -> Result<Steps> {
         first,
         validations: validations.collect(),
         gate: ADDED_M.iter().filter_map(trials).collect(),
-        by_hand: logs
-            .iter()
-            .filter_map(|log| by_hand(log, PIECE).ok())
-            .collect(),
+        by_hand: logs.iter().filter_map(|log| by_hand(log, PIECE).ok()).collect(),
         one,
         all,
         log,
@@ -89,13 +78,11 @@ pub(super) fn steps(scene: &WallScene, count: u32) -> Result<Steps> {
 
 /// Inputs count from the PWM that the scene calls 1.
 pub(in crate::commands) fn log_of(scene: &WallScene, run: &StepRun) -> WallLog {
-    let inputs = run.commands.iter().map(|command| WallEntry {
-        at_s: command.at_s,
-        said: Said::Input(command.pwm / scene.car.reference_pwm),
-    });
-    let readings = run.readings.iter().map(|reading| WallEntry {
-        at_s: reading.at_s,
-        said: Said::Range(reading.range_m),
-    });
+    let inputs = run
+        .commands
+        .iter()
+        .map(|command| WallEntry { at_s: command.at_s, said: Said::Input(command.pwm / scene.car.reference_pwm) });
+    let readings =
+        run.readings.iter().map(|reading| WallEntry { at_s: reading.at_s, said: Said::Range(reading.range_m) });
     WallLog::new(inputs.chain(readings).collect())
 }

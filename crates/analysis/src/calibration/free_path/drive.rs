@@ -91,21 +91,14 @@ impl FreePath {
         let steps = stamps
             .windows(2)
             .filter_map(|pair| match track.leg(pair[0], pair[1]) {
-                Leg::Known { travel, .. } if travel != WheelTravel::default() => Some(Step {
-                    from_s: seconds(pair[0]),
-                    until_s: seconds(pair[1]),
-                    travel,
-                }),
+                Leg::Known { travel, .. } if travel != WheelTravel::default() => {
+                    Some(Step { from_s: seconds(pair[0]), until_s: seconds(pair[1]), travel })
+                }
                 Leg::Known { .. } | Leg::Gap { .. } | Leg::Ahead { .. } => None,
             })
             .collect();
         let sights = thinned(sights);
-        Self {
-            name: name.to_owned(),
-            start: start_of(config.start, sights.first()),
-            steps,
-            sights,
-        }
+        Self { name: name.to_owned(), start: start_of(config.start, sights.first()), steps, sights }
     }
 
     /// Length of the way of the axle's middle by the nominal geometry, in metres.
@@ -121,17 +114,11 @@ impl FreePath {
 
 fn is_finite(reading: &MotionReading) -> bool {
     match reading {
-        MotionReading::Wheels {
-            left_rad,
-            right_rad,
-        } => left_rad.is_finite() && right_rad.is_finite(),
-        MotionReading::Velocity {
-            forward_m_per_s,
-            turn_rad_per_s,
-        } => forward_m_per_s.is_finite() && turn_rad_per_s.is_finite(),
-        MotionReading::Odometer(pose) => {
-            pose.x.0.is_finite() && pose.y.0.is_finite() && pose.heading.rad().is_finite()
+        MotionReading::Wheels { left_rad, right_rad } => left_rad.is_finite() && right_rad.is_finite(),
+        MotionReading::Velocity { forward_m_per_s, turn_rad_per_s } => {
+            forward_m_per_s.is_finite() && turn_rad_per_s.is_finite()
         }
+        MotionReading::Odometer(pose) => pose.x.0.is_finite() && pose.y.0.is_finite() && pose.heading.rad().is_finite(),
     }
 }
 
@@ -139,10 +126,7 @@ fn thinned(sights: impl IntoIterator<Item = Sight>) -> Vec<Sight> {
     let is_usable = |sight: &Sight| {
         let numbers = [sight.at_s, sight.place_m[0], sight.place_m[1]];
         let tag = sight.tag_m.iter().all(|m| m.is_finite());
-        numbers.iter().all(|n| n.is_finite())
-            && tag
-            && sight.sigma_m > 0.0
-            && sight.sigma_m.is_finite()
+        numbers.iter().all(|n| n.is_finite()) && tag && sight.sigma_m > 0.0 && sight.sigma_m.is_finite()
     };
     let mut sights: Vec<Sight> = sights.into_iter().filter(is_usable).collect();
     sights.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
@@ -166,9 +150,5 @@ fn start_of(known: Option<StartPose>, first: Option<&Sight>) -> PathStart {
         };
     }
     let [x, y] = first.map_or([0.0; 2], |sight| sight.place_m);
-    PathStart {
-        pose: [x, y, 0.0],
-        position_sigma_m: UNKNOWN_POSITION_M,
-        heading_sigma_rad: UNKNOWN_HEADING_RAD,
-    }
+    PathStart { pose: [x, y, 0.0], position_sigma_m: UNKNOWN_POSITION_M, heading_sigma_rad: UNKNOWN_HEADING_RAD }
 }

@@ -33,10 +33,7 @@ const FEWEST_WINDOWS: usize = 3;
 /// The mean wheel size against the numbers with which the path was reckoned: a factor, and how many windows it stands on.
 ///
 /// `None`: fewer than three windows are long enough.
-pub(super) fn length_factor(
-    prediction: &Prediction<'_>,
-    paths: &[FreePath],
-) -> Option<(Known, usize)> {
+pub(super) fn length_factor(prediction: &Prediction<'_>, paths: &[FreePath]) -> Option<(Known, usize)> {
     let runs: Vec<Vec<Chord>> = paths.iter().map(|path| chords(prediction, path)).collect();
     let chords = || runs.iter().flatten();
     let count = chords().count();
@@ -55,12 +52,7 @@ pub(super) fn length_factor(
     let apart = chords().map(|chord| chord.apart_m(raw).powi(2));
     let scatter_m2 = apart.sum::<f64>() / (count - 1) as f64;
     let value = factor(scatter_m2);
-    let sigma = runs
-        .iter()
-        .map(|run| spread_m4(run, raw))
-        .sum::<f64>()
-        .sqrt()
-        / square;
+    let sigma = runs.iter().map(|run| spread_m4(run, raw)).sum::<f64>().sqrt() / square;
     (value > 0.0 && value.is_finite()).then_some((Known { value, sigma }, count))
 }
 
@@ -69,10 +61,7 @@ pub(super) fn length_factor(
 /// Neighbours share a sight, whose noise makes one window longer and the other one shorter by as much, so that most of it is gone
 /// from the sum. The products of neighbours say how much, weighted as Newey and West (1987) do, which keeps the sum positive.
 fn spread_m4(run: &[Chord], factor: f64) -> f64 {
-    let scores: Vec<f64> = run
-        .iter()
-        .map(|chord| chord.reckoned_m * chord.apart_m(factor))
-        .collect();
+    let scores: Vec<f64> = run.iter().map(|chord| chord.reckoned_m * chord.apart_m(factor)).collect();
     let at_lag = |lag: usize| -> f64 {
         let pairs = scores.iter().zip(scores.iter().skip(lag));
         pairs.map(|(one, other)| one * other).sum()

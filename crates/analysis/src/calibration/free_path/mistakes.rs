@@ -79,11 +79,7 @@ pub struct Hypothesis {
 }
 
 /// The description as given.
-pub const AS_GIVEN: Hypothesis = Hypothesis {
-    wiring: Wiring::AsGiven,
-    track_factor: 1.0,
-    travel_factor: 1.0,
-};
+pub const AS_GIVEN: Hypothesis = Hypothesis { wiring: Wiring::AsGiven, track_factor: 1.0, travel_factor: 1.0 };
 
 /// Radius for diameter, half track for track, a quadrature decoder's 2 and 4.
 const TRACK_FACTORS: [f64; 3] = [1.0, 2.0, 0.5];
@@ -128,18 +124,9 @@ impl FreePath {
         let factor = hypothesis.travel_factor;
         let steps = self.steps.iter().map(|step| {
             let travel = hypothesis.wiring.undone(step.travel);
-            Step {
-                travel: WheelTravel {
-                    left_m: travel.left_m * factor,
-                    right_m: travel.right_m * factor,
-                },
-                ..*step
-            }
+            Step { travel: WheelTravel { left_m: travel.left_m * factor, right_m: travel.right_m * factor }, ..*step }
         });
-        Self {
-            steps: steps.collect(),
-            ..self.clone()
-        }
+        Self { steps: steps.collect(), ..self.clone() }
     }
 }
 
@@ -162,35 +149,19 @@ pub(super) fn sanity(prediction: &Prediction<'_>, paths: &[FreePath]) -> Option<
     for wiring in Wiring::ALL {
         for track_factor in TRACK_FACTORS {
             for travel_factor in TRAVEL_FACTORS {
-                let hypothesis = Hypothesis {
-                    wiring,
-                    track_factor,
-                    travel_factor,
-                };
+                let hypothesis = Hypothesis { wiring, track_factor, travel_factor };
                 all.push(scored(prediction, paths, hypothesis));
             }
         }
     }
     let described = *all.first()?;
-    let smallest = all
-        .iter()
-        .map(|s| s.square_m2)
-        .fold(f64::INFINITY, f64::min);
-    let as_good = all
-        .iter()
-        .filter(|scored| scored.square_m2 <= smallest * SAME_FIT * SAME_FIT);
+    let smallest = all.iter().map(|s| s.square_m2).fold(f64::INFINITY, f64::min);
+    let as_good = all.iter().filter(|scored| scored.square_m2 <= smallest * SAME_FIT * SAME_FIT);
     // Of those that fit alike the one that sets out as the start says, then the simplest.
     let is_forward = |scored: &Scored| scored.start_off_rad.is_none_or(|off| off.abs() < FRAC_PI_2);
-    let best = as_good
-        .clone()
-        .find(|scored| is_forward(scored))
-        .or(as_good.clone().next())?;
+    let best = as_good.clone().find(|scored| is_forward(scored)).or(as_good.clone().next())?;
     let ratio = (described.square_m2 / best.square_m2).sqrt();
-    let found = if ratio >= CLEARLY_BETTER {
-        best
-    } else {
-        &described
-    };
+    let found = if ratio >= CLEARLY_BETTER { best } else { &described };
     let rms = |square_m2: f64| (square_m2 / sights as f64).sqrt();
     Some(Sanity {
         found: found.hypothesis,
@@ -208,11 +179,8 @@ fn scored(prediction: &Prediction<'_>, paths: &[FreePath], hypothesis: Hypothesi
     let mut start_off_rad = None;
     for path in paths {
         let path = path.under(&hypothesis);
-        let reckoned: Vec<[f64; 2]> = prediction
-            .reckoned(&path, path.start.pose[2])
-            .iter()
-            .map(|reckoned| reckoned.tag_m)
-            .collect();
+        let reckoned: Vec<[f64; 2]> =
+            prediction.reckoned(&path, path.start.pose[2]).iter().map(|reckoned| reckoned.tag_m).collect();
         let seen: Vec<[f64; 2]> = path.sights.iter().map(|sight| sight.place_m).collect();
         for (index, (ours, theirs)) in reckoned.chunks(PIECE).zip(seen.chunks(PIECE)).enumerate() {
             let laid = laid_on(ours, theirs);
@@ -223,17 +191,9 @@ fn scored(prediction: &Prediction<'_>, paths: &[FreePath], hypothesis: Hypothesi
             }
         }
         // What the sights' own noise leaves is no fit.
-        square_m2 += path
-            .sights
-            .iter()
-            .map(|s| 0.1 * s.sigma_m.powi(2))
-            .sum::<f64>();
+        square_m2 += path.sights.iter().map(|s| 0.1 * s.sigma_m.powi(2)).sum::<f64>();
     }
-    Scored {
-        hypothesis,
-        square_m2,
-        start_off_rad,
-    }
+    Scored { hypothesis, square_m2, start_off_rad }
 }
 
 /// Tracks that are tried, over the one of the prediction.
@@ -248,10 +208,7 @@ const COARSE_STEPS: u32 = 70;
 pub(super) fn coarse_track_factor(prediction: &Prediction<'_>, paths: &[FreePath]) -> f64 {
     let factor = |step: u32| COARSE_FROM + COARSE_STEP * f64::from(step);
     let scored = (0..=COARSE_STEPS).map(|step| {
-        let hypothesis = Hypothesis {
-            track_factor: factor(step),
-            ..AS_GIVEN
-        };
+        let hypothesis = Hypothesis { track_factor: factor(step), ..AS_GIVEN };
         (step, scored(prediction, paths, hypothesis).square_m2)
     });
     match scored.min_by(|a, b| a.1.total_cmp(&b.1)) {
@@ -271,9 +228,7 @@ struct Laid {
 /// Turns and shifts `ours` onto `theirs` by least squares.
 fn laid_on(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> Laid {
     let count = ours.len().max(1) as f64;
-    let centre = |points: &[[f64; 2]]| {
-        [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / count)
-    };
+    let centre = |points: &[[f64; 2]]| [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / count);
     let (a0, b0) = (centre(ours), centre(theirs));
     let (mut dot, mut cross, mut ours_m2, mut theirs_m2) = (0.0, 0.0, 0.0, 0.0);
     for (a, b) in ours.iter().zip(theirs) {

@@ -181,16 +181,10 @@ const ROUNDS: u32 = 3;
 ///
 /// # Errors
 /// [`CalibrationError::TooLittle`] without motion or sights; [`CalibrationError::Undetermined`], [`CalibrationError::Diverged`].
-pub fn calibrate_path(
-    config: &FilterConfig,
-    paths: &[FreePath],
-) -> Result<PathCalibration, CalibrationError> {
+pub fn calibrate_path(config: &FilterConfig, paths: &[FreePath]) -> Result<PathCalibration, CalibrationError> {
     enough(paths)?;
     let before = RobotNumbers::of(config);
-    let prediction = Prediction {
-        numbers: before,
-        noise: &config.noise,
-    };
+    let prediction = Prediction { numbers: before, noise: &config.noise };
     let sanity = sanity(&prediction, paths);
     let hypothesis = sanity.as_ref().map_or(AS_GIVEN, |sanity| sanity.found);
     let paths: Vec<FreePath> = paths.iter().map(|path| path.under(&hypothesis)).collect();
@@ -204,24 +198,17 @@ pub fn calibrate_path(
         length = shape.take_length();
         (chosen, standings) = shape.choose(length)?;
     }
-    Ok(shape
-        .report(&chosen, standings, length)
-        .with(sanity, before))
+    Ok(shape.report(&chosen, standings, length).with(sanity, before))
 }
 
 fn enough(paths: &[FreePath]) -> Result<(), CalibrationError> {
     let steps: usize = paths.iter().map(|path| path.steps.len()).sum();
     let sights: usize = paths.iter().map(|path| path.sights.len()).sum();
-    for (what, found, needed) in [
-        ("intervals in which the wheels turned", steps, 2),
-        ("places where the robot was seen", sights, 3),
-    ] {
+    for (what, found, needed) in
+        [("intervals in which the wheels turned", steps, 2), ("places where the robot was seen", sights, 3)]
+    {
         if found < needed {
-            return Err(CalibrationError::TooLittle {
-                what,
-                found,
-                needed,
-            });
+            return Err(CalibrationError::TooLittle { what, found, needed });
         }
     }
     Ok(())

@@ -105,13 +105,7 @@ impl Prediction<'_> {
         seen
     }
 
-    fn walk(
-        &self,
-        path: &FreePath,
-        heading_rad: f64,
-        mode: Sights,
-        mut seen: impl FnMut(Reckoned, [f64; 2]),
-    ) {
+    fn walk(&self, path: &FreePath, heading_rad: f64, mode: Sights, mut seen: impl FnMut(Reckoned, [f64; 2])) {
         let [x, y, _] = path.start.pose;
         let var = path.start.position_sigma_m.powi(2);
         let mut walk = Walk {
@@ -160,34 +154,23 @@ impl Walk<'_> {
     /// Rolls along a part of a step and returns the rest of it.
     fn roll_until(&mut self, step: Step, until_s: f64) -> Step {
         let share = (until_s - step.from_s) / (step.until_s - step.from_s);
-        let part = |share: f64| WheelTravel {
-            left_m: step.travel.left_m * share,
-            right_m: step.travel.right_m * share,
-        };
+        let part =
+            |share: f64| WheelTravel { left_m: step.travel.left_m * share, right_m: step.travel.right_m * share };
         self.roll(part(share));
-        Step {
-            from_s: until_s,
-            until_s: step.until_s,
-            travel: part(1.0 - share),
-        }
+        Step { from_s: until_s, until_s: step.until_s, travel: part(1.0 - share) }
     }
 
     fn roll(&mut self, nominal: WheelTravel) {
         let numbers = &self.robot.numbers;
         let travel = WheelTravel {
             left_m: nominal.left_m * (1.0 + numbers.radius_scale - 0.5 * numbers.radius_difference),
-            right_m: nominal.right_m
-                * (1.0 + numbers.radius_scale + 0.5 * numbers.radius_difference),
+            right_m: nominal.right_m * (1.0 + numbers.radius_scale + 0.5 * numbers.radius_difference),
         };
         let step = body_step(travel, &self.geometry);
         let moved = displace(self.pose[2], step, StepRule::Arc);
         let slip_var = step_noise(travel, &self.geometry, self.robot.noise).forward_var_m2;
         let (sin, cos) = (self.pose[2] + 0.5 * step.turn_rad).sin_cos();
-        self.pose = [
-            self.pose[0] + moved.dx_m,
-            self.pose[1] + moved.dy_m,
-            self.pose[2] + step.turn_rad,
-        ];
+        self.pose = [self.pose[0] + moved.dx_m, self.pose[1] + moved.dy_m, self.pose[2] + step.turn_rad];
         self.var[0] += slip_var * cos * cos;
         self.var[1] += slip_var * cos * sin;
         self.var[2] += slip_var * sin * sin;
@@ -196,13 +179,7 @@ impl Walk<'_> {
     fn seen(&self, [forward_m, left_m]: [f64; 2]) -> Reckoned {
         let [x, y, heading_rad] = self.pose;
         let (sin, cos) = heading_rad.sin_cos();
-        Reckoned {
-            tag_m: [
-                x + cos * forward_m - sin * left_m,
-                y + sin * forward_m + cos * left_m,
-            ],
-            heading_rad,
-        }
+        Reckoned { tag_m: [x + cos * forward_m - sin * left_m, y + sin * forward_m + cos * left_m], heading_rad }
     }
 
     /// Takes the two numbers of a sight one after the other and returns the whitened innovations.
@@ -217,11 +194,7 @@ impl Walk<'_> {
             white[axis] = nu / s.sqrt();
             corrected_m[0] += to_x / s * nu;
             corrected_m[1] += to_y / s * nu;
-            self.var = [
-                xx - to_x * to_x / s,
-                xy - to_x * to_y / s,
-                yy - to_y * to_y / s,
-            ];
+            self.var = [xx - to_x * to_x / s, xy - to_x * to_y / s, yy - to_y * to_y / s];
         }
         self.pose[0] += corrected_m[0];
         self.pose[1] += corrected_m[1];

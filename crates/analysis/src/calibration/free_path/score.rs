@@ -37,12 +37,7 @@ pub fn starting_heading(config: &FilterConfig, numbers: &RobotNumbers, path: &Fr
 
 /// Reckons a drive with these numbers from a start with this heading.
 #[must_use]
-pub fn reckon(
-    config: &FilterConfig,
-    numbers: &RobotNumbers,
-    path: &FreePath,
-    heading_rad: f64,
-) -> Reckoning {
+pub fn reckon(config: &FilterConfig, numbers: &RobotNumbers, path: &FreePath, heading_rad: f64) -> Reckoning {
     let reckoned = prediction(config, numbers).reckoned(path, heading_rad);
     let places_m: Vec<[f64; 2]> = reckoned.iter().map(|reckoned| reckoned.tag_m).collect();
     let off = places_m
@@ -72,8 +67,5 @@ pub fn mean_error(errors: &[ReckonedError]) -> ReckonedError {
 }
 
 fn prediction<'a>(config: &'a FilterConfig, numbers: &RobotNumbers) -> Prediction<'a> {
-    Prediction {
-        numbers: *numbers,
-        noise: &config.noise,
-    }
+    Prediction { numbers: *numbers, noise: &config.noise }
 }

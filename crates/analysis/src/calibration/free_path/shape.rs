@@ -49,10 +49,7 @@ pub(super) struct Chosen {
 impl Chosen {
     fn known(&self, unknown: Unknown) -> Option<Known> {
         let place = self.unknowns.iter().position(|one| *one == unknown)?;
-        Some(Known {
-            value: self.fit.values[place],
-            sigma: self.fit.sigma(place),
-        })
+        Some(Known { value: self.fit.values[place], sigma: self.fit.sigma(place) })
     }
 }
 
@@ -60,18 +57,11 @@ impl<'a> Shape<'a> {
     pub(super) fn new(config: &'a FilterConfig, paths: &'a [FreePath], track_factor: f64) -> Self {
         let mut numbers = RobotNumbers::of(config);
         numbers.track_width_m *= track_factor;
-        let prediction = Prediction {
-            numbers,
-            noise: &config.noise,
-        };
+        let prediction = Prediction { numbers, noise: &config.noise };
         let is_free = |path: &FreePath| path.start.heading_sigma_rad > KNOWN_HEADING_RAD;
         let headings_rad = paths.iter().map(|path| {
             // Beyond a radian the given heading is no place to begin a descent.
-            if path.start.heading_sigma_rad > 1.0 {
-                heading_of_start(&prediction, path)
-            } else {
-                path.start.pose[2]
-            }
+            if path.start.heading_sigma_rad > 1.0 { heading_of_start(&prediction, path) } else { path.start.pose[2] }
         });
         Self {
             config,
@@ -82,9 +72,7 @@ impl<'a> Shape<'a> {
             radius_scale: None,
             first_track_scale: config.calibration.track_scale.value,
             headings_rad: headings_rad.collect(),
-            free_headings: (0..paths.len())
-                .filter(|run| is_free(&paths[*run]))
-                .collect(),
+            free_headings: (0..paths.len()).filter(|run| is_free(&paths[*run])).collect(),
         }
     }
 
@@ -93,10 +81,7 @@ impl<'a> Shape<'a> {
         if self.is_held(Unknown::TrackScale) {
             return;
         }
-        let prediction = Prediction {
-            numbers: self.numbers,
-            noise: &self.config.noise,
-        };
+        let prediction = Prediction { numbers: self.numbers, noise: &self.config.noise };
         let factor = coarse_track_factor(&prediction, self.paths);
         let track_m = self.numbers.track_width_m * factor;
         self.first_track_scale = track_m / self.base_track_m - 1.0;
@@ -117,10 +102,7 @@ impl<'a> Shape<'a> {
         if self.is_held(Unknown::RadiusScale) {
             return None;
         }
-        let prediction = Prediction {
-            numbers: self.latest,
-            noise: &self.config.noise,
-        };
+        let prediction = Prediction { numbers: self.latest, noise: &self.config.noise };
         let (factor, windows) = length_factor(&prediction, self.paths)?;
         let reckoned_with = 1.0 + self.latest.radius_scale;
         let sigma = factor.sigma * reckoned_with;
@@ -134,10 +116,7 @@ impl<'a> Shape<'a> {
     }
 
     /// Adds one unknown after the other and keeps what the drives tell apart.
-    pub(super) fn choose(
-        &self,
-        length: Option<usize>,
-    ) -> Result<(Chosen, Vec<Standing>), CalibrationError> {
+    pub(super) fn choose(&self, length: Option<usize>) -> Result<(Chosen, Vec<Standing>), CalibrationError> {
         let mut chosen = self.fit(Vec::new())?;
         let mut standings = Vec::new();
         let mut tried_beside = Vec::new();
@@ -152,9 +131,7 @@ impl<'a> Shape<'a> {
             });
         }
         // Errors hide each other: over a minute unequal wheels turn the whole way, and no track seems to help until they are found.
-        for ((unknown, standing), beside) in
-            UNKNOWNS.into_iter().zip(&mut standings).zip(tried_beside)
-        {
+        for ((unknown, standing), beside) in UNKNOWNS.into_iter().zip(&mut standings).zip(tried_beside) {
             if *standing == Standing::Unseen && chosen.unknowns.len() > beside {
                 *standing = self.try_with(unknown, &mut chosen);
             }
@@ -168,17 +145,10 @@ impl<'a> Shape<'a> {
         let is_basic = matches!(unknown, Unknown::RadiusScale | Unknown::TrackScale);
         // What cannot be solved with it cannot be told with it.
         let Ok(with) = self.fit(free) else {
-            return if is_basic {
-                Standing::Unseen
-            } else {
-                Standing::NotSeparable
-            };
+            return if is_basic { Standing::Unseen } else { Standing::NotSeparable };
         };
         let prior = unknown.prior(&self.config.calibration);
-        if with
-            .known(unknown)
-            .is_none_or(|found| found.sigma >= TOLD * prior.sigma)
-        {
+        if with.known(unknown).is_none_or(|found| found.sigma >= TOLD * prior.sigma) {
             return Standing::Unseen;
         }
         let track = |fit: &Chosen| fit.known(Unknown::TrackScale).map(|track| track.sigma);
@@ -195,19 +165,15 @@ impl<'a> Shape<'a> {
         let start = unknowns.iter().map(|unknown| match unknown {
             Unknown::RadiusScale => self.numbers.radius_scale,
             Unknown::TrackScale => self.first_track_scale,
-            Unknown::RadiusDifference
-            | Unknown::FixDelay
-            | Unknown::TagForward
-            | Unknown::TagLeft => unknown.prior(&self.config.calibration).value,
+            Unknown::RadiusDifference | Unknown::FixDelay | Unknown::TagForward | Unknown::TagLeft => {
+                unknown.prior(&self.config.calibration).value
+            }
         });
         let headings = self.free_headings.iter().map(|run| self.headings_rad[*run]);
         let start: Vec<f64> = start.chain(headings).collect();
         let steps = self.steps(&unknowns);
         if start.is_empty() {
-            return Ok(Chosen {
-                fit: Fit::default(),
-                unknowns,
-            });
+            return Ok(Chosen { fit: Fit::default(), unknowns });
         }
         let fit = fit(&start, &steps, |values| self.residuals(&unknowns, values))?;
         Ok(Chosen { unknowns, fit })
@@ -222,10 +188,7 @@ impl<'a> Shape<'a> {
 
     fn residuals(&self, unknowns: &[Unknown], values: &[f64]) -> Residuals {
         let (numbers, headings) = self.robot(unknowns, values);
-        let prediction = Prediction {
-            numbers,
-            noise: &self.config.noise,
-        };
+        let prediction = Prediction { numbers, noise: &self.config.noise };
         let mut all = Vec::with_capacity(self.paths.len());
         for (run, (path, heading_rad)) in self.paths.iter().zip(headings).enumerate() {
             let mut residuals = prediction.innovations(path, heading_rad);
@@ -269,17 +232,11 @@ impl<'a> Shape<'a> {
                 | Unknown::RadiusDifference
                 | Unknown::FixDelay
                 | Unknown::TagForward
-                | Unknown::TagLeft => chosen.known(*unknown).map(|found| Known {
-                    sigma: found.sigma.hypot(by_others).hypot(by_wandering),
-                    ..found
-                }),
+                | Unknown::TagLeft => chosen
+                    .known(*unknown)
+                    .map(|found| Known { sigma: found.sigma.hypot(by_others).hypot(by_wandering), ..found }),
             };
-            Entry {
-                unknown: *unknown,
-                before,
-                after: after.unwrap_or(before),
-                standing,
-            }
+            Entry { unknown: *unknown, before, after: after.unwrap_or(before), standing }
         });
         let residuals = self.residuals(&chosen.unknowns, &chosen.fit.values);
         let all: Vec<f64> = residuals.into_iter().flatten().flatten().collect();
@@ -305,16 +262,12 @@ impl<'a> Shape<'a> {
         for (run, (path, heading_rad)) in self.paths.iter().zip(headings).enumerate() {
             for jump in jumps(path, track_m, noise) {
                 let sigma_rad = jump.var_rad2.sqrt();
-                let by = |by_rad: f64| {
-                    prediction.innovations(&jumped(path, jump, by_rad, track_m), heading_rad)
-                };
+                let by = |by_rad: f64| prediction.innovations(&jumped(path, jump, by_rad, track_m), heading_rad);
                 let (above, below) = (by(HEADING_STEP_RAD), by(-HEADING_STEP_RAD));
-                let mut disturbance: Residuals =
-                    here.iter().map(|run| vec![[0.0; 2]; run.len()]).collect();
+                let mut disturbance: Residuals = here.iter().map(|run| vec![[0.0; 2]; run.len()]).collect();
                 let sights = disturbance[run].iter_mut();
                 for ((change, up), down) in sights.zip(above).zip(below) {
-                    *change = [0, 1]
-                        .map(|axis| sigma_rad * (up[axis] - down[axis]) / (2.0 * HEADING_STEP_RAD));
+                    *change = [0, 1].map(|axis| sigma_rad * (up[axis] - down[axis]) / (2.0 * HEADING_STEP_RAD));
                 }
                 disturbances.push(disturbance);
             }

@@ -32,13 +32,8 @@ pub(super) fn jumps(path: &FreePath, track_width_m: f64, noise: &SensorNoise) ->
     let length = path.steps.len().div_ceil(PIECES).max(1);
     let pieces = path.steps.chunks(length).enumerate();
     let jumps = pieces.map(|(piece, steps)| {
-        let vars = steps
-            .iter()
-            .map(|step| step_noise(step.travel, &geometry, noise).turn_var_rad2);
-        Jump {
-            step: piece * length + steps.len() / 2,
-            var_rad2: vars.sum(),
-        }
+        let vars = steps.iter().map(|step| step_noise(step.travel, &geometry, noise).turn_var_rad2);
+        Jump { step: piece * length + steps.len() / 2, var_rad2: vars.sum() }
     });
     jumps.filter(|jump| jump.var_rad2 > 0.0).collect()
 }
@@ -48,10 +43,7 @@ pub(super) fn jumped(path: &FreePath, jump: Jump, by_rad: f64, track_width_m: f6
     let mut path = path.clone();
     if let Some(step) = path.steps.get_mut(jump.step) {
         let apart_m = 0.5 * by_rad * track_width_m;
-        step.travel = WheelTravel {
-            left_m: step.travel.left_m - apart_m,
-            right_m: step.travel.right_m + apart_m,
-        };
+        step.travel = WheelTravel { left_m: step.travel.left_m - apart_m, right_m: step.travel.right_m + apart_m };
     }
     path
 }

@@ -31,11 +31,7 @@ fn offset(samples: &[ClockSample]) -> StripPanel {
         height_px: HEIGHT_PX,
         curves: vec![
             Inked::new("its bounds", Shape::Band(band.collect()), INK_OF_CLAIM),
-            Inked::new(
-                "change of the offset",
-                Shape::Line(line.collect()),
-                INK_OF_ESTIMATE,
-            ),
+            Inked::new("change of the offset", Shape::Line(line.collect()), INK_OF_ESTIMATE),
         ],
         ..StripPanel::default()
     }
@@ -46,28 +42,16 @@ fn skew(samples: &[ClockSample]) -> StripPanel {
     StripPanel {
         y_name: "[ppm]".to_owned(),
         height_px: HEIGHT_PX,
-        curves: vec![Inked::new(
-            "the brick's clock is fast by",
-            Shape::Line(line.collect()),
-            ink(3),
-        )],
+        curves: vec![Inked::new("the brick's clock is fast by", Shape::Line(line.collect()), ink(3))],
         ..StripPanel::default()
     }
 }
 
 fn uncertainty(samples: &[ClockSample]) -> StripPanel {
-    let bound = samples
-        .iter()
-        .map(|one| (one.t_s, one.uncertainty_s * S_TO_MS));
-    let round_trip = samples
-        .iter()
-        .filter_map(|one| Some((one.t_s, one.round_trip_s? * S_TO_MS)));
+    let bound = samples.iter().map(|one| (one.t_s, one.uncertainty_s * S_TO_MS));
+    let round_trip = samples.iter().filter_map(|one| Some((one.t_s, one.round_trip_s? * S_TO_MS)));
     let round_trip: Vec<(f64, f64)> = round_trip.collect();
-    let sizes: Vec<f64> = bound
-        .clone()
-        .chain(round_trip.iter().copied())
-        .map(|one| one.1)
-        .collect();
+    let sizes: Vec<f64> = bound.clone().chain(round_trip.iter().copied()).map(|one| one.1).collect();
     StripPanel {
         y_name: "[ms]".to_owned(),
         height_px: HEIGHT_PX,
@@ -94,10 +78,7 @@ mod tests {
             round_trip_s: None,
         });
         let svg = clock("clock", &samples);
-        assert!(
-            svg.contains(">20</text>") && svg.contains(">change of the offset</text>"),
-            "{svg}"
-        );
+        assert!(svg.contains(">20</text>") && svg.contains(">change of the offset</text>"), "{svg}");
         assert!(!svg.contains("5000"), "{svg}");
     }
 }

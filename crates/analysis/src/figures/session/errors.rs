@@ -18,20 +18,13 @@ pub fn errors(title: &str, samples: &[ErrorSample]) -> String {
 }
 
 fn position(samples: &[ErrorSample]) -> StripPanel {
-    let error = samples
-        .iter()
-        .map(|sample| (sample.t_s, sample.position_m * M_TO_MM));
-    let claim = samples
-        .iter()
-        .map(|sample| (sample.t_s, 0.0, sample.position_claim_m * M_TO_MM));
+    let error = samples.iter().map(|sample| (sample.t_s, sample.position_m * M_TO_MM));
+    let claim = samples.iter().map(|sample| (sample.t_s, 0.0, sample.position_claim_m * M_TO_MM));
     StripPanel {
         y_name: "position error [mm]".to_owned(),
         height_px: HEIGHT_PX,
         y: upward(
-            samples
-                .iter()
-                .flat_map(|sample| [sample.position_m, sample.position_claim_m])
-                .map(|size| size * M_TO_MM),
+            samples.iter().flat_map(|sample| [sample.position_m, sample.position_claim_m]).map(|size| size * M_TO_MM),
         ),
         curves: curves(claim.collect(), error.collect()),
         ..StripPanel::default()
@@ -40,11 +33,7 @@ fn position(samples: &[ErrorSample]) -> StripPanel {
 
 /// A heading that may not be used has no error.
 fn heading(samples: &[ErrorSample]) -> StripPanel {
-    let known = || {
-        samples
-            .iter()
-            .filter(|sample| sample.heading_rad.is_finite())
-    };
+    let known = || samples.iter().filter(|sample| sample.heading_rad.is_finite());
     let error = known().map(|sample| (sample.t_s, sample.heading_rad.to_degrees()));
     let claim = known().map(|sample| {
         let claim = sample.heading_claim_rad.to_degrees();
@@ -53,11 +42,7 @@ fn heading(samples: &[ErrorSample]) -> StripPanel {
     StripPanel {
         y_name: "heading error [deg]".to_owned(),
         height_px: HEIGHT_PX,
-        y: around_zero(
-            known()
-                .flat_map(|sample| [sample.heading_rad, sample.heading_claim_rad])
-                .map(f64::to_degrees),
-        ),
+        y: around_zero(known().flat_map(|sample| [sample.heading_rad, sample.heading_claim_rad]).map(f64::to_degrees)),
         curves: curves(claim.collect(), error.collect()),
         ..StripPanel::default()
     }
@@ -85,16 +70,10 @@ mod tests {
             heading_claim_rad: 0.02,
         };
         let svg = errors("run", &[sample(0.0), sample(5.0)]);
-        let unknown = ErrorSample {
-            heading_rad: f64::NAN,
-            ..sample(6.0)
-        };
+        let unknown = ErrorSample { heading_rad: f64::NAN, ..sample(6.0) };
         assert!(!errors("run", &[sample(0.0), unknown]).contains("left out"));
         // The claims reach 8 mm and 1.1 degrees.
-        assert!(
-            svg.contains(">8</text>") && svg.contains(">1</text>"),
-            "{svg}"
-        );
+        assert!(svg.contains(">8</text>") && svg.contains(">1</text>"), "{svg}");
         assert_eq!(svg.matches("<polygon").count(), 4, "two bands, two legends");
         assert!(errors("none", &[]).contains("nothing to show"));
     }

@@ -11,8 +11,8 @@ use super::super::panel::Range;
 use super::super::plot::Shape;
 use super::super::strip::{Inked, Strip, StripPanel, draw};
 use super::{
-    INK_OF_CLAIM, INK_OF_DUE, INK_OF_ESTIMATE, INK_OF_MEAN, INK_OF_REFUSED, InnovationSample,
-    InnovationSeries, around_zero,
+    INK_OF_CLAIM, INK_OF_DUE, INK_OF_ESTIMATE, INK_OF_MEAN, INK_OF_REFUSED, InnovationSample, InnovationSeries,
+    around_zero,
 };
 use crate::metrics::ConsistencyBand;
 use crate::metrics::chi_square;
@@ -34,11 +34,7 @@ pub fn innovations(series: &InnovationSeries<'_>) -> String {
         .map(|component| innovation_panel(series.samples, component, names[component]))
         .collect();
     panels.push(nis_panel(series.samples, degrees));
-    draw(&Strip {
-        title: series.name.to_owned(),
-        x_name: "time [s]".to_owned(),
-        panels,
-    })
+    draw(&Strip { title: series.name.to_owned(), x_name: "time [s]".to_owned(), panels })
 }
 
 /// The names of a kind's components with their units, and by what SI is multiplied.
@@ -50,11 +46,7 @@ fn components(kind: &str) -> [(&'static str, f64); 3] {
         "landmark" => [("range [mm]", 1e3), ("bearing [deg]", degrees), ("-", 1.0)],
         "compass_heading" => [("heading [deg]", degrees), ("-", 1.0), ("-", 1.0)],
         // What these filters compare differs from one to the next: angles of wheels, speeds, turns within a window.
-        _ => [
-            ("first [SI]", 1.0),
-            ("second [SI]", 1.0),
-            ("third [SI]", 1.0),
-        ],
+        _ => [("first [SI]", 1.0), ("second [SI]", 1.0), ("third [SI]", 1.0)],
     }
 }
 
@@ -66,15 +58,10 @@ fn usual_degrees(samples: &[InnovationSample]) -> u8 {
     };
     let all = [1_u8, 2, 3].map(|degrees| (count(degrees), degrees));
     let most = all.into_iter().max_by_key(|(count, _)| *count);
-    most.filter(|(count, _)| *count > 0)
-        .map_or(0, |(_, degrees)| degrees)
+    most.filter(|(count, _)| *count > 0).map_or(0, |(_, degrees)| degrees)
 }
 
-fn innovation_panel(
-    samples: &[InnovationSample],
-    component: usize,
-    (name, factor): (&str, f64),
-) -> StripPanel {
+fn innovation_panel(samples: &[InnovationSample], component: usize, (name, factor): (&str, f64)) -> StripPanel {
     let has = |sample: &&InnovationSample| usize::from(sample.degrees_of_freedom) > component;
     let value = |sample: &InnovationSample| sample.innovation[component] * factor;
     let claim = |sample: &InnovationSample| 2.0 * sample.sigma[component] * factor;
@@ -101,8 +88,7 @@ fn innovation_panel(
 
 fn nis_panel(samples: &[InnovationSample], degrees: u8) -> StripPanel {
     let m = u64::from(degrees);
-    let per_degree =
-        |probability| chi_square::quantile(probability, m).map_or(1.0, |value| value / m as f64);
+    let per_degree = |probability| chi_square::quantile(probability, m).map_or(1.0, |value| value / m as f64);
     let top = per_degree(NIS_END) * ABOVE_END;
     let ratio = |sample: &InnovationSample| {
         // What lies above the panel is shown on its edge.
@@ -117,17 +103,11 @@ fn nis_panel(samples: &[InnovationSample], degrees: u8) -> StripPanel {
     let (used, gated) = (of(true), of(false));
     let mean = windowed(samples);
     let mut curves = Vec::new();
-    if let (Some((from, _)), Some((to, _)), Some(band)) = (
-        mean.first(),
-        mean.last(),
-        ConsistencyBand::of_mean(m * WINDOW as u64),
-    ) {
+    if let (Some((from, _)), Some((to, _)), Some(band)) =
+        (mean.first(), mean.last(), ConsistencyBand::of_mean(m * WINDOW as u64))
+    {
         let places = vec![(*from, band.low, band.high), (*to, band.low, band.high)];
-        curves.push(Inked::new(
-            "due for the mean",
-            Shape::Band(places),
-            INK_OF_CLAIM,
-        ));
+        curves.push(Inked::new("due for the mean", Shape::Band(places), INK_OF_CLAIM));
     }
     curves.push(Inked::new("each", Shape::Specks(used), INK_OF_ESTIMATE));
     if !gated.is_empty() {
@@ -145,10 +125,7 @@ fn nis_panel(samples: &[InnovationSample], degrees: u8) -> StripPanel {
     StripPanel {
         y_name: "NIS / dof".to_owned(),
         height_px: NIS_HEIGHT_PX,
-        y: Some(Range {
-            low: 0.0,
-            high: top,
-        }),
+        y: Some(Range { low: 0.0, high: top }),
         curves,
         ..StripPanel::default()
     }
@@ -156,16 +133,12 @@ fn nis_panel(samples: &[InnovationSample], degrees: u8) -> StripPanel {
 
 /// Mean NIS per degree of freedom of the used ones, over a window that ends at each.
 fn windowed(samples: &[InnovationSample]) -> Vec<(f64, f64)> {
-    let is_part = |sample: &&InnovationSample| {
-        sample.is_used && sample.degrees_of_freedom > 0 && sample.nis.is_finite()
-    };
+    let is_part =
+        |sample: &&InnovationSample| sample.is_used && sample.degrees_of_freedom > 0 && sample.nis.is_finite();
     let used: Vec<&InnovationSample> = samples.iter().filter(is_part).collect();
     let of_window = |window: &[&InnovationSample]| {
         let nis: f64 = window.iter().map(|sample| sample.nis).sum();
-        let degrees: u64 = window
-            .iter()
-            .map(|one| u64::from(one.degrees_of_freedom))
-            .sum();
+        let degrees: u64 = window.iter().map(|one| u64::from(one.degrees_of_freedom)).sum();
         let end = window.last()?;
         Some((end.t_s, nis / degrees as f64))
     };
@@ -189,22 +162,10 @@ mod tests {
 
     #[test]
     fn a_camera_has_a_panel_for_each_component_and_one_for_its_nis() {
-        let samples: Vec<InnovationSample> = (0..200)
-            .map(|step| sample(f64::from(step), if step == 50 { 400.0 } else { 2.0 }))
-            .collect();
-        let svg = innovations(&InnovationSeries {
-            name: "camera <1>",
-            kind: "fix",
-            samples: &samples,
-        });
-        for name in [
-            "x [mm]",
-            "y [mm]",
-            "NIS / dof",
-            "mean of 50",
-            "gated",
-            "camera &lt;1&gt;",
-        ] {
+        let samples: Vec<InnovationSample> =
+            (0..200).map(|step| sample(f64::from(step), if step == 50 { 400.0 } else { 2.0 })).collect();
+        let svg = innovations(&InnovationSeries { name: "camera <1>", kind: "fix", samples: &samples });
+        for name in ["x [mm]", "y [mm]", "NIS / dof", "mean of 50", "gated", "camera &lt;1&gt;"] {
             assert!(svg.contains(name), "{name}");
         }
         assert!(!svg.contains("heading [deg]"), "it has two components");
@@ -212,8 +173,7 @@ mod tests {
 
     #[test]
     fn the_mean_is_taken_over_the_used_ones_only() {
-        let mut samples: Vec<InnovationSample> =
-            (0..60).map(|step| sample(f64::from(step), 3.0)).collect();
+        let mut samples: Vec<InnovationSample> = (0..60).map(|step| sample(f64::from(step), 3.0)).collect();
         samples[10].nis = 1e6;
         samples[10].is_used = false;
         let means = windowed(&samples);

@@ -9,19 +9,12 @@ const HEIGHT_PX: f64 = 92.0;
 /// Draws a panel for each; returns a whole SVG document.
 #[must_use]
 pub fn learning(title: &str, all: &[LearnedSeries<'_>]) -> String {
-    draw(&Strip {
-        title: title.to_owned(),
-        x_name: "time [s]".to_owned(),
-        panels: all.iter().map(panel).collect(),
-    })
+    draw(&Strip { title: title.to_owned(), x_name: "time [s]".to_owned(), panels: all.iter().map(panel).collect() })
 }
 
 fn panel(series: &LearnedSeries<'_>) -> StripPanel {
     let (unit, factor) = shown_unit(series.key);
-    let value = series
-        .samples
-        .iter()
-        .map(|one| (one.t_s, one.value * factor));
+    let value = series.samples.iter().map(|one| (one.t_s, one.value * factor));
     let band = series.samples.iter().map(|one| {
         let (value, reach) = (one.value * factor, 2.0 * one.sigma * factor);
         (one.t_s, value - reach, value + reach)
@@ -44,21 +37,9 @@ mod tests {
 
     #[test]
     fn a_bias_is_shown_in_degrees_with_its_band() {
-        let samples = [0.0, 10.0].map(|t_s| LearnedSample {
-            t_s,
-            value: 1f64.to_radians(),
-            sigma: 0.5f64.to_radians(),
-        });
-        let svg = learning(
-            "robot",
-            &[LearnedSeries {
-                key: "gyro_bias_rad_per_s",
-                samples: &samples,
-            }],
-        );
-        assert!(
-            svg.contains("[deg/s]") && svg.contains(">2.0</text>"),
-            "{svg}"
-        );
+        let samples =
+            [0.0, 10.0].map(|t_s| LearnedSample { t_s, value: 1f64.to_radians(), sigma: 0.5f64.to_radians() });
+        let svg = learning("robot", &[LearnedSeries { key: "gyro_bias_rad_per_s", samples: &samples }]);
+        assert!(svg.contains("[deg/s]") && svg.contains(">2.0</text>"), "{svg}");
     }
 }

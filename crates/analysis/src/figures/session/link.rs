@@ -14,10 +14,7 @@ const HEIGHT_PX: f64 = 92.0;
 /// A counter and its name.
 type Counter = (&'static str, fn(&LinkHealth) -> u64);
 
-const TRAFFIC: [Counter; 2] = [
-    ("received", |health| health.frames_in),
-    ("sent", |health| health.frames_out),
-];
+const TRAFFIC: [Counter; 2] = [("received", |health| health.frames_in), ("sent", |health| health.frames_out)];
 
 const TROUBLE: [Counter; 9] = [
     ("lost", |health| health.frames_lost),
@@ -27,9 +24,7 @@ const TROUBLE: [Counter; 9] = [
     ("refused", |health| health.refused_frames),
     ("came twice", |health| health.duplicates),
     ("thinned", |health| health.thinned),
-    ("not sent", |health| {
-        health.drops_out + health.port.drops_out
-    }),
+    ("not sent", |health| health.drops_out + health.port.drops_out),
     ("reconnects", |health| health.reconnects),
 ];
 
@@ -47,11 +42,7 @@ pub fn link(title: &str, samples: &[LinkSample]) -> String {
     }
     panels.extend(round_trip(samples));
     panels.extend(waiting(samples));
-    draw(&Strip {
-        title: title.to_owned(),
-        x_name: "time [s]".to_owned(),
-        panels,
-    })
+    draw(&Strip { title: title.to_owned(), x_name: "time [s]".to_owned(), panels })
 }
 
 fn rates(y_name: &str, counters: &[Counter], samples: &[LinkSample]) -> StripPanel {
@@ -67,12 +58,7 @@ fn rates(y_name: &str, counters: &[Counter], samples: &[LinkSample]) -> StripPan
         });
         Inked::new(*name, Shape::Line(rate.collect()), ink(place + 1))
     });
-    StripPanel {
-        y_name: y_name.to_owned(),
-        height_px: HEIGHT_PX,
-        curves: curves.collect(),
-        ..StripPanel::default()
-    }
+    StripPanel { y_name: y_name.to_owned(), height_px: HEIGHT_PX, curves: curves.collect(), ..StripPanel::default() }
 }
 
 fn round_trip(samples: &[LinkSample]) -> Option<StripPanel> {
@@ -88,9 +74,7 @@ fn waiting(samples: &[LinkSample]) -> Option<StripPanel> {
     if !samples.iter().any(has_waited) {
         return None;
     }
-    let points = samples
-        .iter()
-        .map(|sample| (sample.t_s, f64::from(sample.health.port.queued_frames)));
+    let points = samples.iter().map(|sample| (sample.t_s, f64::from(sample.health.port.queued_frames)));
     one_line("frames", "waiting to be sent", points.collect())
 }
 
@@ -125,28 +109,19 @@ mod tests {
 
     #[test]
     fn rates_are_differences_over_time_and_what_never_happened_is_not_there() {
-        let svg = link(
-            "link 0",
-            &[sample(1.0, 50, 0), sample(2.0, 100, 4), sample(4.0, 200, 2)],
-        );
+        let svg = link("link 0", &[sample(1.0, 50, 0), sample(2.0, 100, 4), sample(4.0, 200, 2)]);
         assert!(svg.contains(">received</text>") && svg.contains(">lost</text>"));
         assert!(svg.contains(">round trip</text>"));
-        assert!(
-            !svg.contains(">sent</text>") && !svg.contains("garbage") && !svg.contains("waiting")
-        );
+        assert!(!svg.contains(">sent</text>") && !svg.contains("garbage") && !svg.contains("waiting"));
         let panel = rates("", &TRAFFIC, &[sample(1.0, 50, 0), sample(3.0, 150, 0)]);
-        let Shape::Line(points) = &panel.curves[0].shape else {
-            panic!("a rate is a line")
-        };
+        let Shape::Line(points) = &panel.curves[0].shape else { panic!("a rate is a line") };
         assert_eq!(points, &[(3.0, 50.0)]);
     }
 
     #[test]
     fn a_frame_that_comes_late_is_no_negative_loss() {
         let panel = rates("", &TROUBLE, &[sample(1.0, 0, 5), sample(2.0, 0, 2)]);
-        let Shape::Line(points) = &panel.curves[0].shape else {
-            panic!("a rate is a line")
-        };
+        let Shape::Line(points) = &panel.curves[0].shape else { panic!("a rate is a line") };
         assert_eq!(points, &[(2.0, 0.0)]);
     }
 }

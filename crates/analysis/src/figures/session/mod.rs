@@ -83,11 +83,9 @@ impl InnovationSample {
         let is_used = match record.verdict {
             Verdict::Accepted | Verdict::Slip => true,
             Verdict::Gated => false,
-            Verdict::TooOld
-            | Verdict::Malformed
-            | Verdict::Rebased
-            | Verdict::ResetTo
-            | Verdict::Unused => return None,
+            Verdict::TooOld | Verdict::Malformed | Verdict::Rebased | Verdict::ResetTo | Verdict::Unused => {
+                return None;
+            }
         };
         let sigma = [0, 1, 2].map(|component| variance(record, component).max(0.0).sqrt());
         (record.degrees_of_freedom > 0).then_some(Self {
@@ -174,36 +172,18 @@ pub fn shown_unit(key: &str) -> (&'static str, f64) {
     }
 }
 
-const INK_OF_ESTIMATE: Ink = Ink {
-    stroke: &palette::ESTIMATE,
-    color: palette::BLUE,
-};
-const INK_OF_CLAIM: Ink = Ink {
-    stroke: &palette::CLAIM,
-    color: palette::SKY_BLUE,
-};
-const INK_OF_DUE: Ink = Ink {
-    stroke: &palette::DUE,
-    color: palette::FAINT_INK,
-};
-const INK_OF_MEAN: Ink = Ink {
-    stroke: &palette::MEAN,
-    color: palette::VERMILLION,
-};
-const INK_OF_REFUSED: Ink = Ink {
-    stroke: &palette::REFUSED,
-    color: palette::REDDISH_PURPLE,
-};
+const INK_OF_ESTIMATE: Ink = Ink { stroke: &palette::ESTIMATE, color: palette::BLUE };
+const INK_OF_CLAIM: Ink = Ink { stroke: &palette::CLAIM, color: palette::SKY_BLUE };
+const INK_OF_DUE: Ink = Ink { stroke: &palette::DUE, color: palette::FAINT_INK };
+const INK_OF_MEAN: Ink = Ink { stroke: &palette::MEAN, color: palette::VERMILLION };
+const INK_OF_REFUSED: Ink = Ink { stroke: &palette::REFUSED, color: palette::REDDISH_PURPLE };
 
 /// This share of the values fits the axis; the rest may leave it, so that a moment at the start does not hide all that follows.
 const SHOWN_SHARE: f64 = 0.995;
 
 /// What nearly all sizes stay below, with a margin; `None` without any that is finite and not zero.
 fn most_of(sizes: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut sizes: Vec<f64> = sizes
-        .map(f64::abs)
-        .filter(|size| size.is_finite())
-        .collect();
+    let mut sizes: Vec<f64> = sizes.map(f64::abs).filter(|size| size.is_finite()).collect();
     sizes.sort_by(f64::total_cmp);
     let index = ((sizes.len() as f64 - 1.0) * SHOWN_SHARE).floor() as usize;
     let size = sizes.get(index).copied().filter(|size| *size > 0.0)?;

@@ -6,8 +6,8 @@ use posebridge_telemetry::{Arena, Ellipse, Estimate, Point2};
 use super::super::RunLayers;
 use super::super::layers::{Drawable, Lines, can_draw};
 use super::super::palette::{
-    BLACK, BLUE, BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, ORANGE, REDDISH_PURPLE,
-    REFUSED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION,
+    BLACK, BLUE, BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, ORANGE, REDDISH_PURPLE, REFUSED, SKY_BLUE,
+    SMOOTHED, TRUTH, VERMILLION,
 };
 use super::super::plot::{Ink, Scales, Shape};
 use super::super::strip::{Inked, Strip, StripPanel, draw};
@@ -39,25 +39,10 @@ pub fn path(layers: &RunLayers<'_>) -> String {
         curves.push(Inked::new(name, ellipses, ink(&ELLIPSE, SKY_BLUE)));
     }
     add_lines(&mut curves, "truth", &drawable.truth, ink(&TRUTH, BLACK));
-    add_lines(
-        &mut curves,
-        "odometry",
-        &drawable.odometry,
-        ink(&ODOMETRY, VERMILLION),
-    );
+    add_lines(&mut curves, "odometry", &drawable.odometry, ink(&ODOMETRY, VERMILLION));
     add_fixes(&mut curves, &drawable);
-    add_lines(
-        &mut curves,
-        "estimate",
-        &drawable.estimate,
-        ink(&ESTIMATE, BLUE),
-    );
-    add_lines(
-        &mut curves,
-        "smoothed",
-        &drawable.smoothed,
-        ink(&SMOOTHED, ORANGE),
-    );
+    add_lines(&mut curves, "estimate", &drawable.estimate, ink(&ESTIMATE, BLUE));
+    add_lines(&mut curves, "smoothed", &drawable.smoothed, ink(&SMOOTHED, ORANGE));
     if let Some(start) = drawable.start() {
         let place = vec![(start.x.0, start.y.0)];
         curves.push(Inked::new("start", Shape::Rings(place), ink(&START, INK)));
@@ -78,33 +63,9 @@ pub fn path(layers: &RunLayers<'_>) -> String {
 fn add_fixes(curves: &mut Vec<Inked>, drawable: &Drawable) {
     type Make = fn(Vec<(f64, f64)>) -> Shape;
     let rows: [(&str, &[Point2<Arena>], Make, Ink); 3] = [
-        (
-            "fix, used",
-            &drawable.used_fixes,
-            Shape::Specks,
-            Ink {
-                stroke: &ESTIMATE,
-                color: BLUISH_GREEN,
-            },
-        ),
-        (
-            "fix, gated",
-            &drawable.refused_fixes,
-            Shape::Crosses,
-            Ink {
-                stroke: &REFUSED,
-                color: REDDISH_PURPLE,
-            },
-        ),
-        (
-            "fix, too late",
-            &drawable.late_fixes,
-            Shape::Rings,
-            Ink {
-                stroke: &LATE,
-                color: ORANGE,
-            },
-        ),
+        ("fix, used", &drawable.used_fixes, Shape::Specks, Ink { stroke: &ESTIMATE, color: BLUISH_GREEN }),
+        ("fix, gated", &drawable.refused_fixes, Shape::Crosses, Ink { stroke: &REFUSED, color: REDDISH_PURPLE }),
+        ("fix, too late", &drawable.late_fixes, Shape::Rings, Ink { stroke: &LATE, color: ORANGE }),
     ];
     for (name, fixes, shape, ink) in rows {
         if !fixes.is_empty() {
@@ -119,9 +80,7 @@ fn pairs(points: &[Point2<Arena>]) -> Vec<(f64, f64)> {
 }
 
 fn ellipses(estimates: &[Estimate]) -> Vec<Vec<(f64, f64)>> {
-    let evenly = estimates
-        .iter()
-        .step_by(estimates.len().div_ceil(ELLIPSES).max(1));
+    let evenly = estimates.iter().step_by(estimates.len().div_ceil(ELLIPSES).max(1));
     let drawn = evenly.filter_map(|estimate| {
         let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = estimate.covariance;
         let ellipse = Ellipse::of_covariance(xx_m2, xy_m2, yy_m2, SIGMAS_95)?;
@@ -144,42 +103,25 @@ mod tests {
         covariance[0][0] = 0.01_f64.powi(2);
         covariance[1][1] = 0.01_f64.powi(2);
         let pose = Pose::new(Meters(x_m), Meters(0.0), Heading::default());
-        TimedPose {
-            stamp: Stamp::ZERO,
-            pose,
-        }
-        .believed(covariance)
+        TimedPose { stamp: Stamp::ZERO, pose }.believed(covariance)
     }
 
     #[test]
     fn fixes_are_drawn_apart_by_what_became_of_them() {
-        let verdicts = [
-            Verdict::Accepted,
-            Verdict::Gated,
-            Verdict::TooOld,
-            Verdict::ResetTo,
-        ];
+        let verdicts = [Verdict::Accepted, Verdict::Gated, Verdict::TooOld, Verdict::ResetTo];
         let fixes = verdicts.map(|verdict| FixMark {
             stamp: Stamp::ZERO,
             position: Point2::new(Meters(0.5), Meters(0.1)),
             verdict,
         });
-        let estimates: Vec<Estimate> = (0..10)
-            .map(|step| estimate(f64::from(step) * 0.1))
-            .collect();
+        let estimates: Vec<Estimate> = (0..10).map(|step| estimate(f64::from(step) * 0.1)).collect();
         let svg = path(&RunLayers {
             title: "</title><script>",
             estimates: &estimates,
             fixes: &fixes,
             ..RunLayers::default()
         });
-        for name in [
-            "fix, used (2)",
-            "fix, gated (1)",
-            "fix, too late (1)",
-            "estimate",
-            "start",
-        ] {
+        for name in ["fix, used (2)", "fix, gated (1)", "fix, too late (1)", "estimate", "start"] {
             assert!(svg.contains(name), "{name}");
         }
         assert!(!svg.contains("<script"), "{svg}");

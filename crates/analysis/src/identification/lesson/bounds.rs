@@ -26,19 +26,10 @@ pub type BoundRun = [[Option<bool>; 3]; 3];
 pub fn bound_run(seed: u64) -> BoundRun {
     let sensor = SimulatedSensor::first_order(TAU_S, SIGMA_K, PERIOD_S);
     let count = |until_s: f64| (until_s / PERIOD_S) as usize + 1;
-    let teaching = sensor.run(
-        seed.wrapping_mul(2),
-        count(40.0),
-        step(IDENTIFIED_BY.0, IDENTIFIED_BY.1, DIPPED_S),
-    );
-    let options = StepOptions {
-        order: Order::Fixed(1),
-        ..StepOptions::with_sigma(SIGMA_K)
-    };
+    let teaching = sensor.run(seed.wrapping_mul(2), count(40.0), step(IDENTIFIED_BY.0, IDENTIFIED_BY.1, DIPPED_S));
+    let options = StepOptions { order: Order::Fixed(1), ..StepOptions::with_sigma(SIGMA_K) };
     let identified = identify_step(&teaching, &options).ok();
-    let found_s = identified
-        .as_ref()
-        .and_then(|found| Some(found.lags().first()?.time_constant_s));
+    let found_s = identified.as_ref().and_then(|found| Some(found.lags().first()?.time_constant_s));
     let kind = identified.and_then(|found| Kind::of(&[found], Likeness::SameDynamics).ok());
     let expectations = [
         Expectation::known(&[(TAU_S, 1.0)]),
@@ -108,9 +99,7 @@ pub fn bounds(runs: &[BoundRun]) -> Section {
                 runs: tally.runs + 1,
                 inside: tally.inside + u32::from(held),
             });
-            let cell = tally
-                .rate()
-                .map_or_else(String::new, |rate| format!("{:.1} %", 100.0 * rate));
+            let cell = tally.rate().map_or_else(String::new, |rate| format!("{:.1} %", 100.0 * rate));
             cells.push(cell);
             section.note(format!("{name}_rate_at_{time_constants}"), tally.rate());
         }

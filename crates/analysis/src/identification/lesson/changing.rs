@@ -15,10 +15,7 @@ type Followed = Vec<(f64, f64, f64)>;
 /// The paper's filter, and the one that lets the quantity walk.
 fn both_filters(samples: &[Sample]) -> [Followed; 2] {
     [0.0, WALK].map(|walk_per_sqrt_s| {
-        let known = Known {
-            walk_per_sqrt_s,
-            ..Known::constant(SIGMA_K)
-        };
+        let known = Known { walk_per_sqrt_s, ..Known::constant(SIGMA_K) };
         known.follow_one(&first_order(TAU_S), samples)
     })
 }
@@ -28,12 +25,10 @@ fn judged(followed: &Followed, truth: impl Fn(f64) -> f64) -> (f64, f64, f64) {
     let half = followed.len() / 2;
     let last = followed.get(half..).unwrap_or_default();
     let count = last.len().max(1) as f64;
-    let errors = last
+    let errors = last.iter().map(|(at_s, value, _)| (value - truth(*at_s)).abs());
+    let inside = last
         .iter()
-        .map(|(at_s, value, _)| (value - truth(*at_s)).abs());
-    let inside = last.iter().filter(|(at_s, value, sigma)| {
-        (value - truth(*at_s)).abs() <= super::super::prediction::BOUND_SIGMAS * sigma
-    });
+        .filter(|(at_s, value, sigma)| (value - truth(*at_s)).abs() <= super::super::prediction::BOUND_SIGMAS * sigma);
     (
         errors.sum::<f64>() / count,
         last.iter().map(|(_, _, sigma)| sigma).sum::<f64>() / count,
@@ -43,12 +38,7 @@ fn judged(followed: &Followed, truth: impl Fn(f64) -> f64) -> (f64, f64, f64) {
 
 fn compare(section: &mut Section, samples: &[Sample], truth: impl Fn(f64) -> f64) {
     let followed = both_filters(samples);
-    section.header = header(&[
-        "filter",
-        "mean error [K]",
-        "mean sigma [K]",
-        "truth within the bound",
-    ]);
+    section.header = header(&["filter", "mean error [K]", "mean sigma [K]", "truth within the bound"]);
     for (name, followed) in ["constant", "walking"].into_iter().zip(&followed) {
         let (error, sigma, inside) = judged(followed, &truth);
         section.rows.push(vec![
@@ -64,13 +54,7 @@ fn compare(section: &mut Section, samples: &[Sample], truth: impl Fn(f64) -> f64
     let later = |all: &Followed| all.iter().skip(20).copied().collect::<Followed>();
     let [constant, walking] = followed.map(|all| later(&all));
     let curves = vec![
-        line(
-            "truth",
-            samples
-                .iter()
-                .map(|sample| (sample.at_s, truth(sample.at_s)))
-                .collect(),
-        ),
+        line("truth", samples.iter().map(|sample| (sample.at_s, truth(sample.at_s))).collect()),
         line("constant", values(&constant)),
         line("walking", values(&walking)),
         line("shown", shown(samples)),
@@ -117,10 +101,7 @@ pub(super) fn walking(seed: u64) -> Section {
         ..Section::default()
     };
     compare(&mut section, &samples, truth);
-    let lag = samples
-        .iter()
-        .skip(250)
-        .map(|sample| (sample.value - truth(sample.at_s)).abs());
+    let lag = samples.iter().skip(250).map(|sample| (sample.value - truth(sample.at_s)).abs());
     section.note("shown_error_k", lag.sum::<f64>() / 250.0);
     section
 }
@@ -141,19 +122,12 @@ pub(super) fn quantised(seed: u64) -> Section {
     };
     for last_digit in [0.0, 0.0625, 0.5, 1.0_f64] {
         let sigma = (0.05_f64.powi(2) + last_digit * last_digit / 12.0).sqrt();
-        let sensor = SimulatedSensor {
-            last_digit,
-            ..SimulatedSensor::first_order(TAU_S, 0.05, 1.0)
-        };
+        let sensor = SimulatedSensor { last_digit, ..SimulatedSensor::first_order(TAU_S, 0.05, 1.0) };
         let (mut squares, mut claimed) = (0.0, 0.0);
         for run in 0..RUNS {
             // Each run ends at another place between two digits.
             let end = 4.0 + 0.37 * run as f64;
-            let samples = sensor.run(
-                seed.wrapping_add(run),
-                AFTER_SAMPLES + 1,
-                step(end + 18.0, end, 0.5),
-            );
+            let samples = sensor.run(seed.wrapping_add(run), AFTER_SAMPLES + 1, step(end + 18.0, end, 0.5));
             let samples = samples.get(1..).unwrap_or_default();
             let followed = Known::constant(sigma).follow_one(&first_order(TAU_S), samples);
             if let Some((_, value, sigma)) = followed.last() {
@@ -162,11 +136,7 @@ pub(super) fn quantised(seed: u64) -> Section {
             }
         }
         let error = f64::sqrt(squares);
-        section.rows.push(vec![
-            format!("{last_digit}"),
-            format!("{error:.3}"),
-            format!("{claimed:.3}"),
-        ]);
+        section.rows.push(vec![format!("{last_digit}"), format!("{error:.3}"), format!("{claimed:.3}")]);
         section.note(format!("digit_{last_digit}_error_k"), error);
         section.note(format!("digit_{last_digit}_sigma_k"), claimed);
     }

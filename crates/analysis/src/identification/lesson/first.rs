@@ -24,10 +24,7 @@ fn example_tau_s() -> f64 {
 }
 
 fn example() -> Vec<Sample> {
-    let at = |(k, value): (usize, f64)| Sample {
-        at_s: MINUTE_S * k as f64,
-        value,
-    };
+    let at = |(k, value): (usize, f64)| Sample { at_s: MINUTE_S * k as f64, value };
     EXAMPLE.into_iter().enumerate().map(at).collect()
 }
 
@@ -46,20 +43,13 @@ pub(super) fn worked_example(_seed: u64) -> Section {
     };
     let mut row = |samples: &str, q: &str, name: &str, value: Option<f64>| {
         let cell = value.map_or_else(String::new, |value| format!("{value:.6}"));
-        section
-            .rows
-            .push(vec![samples.to_owned(), q.to_owned(), cell]);
+        section.rows.push(vec![samples.to_owned(), q.to_owned(), cell]);
         section.note(name, value);
     };
     row("3", "unknown, by the formula", "three_samples", by_formula);
     let after = |k: usize| by_filter.get(k - 1).map(|(_, value, _)| *value);
     row("2", "known, by the filter", "two_samples_known_q", after(2));
-    row(
-        "3",
-        "known, by the filter",
-        "three_samples_known_q",
-        after(3),
-    );
+    row("3", "known, by the filter", "three_samples_known_q", after(3));
     section
 }
 
@@ -67,8 +57,7 @@ pub(super) fn worked_example(_seed: u64) -> Section {
 fn models() -> Vec<(&'static str, DynamicModel)> {
     let two_lags = DynamicModel::empty().with_lags(ONE, 1.0, &[5.3, 22.0]);
     // (s + 1/4)(s + 1/15)
-    let second_order =
-        DynamicModel::empty().with_coefficients(ONE, 1.0, &[1.0 / 60.0, 19.0 / 60.0]);
+    let second_order = DynamicModel::empty().with_coefficients(ONE, 1.0, &[1.0 / 60.0, 19.0 / 60.0]);
     let two_sensors = first_order(40.0).with_coefficients(OTHER, 0.5, &[0.02, 0.2]);
     [
         ("first order", Ok(first_order(example_tau_s()))),
@@ -108,10 +97,7 @@ pub(super) fn three_ways(seed: u64) -> Section {
     let mut worst = [0.0_f64; 2];
     for (name, model) in models() {
         let samples = samples_of(&model, seed);
-        let known = Known {
-            prior_sigma: Some(PRIOR_SIGMAS * SIGMA_K),
-            ..Known::constant(SIGMA_K)
-        };
+        let known = Known { prior_sigma: Some(PRIOR_SIGMAS * SIGMA_K), ..Known::constant(SIGMA_K) };
         let filtered = known.follow(&model, &samples);
         let mut differences = [0.0_f64; 2];
         for count in [1, 2, 8, 40] {
@@ -121,16 +107,12 @@ pub(super) fn three_ways(seed: u64) -> Section {
             let kalman = filtered.get(count - 1).map(|(_, value, _)| *value);
             let recursive = recursive.map(|found| found.value);
             for (difference, other) in differences.iter_mut().zip([recursive, kalman]) {
-                let apart = block
-                    .zip(other)
-                    .map(|(block, other)| (block.value - other).abs());
+                let apart = block.zip(other).map(|(block, other)| (block.value - other).abs());
                 *difference = difference.max(apart.unwrap_or(f64::INFINITY));
             }
         }
         let cells = differences.map(|difference| format!("{difference:.1e}"));
-        section
-            .rows
-            .push([vec![name.to_owned()], cells.to_vec()].concat());
+        section.rows.push([vec![name.to_owned()], cells.to_vec()].concat());
         for (worst, difference) in worst.iter_mut().zip(differences) {
             *worst = worst.max(difference);
         }
@@ -144,11 +126,7 @@ pub(super) fn start(seed: u64) -> Section {
     let tau_s = example_tau_s();
     let sensor = SimulatedSensor::first_order(tau_s, SIGMA_K, 10.0);
     // The thermometer is read from the moment on in which it is dipped in.
-    let samples: Vec<Sample> = sensor
-        .run(seed, 60, step(21.0, 3.0, 0.5))
-        .into_iter()
-        .skip(1)
-        .collect();
+    let samples: Vec<Sample> = sensor.run(seed, 60, step(21.0, 3.0, 0.5)).into_iter().skip(1).collect();
     let found = Known::constant(SIGMA_K).follow_one(&first_order(tau_s), &samples);
     let mut section = Section {
         name: "start",
@@ -171,14 +149,8 @@ pub(super) fn start(seed: u64) -> Section {
         }
     }
     let first = samples.first().zip(found.first());
-    section.note(
-        "first_difference",
-        first.map(|(sample, (_, value, _))| (sample.value - value).abs()),
-    );
-    section.note(
-        "sixth_error_k",
-        found.get(5).map(|(_, value, _)| (value - 3.0).abs()),
-    );
+    section.note("first_difference", first.map(|(sample, (_, value, _))| (sample.value - value).abs()));
+    section.note("sixth_error_k", found.get(5).map(|(_, value, _)| (value - 3.0).abs()));
     let later: Vec<_> = found.iter().skip(1).copied().collect();
     let curves = vec![
         line("predicted", values(&later)),
@@ -187,10 +159,7 @@ pub(super) fn start(seed: u64) -> Section {
         band("95 % bound", &later),
     ];
     let picture = temperatures("A slow thermometer in cold water", vec![curves]);
-    section.picture = Some((
-        picture,
-        "Shown and predicted, from the second sample on.".to_owned(),
-    ));
+    section.picture = Some((picture, "Shown and predicted, from the second sample on.".to_owned()));
     section
 }
 
@@ -201,13 +170,7 @@ pub(super) fn noise_gain(_seed: u64) -> Section {
     let samples: Vec<(SensorId, Sample)> = (1..=30)
         .map(|count| {
             let at_s = MINUTE_S * (count as f64 - 1.0);
-            (
-                ONE,
-                Sample {
-                    at_s,
-                    value: 3.0 + left(count),
-                },
-            )
+            (ONE, Sample { at_s, value: 3.0 + left(count) })
         })
         .collect();
     let gain = |count: usize| {
@@ -226,28 +189,16 @@ pub(super) fn noise_gain(_seed: u64) -> Section {
     };
     for count in [2, 3, 5, 10, 20] {
         let cell = gain(count).map_or_else(String::new, |gain| format!("{gain:.3}"));
-        section
-            .rows
-            .push(vec![count.to_string(), cell, format!("{:.3}", left(count))]);
+        section.rows.push(vec![count.to_string(), cell, format!("{:.3}", left(count))]);
         section.note(format!("after_{count}"), gain(count));
     }
-    let gains: Vec<(f64, f64)> = (2..=30)
-        .filter_map(|count| Some((count as f64, gain(count)?.log10())))
-        .collect();
-    let offsets = (2..=30)
-        .map(|count| (count as f64, left(count).log10()))
-        .collect();
-    let crossing = gains
-        .iter()
-        .find(|(count, gain)| left(*count as usize).log10() < gain + 0.5_f64.log10());
-    section.note(
-        "reading_is_better_from_sample_at_sigma_half_k",
-        crossing.map(|(count, _)| *count),
-    );
+    let gains: Vec<(f64, f64)> = (2..=30).filter_map(|count| Some((count as f64, gain(count)?.log10()))).collect();
+    let offsets = (2..=30).map(|count| (count as f64, left(count).log10())).collect();
+    let crossing = gains.iter().find(|(count, gain)| left(*count as usize).log10() < gain + 0.5_f64.log10());
+    section.note("reading_is_better_from_sample_at_sigma_half_k", crossing.map(|(count, _)| *count));
     section.picture = Some((
         noise_picture(gains, offsets),
-        "A sensor with less noise moves the first curve down, and the crossing to the right."
-            .to_owned(),
+        "A sensor with less noise moves the first curve down, and the crossing to the right.".to_owned(),
     ));
     section
 }
@@ -258,10 +209,7 @@ fn noise_picture(gains: Vec<(f64, f64)>, offsets: Vec<(f64, f64)>) -> Plot {
         y_name: "log10 of K, sigma of a sample 1 K".to_owned(),
         height_px: 240.0,
         is_map: false,
-        curves: vec![
-            line("sigma of prediction", gains),
-            line("error of reading", offsets),
-        ],
+        curves: vec![line("sigma of prediction", gains), line("error of reading", offsets)],
     };
     Plot {
         title: "Noise of the prediction against the error of the reading".to_owned(),
@@ -280,16 +228,10 @@ pub(super) fn several_sensors(seed: u64) -> Section {
     };
     let samples = [run(slow, seed), run(fast, seed.wrapping_add(1))];
     let both_model = first_order(slow).with_lags(OTHER, 1.0, &[fast]);
-    let both: Vec<(SensorId, Sample)> = samples[0]
-        .iter()
-        .zip(&samples[1])
-        .flat_map(|(a, b)| [(ONE, *a), (OTHER, *b)])
-        .collect();
+    let both: Vec<(SensorId, Sample)> =
+        samples[0].iter().zip(&samples[1]).flat_map(|(a, b)| [(ONE, *a), (OTHER, *b)]).collect();
     let known = Known::constant(SIGMA_K);
-    let alone = [
-        known.follow_one(&first_order(slow), &samples[0]),
-        known.follow_one(&first_order(fast), &samples[1]),
-    ];
+    let alone = [known.follow_one(&first_order(slow), &samples[0]), known.follow_one(&first_order(fast), &samples[1])];
     let together: Vec<_> = both_model
         .map(|model| known.follow(&model, &both))
         .unwrap_or_default()
@@ -310,11 +252,8 @@ pub(super) fn several_sensors(seed: u64) -> Section {
     for count in [3, 5, 10, 20] {
         let sigma = |all: &[(f64, f64, f64)]| all.get(count - 1).map(|(_, _, sigma)| *sigma);
         let sigmas = [sigma(&alone[0]), sigma(&alone[1]), sigma(&together)];
-        let cells =
-            sigmas.map(|sigma| sigma.map_or_else(String::new, |sigma| format!("{sigma:.3}")));
-        section
-            .rows
-            .push([vec![count.to_string()], cells.to_vec()].concat());
+        let cells = sigmas.map(|sigma| sigma.map_or_else(String::new, |sigma| format!("{sigma:.3}")));
+        section.rows.push([vec![count.to_string()], cells.to_vec()].concat());
         for (name, sigma) in ["slow", "fast", "both"].into_iter().zip(sigmas) {
             section.note(format!("{name}_sigma_after_{count}_k"), sigma);
         }

@@ -16,12 +16,7 @@ pub(super) const DIPPED_S: f64 = 20.0;
 pub(super) const LAGS: [(f64, f64); 2] = [(3.0, 0.35), (15.0, 0.65)];
 
 fn sensor(lags: &[(f64, f64)]) -> SimulatedSensor {
-    SimulatedSensor {
-        lags: lags.to_vec(),
-        sigma: SIGMA_K,
-        last_digit: 0.0,
-        period_s: PERIOD_S,
-    }
+    SimulatedSensor { lags: lags.to_vec(), sigma: SIGMA_K, last_digit: 0.0, period_s: PERIOD_S }
 }
 
 pub(super) fn dipped(lags: &[(f64, f64)], seed: u64, (before, after): (f64, f64)) -> Vec<Sample> {
@@ -39,9 +34,7 @@ fn identify(samples: &[Sample]) -> Result<IdentifiedStep, StepError> {
 
 /// What stands in a section whose data gave nothing; it does not happen with the seeds of the tests, and says why if it does.
 fn without(mut section: Section, why: impl std::fmt::Display) -> Section {
-    section
-        .words
-        .push(format!("This run could not be identified: {why}."));
+    section.words.push(format!("This run could not be identified: {why}."));
     section
 }
 
@@ -55,13 +48,7 @@ pub(super) fn orders(seed: u64) -> Section {
              least criterion of those whose shares all differ from zero is chosen.",
             LAGS[0].0, LAGS[0].1, LAGS[1].0
         )],
-        header: header(&[
-            "order",
-            "left over, rms [K]",
-            "criterion",
-            "lags [s]",
-            "shares",
-        ]),
+        header: header(&["order", "left over, rms [K]", "criterion", "lags [s]", "shares"]),
         ..Section::default()
     };
     let found = match identify(&samples) {
@@ -75,10 +62,7 @@ pub(super) fn orders(seed: u64) -> Section {
             .map(|(j, lag)| {
                 let sigma_s = lag.time_constant_s * fit.ln_lag_sigma(j);
                 let lag_cell = format!("{:.2} +- {sigma_s:.2}", lag.time_constant_s);
-                (
-                    lag_cell,
-                    format!("{:.3} +- {:.3}", lag.share, fit.share_sigma(j)),
-                )
+                (lag_cell, format!("{:.3} +- {:.3}", lag.share, fit.share_sigma(j)))
             })
             .unzip();
         section.rows.push(vec![
@@ -96,10 +80,8 @@ pub(super) fn orders(seed: u64) -> Section {
         let sigmas = (lag.time_constant_s - truth.0) / lag.time_constant_sigma_s;
         section.note(format!("lag_{}_error_sigmas", j + 1), sigmas);
     }
-    section.picture = Some((
-        fit_picture(&found),
-        "Above: the samples and the fits. Below: what each order leaves.".to_owned(),
-    ));
+    section.picture =
+        Some((fit_picture(&found), "Above: the samples and the fits. Below: what each order leaves.".to_owned()));
     section
 }
 
@@ -109,14 +91,8 @@ fn fit_picture(found: &IdentifiedStep) -> crate::figures::Plot {
     for candidate in &found.candidates {
         let response = &candidate.fit.response;
         let name = format!("order {}", response.lags.len());
-        let fitted = found
-            .samples
-            .iter()
-            .map(|sample| (sample.at_s, response.value_at(sample.at_s)));
-        let left = found
-            .samples
-            .iter()
-            .map(|sample| (sample.at_s, sample.value - response.value_at(sample.at_s)));
+        let fitted = found.samples.iter().map(|sample| (sample.at_s, response.value_at(sample.at_s)));
+        let left = found.samples.iter().map(|sample| (sample.at_s, sample.value - response.value_at(sample.at_s)));
         below.push(line(&name, left.collect()));
         above.push(line(&name, fitted.collect()));
     }
@@ -134,9 +110,7 @@ fn settling(series: &[(f64, f64)], (before, after): (f64, f64)) -> [Option<f64>;
 }
 
 fn on_its_way(predictions: &[Prediction]) -> Vec<(f64, f64, f64)> {
-    let moving = predictions
-        .iter()
-        .filter(|prediction| prediction.is_on_its_way);
+    let moving = predictions.iter().filter(|prediction| prediction.is_on_its_way);
     moving.map(|p| (p.at_s, p.value, p.sigma)).collect()
 }
 
@@ -163,11 +137,7 @@ pub(super) fn other_data(seed: u64) -> Section {
         Err(why) => return without(section, why),
     };
     let mut panels = vec![];
-    for (name, samples, ends) in [
-        ("data", &first, taught),
-        ("same", &same, ends),
-        ("other", &other, ends),
-    ] {
+    for (name, samples, ends) in [("data", &first, taught), ("same", &same, ends), ("other", &other, ends)] {
         let followed = models.follow(samples);
         followed.tell(&mut section, name, samples, ends);
         panels.push(followed.curves(samples, ends.1));
@@ -175,10 +145,7 @@ pub(super) fn other_data(seed: u64) -> Section {
     // The run that taught the model looks like its neighbour.
     panels.remove(0);
     let picture = temperatures("Another run, and another run in other water", panels);
-    section.picture = Some((
-        picture,
-        "Above: the same dynamics. Below: every lag a fifth longer.".to_owned(),
-    ));
+    section.picture = Some((picture, "Above: the same dynamics. Below: every lag a fifth longer.".to_owned()));
     section
 }
 
@@ -192,10 +159,7 @@ impl Models {
     pub(super) fn of(samples: &[Sample]) -> Result<Self, String> {
         let found = identify(samples).map_err(|error| error.to_string())?;
         let lags = found.lags();
-        let lags: Vec<(f64, f64)> = lags
-            .iter()
-            .map(|lag| (lag.time_constant_s, lag.share))
-            .collect();
+        let lags: Vec<(f64, f64)> = lags.iter().map(|lag| (lag.time_constant_s, lag.share)).collect();
         let kind = Kind::of(&[found], Likeness::SameKind).map_err(|error| error.to_string())?;
         let certain = Expectation::known(&lags).ok_or("no lag was found")?;
         Ok(Self { certain, kind })
@@ -203,18 +167,12 @@ impl Models {
 
     /// By the lags taken for certain, and with the lags estimated along.
     pub(super) fn predictions(&self, samples: &[Sample]) -> (Vec<Prediction>, Vec<Prediction>) {
-        (
-            predict_as_expected(samples, SIGMA_K, &self.certain),
-            predict(samples, SIGMA_K, &self.kind),
-        )
+        (predict_as_expected(samples, SIGMA_K, &self.certain), predict(samples, SIGMA_K, &self.kind))
     }
 
     fn follow(&self, samples: &[Sample]) -> Followed {
         let (certain, estimated) = self.predictions(samples);
-        Followed {
-            certain: on_its_way(&certain),
-            estimated: on_its_way(&estimated),
-        }
+        Followed { certain: on_its_way(&certain), estimated: on_its_way(&estimated) }
     }
 }
 
@@ -226,11 +184,9 @@ struct Followed {
 
 impl Followed {
     fn tell(&self, section: &mut Section, name: &str, samples: &[Sample], ends: (f64, f64)) {
-        for (method, series) in [
-            ("shown", shown(samples)),
-            ("certain", values(&self.certain)),
-            ("estimated", values(&self.estimated)),
-        ] {
+        for (method, series) in
+            [("shown", shown(samples)), ("certain", values(&self.certain)), ("estimated", values(&self.estimated))]
+        {
             let settled = settling(&series, ends);
             let cells = settled.map(seconds).to_vec();
             let names = vec![name.to_owned(), method.to_owned()];
@@ -288,11 +244,7 @@ pub(super) fn both_ways(seed: u64) -> Section {
         };
         let lag = expected.dynamics.slowest();
         let predictions = on_its_way(&predict(&next, SIGMA_K, &kind));
-        let settled = settled_after_s(
-            &values(&predictions),
-            DIPPED_S,
-            (cold, 0.05 * (warm - cold)),
-        );
+        let settled = settled_after_s(&values(&predictions), DIPPED_S, (cold, 0.05 * (warm - cold)));
         section.rows.push(vec![
             name.to_owned(),
             format!("{:.2}", lag.mean.exp()),

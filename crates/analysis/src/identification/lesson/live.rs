@@ -4,8 +4,7 @@ use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_estimator::{Filter, FilterConfig, Params};
 use posebridge_telemetry::{
-    Calibration, Celsius, DriveGeometry, Meters, Observation, Observed, Radians, SensorId,
-    SensorNoise, Span, Stamp,
+    Calibration, Celsius, DriveGeometry, Meters, Observation, Observed, Radians, SensorId, SensorNoise, Span, Stamp,
 };
 
 use super::super::Sample;
@@ -21,18 +20,10 @@ pub(super) struct Known {
 
 impl Known {
     pub(super) const fn constant(sigma: f64) -> Self {
-        Self {
-            sigma,
-            walk_per_sqrt_s: 0.0,
-            prior_sigma: None,
-        }
+        Self { sigma, walk_per_sqrt_s: 0.0, prior_sigma: None }
     }
 
-    pub(super) fn follow(
-        &self,
-        model: &DynamicModel,
-        samples: &[(SensorId, Sample)],
-    ) -> Vec<(f64, f64, f64)> {
+    pub(super) fn follow(&self, model: &DynamicModel, samples: &[(SensorId, Sample)]) -> Vec<(f64, f64, f64)> {
         let mut filter = self.filter(model);
         samples
             .iter()
@@ -50,11 +41,7 @@ impl Known {
     }
 
     /// The same for one thermometer.
-    pub(super) fn follow_one(
-        &self,
-        model: &DynamicModel,
-        samples: &[Sample],
-    ) -> Vec<(f64, f64, f64)> {
+    pub(super) fn follow_one(&self, model: &DynamicModel, samples: &[Sample]) -> Vec<(f64, f64, f64)> {
         let of = |sample: &Sample| (SensorId::THERMOMETER, *sample);
         self.follow(model, &samples.iter().map(of).collect::<Vec<_>>())
     }
@@ -68,15 +55,9 @@ impl Known {
                 track_width: Meters(0.1),
                 tick: Radians(0.01),
             },
-            noise: SensorNoise {
-                temperature_k: self.sigma,
-                ..SensorNoise::EXACT
-            },
+            noise: SensorNoise { temperature_k: self.sigma, ..SensorNoise::EXACT },
             start: None,
-            params: Params {
-                dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s,
-                ..Params::default()
-            },
+            params: Params { dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s, ..Params::default() },
             calibration: Calibration::default(),
             world: std::sync::Arc::default(),
         };
@@ -90,34 +71,22 @@ impl Known {
 
 /// A sensor of first order; one without states for a time constant that is none.
 pub(super) fn first_order(tau_s: f64) -> DynamicModel {
-    DynamicModel::first_order(SensorId::THERMOMETER, tau_s)
-        .unwrap_or_else(|_| DynamicModel::empty())
+    DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty())
 }
 
 pub(super) fn line(name: &str, points: Vec<(f64, f64)>) -> Curve {
-    Curve {
-        name: name.to_owned(),
-        shape: Shape::Line(points),
-    }
+    Curve { name: name.to_owned(), shape: Shape::Line(points) }
 }
 
 pub(super) fn level(name: &str, value: f64) -> Curve {
-    Curve {
-        name: name.to_owned(),
-        shape: Shape::Level(value),
-    }
+    Curve { name: name.to_owned(), shape: Shape::Level(value) }
 }
 
 /// The band of 95 % around values with their sigmas.
 pub(super) fn band(name: &str, values: &[(f64, f64, f64)]) -> Curve {
     let half = super::super::prediction::BOUND_SIGMAS;
-    let of = |(at_s, value, sigma): &(f64, f64, f64)| {
-        (*at_s, value - half * sigma, value + half * sigma)
-    };
-    Curve {
-        name: name.to_owned(),
-        shape: Shape::Band(values.iter().map(of).collect()),
-    }
+    let of = |(at_s, value, sigma): &(f64, f64, f64)| (*at_s, value - half * sigma, value + half * sigma);
+    Curve { name: name.to_owned(), shape: Shape::Band(values.iter().map(of).collect()) }
 }
 
 /// The values alone, for a line.
@@ -139,9 +108,5 @@ pub(super) fn temperatures(title: &str, panels: Vec<Vec<Curve>>) -> Plot {
         is_map: false,
         curves,
     });
-    Plot {
-        title: title.to_owned(),
-        key_figures: String::new(),
-        axes: axes.collect(),
-    }
+    Plot { title: title.to_owned(), key_figures: String::new(), axes: axes.collect() }
 }

@@ -28,51 +28,32 @@ pub(super) fn mismatch(seed: u64) -> Section {
             "The sensor is identified on one run. The next ones have every lag shorter or longer by up to 30 %. Seconds until within 5 % of the step for good, the middle one of {RUNS} runs, \
              and how often the 95 % bound contained the end."
         )],
-        header: header(&[
-            "lags",
-            "shown",
-            "taken for certain",
-            "estimated",
-            "inside, certain",
-            "inside, estimated",
-        ]),
+        header: header(&["lags", "shown", "taken for certain", "estimated", "inside, certain", "inside, estimated"]),
         ..Section::default()
     };
     let models = match Models::of(&dipped(&LAGS, seed, (22.0, 8.0))) {
         Ok(models) => models,
         Err(why) => {
-            section
-                .words
-                .push(format!("Nothing was identified: {why}."));
+            section.words.push(format!("Nothing was identified: {why}."));
             return section;
         }
     };
     for (index, factor) in FACTORS.into_iter().enumerate() {
         let first = seed.wrapping_add(1 + RUNS * index as u64);
-        let runs: Vec<(SettledAfter, [f64; 2])> = (0..RUNS)
-            .map(|run| one_run(&models, factor, first.wrapping_add(run)))
-            .collect();
+        let runs: Vec<(SettledAfter, [f64; 2])> =
+            (0..RUNS).map(|run| one_run(&models, factor, first.wrapping_add(run))).collect();
         tell(&mut section, factor, &runs);
     }
     section
 }
 
 fn one_run(models: &Models, factor: f64, seed: u64) -> (SettledAfter, [f64; 2]) {
-    let samples = dipped(
-        &LAGS.map(|(tau_s, share)| (factor * tau_s, share)),
-        seed,
-        ENDS,
-    );
+    let samples = dipped(&LAGS.map(|(tau_s, share)| (factor * tau_s, share)), seed, ENDS);
     let (certain, estimated) = models.predictions(&samples);
     let limit = SHARE * (ENDS.1 - ENDS.0).abs();
     let settled = |series: &[(f64, f64)]| settled_after_s(series, DIPPED_S, (ENDS.1, limit));
-    let values =
-        |all: &[Prediction]| -> Vec<(f64, f64)> { all.iter().map(|p| (p.at_s, p.value)).collect() };
-    let all = [
-        settled(&shown(&samples)),
-        settled(&values(&certain)),
-        settled(&values(&estimated)),
-    ];
+    let values = |all: &[Prediction]| -> Vec<(f64, f64)> { all.iter().map(|p| (p.at_s, p.value)).collect() };
+    let all = [settled(&shown(&samples)), settled(&values(&certain)), settled(&values(&estimated))];
     (all, [inside(&certain), inside(&estimated)])
 }
 
@@ -103,9 +84,6 @@ fn tell(section: &mut Section, factor: f64, runs: &[(SettledAfter, [f64; 2])]) {
 
 /// The middle one; a run that never settles is later than all others.
 fn middle(mut all: Vec<Option<f64>>) -> Option<f64> {
-    all.sort_by(|a, b| {
-        a.unwrap_or(f64::INFINITY)
-            .total_cmp(&b.unwrap_or(f64::INFINITY))
-    });
+    all.sort_by(|a, b| a.unwrap_or(f64::INFINITY).total_cmp(&b.unwrap_or(f64::INFINITY)));
     all.get(all.len() / 2).copied().flatten()
 }

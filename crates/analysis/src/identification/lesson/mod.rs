@@ -40,8 +40,7 @@ impl Section {
     #[must_use]
     pub fn number(&self, name: &str) -> Option<f64> {
         let mut all = self.numbers.iter();
-        all.find(|(known, _)| known == name)
-            .and_then(|(_, value)| *value)
+        all.find(|(known, _)| known == name).and_then(|(_, value)| *value)
     }
 
     fn note(&mut self, name: impl Into<String>, value: impl Into<Option<f64>>) {

@@ -40,10 +40,7 @@ impl Recorded {
     /// Predicts a run by others; `None` where there are none, or none of a common order.
     #[must_use]
     pub fn of(run: &RecordedRun, others: &[&RecordedRun], likeness: Likeness) -> Option<Self> {
-        let used: Vec<IdentifiedStep> = others
-            .iter()
-            .map(|other| other.identified.clone())
-            .collect();
+        let used: Vec<IdentifiedStep> = others.iter().map(|other| other.identified.clone()).collect();
         let kind = Kind::of(&used, likeness).ok()?;
         let step = &run.identified;
         let predictions = predict(&step.samples, step.sigma, &kind);
@@ -76,10 +73,7 @@ fn settling(step: &IdentifiedStep, series: &[(f64, f64)]) -> [Option<f64>; 3] {
 #[must_use]
 pub fn recorded(identified: &[RecordedRun], predicted: &[(RecordedRun, Recorded)]) -> Vec<Section> {
     let first = [identification(identified), overview(predicted)];
-    first
-        .into_iter()
-        .chain(predicted.iter().map(pictured))
-        .collect()
+    first.into_iter().chain(predicted.iter().map(pictured)).collect()
 }
 
 fn identification(runs: &[RecordedRun]) -> Section {
@@ -87,16 +81,7 @@ fn identification(runs: &[RecordedRun]) -> Section {
         name: "identified",
         title: "What was identified".to_owned(),
         words: vec!["Each run by itself, with the order that its own data ask for.".to_owned()],
-        header: header(&[
-            "run",
-            "way",
-            "from",
-            "to",
-            "order",
-            "lags [s]",
-            "shares",
-            "left over, rms",
-        ]),
+        header: header(&["run", "way", "from", "to", "order", "lags [s]", "shares", "left over, rms"]),
         ..Section::default()
     };
     for run in runs {
@@ -115,26 +100,15 @@ fn identification(runs: &[RecordedRun]) -> Section {
             found.order().to_string(),
             of(lags
                 .iter()
-                .map(|lag| {
-                    format!(
-                        "{:.2} +- {:.2}",
-                        lag.time_constant_s, lag.time_constant_sigma_s
-                    )
-                })
+                .map(|lag| format!("{:.2} +- {:.2}", lag.time_constant_s, lag.time_constant_sigma_s))
                 .collect()),
-            of(lags
-                .iter()
-                .map(|lag| format!("{:.3} +- {:.3}", lag.share, lag.share_sigma))
-                .collect()),
+            of(lags.iter().map(|lag| format!("{:.3} +- {:.3}", lag.share, lag.share_sigma)).collect()),
             format!("{:.3}", found.chosen().residual_rms),
         ]);
         section.note(format!("{}.order", run.name), found.order() as f64);
         for (j, lag) in lags.iter().enumerate() {
             section.note(format!("{}.lag_{}_s", run.name, j + 1), lag.time_constant_s);
-            section.note(
-                format!("{}.lag_{}_sigma_s", run.name, j + 1),
-                lag.time_constant_sigma_s,
-            );
+            section.note(format!("{}.lag_{}_sigma_s", run.name, j + 1), lag.time_constant_sigma_s);
         }
     }
     section
@@ -152,14 +126,10 @@ fn overview(predicted: &[(RecordedRun, Recorded)]) -> Section {
         ..Section::default()
     };
     for (_, run) in predicted {
-        let inside = run
-            .inside
-            .map_or_else(String::new, |inside| format!("{:.0} %", 100.0 * inside));
+        let inside = run.inside.map_or_else(String::new, |inside| format!("{:.0} %", 100.0 * inside));
         let cells = run.shown_s.into_iter().chain(run.predicted_s).map(seconds);
         let names = [run.name.clone(), run.by.join(" "), run.order.to_string()];
-        section
-            .rows
-            .push(names.into_iter().chain(cells).chain([inside]).collect());
+        section.rows.push(names.into_iter().chain(cells).chain([inside]).collect());
         section.note(format!("{}.order", run.name), run.order as f64);
         for (what, settled) in [("shown", run.shown_s), ("predicted", run.predicted_s)] {
             for (share, settled) in ["10", "5", "2"].into_iter().zip(settled) {
@@ -183,21 +153,12 @@ fn pictured((run, recorded): &(RecordedRun, Recorded)) -> Section {
         .collect();
     let curves = vec![
         level("end", step.end),
-        line(
-            "predicted",
-            known
-                .iter()
-                .map(|(at_s, value, _)| (*at_s, *value))
-                .collect(),
-        ),
+        line("predicted", known.iter().map(|(at_s, value, _)| (*at_s, *value)).collect()),
         line("shown", shown(&step.samples)),
         band("95 % bound", &known),
     ];
     let title = format!("{}, by {}", run.name, recorded.by.join(" and "));
-    let caption = format!(
-        "{} shown and predicted, order {}.",
-        run.name, recorded.order
-    );
+    let caption = format!("{} shown and predicted, order {}.", run.name, recorded.order);
     Section {
         name: "run",
         title: title.clone(),

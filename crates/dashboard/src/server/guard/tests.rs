@@ -3,11 +3,7 @@ use super::*;
 use axum::body::Body;
 
 fn guard(token: Option<&Token>) -> Guard {
-    let ip = if token.is_some() {
-        "192.0.2.7"
-    } else {
-        "127.0.0.1"
-    };
+    let ip = if token.is_some() { "192.0.2.7" } else { "127.0.0.1" };
     Guard::new(format!("{ip}:4680").parse().unwrap(), token.cloned())
 }
 
@@ -20,22 +16,13 @@ fn request(path: &str, headers: &[(&str, &str)]) -> Request {
 }
 
 fn refused(guard: &Guard, path: &str, headers: &[(&str, &str)]) -> Option<Count> {
-    guard
-        .check(&request(path, headers))
-        .err()
-        .map(|denial| denial.count)
+    guard.check(&request(path, headers)).err().map(|denial| denial.count)
 }
 
 #[test]
 fn only_a_host_of_this_computer_with_the_right_port_is_this_station() {
     let guard = guard(None);
-    for host in [
-        "127.0.0.1:4680",
-        "localhost:4680",
-        "LocalHost:4680",
-        "[::1]:4680",
-        "127.1.2.3:4680",
-    ] {
+    for host in ["127.0.0.1:4680", "localhost:4680", "LocalHost:4680", "[::1]:4680", "127.1.2.3:4680"] {
         assert_eq!(refused(&guard, "/", &[("host", host)]), None, "{host}");
     }
     for host in [
@@ -86,12 +73,8 @@ fn an_origin_must_be_the_station_itself() {
 fn a_foreign_page_may_lead_to_the_page_and_load_nothing() {
     let guard = guard(None);
     let with = |path: &str, site: &str, mode: &str, dest: &str| {
-        let headers = [
-            ("host", "localhost:4680"),
-            ("sec-fetch-site", site),
-            ("sec-fetch-mode", mode),
-            ("sec-fetch-dest", dest),
-        ];
+        let headers =
+            [("host", "localhost:4680"), ("sec-fetch-site", site), ("sec-fetch-mode", mode), ("sec-fetch-dest", dest)];
         refused(&guard, path, &headers)
     };
     let replay = "/v1/recordings/recording.mcap/replay";
@@ -125,14 +108,8 @@ fn from_elsewhere_the_token_is_needed_in_one_of_three_places() {
     assert_eq!(with("authorization", &bearer(&token).to_lowercase()), None);
     let basic = bearer(&token).replace("Bearer", "Basic");
     assert_eq!(with("authorization", &basic), Some(Count::WrongToken));
-    assert_eq!(
-        with("authorization", &bearer(&other)),
-        Some(Count::WrongToken)
-    );
-    assert_eq!(
-        with("authorization", token.expose()),
-        Some(Count::WrongToken)
-    );
+    assert_eq!(with("authorization", &bearer(&other)), Some(Count::WrongToken));
+    assert_eq!(with("authorization", token.expose()), Some(Count::WrongToken));
     let cookie = |token: &Token| format!("theme=dark; posebridge_4680={}", token.expose());
     assert_eq!(with("cookie", &cookie(&token)), None);
     assert_eq!(with("cookie", &cookie(&other)), Some(Count::WrongToken));
@@ -153,8 +130,5 @@ fn from_elsewhere_the_token_is_needed_in_one_of_three_places() {
 fn a_refusal_tells_what_to_do_and_repeats_no_control_characters() {
     let guard = guard(None);
     let denial = guard.wrong_host("a\u{7}b");
-    assert_eq!(
-        denial.why,
-        "the Host `ab` is not this station; open http://127.0.0.1:4680/"
-    );
+    assert_eq!(denial.why, "the Host `ab` is not this station; open http://127.0.0.1:4680/");
 }

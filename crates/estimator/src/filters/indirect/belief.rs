@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Vector2};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, Heading, Meters, MetersPerSecond, Pose, PoseJump,
-    RadiansPerSecond, Span, Stamp, Validity, estimate::row,
+    Arena, BrickClock, Estimate, Heading, Meters, MetersPerSecond, Pose, PoseJump, RadiansPerSecond, Span, Stamp,
+    Validity, estimate::row,
 };
 
 use crate::filters::FilterConfig;
@@ -32,12 +32,7 @@ pub(super) struct Belief {
 
 impl Belief {
     /// The estimate for an instant at or after the belief's own: the speeds are held for a while, then the robot stands.
-    pub(super) fn estimate(
-        &self,
-        config: &FilterConfig,
-        at: Stamp<BrickClock>,
-        stamp: Stamp<BrickClock>,
-    ) -> Estimate {
+    pub(super) fn estimate(&self, config: &FilterConfig, at: Stamp<BrickClock>, stamp: Stamp<BrickClock>) -> Estimate {
         let held_until = self.moved.map_or(at, |moved| moved + SPEEDS_VALID);
         let dt_s = (stamp.min(held_until) - at).as_secs_f64().max(0.0);
         let (pose, pose_covariance) = self.ahead(config, dt_s);
@@ -48,10 +43,8 @@ impl Belief {
             }
         }
         let params = &config.params;
-        covariance[row::FORWARD][row::FORWARD] =
-            params.acceleration_m_per_s2.powi(2) * (dt_s + TYPICAL_STEP_S);
-        covariance[row::TURN][row::TURN] =
-            params.turn_acceleration_rad_per_s2.powi(2) * (dt_s + TYPICAL_STEP_S);
+        covariance[row::FORWARD][row::FORWARD] = params.acceleration_m_per_s2.powi(2) * (dt_s + TYPICAL_STEP_S);
+        covariance[row::TURN][row::TURN] = params.turn_acceleration_rad_per_s2.powi(2) * (dt_s + TYPICAL_STEP_S);
         let fix_age = self.fixed.map(|fixed| (stamp - fixed).max(Span::ZERO));
         Estimate {
             stamp,
@@ -62,9 +55,7 @@ impl Belief {
             validity: Validity {
                 position: self.is_placed,
                 heading: self.has_heading,
-                speeds: self
-                    .moved
-                    .is_some_and(|moved| stamp - moved <= SPEEDS_VALID),
+                speeds: self.moved.is_some_and(|moved| stamp - moved <= SPEEDS_VALID),
             },
             is_dead_reckoning: fix_age.is_none_or(|age| age.as_secs_f64() > params.fix_timeout_s),
             fix_age,
@@ -75,10 +66,7 @@ impl Belief {
 
     /// The pose after the speeds were held for so long; they may change by then, as fast as the parameters say.
     fn ahead(&self, config: &FilterConfig, dt_s: f64) -> (Pose<Arena>, Matrix3<f64>) {
-        let step = BodyStep {
-            forward_m: self.forward_m_per_s * dt_s,
-            turn_rad: self.turn_rad_per_s * dt_s,
-        };
+        let step = BodyStep { forward_m: self.forward_m_per_s * dt_s, turn_rad: self.turn_rad_per_s * dt_s };
         let moved = displace(self.pose.heading.rad(), step, StepRule::Arc);
         let pose = Pose::new(
             Meters(self.pose.x.0 + moved.dx_m),
@@ -92,8 +80,7 @@ impl Belief {
         let along = Vector2::from(moved.by_forward);
         let mut q = Matrix3::zeros();
         let along_m2 = config.params.acceleration_m_per_s2.powi(2) * walked_s3;
-        q.fixed_view_mut::<2, 2>(0, 0)
-            .copy_from(&(along * along.transpose() * along_m2));
+        q.fixed_view_mut::<2, 2>(0, 0).copy_from(&(along * along.transpose() * along_m2));
         q[(2, 2)] = config.params.turn_acceleration_rad_per_s2.powi(2) * walked_s3;
         let mut covariance = f * self.covariance * f.transpose() + q;
         symmetrise(&mut covariance);

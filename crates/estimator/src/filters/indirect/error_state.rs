@@ -105,27 +105,16 @@ pub fn nominal_step(
     let (geometry, noise) = robot;
     let [m, dr, tb] = *scales;
     let b = geometry.track_width.0 * (1.0 + tb);
-    let scaled = WheelTravel {
-        left_m: travel.left_m * (1.0 + m - 0.5 * dr),
-        right_m: travel.right_m * (1.0 + m + 0.5 * dr),
-    };
-    let step = BodyStep {
-        forward_m: 0.5 * (scaled.left_m + scaled.right_m),
-        turn_rad: (scaled.right_m - scaled.left_m) / b,
-    };
-    let (sum_m, difference_m) = (
-        travel.left_m + travel.right_m,
-        travel.right_m - travel.left_m,
-    );
+    let scaled =
+        WheelTravel { left_m: travel.left_m * (1.0 + m - 0.5 * dr), right_m: travel.right_m * (1.0 + m + 0.5 * dr) };
+    let step =
+        BodyStep { forward_m: 0.5 * (scaled.left_m + scaled.right_m), turn_rad: (scaled.right_m - scaled.left_m) / b };
+    let (sum_m, difference_m) = (travel.left_m + travel.right_m, travel.right_m - travel.left_m);
     NominalStep {
         step,
         moved: displace(heading_rad, step, StepRule::Arc),
         forward_by_scales: [0.5 * sum_m, 0.25 * difference_m, 0.0],
-        turn_by_scales: [
-            difference_m / b,
-            0.5 * sum_m / b,
-            -step.turn_rad / (1.0 + tb),
-        ],
+        turn_by_scales: [difference_m / b, 0.5 * sum_m / b, -step.turn_rad / (1.0 + tb)],
         noise: step_noise(scaled, geometry, noise),
         path_var_m2: 0.0,
     }
@@ -153,10 +142,7 @@ pub fn transition(nominal: &NominalStep, dt_s: f64) -> Covariance {
     let moved = &nominal.moved;
     f[(X, HEADING)] = moved.by_heading[0];
     f[(Y, HEADING)] = moved.by_heading[1];
-    for (k, row) in [RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE]
-        .into_iter()
-        .enumerate()
-    {
+    for (k, row) in [RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE].into_iter().enumerate() {
         let (d, t) = (nominal.forward_by_scales[k], nominal.turn_by_scales[k]);
         f[(X, row)] = moved.by_forward[0] * d + moved.by_turn[0] * t;
         f[(Y, row)] = moved.by_forward[1] * d + moved.by_turn[1] * t;
@@ -174,11 +160,7 @@ pub fn transition(nominal: &NominalStep, dt_s: f64) -> Covariance {
 
 /// Gamma Q Gamma' of a step.
 #[must_use]
-pub fn process_noise(
-    nominal: &NominalStep,
-    elapsed: &Elapsed,
-    robot: (&DriveGeometry, &SensorNoise),
-) -> Covariance {
+pub fn process_noise(nominal: &NominalStep, elapsed: &Elapsed, robot: (&DriveGeometry, &SensorNoise)) -> Covariance {
     let (geometry, noise) = robot;
     let mut q = Covariance::zeros();
     let moved = &nominal.moved;
@@ -203,10 +185,7 @@ pub fn process_noise(
     let white = noise.accelerometer_m_per_s2.powi(2) * elapsed.accelerometer_s2;
     // The mean of two accelerometers, and their difference over the distance between them.
     let b = geometry.track_width.0;
-    for (first, variance) in [
-        (ACCELERATED_DISTANCE, 0.5 * white),
-        (ACCELERATED_ANGLE, 2.0 * white / (b * b)),
-    ] {
+    for (first, variance) in [(ACCELERATED_DISTANCE, 0.5 * white), (ACCELERATED_ANGLE, 2.0 * white / (b * b))] {
         let dt_s = elapsed.dt_s;
         q[(first, first)] = variance * dt_s * dt_s / 3.0;
         q[(first, first + 1)] = 0.5 * variance * dt_s;
@@ -236,12 +215,7 @@ pub fn clear_row(errors: &mut Errors, covariance: &mut Covariance, row: usize) {
 
 /// Starts an instrument's row where the path's is: what the instrument reads is set to the nominal value, so its error is the
 /// opposite of the path's, but for the counts' rounding.
-pub fn start_row(
-    errors: &mut Errors,
-    covariance: &mut Covariance,
-    rows: (usize, usize),
-    rounding_var: f64,
-) {
+pub fn start_row(errors: &mut Errors, covariance: &mut Covariance, rows: (usize, usize), rounding_var: f64) {
     let (row, path) = rows;
     clear_row(errors, covariance, row);
     errors[row] = -errors[path];

@@ -1,8 +1,6 @@
 //! Fixes against the nominal path, and the poses at which it is put down.
 
-use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionRecord, Pose, Stamp, Verdict, quantities::wrap_rad,
-};
+use posebridge_telemetry::{Arena, BrickClock, Fix, FusionRecord, Pose, Stamp, Verdict, quantities::wrap_rad};
 
 use super::error_state::{DISTANCE, HEADING, N, X, Y, clear_row};
 use super::nominal::Path;
@@ -10,9 +8,7 @@ use crate::filters::StartPose;
 use crate::filters::intake::{self, RESTART_HEADING_RAD, RESTART_POSITION_M};
 use crate::filters::records::write_innovation;
 use crate::gate::chi_square_quantile;
-use crate::observations::fix::{
-    Circumstances, FixNoise, mid_axle, noise_of, position_in_arena, with_heading,
-};
+use crate::observations::fix::{Circumstances, FixNoise, mid_axle, noise_of, position_in_arena, with_heading};
 use crate::update::{Measurement, apply};
 
 /// Heading of a robot whose first fix had none: uniform on the circle, rad².
@@ -20,21 +16,12 @@ const UNKNOWN_HEADING_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 
 
 impl Path {
     /// Uses a fix against the path as it is, however late the fix came.
-    pub(super) fn use_fix(
-        &mut self,
-        record: &mut FusionRecord,
-        fix: &Fix,
-        stamp_sigma_s: f64,
-    ) -> Verdict {
+    pub(super) fn use_fix(&mut self, record: &mut FusionRecord, fix: &Fix, stamp_sigma_s: f64) -> Verdict {
         let noise = self.noise_of(fix, stamp_sigma_s);
         // dz - H e: paper 4's linearisation about the nominal path.
         let path = [self.x_m, self.y_m, self.end.angle_rad];
         let (dz, jacobian) = position_in_arena(path, [X, Y, HEADING], fix);
-        let position = Measurement {
-            innovation: dz - jacobian * self.errors,
-            jacobian,
-            noise: noise.position,
-        };
+        let position = Measurement { innovation: dz - jacobian * self.errors, jacobian, noise: noise.position };
         let verdict = if let Some(heading) = fix.heading {
             let turn_rad = wrap_rad(heading.rad() - self.end.angle_rad - self.errors[HEADING]);
             let full = with_heading(&position, HEADING, (turn_rad, noise.heading_rad2));
@@ -46,11 +33,7 @@ impl Path {
         verdict
     }
 
-    fn fuse<const M: usize>(
-        &mut self,
-        record: &mut FusionRecord,
-        measurement: &Measurement<N, M>,
-    ) -> Verdict {
+    fn fuse<const M: usize>(&mut self, record: &mut FusionRecord, measurement: &Measurement<N, M>) -> Verdict {
         let s = measurement.innovation_covariance(&self.covariance);
         if !write_innovation(record, &measurement.innovation, &s) {
             return Verdict::Malformed;
@@ -58,11 +41,7 @@ impl Path {
         if record.nis > chi_square_quantile(M as u8, self.config.params.gate_probability) {
             return Verdict::Gated;
         }
-        if apply(&mut self.errors, &mut self.covariance, measurement) {
-            Verdict::Accepted
-        } else {
-            Verdict::Malformed
-        }
+        if apply(&mut self.errors, &mut self.covariance, measurement) { Verdict::Accepted } else { Verdict::Malformed }
     }
 
     fn noise_of(&self, fix: &Fix, stamp_sigma_s: f64) -> FixNoise {
@@ -141,11 +120,7 @@ impl Path {
         self.fixed = None;
         self.forward_m_per_s = 0.0;
         self.turn_rad_per_s = 0.0;
-        for (row, sigma) in [
-            (X, RESTART_POSITION_M),
-            (Y, RESTART_POSITION_M),
-            (HEADING, RESTART_HEADING_RAD),
-        ] {
+        for (row, sigma) in [(X, RESTART_POSITION_M), (Y, RESTART_POSITION_M), (HEADING, RESTART_HEADING_RAD)] {
             self.covariance[(row, row)] += sigma * sigma;
         }
     }

@@ -58,10 +58,7 @@ impl Timing {
     }
 
     fn begin(&mut self, stamp: Stamp<BrickClock>) {
-        *self = Self {
-            last: Some(stamp),
-            ..Self::default()
-        };
+        *self = Self { last: Some(stamp), ..Self::default() };
     }
 
     /// The instant of the sums, when they were not yet compared.

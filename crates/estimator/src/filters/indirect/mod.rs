@@ -28,8 +28,7 @@ mod nominal;
 use std::collections::BTreeMap;
 
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, Fix, FusionRecord, Known, Observation, Observed, SensorId,
-    Span, Stamp, Verdict,
+    BrickClock, Calibration, Estimate, Fix, FusionRecord, Known, Observation, Observed, SensorId, Span, Stamp, Verdict,
 };
 
 use self::belief::Belief;
@@ -84,12 +83,7 @@ impl IndirectFilter {
         }
     }
 
-    fn take_motion(
-        &mut self,
-        record: &mut FusionRecord,
-        stamp: Stamp<BrickClock>,
-        reading: &MotionReading,
-    ) {
+    fn take_motion(&mut self, record: &mut FusionRecord, stamp: Stamp<BrickClock>, reading: &MotionReading) {
         let is_late = self.path.stamp().is_some_and(|last| stamp < last);
         let added = self.track.add(stamp, reading);
         record.verdict = match (added, is_late) {
@@ -105,8 +99,7 @@ impl IndirectFilter {
         } else {
             return;
         }
-        self.track
-            .forget_before(stamp - Span::from_secs_f64(self.config.params.history_s));
+        self.track.forget_before(stamp - Span::from_secs_f64(self.config.params.history_s));
         self.note(stamp);
     }
 
@@ -153,10 +146,7 @@ impl IndirectFilter {
 
     /// Counts a refused fix; true when they have been refused for so long that the gate must be wrong.
     fn is_locked_out(&mut self, stamp: Stamp<BrickClock>) -> bool {
-        let refused = self.refused.get_or_insert(Refused {
-            since: stamp,
-            count: 0.0,
-        });
+        let refused = self.refused.get_or_insert(Refused { since: stamp, count: 0.0 });
         refused.count += 1.0;
         (stamp - refused.since).as_secs_f64() >= self.config.params.reset_after_s
             && refused.count >= self.config.params.reset_after_fixes

@@ -1,16 +1,13 @@
 //! The nominal path with its errors: what moves it, what is measured against it, and what comes out.
 
-use posebridge_telemetry::{
-    Arena, BrickClock, FusionRecord, Heading, Meters, Pose, PoseJump, Stamp,
-};
+use posebridge_telemetry::{Arena, BrickClock, FusionRecord, Heading, Meters, Pose, PoseJump, Stamp};
 
 use super::Correction;
 use super::belief::Belief;
 use super::error_state::{
-    ACCELERATED_ANGLE, ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_TURN, Covariance,
-    DISTANCE, Elapsed, Errors, FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, HEADING, RADIUS_DIFFERENCE,
-    RADIUS_SCALE, Scales, TRACK_SCALE, TURN_BIAS, X, Y, clear_row, nominal_step, predict,
-    process_noise, start_row, transition,
+    ACCELERATED_ANGLE, ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_TURN, Covariance, DISTANCE, Elapsed,
+    Errors, FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, HEADING, RADIUS_DIFFERENCE, RADIUS_SCALE, Scales, TRACK_SCALE,
+    TURN_BIAS, X, Y, clear_row, nominal_step, predict, process_noise, start_row, transition,
 };
 use super::instruments::{Accelerated, GyroAngle, Sampled};
 use crate::filters::FilterConfig;
@@ -77,11 +74,7 @@ impl Path {
             settled_rad: 0.0,
             before: None,
             stamp: None,
-            scales: [
-                known.radius_scale.value,
-                known.radius_difference.value,
-                known.track_scale.value,
-            ],
+            scales: [known.radius_scale.value, known.radius_difference.value, known.track_scale.value],
             errors: Errors::zeros(),
             covariance: Covariance::zeros(),
             gyro: GyroAngle::default(),
@@ -100,21 +93,9 @@ impl Path {
             (RADIUS_SCALE, known.radius_scale.sigma),
             (RADIUS_DIFFERENCE, known.radius_difference.sigma),
             (TRACK_SCALE, known.track_scale.sigma),
-            (
-                GYRO_BIAS,
-                known
-                    .gyro_bias_rad_per_s
-                    .sigma
-                    .max(config.noise.gyro_bias_rad_per_s),
-            ),
-            (
-                FORWARD_BIAS,
-                ACCELEROMETER_BIAS_M_PER_S2 * std::f64::consts::FRAC_1_SQRT_2,
-            ),
-            (
-                TURN_BIAS,
-                ACCELEROMETER_BIAS_M_PER_S2 * std::f64::consts::SQRT_2 / b,
-            ),
+            (GYRO_BIAS, known.gyro_bias_rad_per_s.sigma.max(config.noise.gyro_bias_rad_per_s)),
+            (FORWARD_BIAS, ACCELEROMETER_BIAS_M_PER_S2 * std::f64::consts::FRAC_1_SQRT_2),
+            (TURN_BIAS, ACCELEROMETER_BIAS_M_PER_S2 * std::f64::consts::SQRT_2 / b),
         ] {
             path.covariance[(row, row)] = sigma * sigma;
         }
@@ -164,11 +145,7 @@ impl Path {
         let (whole, length_s) = (from, (to - from).as_secs_f64());
         while from < to {
             let until = match track.leg(from, to) {
-                Leg::Known {
-                    until,
-                    travel,
-                    path_var_m2,
-                } => {
+                Leg::Known { until, travel, path_var_m2 } => {
                     self.step((until - from).as_secs_f64(), travel, path_var_m2);
                     until
                 }
@@ -232,11 +209,7 @@ impl Path {
     }
 
     /// Forward accelerations at the left and at the right wheel, m/s².
-    pub(super) fn add_accelerations(
-        &mut self,
-        stamp: Stamp<BrickClock>,
-        (left, right): (f64, f64),
-    ) -> Sampled {
+    pub(super) fn add_accelerations(&mut self, stamp: Stamp<BrickClock>, (left, right): (f64, f64)) -> Sampled {
         let turn = (right - left) / self.config.geometry.track_width.0;
         self.accelerated.add(stamp, 0.5 * (left + right), turn)
     }
@@ -246,12 +219,7 @@ impl Path {
         if let Some(mark) = self.gyro.timing.due().and_then(|at| self.mark_at(at)) {
             self.compare_gyro(record, mark);
         }
-        if let Some(mark) = self
-            .accelerated
-            .timing
-            .due()
-            .and_then(|at| self.mark_at(at))
-        {
+        if let Some(mark) = self.accelerated.timing.due().and_then(|at| self.mark_at(at)) {
             self.compare_accelerated(record, mark);
         }
         self.feed_back();
@@ -264,12 +232,7 @@ impl Path {
             self.measure(record, dz, (HEADING, GYRO_ANGLE), rounding.angle_rad2);
         } else {
             self.gyro.angle_rad = mark.angle_rad;
-            start_row(
-                &mut self.errors,
-                &mut self.covariance,
-                (GYRO_ANGLE, HEADING),
-                rounding.angle_rad2,
-            );
+            start_row(&mut self.errors, &mut self.covariance, (GYRO_ANGLE, HEADING), rounding.angle_rad2);
             self.gyro.timing.is_tracked = true;
         }
         self.gyro.timing.is_compared = true;
@@ -279,19 +242,9 @@ impl Path {
         let rounding = self.rounding();
         if self.accelerated.timing.is_tracked {
             let dz = self.accelerated.angle_rad - mark.angle_rad;
-            self.measure(
-                record,
-                dz,
-                (HEADING, ACCELERATED_ANGLE),
-                rounding.angle_rad2,
-            );
+            self.measure(record, dz, (HEADING, ACCELERATED_ANGLE), rounding.angle_rad2);
             let dz = self.accelerated.distance_m - mark.distance_m;
-            self.measure(
-                record,
-                dz,
-                (DISTANCE, ACCELERATED_DISTANCE),
-                rounding.distance_m2,
-            );
+            self.measure(record, dz, (DISTANCE, ACCELERATED_DISTANCE), rounding.distance_m2);
         } else {
             self.start_accelerated(mark, &rounding);
         }
@@ -305,34 +258,19 @@ impl Path {
         sums.speed_m_per_s = self.forward_m_per_s;
         sums.turn_rad_per_s = self.turn_rad_per_s;
         sums.timing.is_tracked = true;
-        for (row, path, variance) in [
-            (ACCELERATED_ANGLE, HEADING, rounding.angle_rad2),
-            (ACCELERATED_DISTANCE, DISTANCE, rounding.distance_m2),
-        ] {
-            start_row(
-                &mut self.errors,
-                &mut self.covariance,
-                (row, path),
-                variance,
-            );
+        for (row, path, variance) in
+            [(ACCELERATED_ANGLE, HEADING, rounding.angle_rad2), (ACCELERATED_DISTANCE, DISTANCE, rounding.distance_m2)]
+        {
+            start_row(&mut self.errors, &mut self.covariance, (row, path), variance);
         }
-        for (row, sigma) in [
-            (ACCELERATED_SPEED, START_SPEED_M_PER_S),
-            (ACCELERATED_TURN, START_TURN_RAD_PER_S),
-        ] {
+        for (row, sigma) in [(ACCELERATED_SPEED, START_SPEED_M_PER_S), (ACCELERATED_TURN, START_TURN_RAD_PER_S)] {
             clear_row(&mut self.errors, &mut self.covariance, row);
             self.covariance[(row, row)] = sigma * sigma;
         }
     }
 
     /// dz = error of the path + error of the instrument + rounding.
-    fn measure(
-        &mut self,
-        record: &mut FusionRecord,
-        dz: f64,
-        (path, instrument): (usize, usize),
-        variance: f64,
-    ) {
+    fn measure(&mut self, record: &mut FusionRecord, dz: f64, (path, instrument): (usize, usize), variance: f64) {
         let scalar = Scalar {
             innovation: dz - self.errors[path] - self.errors[instrument],
             rows: [path, instrument],
@@ -340,12 +278,7 @@ impl Path {
             variance,
         };
         // The paper has no gate here: what the wheels do not feel must not be refused.
-        let outcome = use_scalar(
-            &mut self.errors,
-            &mut self.covariance,
-            &scalar,
-            f64::INFINITY,
-        );
+        let outcome = use_scalar(&mut self.errors, &mut self.covariance, &scalar, f64::INFINITY);
         add_innovation(record, scalar.innovation, &outcome);
     }
 }
@@ -394,31 +327,14 @@ impl Path {
         self.y_m += self.errors[Y];
         let (turned_rad, driven_m) = (self.errors[HEADING], self.errors[DISTANCE]);
         self.settled_rad += turned_rad;
-        for mark in self
-            .before
-            .iter_mut()
-            .map(|(_, mark)| mark)
-            .chain([&mut self.end])
-        {
+        for mark in self.before.iter_mut().map(|(_, mark)| mark).chain([&mut self.end]) {
             mark.angle_rad += turned_rad;
             mark.distance_m += driven_m;
         }
-        for (scale, row) in
-            self.scales
-                .iter_mut()
-                .zip([RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE])
-        {
+        for (scale, row) in self.scales.iter_mut().zip([RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE]) {
             *scale = (*scale + self.errors[row]).clamp(-LARGEST_SCALE, LARGEST_SCALE);
         }
-        for row in [
-            X,
-            Y,
-            HEADING,
-            DISTANCE,
-            RADIUS_SCALE,
-            RADIUS_DIFFERENCE,
-            TRACK_SCALE,
-        ] {
+        for row in [X, Y, HEADING, DISTANCE, RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE] {
             self.errors[row] = 0.0;
         }
     }
@@ -442,16 +358,9 @@ impl Path {
 
     fn clear_untracked(&mut self) {
         let of_gyro: &[usize] = &[GYRO_ANGLE];
-        let of_accelerometers: &[usize] = &[
-            ACCELERATED_DISTANCE,
-            ACCELERATED_SPEED,
-            ACCELERATED_ANGLE,
-            ACCELERATED_TURN,
-        ];
-        for (timing, rows) in [
-            (&self.gyro.timing, of_gyro),
-            (&self.accelerated.timing, of_accelerometers),
-        ] {
+        let of_accelerometers: &[usize] =
+            &[ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_ANGLE, ACCELERATED_TURN];
+        for (timing, rows) in [(&self.gyro.timing, of_gyro), (&self.accelerated.timing, of_accelerometers)] {
             if !timing.is_tracked {
                 for &row in rows {
                     clear_row(&mut self.errors, &mut self.covariance, row);

@@ -16,12 +16,7 @@ use crate::motion::Leg;
 impl<const N: usize> PoseFilter<N> {
     /// Whether what was told belongs right before the last entry and changes nothing of that but the turn rate. `gyro_before` is the
     /// gyro's reading before it.
-    pub(super) fn is_abreast_of_last(
-        &self,
-        told: &Told,
-        index: usize,
-        gyro_before: Option<Stamp<BrickClock>>,
-    ) -> bool {
+    pub(super) fn is_abreast_of_last(&self, told: &Told, index: usize, gyro_before: Option<Stamp<BrickClock>>) -> bool {
         let Some(last) = self.entries.told().get(index) else {
             return false;
         };
@@ -51,12 +46,7 @@ impl<const N: usize> PoseFilter<N> {
     /// Puts it there.
     pub(super) fn insert_abreast(&mut self, told: Told, index: usize, record: &mut FusionRecord) {
         self.entries.insert_before_last(told);
-        let context = Context {
-            config: &self.config,
-            track: &self.track,
-            gyro: &self.gyro,
-            gates: &self.gates,
-        };
+        let context = Context { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
         let after = self.entries.apply(index).after;
         act(after, &told, &context, record);
         let turn = after.turn;

@@ -35,12 +35,7 @@ pub(super) struct Applied<'e, const N: usize> {
 impl<const N: usize> Entries<N> {
     /// No entries, and the state before them.
     pub(super) const fn new(base: PoseState<N>) -> Self {
-        Self {
-            told: VecDeque::new(),
-            states: Vec::new(),
-            first: 0,
-            base,
-        }
+        Self { told: VecDeque::new(), states: Vec::new(), first: 0, base }
     }
 
     /// What was told, oldest first.
@@ -105,11 +100,7 @@ impl<const N: usize> Entries<N> {
             }
         };
         *after = *before;
-        Applied {
-            told: &self.told[index],
-            before,
-            after,
-        }
+        Applied { told: &self.told[index], before, after }
     }
 
     /// Forgets the oldest entries; the state after them is the one before all others.
@@ -131,11 +122,7 @@ impl<const N: usize> Entries<N> {
     /// Where a state stands, or where the one behind the last would.
     const fn place(&self, index: usize) -> usize {
         let place = self.first + index;
-        if place < self.states.len() {
-            place
-        } else {
-            place - self.states.len()
-        }
+        if place < self.states.len() { place } else { place - self.states.len() }
     }
 
     fn make_room(&mut self) {
@@ -158,11 +145,7 @@ mod tests {
     use posebridge_telemetry::{SensorId, Stamp};
 
     fn told(millis: i64) -> Told {
-        Told {
-            stamp: Stamp::from_millis(millis),
-            sensor: SensorId::GYRO,
-            action: Action::TurnRate(0.0),
-        }
+        Told { stamp: Stamp::from_millis(millis), sensor: SensorId::GYRO, action: Action::TurnRate(0.0) }
     }
 
     /// A state that is known by a number.
@@ -189,10 +172,7 @@ mod tests {
             } else {
                 entries.insert(len, told(step));
                 let applied = entries.apply(len);
-                assert_eq!(
-                    applied.before.forward.value.to_bits(),
-                    f64::to_bits(expected[len])
-                );
+                assert_eq!(applied.before.forward.value.to_bits(), f64::to_bits(expected[len]));
                 applied.after.forward.value += 1.0;
                 expected.push(expected[len] + 1.0);
             }

@@ -56,10 +56,7 @@ pub fn motion<const N: usize>(
         let dt_s = (stamp - before).as_secs_f64();
         let (value, variance) = speed::forward(step, &noise, dt_s, geometry);
         state.forward.observe(value, variance);
-        let gyro_speaks = context
-            .gyro
-            .last_until(stamp)
-            .is_some_and(|last| last + GYRO_SILENT > stamp);
+        let gyro_speaks = context.gyro.last_until(stamp).is_some_and(|last| last + GYRO_SILENT > stamp);
         if !gyro_speaks {
             let (value, variance) = speed::turn(step, &noise, dt_s, geometry);
             state.turn.observe(value, variance);
@@ -88,15 +85,8 @@ pub fn motion<const N: usize>(
 }
 
 /// The gyro spoke: the turn rate follows at once, the heading when the window closes.
-pub fn turn_rate<const N: usize>(
-    state: &mut PoseState<N>,
-    rate_rad_per_s: f64,
-    context: &Context<'_>,
-) {
-    let bias = (
-        state.mean[GYRO_BIAS],
-        state.covariance[(GYRO_BIAS, GYRO_BIAS)],
-    );
+pub fn turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s: f64, context: &Context<'_>) {
+    let bias = (state.mean[GYRO_BIAS], state.covariance[(GYRO_BIAS, GYRO_BIAS)]);
     let (value, variance) = speed::gyro(rate_rad_per_s, bias, &context.config.noise);
     state.turn.observe(value, variance);
 }
@@ -145,11 +135,7 @@ pub fn use_gyro_window<const N: usize>(
 /// ```text
 /// mean n = -v nu / S      var n = v - v^2 / S      cov(x, n) = v P H' / S         v its variance before
 /// ```
-fn use_and_pass_rounding<const N: usize>(
-    state: &mut PoseState<N>,
-    scalar: &Scalar<3>,
-    variance: f64,
-) -> ScalarOutcome {
+fn use_and_pass_rounding<const N: usize>(state: &mut PoseState<N>, scalar: &Scalar<3>, variance: f64) -> ScalarOutcome {
     let cross = scalar.cross(&state.covariance);
     let (mean, covariance) = (&mut state.mean, &mut state.covariance);
     let outcome = use_scalar(mean, covariance, scalar, f64::INFINITY);
@@ -172,11 +158,7 @@ pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &Context<'_>) 
 
 /// Whether gyro and encoders disagree by more than rounding can, beyond what chance adds. Rounding is not normal but bounded: while
 /// a robot turns slowly, counts of both wheels that come together reach the bound again and again.
-pub(super) fn shows_slip<const N: usize>(
-    state: &PoseState<N>,
-    scalar: &Scalar<3>,
-    context: &Context<'_>,
-) -> bool {
+pub(super) fn shows_slip<const N: usize>(state: &PoseState<N>, scalar: &Scalar<3>, context: &Context<'_>) -> bool {
     let counted_rad = (scalar.innovation + scalar.by_row[2] * state.mean[ROUNDING]).abs();
     let beyond_rad = counted_rad - largest_rounding(&context.config.geometry);
     if beyond_rad <= 0.0 {
@@ -199,12 +181,7 @@ pub(super) fn shows_slip<const N: usize>(
 /// The wheels counted a turn too much that may be all of the disagreement. Nobody knows which share of it was either wheel's: the
 /// distance is wrong by something between minus and plus half of it, alike, and the window's path was laid out in a wrong
 /// direction. For these the share that chance explains does not count: a false alarm must not cost position.
-fn allow_for_slip<const N: usize>(
-    state: &mut PoseState<N>,
-    slip_rad2: f64,
-    nis: f64,
-    context: &Context<'_>,
-) {
+fn allow_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, nis: f64, context: &Context<'_>) {
     let forward_m = state.window.map_or(0.0, |window| window.forward_m);
     for row in [HEADING, WINDOW_TURN] {
         for column in [HEADING, WINDOW_TURN] {
@@ -223,9 +200,7 @@ fn allow_for_slip<const N: usize>(
 fn rounded<const N: usize>(state: &PoseState<N>, context: &Context<'_>) -> Rounded {
     match state.window {
         Some(window) if state.counts.stood(window.start, window.until) => Rounded::AsBefore,
-        _ => Rounded::Anew {
-            variance_rad2: rounding_variance(&context.config.geometry),
-        },
+        _ => Rounded::Anew { variance_rad2: rounding_variance(&context.config.geometry) },
     }
 }
 
@@ -243,11 +218,7 @@ pub(super) fn judged_gyro<const N: usize>(
     let scalar = gyro_window::measurement(state, &window, &turn, noise, rounded(state, context));
     let s = scalar.innovation_variance(&state.covariance);
     (s > 0.0).then(|| {
-        let outcome = ScalarOutcome {
-            innovation_variance: s,
-            nis: scalar.innovation.powi(2) / s,
-            usage: Usage::Used,
-        };
+        let outcome = ScalarOutcome { innovation_variance: s, nis: scalar.innovation.powi(2) / s, usage: Usage::Used };
         (scalar, outcome)
     })
 }
@@ -257,6 +228,5 @@ fn write(record: &mut FusionRecord, scalar: &Scalar<3>, outcome: &ScalarOutcome)
     record.innovation_covariance[0][0] = outcome.innovation_variance;
     record.nis = outcome.nis;
     record.degrees_of_freedom = 1;
-    record.log_likelihood =
-        -0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
+    record.log_likelihood = -0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
 }

@@ -37,9 +37,7 @@ impl Action {
     /// The order of two actions of one rank, sensor and instant: that of two sights is by what they say.
     pub(super) fn order(&self, other: &Self) -> Ordering {
         match (self, other) {
-            (Self::Sight(ours, _), Self::Sight(theirs, _)) => {
-                order_of_numbers(&numbers_of(ours), &numbers_of(theirs))
-            }
+            (Self::Sight(ours, _), Self::Sight(theirs, _)) => order_of_numbers(&numbers_of(ours), &numbers_of(theirs)),
             _ => Ordering::Equal,
         }
     }
@@ -66,22 +64,17 @@ impl Told {
     /// The order in which it is applied: by stamp, rank and sensor, and two sights of one sensor by what they say.
     pub(super) fn order(&self, other: &Self) -> Ordering {
         let key = |told: &Self| (told.stamp, told.action.rank(), told.sensor.0);
-        key(self)
-            .cmp(&key(other))
-            .then_with(|| self.action.order(&other.action))
+        key(self).cmp(&key(other)).then_with(|| self.action.order(&other.action))
     }
 
     /// Whether this is a sight that was not used.
     pub(super) const fn is_without_effect(&self, verdict: Verdict) -> bool {
-        matches!(self.action, Action::Sight(..))
-            && !matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
+        matches!(self.action, Action::Sight(..)) && !matches!(verdict, Verdict::Accepted | Verdict::ResetTo)
     }
 
     /// Whether another says the same of the same instant: a datagram that came twice.
     pub(super) fn repeats(&self, other: &Self) -> bool {
-        self.stamp == other.stamp
-            && self.sensor == other.sensor
-            && self.action.repeats(&other.action)
+        self.stamp == other.stamp && self.sensor == other.sensor && self.action.repeats(&other.action)
     }
 }
 
@@ -130,9 +123,7 @@ fn numbers_of(seen: &Observed) -> [f64; MOST_NUMBERS] {
 }
 
 fn numbers_of_fix(fix: &Fix) -> [f64; MOST_NUMBERS - 1] {
-    let claimed = fix.covariance.map_or([f64::INFINITY; 4], |own| {
-        [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]
-    });
+    let claimed = fix.covariance.map_or([f64::INFINITY; 4], |own| [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]);
     [
         fix.position.x.0,
         fix.position.y.0,
@@ -148,8 +139,5 @@ fn numbers_of_fix(fix: &Fix) -> [f64; MOST_NUMBERS - 1] {
 }
 
 fn order_of_numbers(ours: &[f64; MOST_NUMBERS], theirs: &[f64; MOST_NUMBERS]) -> Ordering {
-    ours.iter()
-        .zip(theirs)
-        .map(|(ours, theirs)| ours.total_cmp(theirs))
-        .fold(Ordering::Equal, Ordering::then)
+    ours.iter().zip(theirs).map(|(ours, theirs)| ours.total_cmp(theirs)).fold(Ordering::Equal, Ordering::then)
 }

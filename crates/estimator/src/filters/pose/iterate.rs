@@ -58,11 +58,7 @@ pub(super) fn iterate<const N: usize, const M: usize>(
             return at.settled(state);
         }
     }
-    if fall < NEARLY_ARRIVED {
-        at.settled(state)
-    } else {
-        None
-    }
+    if fall < NEARLY_ARRIVED { at.settled(state) } else { None }
 }
 
 /// A correction that is tried.
@@ -86,12 +82,7 @@ impl<const N: usize, const M: usize> Trial<N, M> {
         let measurement = measure(&moved_by(state, &xi));
         let nu = measurement.innovation;
         let cost = y.dot(&xi) + nu.dot(&(measurement.noise.try_inverse()? * nu));
-        cost.is_finite().then_some(Self {
-            y,
-            xi,
-            measurement,
-            cost,
-        })
+        cost.is_finite().then_some(Self { y, xi, measurement, cost })
     }
 
     /// The y of the correction that would be the most likely one if nothing bent.
@@ -134,10 +125,7 @@ impl<const N: usize, const M: usize> Trial<N, M> {
         let mut settled = moved_by(state, &self.xi);
         settled.covariance = p - gain * jacobian * p;
         symmetrise(&mut settled.covariance);
-        Some(Found {
-            state: settled,
-            nis: self.cost,
-        })
+        Some(Found { state: settled, nis: self.cost })
     }
 }
 

@@ -24,8 +24,7 @@ pub mod state;
 use std::cmp::Ordering;
 
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, FusionRecord, Known, Observation, Observed, SensorId, Span,
-    Stamp, Verdict,
+    BrickClock, Calibration, Estimate, FusionRecord, Known, Observation, Observed, SensorId, Span, Stamp, Verdict,
 };
 
 use self::entries::{Applied, Entries};
@@ -46,11 +45,7 @@ const LONGEST_HOLE: Span = Span::from_millis(10_000);
 pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let calibration = &config.calibration;
     let is_asked = |known: Known| known.sigma > 0.0 || known.value != 0.0;
-    let camera = [
-        calibration.fix_delay_s,
-        calibration.tag_forward_m,
-        calibration.tag_left_m,
-    ];
+    let camera = [calibration.fix_delay_s, calibration.tag_forward_m, calibration.tag_left_m];
     let ranges = [
         calibration.beacon_offset_m,
         calibration.beacon_scale,
@@ -99,10 +94,7 @@ impl<const N: usize> PoseFilter<N> {
     /// observation that came late: what is told first after it tells it.
     fn tell_slip(&mut self, record: &mut FusionRecord, observed: &Observed) {
         let slipped_at = self.state().slipped_at;
-        if record.verdict == Verdict::Accepted
-            && MotionReading::of(observed).is_some()
-            && slipped_at > self.slip_told
-        {
+        if record.verdict == Verdict::Accepted && MotionReading::of(observed).is_some() && slipped_at > self.slip_told {
             record.verdict = Verdict::Slip;
             self.slip_told = slipped_at;
         }
@@ -115,17 +107,10 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     /// Puts what was told where it belongs and applies again whatever it changes: everything after `changed_after`.
-    fn insert(
-        &mut self,
-        told: Told,
-        changed_after: Option<Stamp<BrickClock>>,
-        record: &mut FusionRecord,
-    ) {
+    fn insert(&mut self, told: Told, changed_after: Option<Stamp<BrickClock>>, record: &mut FusionRecord) {
         let entries = self.entries.told();
         let index = count_before(entries, |other| other.order(&told) != Ordering::Greater);
-        let first_changed = changed_after.map_or(index, |after| {
-            count_before(entries, |other| other.stamp <= after)
-        });
+        let first_changed = changed_after.map_or(index, |after| count_before(entries, |other| other.stamp <= after));
         let first = first_changed.min(index);
         if first == index && self.is_abreast_of_last(&told, index, changed_after) {
             self.insert_abreast(told, index, record);
@@ -137,21 +122,11 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     fn context(&self) -> Context<'_> {
-        Context {
-            config: &self.config,
-            track: &self.track,
-            gyro: &self.gyro,
-            gates: &self.gates,
-        }
+        Context { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates }
     }
 
     fn apply_from(&mut self, first: usize, (wanted, recorded): (usize, &mut FusionRecord)) {
-        let context = Context {
-            config: &self.config,
-            track: &self.track,
-            gyro: &self.gyro,
-            gates: &self.gates,
-        };
+        let context = Context { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
         for index in first..self.entries.len() {
             let entry = self.entries.apply(index);
             if index == wanted {
@@ -167,14 +142,11 @@ impl<const N: usize> PoseFilter<N> {
     /// Up to where nothing can change when only observations from `horizon` on are accepted. One of them changes what was
     /// interpolated since the reading before it, so each sensor's last reading up to the horizon is where its past is settled.
     fn settled_at(&self, horizon: Stamp<BrickClock>) -> Stamp<BrickClock> {
-        [
-            self.track.last_of_old(horizon),
-            self.gyro.last_of_old(horizon),
-        ]
-        .into_iter()
-        .flatten()
-        .fold(horizon, Stamp::min)
-        .max(horizon - LONGEST_HOLE)
+        [self.track.last_of_old(horizon), self.gyro.last_of_old(horizon)]
+            .into_iter()
+            .flatten()
+            .fold(horizon, Stamp::min)
+            .max(horizon - LONGEST_HOLE)
     }
 
     fn forget(&mut self) {
@@ -187,9 +159,7 @@ impl<const N: usize> PoseFilter<N> {
         let base = &self.entries.base;
         if let Some(oldest) = base.stamp {
             // The open gyro window may reach back behind the history.
-            let needed = base
-                .window
-                .map_or(oldest, |window| window.start.min(oldest));
+            let needed = base.window.map_or(oldest, |window| window.start.min(oldest));
             // A late camera shows what was before that.
             self.track.forget_before(oldest - sight::FURTHEST_BACK);
             self.gyro.forget_before(needed);
@@ -208,10 +178,7 @@ impl<const N: usize> PoseFilter<N> {
             return;
         };
         match action {
-            Action::Sight(..)
-            | Action::Accelerations(_)
-            | Action::SetPose(_)
-            | Action::Revise(_) => {
+            Action::Sight(..) | Action::Accelerations(_) | Action::SetPose(_) | Action::Revise(_) => {
                 self.take_once(observation, action, record);
             }
             Action::TurnRate(rate) => {
@@ -231,9 +198,8 @@ impl<const N: usize> PoseFilter<N> {
         let told = told(observation, action);
         // In the order of time: behind the first that is older there is no other of this instant.
         let entries = self.entries.told().iter().rev();
-        let is_repeated = entries
-            .take_while(|other| other.stamp >= observation.stamp)
-            .any(|other| other.repeats(&told));
+        let is_repeated =
+            entries.take_while(|other| other.stamp >= observation.stamp).any(|other| other.repeats(&told));
         if is_repeated {
             record.verdict = Verdict::Malformed;
             return;
@@ -241,13 +207,7 @@ impl<const N: usize> PoseFilter<N> {
         self.insert(told, Some(observation.stamp), record);
     }
 
-    fn take_motion(
-        &mut self,
-        observation: &Observation,
-        action: Action,
-        added: Added,
-        record: &mut FusionRecord,
-    ) {
+    fn take_motion(&mut self, observation: &Observation, action: Action, added: Added, record: &mut FusionRecord) {
         record.verdict = intake::verdict_of(added);
         let changed_after = match added {
             Added::After(before) => before,
@@ -263,18 +223,11 @@ impl<const N: usize> PoseFilter<N> {
             match action {
                 Action::SetPose(start) => self.entries.base.jump_to(&start),
                 Action::Revise(revision) => self.entries.base.revise(revision, &self.config),
-                Action::TurnRate(_)
-                | Action::Accelerations(_)
-                | Action::Motion
-                | Action::Sight(..) => {}
+                Action::TurnRate(_) | Action::Accelerations(_) | Action::Motion | Action::Sight(..) => {}
             }
             return;
         };
-        let told = Told {
-            stamp,
-            sensor: SensorId(0),
-            action,
-        };
+        let told = Told { stamp, sensor: SensorId(0), action };
         self.insert(told, None, &mut scratch_record(&told));
     }
 
@@ -283,8 +236,7 @@ impl<const N: usize> PoseFilter<N> {
         self.config.params = *params;
         self.gates = fuse::gates_of(&self.config);
         self.is_last_current = false;
-        self.track
-            .set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
+        self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
     }
 }
 
@@ -354,11 +306,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
 }
 
 const fn told(observation: &Observation, action: Action) -> Told {
-    Told {
-        stamp: observation.stamp,
-        sensor: observation.sensor,
-        action,
-    }
+    Told { stamp: observation.stamp, sensor: observation.sensor, action }
 }
 
 /// What an observation does to the filter; `None` for a kind that it has no use for.
@@ -368,42 +316,28 @@ fn action_of(observation: &Observation) -> Option<Action> {
         | Observed::Landmark { .. }
         | Observed::BeaconRange { .. }
         | Observed::WallRange(_)
-        | Observed::CompassHeading(_) => {
-            Some(Action::Sight(observation.observed, observation.stamp_sigma))
-        }
+        | Observed::CompassHeading(_) => Some(Action::Sight(observation.observed, observation.stamp_sigma)),
         Observed::WheelAccelerations { left, right } => {
-            Some(Action::Accelerations(Accelerations {
-                left_m_per_s2: left.0,
-                right_m_per_s2: right.0,
-            }))
+            Some(Action::Accelerations(Accelerations { left_m_per_s2: left.0, right_m_per_s2: right.0 }))
         }
         Observed::TurnRate(rate) => Some(Action::TurnRate(rate.0)),
-        Observed::WheelAngles { .. }
-        | Observed::OdometerPose(_)
-        | Observed::BodyVelocity { .. } => Some(Action::Motion),
+        Observed::WheelAngles { .. } | Observed::OdometerPose(_) | Observed::BodyVelocity { .. } => {
+            Some(Action::Motion)
+        }
         Observed::Temperature(_) => None,
     }
 }
 
 /// Applies an entry to the state before it.
 fn apply<const N: usize>(entry: Applied<'_, N>, context: &Context<'_>, record: &mut FusionRecord) {
-    let Applied {
-        told,
-        before,
-        after,
-    } = entry;
+    let Applied { told, before, after } = entry;
     act(after, told, context, record);
     if told.is_without_effect(record.verdict) {
         *after = before.after_refusal(after);
     }
 }
 
-fn act<const N: usize>(
-    state: &mut PoseState<N>,
-    told: &Told,
-    context: &Context<'_>,
-    record: &mut FusionRecord,
-) {
+fn act<const N: usize>(state: &mut PoseState<N>, told: &Told, context: &Context<'_>, record: &mut FusionRecord) {
     let stamp = told.stamp;
     match told.action {
         // These tell of speeds alone: the pose goes on when the wheels have told how.

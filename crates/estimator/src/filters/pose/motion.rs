@@ -15,9 +15,7 @@
 use nalgebra::SMatrix;
 use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp};
 
-use super::state::{
-    DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, TRACK, WINDOW_TURN,
-};
+use super::state::{DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, TRACK, WINDOW_TURN};
 use crate::filters::FilterConfig;
 use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
 use crate::models::lie::{ArcStep, Se2};
@@ -81,10 +79,7 @@ impl Transition {
         let turn_rad = (right_m - left_m) / track_m;
         let transition = Self {
             step: ArcStep::new(forward_m, turn_rad),
-            forward_by: [
-                0.5 * (travel.left_m + travel.right_m),
-                0.25 * (travel.right_m - travel.left_m),
-            ],
+            forward_by: [0.5 * (travel.left_m + travel.right_m), 0.25 * (travel.right_m - travel.left_m)],
             turn_by: [
                 (travel.right_m - travel.left_m) / track_m,
                 0.5 * (travel.right_m + travel.left_m) / track_m,
@@ -126,8 +121,7 @@ impl Transition {
         let step = &self.step;
         let (mean, difference) = (error(RADIUS), error(DIFFERENCE));
         let along = mean * self.forward_by[0] + difference * self.forward_by[1];
-        let turned =
-            mean * self.turn_by[0] + difference * self.turn_by[1] + error(TRACK) * self.turn_by[2];
+        let turned = mean * self.turn_by[0] + difference * self.turn_by[1] + error(TRACK) * self.turn_by[2];
         let heading = error(HEADING);
         let x = error(FORWARD) - heading * step.motion.y_m;
         let y = error(LEFT) + heading * step.motion.x_m;
@@ -203,11 +197,7 @@ impl<const N: usize> PoseState<N> {
         let mut at = from;
         while at < to {
             at = match track.leg(at, to) {
-                Leg::Known {
-                    until,
-                    travel,
-                    path_var_m2,
-                } => {
+                Leg::Known { until, travel, path_var_m2 } => {
                     self.move_by_travel(travel, until, config);
                     self.add_doubt(path_var_m2, 0.0);
                     until
@@ -237,9 +227,7 @@ impl<const N: usize> PoseState<N> {
             return;
         }
         // While accelerations tell how the speeds change they do not walk.
-        let walks_from = self
-            .last_acceleration
-            .map_or(from, |last| from.max(last + ACCELERATION_HELD));
+        let walks_from = self.last_acceleration.map_or(from, |last| from.max(last + ACCELERATION_HELD));
         let walked_s = (to - walks_from).as_secs_f64().max(0.0);
         self.forward.variance += config.params.acceleration_m_per_s2.powi(2) * walked_s;
         self.turn.variance += config.params.turn_acceleration_rad_per_s2.powi(2) * walked_s;
@@ -247,12 +235,7 @@ impl<const N: usize> PoseState<N> {
         self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
     }
 
-    fn move_by_travel(
-        &mut self,
-        travel: WheelTravel,
-        to: Stamp<BrickClock>,
-        config: &FilterConfig,
-    ) {
+    fn move_by_travel(&mut self, travel: WheelTravel, to: Stamp<BrickClock>, config: &FilterConfig) {
         let moved = travel.left_m != 0.0 || travel.right_m != 0.0;
         if let Some(window) = &mut self.window {
             window.until = to;
@@ -260,8 +243,7 @@ impl<const N: usize> PoseState<N> {
         if !moved {
             return;
         }
-        let (transition, forward_m, turn_rad) =
-            Transition::over_travel(travel, self, &config.geometry);
+        let (transition, forward_m, turn_rad) = Transition::over_travel(travel, self, &config.geometry);
         let noise = step_noise(travel, &config.geometry, &config.noise);
         transition.carry(&mut self.covariance, &noise);
         self.pose = self.pose.then(transition.step.motion);
@@ -275,9 +257,7 @@ impl<const N: usize> PoseState<N> {
     /// Tyres and tracks change with the way, but only as long as something tells of it: without fixes what was learned is kept.
     fn wear(&mut self, forward_m: f64, at: Stamp<BrickClock>, config: &FilterConfig) {
         let timeout_s = config.params.fix_timeout_s;
-        let is_told = self
-            .last_fix
-            .is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
+        let is_told = self.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
         let walk_var = config.params.wear_per_sqrt_m.powi(2) * forward_m.abs();
         if !is_told || walk_var <= 0.0 {
             return;
@@ -290,26 +270,15 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    fn move_unseen(
-        &mut self,
-        from: Stamp<BrickClock>,
-        to: Stamp<BrickClock>,
-        config: &FilterConfig,
-    ) {
+    fn move_unseen(&mut self, from: Stamp<BrickClock>, to: Stamp<BrickClock>, config: &FilterConfig) {
         let last = self.last_motion.unwrap_or(from);
         let held_to = (last + HOLD).clamp(from, to);
         if held_to > from {
-            let since_s = (
-                (from - last).as_secs_f64().max(0.0),
-                (held_to - last).as_secs_f64(),
-            );
+            let since_s = ((from - last).as_secs_f64().max(0.0), (held_to - last).as_secs_f64());
             self.move_by_speeds(since_s, config);
         }
         let unseen_s = (to - held_to).as_secs_f64();
-        self.add_doubt(
-            UNSEEN_M_PER_SQRT_S.powi(2) * unseen_s,
-            UNSEEN_RAD_PER_SQRT_S.powi(2) * unseen_s,
-        );
+        self.add_doubt(UNSEEN_M_PER_SQRT_S.powi(2) * unseen_s, UNSEEN_RAD_PER_SQRT_S.powi(2) * unseen_s);
     }
 
     /// Moves by the held speeds over an interval that begins and ends so many seconds after the last motion observation. The
@@ -333,12 +302,7 @@ impl<const N: usize> PoseState<N> {
 
     /// The motion of the body from `from` until now, so far as it is known: for what was seen a little earlier than it says.
     #[must_use]
-    pub fn moved_since(
-        &self,
-        from: Stamp<BrickClock>,
-        track: &MotionTrack,
-        config: &FilterConfig,
-    ) -> Se2 {
+    pub fn moved_since(&self, from: Stamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) -> Se2 {
         let Some(now) = self.stamp else {
             return Se2::default();
         };

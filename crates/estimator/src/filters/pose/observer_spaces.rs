@@ -17,10 +17,7 @@ pub struct ObserverSpaces {
 impl ObserverSpaces {
     /// Whether the space of an observer has jumped since its last fix; takes note of its counter.
     pub fn has_jumped(&mut self, sensor: SensorId, counter: u8) -> bool {
-        let slot = self
-            .counters
-            .iter_mut()
-            .find(|slot| slot.is_none_or(|(known, _)| known == sensor));
+        let slot = self.counters.iter_mut().find(|slot| slot.is_none_or(|(known, _)| known == sensor));
         let Some(slot) = slot else { return false };
         let before = slot.replace((sensor, counter));
         before.is_some_and(|(_, before)| before != counter)
@@ -36,15 +33,7 @@ mod tests {
         let mut spaces = ObserverSpaces::default();
         let camera = SensorId::camera(0);
         let other = SensorId::camera(1);
-        let told = [
-            (camera, 3),
-            (camera, 3),
-            (other, 7),
-            (camera, 4),
-            (camera, 4),
-            (other, 7),
-            (camera, 3),
-        ];
+        let told = [(camera, 3), (camera, 3), (other, 7), (camera, 4), (camera, 4), (other, 7), (camera, 3)];
         let jumped = told.map(|(sensor, counter)| spaces.has_jumped(sensor, counter));
         assert_eq!(jumped, [false, false, false, true, false, false, true]);
     }

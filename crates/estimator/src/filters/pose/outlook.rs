@@ -3,9 +3,7 @@
 //! Inside, a window stays open until it is full, so this update is made aside. An estimate is asked for after every observation and
 //! holds a third of the state: where nothing else changes, that third is all that is computed.
 
-use posebridge_telemetry::{
-    BrickClock, Estimate, MetersPerSecond, RadiansPerSecond, Span, Stamp, Validity,
-};
+use posebridge_telemetry::{BrickClock, Estimate, MetersPerSecond, RadiansPerSecond, Span, Stamp, Validity};
 
 use super::fuse::{self, Context};
 use super::state::{FORWARD, HEADING, LEFT, Located, PoseBlock, PoseState, arena_pose};
@@ -24,10 +22,7 @@ struct Shown {
 
 impl Shown {
     fn of<const N: usize>(state: &PoseState<N>) -> Self {
-        Self {
-            pose: state.pose,
-            covariance: state.pose_covariance(),
-        }
+        Self { pose: state.pose, covariance: state.pose_covariance() }
     }
 }
 
@@ -57,10 +52,7 @@ fn with_open_window<const N: usize>(state: &PoseState<N>, context: &Context<'_>)
     }
     let rows = [FORWARD, LEFT, HEADING];
     let (correction, covariance) = foretell_scalar(&state.mean, &state.covariance, &scalar, rows)?;
-    Some(Shown {
-        pose: state.pose.then(Se2::exp(correction)),
-        covariance,
-    })
+    Some(Shown { pose: state.pose.then(Se2::exp(correction)), covariance })
 }
 
 fn published<const N: usize>(
@@ -80,9 +72,7 @@ fn published<const N: usize>(
         validity: Validity {
             position: state.located != Located::No,
             heading: state.knows_heading_by(shown.covariance[2][2]),
-            speeds: state
-                .last_motion
-                .is_some_and(|last| stamp - last <= SPEEDS_VALID),
+            speeds: state.last_motion.is_some_and(|last| stamp - last <= SPEEDS_VALID),
         },
         is_dead_reckoning: fix_age.is_none_or(|age| age > timeout),
         fix_age,

@@ -41,14 +41,9 @@ pub(super) fn refuse<const N: usize>(
     // In the arena, where fixes that stay at one place agree although the robot turns.
     let (sin, cos) = (state.pose.heading_rad - turned_since_rad).sin_cos();
     let [forward_m, left_m, _] = record.innovation;
-    let innovation_m = [
-        cos * forward_m - sin * left_m,
-        sin * forward_m + cos * left_m,
-    ];
+    let innovation_m = [cos * forward_m - sin * left_m, sin * forward_m + cos * left_m];
     let last = state.refused.innovation_m;
-    let sigma_m = (record.innovation_covariance[0][0] + record.innovation_covariance[1][1])
-        .max(0.0)
-        .sqrt();
+    let sigma_m = (record.innovation_covariance[0][0] + record.innovation_covariance[1][1]).max(0.0).sqrt();
     let apart_m = (innovation_m[0] - last[0]).hypot(innovation_m[1] - last[1]);
     let agrees = state.refused.count == 0 || apart_m < AGREEMENT_SIGMAS * sigma_m;
     if !agrees {
@@ -88,33 +83,22 @@ pub(super) fn locate<const N: usize>(
     circumstances: &Circumstances,
 ) -> Verdict {
     let moved = circumstances.moved_since;
-    let shown_rad = seen
-        .heading
-        .map_or(state.pose.heading_rad - moved.heading_rad, Heading::rad);
+    let shown_rad = seen.heading.map_or(state.pose.heading_rad - moved.heading_rad, Heading::rad);
     let mut tagged = *seen;
     tagged.tag_in_body.x += Meters(state.value(TAG_FORWARD));
     tagged.tag_in_body.y += Meters(state.value(TAG_LEFT));
-    state.place(&StartPose {
-        pose: fix::mid_axle(&tagged, shown_rad),
-        position_sigma_m: 0.0,
-        heading_sigma_rad: 0.0,
-    });
+    state.place(&StartPose { pose: fix::mid_axle(&tagged, shown_rad), position_sigma_m: 0.0, heading_sigma_rad: 0.0 });
     state.pose = state.pose.then(moved);
     let noise = FixNoise {
         position: noise.position,
-        heading_rad2: seen
-            .heading
-            .map_or(ANY_HEADING_RAD2, |_| noise.heading_rad2),
+        heading_rad2: seen.heading.map_or(ANY_HEADING_RAD2, |_| noise.heading_rad2),
     };
     let measurement = fix::pose(state, seen, shown_rad, &noise, circumstances);
     doubt_as_seen(state, &measurement)
 }
 
 /// Gives the pose the covariance that follows from the fix alone, with what it then has in common with delay and tag.
-fn doubt_as_seen<const N: usize>(
-    state: &mut PoseState<N>,
-    measurement: &Measurement<N, 3>,
-) -> Verdict {
+fn doubt_as_seen<const N: usize>(state: &mut PoseState<N>, measurement: &Measurement<N, 3>) -> Verdict {
     let by_pose = measurement.jacobian.fixed_view::<3, 3>(0, 0).into_owned();
     let Some(inverse) = by_pose.try_inverse() else {
         return Verdict::Malformed;

@@ -11,9 +11,7 @@
 use nalgebra::SVector;
 use posebridge_telemetry::Learning;
 
-use super::state::{
-    FORWARD, GYRO_BIAS, HEADING, LEFT, Located, PoseState, Refused, constants_of, gyro_bias_prior,
-};
+use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, Located, PoseState, Refused, constants_of, gyro_bias_prior};
 use crate::filters::FilterConfig;
 use crate::models::lie::Se2;
 

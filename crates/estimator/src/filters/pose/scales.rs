@@ -55,11 +55,7 @@ impl Scales {
     /// By how much the variances of a source are to be multiplied.
     #[must_use]
     pub fn factor(&self, source: Source) -> f64 {
-        self.slots
-            .iter()
-            .flatten()
-            .find(|scale| scale.source == source)
-            .map_or(1.0, |scale| scale.ln_factor.exp())
+        self.slots.iter().flatten().find(|scale| scale.source == source).map_or(1.0, |scale| scale.ln_factor.exp())
     }
 
     /// Learns from the votes of a group: the mean of [`vote`] over its components; `least_gain` of zero learns nothing.
@@ -67,19 +63,11 @@ impl Scales {
         if least_gain <= 0.0 || !votes.is_finite() {
             return;
         }
-        let slot = self
-            .slots
-            .iter_mut()
-            .find(|slot| slot.is_none_or(|scale| scale.source == source));
+        let slot = self.slots.iter_mut().find(|slot| slot.is_none_or(|scale| scale.source == source));
         let Some(slot) = slot else { return };
-        let scale = slot.get_or_insert(Scale {
-            source,
-            ln_factor: 0.0,
-            count: 0,
-        });
+        let scale = slot.get_or_insert(Scale { source, ln_factor: 0.0, count: 0 });
         let gain = least_gain.max(FIRST_GAIN / (3.0 + f64::from(scale.count)));
-        scale.ln_factor =
-            (scale.ln_factor + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
+        scale.ln_factor = (scale.ln_factor + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
         scale.count = scale.count.saturating_add(1);
     }
 }
@@ -87,7 +75,5 @@ impl Scales {
 /// Which way a component would have its noise changed, and how strongly: its innovation, S_ii and R_i.
 #[must_use]
 pub fn vote(innovation: f64, s: f64, noise: f64) -> f64 {
-    (noise / s)
-        .sqrt()
-        .copysign(innovation * innovation / s - MEDIAN)
+    (noise / s).sqrt().copysign(innovation * innovation / s - MEDIAN)
 }

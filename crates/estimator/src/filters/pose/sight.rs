@@ -1,9 +1,7 @@
 //! What absolute observations do to the state of the pose filter: gate, weight, update.
 
 use nalgebra::SMatrix;
-use posebridge_telemetry::{
-    BrickClock, Fix, FusionRecord, Observed, SensorId, Span, Stamp, Verdict,
-};
+use posebridge_telemetry::{BrickClock, Fix, FusionRecord, Observed, SensorId, Span, Stamp, Verdict};
 
 use super::fuse::{Context, has_slipped, use_gyro_window};
 use super::history::kind_of;
@@ -40,11 +38,7 @@ pub(super) fn sight<const N: usize>(
         use_gyro_window(state, context);
         state.restart_window(window.until);
     }
-    let judge = Judge {
-        context,
-        sensor: record.sensor,
-        kind: kind_of(seen),
-    };
+    let judge = Judge { context, sensor: record.sensor, kind: kind_of(seen) };
     record.verdict = if let Observed::Fix(seen) = seen {
         judge.fix(state, seen, stamp_sigma, record)
     } else if state.located == Located::No {
@@ -116,11 +110,7 @@ impl Judge<'_> {
 
     /// One of the groups of what is judged.
     const fn source(&self, group: u8) -> Source {
-        Source {
-            sensor: self.sensor,
-            kind: self.kind,
-            group,
-        }
+        Source { sensor: self.sensor, kind: self.kind, group }
     }
 
     /// Uses a fix once, or again and again while the heading is hardly known.
@@ -150,11 +140,7 @@ impl Judge<'_> {
     }
 
     /// What is known about the instant that a fix shows, which may lie before its stamp.
-    fn circumstances<const N: usize>(
-        &self,
-        state: &PoseState<N>,
-        stamp_sigma: Span,
-    ) -> fix::Circumstances {
+    fn circumstances<const N: usize>(&self, state: &PoseState<N>, stamp_sigma: Span) -> fix::Circumstances {
         let now = state.stamp.unwrap_or(Stamp::ZERO);
         let delay = Span::from_secs_f64(state.value(DELAY)).clamp(-LONGEST_DELAY, LONGEST_DELAY);
         let shown = now - delay;
@@ -163,40 +149,24 @@ impl Judge<'_> {
             state.moved_since(shown, track, config)
         } else {
             let ahead_s = -delay.as_secs_f64();
-            Se2::exp([
-                -state.forward.value * ahead_s,
-                0.0,
-                -state.turn.value * ahead_s,
-            ])
+            Se2::exp([-state.forward.value * ahead_s, 0.0, -state.turn.value * ahead_s])
         };
-        let (forward_m_per_s, turn_rad_per_s) =
-            if N > DELAY && state.covariance[(DELAY, DELAY)] > 0.0 {
-                self.speeds_about(state, shown)
-            } else {
-                (state.forward.value, state.turn.value)
-            };
-        fix::Circumstances {
-            moved_since,
-            stamp_sigma_s: stamp_sigma.as_secs_f64(),
-            forward_m_per_s,
-            turn_rad_per_s,
-        }
+        let (forward_m_per_s, turn_rad_per_s) = if N > DELAY && state.covariance[(DELAY, DELAY)] > 0.0 {
+            self.speeds_about(state, shown)
+        } else {
+            (state.forward.value, state.turn.value)
+        };
+        fix::Circumstances { moved_since, stamp_sigma_s: stamp_sigma.as_secs_f64(), forward_m_per_s, turn_rad_per_s }
     }
 
     /// Forward speed and turn rate about an instant, by the wheels where they tell, else the held ones.
-    fn speeds_about<const N: usize>(
-        &self,
-        state: &PoseState<N>,
-        shown: Stamp<BrickClock>,
-    ) -> (f64, f64) {
+    fn speeds_about<const N: usize>(&self, state: &PoseState<N>, shown: Stamp<BrickClock>) -> (f64, f64) {
         let (track, config) = (self.context.track, self.context.config);
         let from = shown - Span::from_secs_f64(0.5 * SPEED_SPAN.as_secs_f64());
         let earlier = state.moved_since(from, track, config);
         let until = from + SPEED_SPAN;
         let later = state.moved_since(until, track, config);
-        let covered_s = state
-            .stamp
-            .map_or(0.0, |now| (now.min(until) - from).as_secs_f64());
+        let covered_s = state.stamp.map_or(0.0, |now| (now.min(until) - from).as_secs_f64());
         if covered_s < 0.5 * SPEED_SPAN.as_secs_f64() {
             return (state.forward.value, state.turn.value);
         }
@@ -204,25 +174,14 @@ impl Judge<'_> {
         (forward_m / covered_s, turn_rad / covered_s)
     }
 
-    fn other<const N: usize>(
-        &self,
-        state: &mut PoseState<N>,
-        seen: &Observed,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn other<const N: usize>(&self, state: &mut PoseState<N>, seen: &Observed, record: &mut FusionRecord) -> Verdict {
         let [scale, second] = [0, 1].map(|group| state.scales.factor(self.source(group)));
         let config = self.context.config;
         let (noise, world) = (&config.noise, &config.world);
         match *seen {
             Observed::Landmark { id, range, bearing } => {
-                let variances = (
-                    scale * noise.landmark_range_m.powi(2),
-                    second * noise.landmark_bearing_rad.powi(2),
-                );
-                let sighting = Sighting {
-                    range_m: range.0,
-                    bearing_rad: bearing.0,
-                };
+                let variances = (scale * noise.landmark_range_m.powi(2), second * noise.landmark_bearing_rad.powi(2));
+                let sighting = Sighting { range_m: range.0, bearing_rad: bearing.0 };
                 let measurement = world
                     .landmarks
                     .get(&id)
@@ -231,16 +190,9 @@ impl Judge<'_> {
             }
             Observed::BeaconRange { id, range } => {
                 let variance_m2 = scale * noise.beacon_range_m.powi(2);
-                let known = world
-                    .beacons
-                    .iter()
-                    .enumerate()
-                    .find(|(_, (known, _))| **known == id);
+                let known = world.beacons.iter().enumerate().find(|(_, (known, _))| **known == id);
                 let measurement = known.and_then(|(slot, (_, place))| {
-                    let beacon = Beacon {
-                        place: *place,
-                        slot,
-                    };
+                    let beacon = Beacon { place: *place, slot };
                     beacon::measurement(state, beacon, range.0, variance_m2)
                 });
                 self.use_if_any(state, measurement.as_ref(), (record, SINGLE))
@@ -271,9 +223,7 @@ impl Judge<'_> {
         measurement: Option<&Measurement<N, M>>,
         told: (&mut FusionRecord, [u8; M]),
     ) -> Verdict {
-        measurement.map_or(Verdict::Unused, |measurement| {
-            self.use_if_near(state, measurement, told)
-        })
+        measurement.map_or(Verdict::Unused, |measurement| self.use_if_near(state, measurement, told))
     }
 
     fn use_if_near<const N: usize, const M: usize>(
@@ -312,11 +262,7 @@ impl Judge<'_> {
             let mut votes = 0.0;
             let mut members = 0.0;
             for (i, _) in groups.iter().enumerate().filter(|(_, of)| **of == group) {
-                votes += vote(
-                    measurement.innovation[i],
-                    s[(i, i)],
-                    measurement.noise[(i, i)],
-                );
+                votes += vote(measurement.innovation[i], s[(i, i)], measurement.noise[(i, i)]);
                 members += 1.0;
             }
             if members > 0.0 {

@@ -69,20 +69,10 @@ struct Passed {
 #[must_use]
 pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> Smoothing {
     let (told, track, gyro) = heard(config, observations);
-    let context = Context {
-        config,
-        track: &track,
-        gyro: &gyro,
-        gates: &fuse::gates_of(config),
-    };
+    let context = Context { config, track: &track, gyro: &gyro, gates: &fuse::gates_of(config) };
     let initial = PoseState::<WITH_RANGES>::initial(config);
-    let mut smoothing = Smoothing {
-        states: Vec::new(),
-        nis: 0.0,
-        used: 0,
-        left_out: 0,
-        calibration: config.calibration,
-    };
+    let mut smoothing =
+        Smoothing { states: Vec::new(), nis: 0.0, used: 0, left_out: 0, calibration: config.calibration };
     let rows = uncertain_rows(&told, &initial);
     let passed = forwards(&told, &context, &initial, &rows, &mut smoothing);
     backwards(&passed, &rows, &mut smoothing);
@@ -93,10 +83,7 @@ pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> Smoothing 
 }
 
 /// What can be used, in the order of time, with the whole of what wheels and gyro said.
-fn heard(
-    config: &FilterConfig,
-    observations: &[Observation],
-) -> (Vec<Told>, MotionTrack, GyroTrack) {
+fn heard(config: &FilterConfig, observations: &[Observation]) -> (Vec<Told>, MotionTrack, GyroTrack) {
     let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
     let mut gyro = GyroTrack::default();
     let mut told = Vec::with_capacity(observations.len());
@@ -107,20 +94,11 @@ fn heard(
         let added = match action {
             Action::TurnRate(rate) => gyro.add(observation.stamp, rate),
             Action::Motion => MotionReading::of(&observation.observed)
-                .map_or(Added::TooOld, |reading| {
-                    track.add(observation.stamp, &reading)
-                }),
-            Action::Accelerations(_)
-            | Action::Sight(..)
-            | Action::SetPose(_)
-            | Action::Revise(_) => Added::After(None),
+                .map_or(Added::TooOld, |reading| track.add(observation.stamp, &reading)),
+            Action::Accelerations(_) | Action::Sight(..) | Action::SetPose(_) | Action::Revise(_) => Added::After(None),
         };
         if matches!(added, Added::After(_) | Added::Rebased(_)) {
-            told.push(Told {
-                stamp: observation.stamp,
-                sensor: observation.sensor,
-                action,
-            });
+            told.push(Told { stamp: observation.stamp, sensor: observation.sensor, action });
         }
     }
     told.sort_by(Told::order);
@@ -132,15 +110,11 @@ fn heard(
 /// The rows that are ever uncertain: the others need no smoothing. All of the pose's and the gyro's are.
 fn uncertain_rows(told: &[Told], initial: &PoseState<WITH_RANGES>) -> Vec<usize> {
     let always = super::state::RADIUS;
-    let has_gyro = told
-        .iter()
-        .any(|entry| matches!(entry.action, Action::TurnRate(_)));
+    let has_gyro = told.iter().any(|entry| matches!(entry.action, Action::TurnRate(_)));
     (0..WITH_RANGES)
         .filter(|&row| {
             let is_of_gyro = row == super::state::ROUNDING;
-            row < always
-                || (is_of_gyro && has_gyro)
-                || (!is_of_gyro && initial.covariance[(row, row)] > 0.0)
+            row < always || (is_of_gyro && has_gyro) || (!is_of_gyro && initial.covariance[(row, row)] > 0.0)
         })
         .collect()
 }
@@ -163,12 +137,7 @@ fn forwards(
         if matches!(entry.action, Action::Sight(..)) {
             if !matches!(record.verdict, Verdict::Accepted | Verdict::ResetTo) {
                 smoothing.left_out += 1;
-                state = PoseState {
-                    refused: state.refused,
-                    scales: state.scales,
-                    spaces: state.spaces,
-                    ..before
-                };
+                state = PoseState { refused: state.refused, scales: state.scales, spaces: state.spaces, ..before };
                 continue;
             }
             smoothing.used += 1;
@@ -211,9 +180,7 @@ fn copy_rows(state: &mut PoseState<BOTH>) {
 fn kept(state: &PoseState<BOTH>, stamp: Stamp<BrickClock>, rows: &[usize]) -> Passed {
     let n = rows.len();
     let block = |row_base: usize, column_base: usize| {
-        DMatrix::from_fn(n, n, |i, j| {
-            state.covariance[(row_base + rows[i], column_base + rows[j])]
-        })
+        DMatrix::from_fn(n, n, |i, j| state.covariance[(row_base + rows[i], column_base + rows[j])])
     };
     let mut after = PoseState::<WITH_RANGES>::resized(state);
     for row in 0..WITH_RANGES {
@@ -234,17 +201,12 @@ fn kept(state: &PoseState<BOTH>, stamp: Stamp<BrickClock>, rows: &[usize]) -> Pa
 fn backwards(passed: &[Passed], rows: &[usize], smoothing: &mut Smoothing) {
     let Some(last) = passed.last() else { return };
     let n = rows.len();
-    let filtered = |passed: &Passed| {
-        DMatrix::from_fn(n, n, |i, j| passed.after.covariance[(rows[i], rows[j])])
-    };
+    let filtered = |passed: &Passed| DMatrix::from_fn(n, n, |i, j| passed.after.covariance[(rows[i], rows[j])]);
     // Correction of the state after the observation at hand, and its smoothed covariance.
     let mut correction = DVector::zeros(n);
     let mut smoothed = filtered(last);
     for (index, at) in passed.iter().enumerate().rev() {
-        smoothing.states.push(Hindsight {
-            stamp: at.stamp,
-            state: corrected(at, &correction, &smoothed, rows),
-        });
+        smoothing.states.push(Hindsight { stamp: at.stamp, state: corrected(at, &correction, &smoothed, rows) });
         if index == 0 {
             break;
         }
@@ -283,21 +245,13 @@ fn inverse_of_uncertain(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     let n = covariance.nrows();
     let unit = DVector::from_fn(n, |i, _| {
         let variance = covariance[(i, i)];
-        if variance > 0.0 {
-            variance.sqrt().recip()
-        } else {
-            0.0
-        }
+        if variance > 0.0 { variance.sqrt().recip() } else { 0.0 }
     });
     let correlation = DMatrix::from_fn(n, n, |i, j| unit[i] * covariance[(i, j)] * unit[j]);
     let eigen = SymmetricEigen::new(correlation);
     let limit = CERTAIN * eigen.eigenvalues.amax();
     let mut inverse = DMatrix::zeros(n, n);
-    for (value, vector) in eigen
-        .eigenvalues
-        .iter()
-        .zip(eigen.eigenvectors.column_iter())
-    {
+    for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
         if *value > limit {
             inverse += vector * vector.transpose() / *value;
         }

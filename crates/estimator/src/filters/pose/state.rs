@@ -16,8 +16,7 @@
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Heading, Known, Meters, Pose, PoseJump, Span, Stamp,
-    quantities::wrap_rad,
+    Arena, BrickClock, Calibration, Heading, Known, Meters, Pose, PoseJump, Span, Stamp, quantities::wrap_rad,
 };
 
 use super::observer_spaces::ObserverSpaces;
@@ -136,10 +135,7 @@ impl Counts {
     #[must_use]
     pub fn stood(&self, from: Stamp<BrickClock>, until: Stamp<BrickClock>) -> bool {
         let longest = self.apart.into_iter().max().unwrap_or(Span::ZERO);
-        longest > Span::ZERO
-            && self
-                .changed_at
-                .is_some_and(|last| last <= from && until - last > longest + longest)
+        longest > Span::ZERO && self.changed_at.is_some_and(|last| last <= from && until - last > longest + longest)
     }
 }
 
@@ -200,14 +196,8 @@ impl<const N: usize> PoseState<N> {
             mean: SVector::zeros(),
             covariance: SMatrix::zeros(),
             // At power-up a robot stands, so far as anybody knows: 0.1 m/s and 1 rad/s are generous.
-            forward: Speed {
-                value: 0.0,
-                variance: 0.01,
-            },
-            turn: Speed {
-                value: 0.0,
-                variance: 1.0,
-            },
+            forward: Speed { value: 0.0, variance: 0.01 },
+            turn: Speed { value: 0.0, variance: 1.0 },
             window: None,
             located: Located::No,
             last_fix: None,
@@ -265,12 +255,7 @@ impl<const N: usize> PoseState<N> {
     /// itself teaches. Not even the way to its instant is kept: two steps would round otherwise than one.
     #[must_use]
     pub(super) fn after_refusal(&self, tried: &Self) -> Self {
-        Self {
-            refused: tried.refused,
-            scales: tried.scales,
-            spaces: tried.spaces,
-            ..*self
-        }
+        Self { refused: tried.refused, scales: tried.scales, spaces: tried.spaces, ..*self }
     }
 
     /// Sets a row, independent of all others; rows that this state does not have are left out.
@@ -356,15 +341,8 @@ impl<const N: usize> PoseState<N> {
     /// Puts the robot somewhere; what was known about its pose is forgotten.
     pub fn place(&mut self, start: &StartPose) {
         self.forget_rows(&[FORWARD, LEFT, HEADING]);
-        self.pose = Se2 {
-            x_m: start.pose.x.0,
-            y_m: start.pose.y.0,
-            heading_rad: wrap_rad(start.pose.heading.rad()),
-        };
-        self.add_doubt(
-            start.position_sigma_m.powi(2),
-            start.heading_sigma_rad.powi(2),
-        );
+        self.pose = Se2 { x_m: start.pose.x.0, y_m: start.pose.y.0, heading_rad: wrap_rad(start.pose.heading.rad()) };
+        self.add_doubt(start.position_sigma_m.powi(2), start.heading_sigma_rad.powi(2));
         self.close_window();
         self.located = Located::Yes;
         self.refused = Refused::default();
@@ -439,14 +417,7 @@ impl<const N: usize> PoseState<N> {
     #[must_use]
     pub fn calibration(&self, prior: &Calibration) -> Calibration {
         let known = |row: usize, prior: Known| {
-            if row < N {
-                Known {
-                    value: self.mean[row],
-                    sigma: self.variance(row).max(0.0).sqrt(),
-                }
-            } else {
-                prior
-            }
+            if row < N { Known { value: self.mean[row], sigma: self.variance(row).max(0.0).sqrt() } } else { prior }
         };
         Calibration {
             radius_scale: known(RADIUS, prior.radius_scale),
@@ -472,23 +443,13 @@ pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
 /// The gyro's bias at power-up: what the calibration says, or any within the gyro's own spread.
 pub(super) fn gyro_bias_prior(config: &FilterConfig) -> Known {
     let known = config.calibration.gyro_bias_rad_per_s;
-    if known.sigma > 0.0 {
-        known
-    } else {
-        Known {
-            value: known.value,
-            sigma: config.noise.gyro_bias_rad_per_s,
-        }
-    }
+    if known.sigma > 0.0 { known } else { Known { value: known.value, sigma: config.noise.gyro_bias_rad_per_s } }
 }
 
 /// The constants of a calibration with their rows.
 pub(super) fn constants_of(calibration: &Calibration) -> impl Iterator<Item = (usize, Known)> {
     let of_beacons = (0..MOST_BEACONS).flat_map(|slot| {
-        [
-            (BEACONS + 2 * slot, calibration.beacon_offset_m),
-            (BEACONS + 2 * slot + 1, calibration.beacon_scale),
-        ]
+        [(BEACONS + 2 * slot, calibration.beacon_offset_m), (BEACONS + 2 * slot + 1, calibration.beacon_scale)]
     });
     [
         (RADIUS, calibration.radius_scale),

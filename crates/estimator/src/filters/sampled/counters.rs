@@ -58,12 +58,7 @@ pub(super) struct Counters {
 
 impl Counters {
     /// Takes a reading of both wheels' total rotation, in rad.
-    pub(super) fn read(
-        &mut self,
-        stamp: Stamp<BrickClock>,
-        angles_rad: [f64; 2],
-        config: &FilterConfig,
-    ) -> Reading {
+    pub(super) fn read(&mut self, stamp: Stamp<BrickClock>, angles_rad: [f64; 2], config: &FilterConfig) -> Reading {
         let before = self.last;
         if let Some(verdict) = refuse_repeated(before.map(|(stamp, _)| stamp), stamp) {
             return Reading::Refused(verdict);
@@ -78,8 +73,7 @@ impl Counters {
             right_rad: angles_rad[1] - before_rad[1],
         };
         // Two counts of slack: quantisation alone must never look like a jump.
-        let limit_rad = config.params.max_wheel_rad_per_s * step.interval.as_secs_f64()
-            + 2.0 * config.geometry.tick.0;
+        let limit_rad = config.params.max_wheel_rad_per_s * step.interval.as_secs_f64() + 2.0 * config.geometry.tick.0;
         if step.left_rad.abs() <= limit_rad && step.right_rad.abs() <= limit_rad {
             Reading::Step(step)
         } else {

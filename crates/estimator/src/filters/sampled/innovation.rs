@@ -26,16 +26,9 @@ pub(in crate::filters) fn use_all<const N: usize, const K: usize, const M: usize
     let (before, covariance_before) = (*mean, *covariance);
     for scalar in scalars {
         // What the scalars before it have moved is already explained.
-        let explained: f64 = scalar
-            .rows
-            .iter()
-            .zip(&scalar.by_row)
-            .map(|(&row, by)| by * (mean[row] - before[row]))
-            .sum();
-        let rest = Scalar {
-            innovation: scalar.innovation - explained,
-            ..*scalar
-        };
+        let explained: f64 =
+            scalar.rows.iter().zip(&scalar.by_row).map(|(&row, by)| by * (mean[row] - before[row])).sum();
+        let rest = Scalar { innovation: scalar.innovation - explained, ..*scalar };
         if use_scalar(mean, covariance, &rest, f64::INFINITY).usage != Usage::Used {
             (*mean, *covariance) = (before, covariance_before);
             return Verdict::Malformed;
@@ -45,11 +38,7 @@ pub(in crate::filters) fn use_all<const N: usize, const K: usize, const M: usize
 }
 
 /// h P h' of two scalars.
-fn shared<const N: usize, const K: usize>(
-    a: &Scalar<K>,
-    b: &Scalar<K>,
-    covariance: &SMatrix<f64, N, N>,
-) -> f64 {
+fn shared<const N: usize, const K: usize>(a: &Scalar<K>, b: &Scalar<K>, covariance: &SMatrix<f64, N, N>) -> f64 {
     let mut sum = 0.0;
     for (&row, &by) in a.rows.iter().zip(&a.by_row) {
         for (&column, &by_column) in b.rows.iter().zip(&b.by_row) {

@@ -64,33 +64,16 @@ pub(in crate::filters) trait Maths: Copy + Send {
     fn rebase_gyro(&mut self);
 
     /// Uses what the wheels turned since the reading before.
-    fn use_wheels(
-        &mut self,
-        step: &WheelStep,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict;
+    fn use_wheels(&mut self, step: &WheelStep, context: &Context, record: &mut FusionRecord) -> Verdict;
 
     /// Uses the mean turn rate of the last `dt_s`, bias included, in rad/s.
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_gyro(&mut self, rate_rad_per_s: f64, dt_s: f64, context: &Context, record: &mut FusionRecord) -> Verdict {
         let _ = (rate_rad_per_s, dt_s, context, record);
         Verdict::Unused
     }
 
     /// Uses a fix whose stamp may be off by `stamp_sigma_s`.
-    fn use_fix(
-        &mut self,
-        fix: &Fix,
-        stamp_sigma_s: f64,
-        context: &Context,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn use_fix(&mut self, fix: &Fix, stamp_sigma_s: f64, context: &Context, record: &mut FusionRecord) -> Verdict {
         let _ = (fix, stamp_sigma_s, context, record);
         Verdict::Unused
     }

@@ -22,9 +22,8 @@ pub(super) mod rows;
 use std::collections::BTreeMap;
 
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, Fix, FusionRecord, Heading, Meters, MetersPerSecond,
-    Observation, Observed, Pose, PoseJump, RadiansPerSecond, SensorId, Span, Stamp, Validity,
-    Verdict, estimate::row,
+    BrickClock, Calibration, Estimate, Fix, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Observed,
+    Pose, PoseJump, RadiansPerSecond, SensorId, Span, Stamp, Validity, Verdict, estimate::row,
 };
 
 use self::counters::{Counters, Reading};
@@ -62,10 +61,9 @@ impl<M: Maths> Instant<M> {
         // Before the first reading of the wheels nothing has gone stale yet.
         let held_until = self.last_motion.unwrap_or(from) + SPEEDS_HELD;
         let moving_until = held_until.clamp(from, stamp);
-        let (felt, felt_until) = self.felt.map_or_else(
-            || (Acceleration::default(), from),
-            |(felt_at, felt)| (felt, felt_at + ACCELERATIONS_HELD),
-        );
+        let (felt, felt_until) = self
+            .felt
+            .map_or_else(|| (Acceleration::default(), from), |(felt_at, felt)| (felt, felt_at + ACCELERATIONS_HELD));
         let changing_until = felt_until.clamp(from, moving_until);
         if changing_until > from {
             let dt_s = (changing_until - from).as_secs_f64();
@@ -76,8 +74,7 @@ impl<M: Maths> Instant<M> {
             self.maths.advance(dt_s, Acceleration::default(), context);
         }
         if stamp > moving_until {
-            self.maths
-                .wait((stamp - moving_until).as_secs_f64(), context);
+            self.maths.wait((stamp - moving_until).as_secs_f64(), context);
         }
         self.stamp = Some(stamp);
     }
@@ -131,8 +128,7 @@ impl<M: Maths> OnArrival<M> {
         Self {
             context: Context {
                 config: config.clone(),
-                gates: [1, 2, 3]
-                    .map(|degrees| chi_square_quantile(degrees, config.params.gate_probability)),
+                gates: [1, 2, 3].map(|degrees| chi_square_quantile(degrees, config.params.gate_probability)),
             },
             counters: Counters::default(),
             last_gyro: None,
@@ -162,12 +158,8 @@ impl<M: Maths> OnArrival<M> {
     fn take(&mut self, observation: &Observation, record: &mut FusionRecord) -> Verdict {
         let uses = |extra| self.last.maths.uses(extra);
         match observation.observed {
-            Observed::WheelAngles { left, right } => {
-                self.take_wheels(observation.stamp, [left.0, right.0], record)
-            }
-            Observed::TurnRate(rate) if uses(Extra::Gyro) => {
-                self.take_gyro(observation.stamp, rate.0, record)
-            }
+            Observed::WheelAngles { left, right } => self.take_wheels(observation.stamp, [left.0, right.0], record),
+            Observed::TurnRate(rate) if uses(Extra::Gyro) => self.take_gyro(observation.stamp, rate.0, record),
             Observed::WheelAccelerations { left, right } if uses(Extra::Accelerometers) => {
                 let geometry = &self.context.config.geometry;
                 let felt = Acceleration::of_wheels(left.0, right.0, geometry);
@@ -187,12 +179,7 @@ impl<M: Maths> OnArrival<M> {
         }
     }
 
-    fn take_wheels(
-        &mut self,
-        stamp: Stamp<BrickClock>,
-        angles_rad: [f64; 2],
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn take_wheels(&mut self, stamp: Stamp<BrickClock>, angles_rad: [f64; 2], record: &mut FusionRecord) -> Verdict {
         let reading = self.counters.read(stamp, angles_rad, &self.context.config);
         let mut next = self.last;
         let verdict = match reading {
@@ -200,11 +187,7 @@ impl<M: Maths> OnArrival<M> {
             Reading::First | Reading::Rebased => {
                 next.advance_to(stamp, &self.context);
                 next.maths.rebase_wheels(&self.context);
-                if reading == Reading::First {
-                    Verdict::Accepted
-                } else {
-                    Verdict::Rebased
-                }
+                if reading == Reading::First { Verdict::Accepted } else { Verdict::Rebased }
             }
             Reading::Step(step) => {
                 if step.is_gap() {
@@ -220,12 +203,7 @@ impl<M: Maths> OnArrival<M> {
         verdict
     }
 
-    fn take_gyro(
-        &mut self,
-        stamp: Stamp<BrickClock>,
-        rate_rad_per_s: f64,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn take_gyro(&mut self, stamp: Stamp<BrickClock>, rate_rad_per_s: f64, record: &mut FusionRecord) -> Verdict {
         if let Some(verdict) = intake::refuse_repeated(self.last_gyro, stamp) {
             return verdict;
         }
@@ -236,8 +214,7 @@ impl<M: Maths> OnArrival<M> {
         let short = interval.filter(|interval| *interval <= LONGEST_STEP);
         let verdict = if let Some(interval) = short {
             let dt_s = interval.as_secs_f64();
-            next.maths
-                .use_gyro(rate_rad_per_s, dt_s, &self.context, record)
+            next.maths.use_gyro(rate_rad_per_s, dt_s, &self.context, record)
         } else {
             next.maths.rebase_gyro();
             Verdict::Accepted
@@ -258,12 +235,7 @@ impl<M: Maths> OnArrival<M> {
         Verdict::Accepted
     }
 
-    fn take_fix(
-        &mut self,
-        observation: &Observation,
-        fix: &Fix,
-        record: &mut FusionRecord,
-    ) -> Verdict {
+    fn take_fix(&mut self, observation: &Observation, fix: &Fix, record: &mut FusionRecord) -> Verdict {
         let before = self.last_fixes.get(&observation.sensor).copied();
         if let Some(verdict) = intake::refuse_repeated(before, observation.stamp) {
             return verdict;
@@ -272,16 +244,14 @@ impl<M: Maths> OnArrival<M> {
         next.advance_to(observation.stamp, &self.context);
         let verdict = if next.is_placed {
             let stamp_sigma_s = observation.stamp_sigma.as_secs_f64();
-            next.maths
-                .use_fix(fix, stamp_sigma_s, &self.context, record)
+            next.maths.use_fix(fix, stamp_sigma_s, &self.context, record)
         } else {
             place_at(&mut next.maths, fix, &self.context)
         };
         if verdict == Verdict::Accepted {
             next.is_placed = true;
             next.last_fix = next.last_fix.max(Some(observation.stamp));
-            self.last_fixes
-                .insert(observation.sensor, observation.stamp);
+            self.last_fixes.insert(observation.sensor, observation.stamp);
             self.keep(next);
         }
         verdict
@@ -289,9 +259,7 @@ impl<M: Maths> OnArrival<M> {
 
     fn published(&self, at: &Instant<M>, stamp: Stamp<BrickClock>) -> Estimate {
         let belief = at.maths.belief(&self.context);
-        let fix_age = at
-            .last_fix
-            .map(|last_fix| (stamp - last_fix).max(Span::ZERO));
+        let fix_age = at.last_fix.map(|last_fix| (stamp - last_fix).max(Span::ZERO));
         let timeout = Span::from_secs_f64(self.context.config.params.fix_timeout_s);
         Estimate {
             stamp,
@@ -302,9 +270,7 @@ impl<M: Maths> OnArrival<M> {
             validity: Validity {
                 position: at.is_placed,
                 heading: at.is_placed,
-                speeds: at
-                    .last_motion
-                    .is_some_and(|last| stamp - last <= SPEEDS_HELD),
+                speeds: at.last_motion.is_some_and(|last| stamp - last <= SPEEDS_HELD),
             },
             is_dead_reckoning: fix_age.is_none_or(|age| age > timeout),
             fix_age,
@@ -330,11 +296,7 @@ fn place_at(maths: &mut impl Maths, fix: &Fix, context: &Context) -> Verdict {
 }
 
 fn pose_of(mean: &Mean) -> Pose<posebridge_telemetry::Arena> {
-    Pose::new(
-        Meters(mean[row::X]),
-        Meters(mean[row::Y]),
-        Heading::from_rad(mean[row::HEADING]),
-    )
+    Pose::new(Meters(mean[row::X]), Meters(mean[row::Y]), Heading::from_rad(mean[row::HEADING]))
 }
 
 impl<M: Maths> Filter for OnArrival<M> {
@@ -365,13 +327,7 @@ impl<M: Maths> Filter for OnArrival<M> {
     }
 
     fn restart_clock(&mut self) {
-        let mut next = Instant {
-            stamp: None,
-            felt: None,
-            last_motion: None,
-            last_fix: None,
-            ..self.last
-        };
+        let mut next = Instant { stamp: None, felt: None, last_motion: None, last_fix: None, ..self.last };
         let position_m = intake::RESTART_POSITION_M;
         let heading_rad = intake::RESTART_HEADING_RAD;
         next.maths.restart(position_m, heading_rad, &self.context);
@@ -388,10 +344,7 @@ impl<M: Maths> Filter for OnArrival<M> {
 
     fn calibration(&self) -> Option<Calibration> {
         let gyro_bias_rad_per_s = self.last.maths.gyro_bias()?;
-        Some(Calibration {
-            gyro_bias_rad_per_s,
-            ..self.context.config.calibration
-        })
+        Some(Calibration { gyro_bias_rad_per_s, ..self.context.config.calibration })
     }
 
     fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {

@@ -42,11 +42,7 @@ pub(in crate::filters) fn doubt<const N: usize>(
 /// Lets the pose walk at random for `dt_s`.
 pub(in crate::filters) fn unseen<const N: usize>(covariance: &mut SMatrix<f64, N, N>, dt_s: f64) {
     let root_s = dt_s.sqrt();
-    doubt(
-        covariance,
-        UNSEEN_M_PER_SQRT_S * root_s,
-        UNSEEN_RAD_PER_SQRT_S * root_s,
-    );
+    doubt(covariance, UNSEEN_M_PER_SQRT_S * root_s, UNSEEN_RAD_PER_SQRT_S * root_s);
 }
 
 /// Adds standard deviations, in m and rad, to the pose, and makes the speeds zero with these variances, independent of all other
@@ -78,11 +74,7 @@ pub(in crate::filters) fn bridge<const N: usize>(
 }
 
 /// Gives a row a variance of its own, independent of all other rows.
-pub(in crate::filters) fn set_alone<const N: usize>(
-    covariance: &mut SMatrix<f64, N, N>,
-    row: usize,
-    variance: f64,
-) {
+pub(in crate::filters) fn set_alone<const N: usize>(covariance: &mut SMatrix<f64, N, N>, row: usize, variance: f64) {
     covariance.row_mut(row).fill(0.0);
     covariance.column_mut(row).fill(0.0);
     covariance[(row, row)] = variance;

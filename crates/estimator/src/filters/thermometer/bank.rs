@@ -100,11 +100,7 @@ impl Bank {
     /// A bank for readings with this standard deviation.
     pub(super) fn new(sigma_k: f64) -> Self {
         let kinds = [Shape::AtRest, Shape::OneLag, Shape::TwoLags].map(Kind::new);
-        Self {
-            kinds,
-            weights: [0.0; 3],
-            variance: sigma_k * sigma_k,
-        }
+        Self { kinds, weights: [0.0; 3], variance: sigma_k * sigma_k }
     }
 
     /// Begins anew with its first reading, which is used like any other afterwards.
@@ -133,39 +129,21 @@ impl Bank {
             }
             kind.weigh(inflation);
         }
-        let best = self
-            .kinds
-            .iter()
-            .map(|kind| kind.log_evidence)
-            .fold(f64::NEG_INFINITY, f64::max);
-        let raw: [f64; 3] =
-            std::array::from_fn(|index| (self.kinds[index].log_evidence - best).exp());
+        let best = self.kinds.iter().map(|kind| kind.log_evidence).fold(f64::NEG_INFINITY, f64::max);
+        let raw: [f64; 3] = std::array::from_fn(|index| (self.kinds[index].log_evidence - best).exp());
         let sum: f64 = raw.iter().sum();
-        let kept = raw.map(|weight| {
-            if weight < LEAST_WEIGHT * sum {
-                0.0
-            } else {
-                weight
-            }
-        });
+        let kept = raw.map(|weight| if weight < LEAST_WEIGHT * sum { 0.0 } else { weight });
         let sum: f64 = kept.iter().sum();
         self.weights = kept.map(|weight| weight / sum);
     }
 
     /// The final value, its variance as the configured noise makes it.
     pub(super) fn settled(&self, inflation: f64) -> Moments {
-        self.mixture(
-            |node| node.mean[FINAL],
-            |node| inflation * node.covariance[(FINAL, FINAL)],
-        )
+        self.mixture(|node| node.mean[FINAL], |node| inflation * node.covariance[(FINAL, FINAL)])
     }
 
     /// Mean and variance of something that every node has, over all kinds and time constants.
-    fn mixture(
-        &self,
-        mean_of: impl Fn(&Node) -> f64,
-        variance_of: impl Fn(&Node) -> f64,
-    ) -> Moments {
+    fn mixture(&self, mean_of: impl Fn(&Node) -> f64, variance_of: impl Fn(&Node) -> f64) -> Moments {
         let over = |of: &dyn Fn(&Kind, f64) -> f64| -> f64 {
             let kinds = self.kinds.iter().zip(self.weights);
             let kinds = kinds.filter(|(_, weight)| *weight > 0.0);
@@ -189,12 +167,7 @@ impl Kind {
     fn new(shape: Shape) -> Self {
         let count = if shape == Shape::AtRest { 1 } else { NODES };
         let nodes = (0..count).map(|index| Node::new(FASTEST_S * (STEP * index as f64).exp()));
-        Self {
-            shape,
-            nodes: nodes.collect(),
-            points: [(0.0, 0.0); POINTS],
-            log_evidence: 0.0,
-        }
+        Self { shape, nodes: nodes.collect(), points: [(0.0, 0.0); POINTS], log_evidence: 0.0 }
     }
 
     fn begin(&mut self, reading: f64) {
@@ -227,11 +200,7 @@ impl Kind {
                 let at = self.points[index].0;
                 self.points[index].1 = self.between(at, &minus_twice_log);
             }
-            least = self
-                .points
-                .iter()
-                .map(|point| point.1)
-                .fold(f64::INFINITY, f64::min);
+            least = self.points.iter().map(|point| point.1).fold(f64::INFINITY, f64::min);
             let mut near = self.points.iter().filter(|point| point.1 <= least + RISE);
             let first_near = near.next().map_or(low, |point| point.0);
             let last_near = near.next_back().map_or(first_near, |point| point.0);
@@ -240,20 +209,12 @@ impl Kind {
         }
         for point in &mut self.points {
             let rise = point.1 - least;
-            point.1 = if rise <= RISE {
-                (-0.5 * rise).exp()
-            } else {
-                0.0
-            };
+            point.1 = if rise <= RISE { (-0.5 * rise).exp() } else { 0.0 };
         }
         let sum: f64 = self.points.iter().map(|point| point.1).sum();
         let span = self.points[POINTS - 1].0 - self.points[0].0;
         // The share of the whole grid under the density's peak; a single node is all of its grid.
-        let share = if last > 0.0 {
-            sum * span / ((POINTS - 1) as f64 * last)
-        } else {
-            1.0
-        };
+        let share = if last > 0.0 { sum * span / ((POINTS - 1) as f64 * last) } else { 1.0 };
         self.log_evidence = -0.5 * least + share.max(f64::MIN_POSITIVE).ln();
         for point in &mut self.points {
             point.1 /= sum;
@@ -268,8 +229,7 @@ impl Kind {
             Some([a, b, c, d]) => {
                 let s = at - first as f64;
                 let (s1, s2, s3) = (s - 1.0, s - 2.0, s - 3.0);
-                0.5 * (s * s2 * s3 * of(b) - s * s1 * s3 * of(c))
-                    + (s * s1 * s2 * of(d) - s1 * s2 * s3 * of(a)) / 6.0
+                0.5 * (s * s2 * s3 * of(b) - s * s1 * s3 * of(c)) + (s * s1 * s2 * of(d) - s1 * s2 * s3 * of(a)) / 6.0
             }
             _ => self.nodes.first().map_or(0.0, of),
         }
@@ -285,10 +245,7 @@ impl Node {
             volume: 0.0,
             misfit: 0.0,
             row: [1.0, 0.0, 0.0],
-            expected: Moments {
-                mean: 0.0,
-                variance: 0.0,
-            },
+            expected: Moments { mean: 0.0, variance: 0.0 },
         }
     }
 
@@ -303,9 +260,7 @@ impl Node {
         };
         self.row = [1.0, left, of_faster];
         let mean = (0..ROWS).map(|i| self.row[i] * self.mean[i]).sum();
-        let variance = self
-            .scalar(0.0, noise_variance)
-            .innovation_variance(&self.covariance);
+        let variance = self.scalar(0.0, noise_variance).innovation_variance(&self.covariance);
         self.expected = Moments { mean, variance };
     }
 
@@ -317,12 +272,7 @@ impl Node {
     }
 
     fn scalar(&self, innovation: f64, variance: f64) -> Scalar<ROWS> {
-        Scalar {
-            innovation,
-            rows: [0, 1, 2],
-            by_row: self.row,
-            variance,
-        }
+        Scalar { innovation, rows: [0, 1, 2], by_row: self.row, variance }
     }
 }
 
@@ -331,8 +281,7 @@ mod tests {
     use std::sync::Arc;
 
     use posebridge_telemetry::{
-        Calibration, Celsius, DriveGeometry, Meters, Observation, Observed, Radians, SensorId,
-        SensorNoise, Span, Stamp,
+        Calibration, Celsius, DriveGeometry, Meters, Observation, Observed, Radians, SensorId, SensorNoise, Span, Stamp,
     };
 
     use super::*;
@@ -375,10 +324,7 @@ mod tests {
                 track_width: Meters(0.112),
                 tick: Radians(0.017),
             },
-            noise: SensorNoise {
-                temperature_k: 0.1,
-                ..SensorNoise::EXACT
-            },
+            noise: SensorNoise { temperature_k: 0.1, ..SensorNoise::EXACT },
             start: None,
             params: Params::default(),
             calibration: Calibration::default(),
@@ -392,12 +338,8 @@ mod tests {
             let tau_s = bank.kinds[kind].nodes[node].tau_s;
             let lags: Vec<f64> = ratios.iter().map(|ratio| tau_s / ratio).collect();
             let model = DynamicModel::empty().with_lags(sensor, 1.0, &lags).unwrap();
-            let mut paper =
-                DynamicFilter::with_model(&config, model).with_prior_sigma(PRIOR_SIGMA_K);
-            for (k, shown) in [21.0, 24.1, 26.8, 29.5, 31.9, 33.6, 35.9, 37.1]
-                .into_iter()
-                .enumerate()
-            {
+            let mut paper = DynamicFilter::with_model(&config, model).with_prior_sigma(PRIOR_SIGMA_K);
+            for (k, shown) in [21.0, 24.1, 26.8, 29.5, 31.9, 33.6, 35.9, 37.1].into_iter().enumerate() {
                 let at_s = 1.7 * k as f64;
                 bank.expect(at_s);
                 bank.take(shown, 1.0);

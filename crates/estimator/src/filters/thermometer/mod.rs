@@ -20,8 +20,7 @@ mod bank;
 mod surprise;
 
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Stamp,
-    Verdict,
+    BrickClock, Estimate, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Stamp, Verdict,
 };
 
 use self::bank::{Bank, Moments};
@@ -78,17 +77,9 @@ impl Thermometer {
                 config.noise.temperature_k = sigma_k;
                 Core::Known(Box::new(DynamicFilter::with_model(&config, model.clone())))
             }
-            None => Core::Learning {
-                bank: Box::new(Bank::new(sigma_k)),
-                origin: None,
-            },
+            None => Core::Learning { bank: Box::new(Bank::new(sigma_k)), origin: None },
         };
-        Self {
-            core,
-            surprise: Surprise::default(),
-            history_s: config.params.history_s,
-            last: None,
-        }
+        Self { core, surprise: Surprise::default(), history_s: config.params.history_s, last: None }
     }
 
     /// What it will show in the end, as of its last reading, in degrees Celsius; `None` before the first.
@@ -113,9 +104,7 @@ impl Thermometer {
             }
         }
         let is_new = expected.is_some() && !self.core.has_begun();
-        let verdict = self
-            .core
-            .take(observation, shown, self.surprise.inflation());
+        let verdict = self.core.take(observation, shown, self.surprise.inflation());
         record.verdict = verdict;
         if verdict == Verdict::Accepted {
             self.last = Some(observation.stamp);
@@ -176,10 +165,7 @@ impl Core {
         match self {
             Self::Known(filter) => {
                 let estimate = filter.scalar_at(stamp)?;
-                Some(Moments {
-                    mean: estimate.value,
-                    variance: inflation * estimate.sigma * estimate.sigma,
-                })
+                Some(Moments { mean: estimate.value, variance: inflation * estimate.sigma * estimate.sigma })
             }
             Self::Learning { bank, origin } => {
                 (*origin)?;
@@ -190,11 +176,7 @@ impl Core {
 }
 
 fn outcome_of(innovation: f64, variance: f64) -> ScalarOutcome {
-    ScalarOutcome {
-        innovation_variance: variance,
-        nis: innovation * innovation / variance,
-        usage: Usage::Used,
-    }
+    ScalarOutcome { innovation_variance: variance, nis: innovation * innovation / variance, usage: Usage::Used }
 }
 
 impl Filter for Thermometer {
@@ -204,8 +186,7 @@ impl Filter for Thermometer {
         let refused = intake::refuse_outright(observation, self.last, self.history_s);
         if let Some(verdict) = refused {
             record.verdict = verdict;
-        } else if let (Observed::Temperature(shown), SensorId::THERMOMETER) =
-            (observation.observed, observation.sensor)
+        } else if let (Observed::Temperature(shown), SensorId::THERMOMETER) = (observation.observed, observation.sensor)
         {
             match intake::refuse_repeated(self.last, observation.stamp) {
                 Some(verdict) => record.verdict = verdict,

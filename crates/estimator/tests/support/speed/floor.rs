@@ -8,10 +8,7 @@ use super::{Belief, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PRO
 /// The variance of the two headings' weighted mean.
 const HEADING_VARIANCE: f64 = 1.0 / (1.0 / OBSERVED_VARIANCES[1] + 1.0 / OBSERVED_VARIANCES[2]);
 /// The weights of encoders and gyro in it.
-const HEADING_WEIGHTS: [f64; 2] = [
-    HEADING_VARIANCE / OBSERVED_VARIANCES[1],
-    HEADING_VARIANCE / OBSERVED_VARIANCES[2],
-];
+const HEADING_WEIGHTS: [f64; 2] = [HEADING_VARIANCE / OBSERVED_VARIANCES[1], HEADING_VARIANCE / OBSERVED_VARIANCES[2]];
 
 /// States x, y, h(eading), v, w and the upper triangle of P.
 #[derive(Clone, Copy, Default)]
@@ -45,13 +42,7 @@ macro_rules! scalar_update {
         let innovation = $innovation;
         let (cx, cy, ch, cv, cw) = ($b.$cx, $b.$cy, $b.$ch, $b.$cv, $b.$cw);
         let inverse = 1.0 / ($b.$diagonal + $variance);
-        let (kx, ky, kh, kv, kw) = (
-            cx * inverse,
-            cy * inverse,
-            ch * inverse,
-            cv * inverse,
-            cw * inverse,
-        );
+        let (kx, ky, kh, kv, kw) = (cx * inverse, cy * inverse, ch * inverse, cv * inverse, cw * inverse);
         $b.x += kx * innovation;
         $b.y += ky * innovation;
         $b.h += kh * innovation;

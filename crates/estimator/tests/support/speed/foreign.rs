@@ -1,8 +1,6 @@
 //! The filter by two crates that people would otherwise take, as their documentation shows them.
 
-use adskalman::{
-    CovarianceUpdateMethod, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl,
-};
+use adskalman::{CovarianceUpdateMethod, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
 use kfilter::measurement::LinearMeasurement;
 use kfilter::system::StepReturn;
 use kfilter::{EKF, KalmanFilter, KalmanPredictInput, KalmanUpdate};
@@ -18,13 +16,7 @@ fn moved(x: [f64; 5], input: [f64; 2]) -> ([f64; 5], [[f64; 5]; 5]) {
     let [px, py, heading, v, w] = x;
     let (sin, cos) = (heading + 0.5 * T * w).sin_cos();
     let (dx, dy) = (v * T * cos, v * T * sin);
-    let next = [
-        px + dx,
-        py + dy,
-        heading + T * w,
-        v + T * input[0],
-        w + T * input[1],
-    ];
+    let next = [px + dx, py + dy, heading + T * w, v + T * input[0], w + T * input[1]];
     let f = [
         [1.0, 0.0, -dy, T * cos, -0.5 * T * dy],
         [0.0, 1.0, dx, T * sin, 0.5 * T * dx],
@@ -36,19 +28,12 @@ fn moved(x: [f64; 5], input: [f64; 2]) -> ([f64; 5], [[f64; 5]; 5]) {
 }
 
 /// H by rows: v, heading, heading, w.
-const H: [[f64; 5]; 4] = [
-    [0.0, 0.0, 0.0, 1.0, 0.0],
-    [0.0, 0.0, 1.0, 0.0, 0.0],
-    [0.0, 0.0, 1.0, 0.0, 0.0],
-    [0.0, 0.0, 0.0, 0.0, 1.0],
-];
+const H: [[f64; 5]; 4] =
+    [[0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]];
 
 pub(super) fn run_kfilter(inputs: &[Input]) -> Belief {
-    let mut filter: EKF<f64, 5, 2> = EKF::new_ekf_with_input(
-        kfilter_step,
-        na34::SVector::zeros(),
-        na34::SMatrix::identity() * INITIAL_VARIANCE,
-    );
+    let mut filter: EKF<f64, 5, 2> =
+        EKF::new_ekf_with_input(kfilter_step, na34::SVector::zeros(), na34::SMatrix::identity() * INITIAL_VARIANCE);
     let mut measurement = LinearMeasurement::new(
         na34::SMatrix::<f64, 4, 5>::from_fn(|i, j| H[i][j]),
         na34::SMatrix::<f64, 4, 4>::from_diagonal(&OBSERVED_VARIANCES.into()),
@@ -62,10 +47,7 @@ pub(super) fn run_kfilter(inputs: &[Input]) -> Belief {
         failures += usize::from(filter.update(&measurement).is_err());
     }
     assert_eq!(failures, 0, "S can be inverted");
-    Belief {
-        mean: (*filter.state()).into(),
-        covariance: (*filter.covariance()).into(),
-    }
+    Belief { mean: (*filter.state()).into(), covariance: (*filter.covariance()).into() }
 }
 
 fn kfilter_step(x: na34::SVector<f64, 5>, u: na34::SVector<f64, 2>) -> StepReturn<f64, 5> {
@@ -121,11 +103,7 @@ impl ObservationModel<f64, U5, U4> for Observed {
 
 pub(super) fn run_adskalman(inputs: &[Input]) -> Belief {
     let h = Matrix4x5::from_fn(|i, j| H[i][j]);
-    let observed = Observed {
-        h,
-        ht: h.transpose(),
-        r: Matrix4::from_diagonal(&OBSERVED_VARIANCES.into()),
-    };
+    let observed = Observed { h, ht: h.transpose(), r: Matrix4::from_diagonal(&OBSERVED_VARIANCES.into()) };
     let q = Matrix5::from_diagonal(&PROCESS_VARIANCES.into());
     let start = Matrix5::identity() * INITIAL_VARIANCE;
     let mut belief = StateAndCovariance::new(Vector5::zeros(), start);
@@ -134,12 +112,7 @@ pub(super) fn run_adskalman(inputs: &[Input]) -> Belief {
         let u = [input.forward_m_per_s2, input.turn_rad_per_s2];
         let (next, f) = moved((*belief.state()).into(), u);
         let f = Matrix5::from_fn(|i, j| f[i][j]);
-        let motion = Motion {
-            next: next.into(),
-            f,
-            ft: f.transpose(),
-            q,
-        };
+        let motion = Motion { next: next.into(), f, ft: f.transpose(), q };
         let prior = motion.predict(&belief);
         let joseph = CovarianceUpdateMethod::JosephForm;
         match observed.update(&prior, &input.observed.into(), joseph) {
@@ -148,8 +121,5 @@ pub(super) fn run_adskalman(inputs: &[Input]) -> Belief {
         }
     }
     assert_eq!(failures, 0, "S is positive definite");
-    Belief {
-        mean: (*belief.state()).into(),
-        covariance: (*belief.covariance()).into(),
-    }
+    Belief { mean: (*belief.state()).into(), covariance: (*belief.covariance()).into() }
 }

@@ -37,11 +37,7 @@ pub(crate) fn recorded() -> Vec<Input> {
         w += INTERVAL_S * turn_rad_per_s2 + normal(PROCESS_VARIANCES[4]);
         let true_values = [v, heading, heading, w];
         let observed = std::array::from_fn(|i| true_values[i] + normal(OBSERVED_VARIANCES[i]));
-        inputs.push(Input {
-            forward_m_per_s2,
-            turn_rad_per_s2,
-            observed,
-        });
+        inputs.push(Input { forward_m_per_s2, turn_rad_per_s2, observed });
     }
     inputs
 }

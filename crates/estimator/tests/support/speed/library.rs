@@ -12,23 +12,14 @@ const ROWS: [usize; 4] = [row::FORWARD, row::HEADING, row::HEADING, row::TURN];
 /// Six sigma: every scalar is held against the gate, and none of the inputs is refused, so that all ways do the same.
 const GATE: f64 = 36.0;
 
-const STEP: Step = Step {
-    interval_s: INTERVAL_S,
-    variances: PROCESS_VARIANCES,
-};
+const STEP: Step = Step { interval_s: INTERVAL_S, variances: PROCESS_VARIANCES };
 
 const fn acceleration(input: &Input) -> Acceleration {
-    Acceleration {
-        forward_m_per_s2: input.forward_m_per_s2,
-        turn_rad_per_s2: input.turn_rad_per_s2,
-    }
+    Acceleration { forward_m_per_s2: input.forward_m_per_s2, turn_rad_per_s2: input.turn_rad_per_s2 }
 }
 
 fn belief(mean: &Vector5<f64>, covariance: &Matrix5<f64>) -> Belief {
-    Belief {
-        mean: (*mean).into(),
-        covariance: (*covariance).into(),
-    }
+    Belief { mean: (*mean).into(), covariance: (*covariance).into() }
 }
 
 pub(super) fn run(inputs: &[Input]) -> Belief {

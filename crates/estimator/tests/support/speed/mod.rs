@@ -31,11 +31,7 @@ impl Belief {
     pub(crate) fn distance(&self, other: &Self) -> f64 {
         let numbers = |belief: &Self| {
             let covariance = belief.covariance.into_iter().flatten();
-            belief
-                .mean
-                .into_iter()
-                .chain(covariance)
-                .collect::<Vec<_>>()
+            belief.mean.into_iter().chain(covariance).collect::<Vec<_>>()
         };
         let pairs = numbers(self).into_iter().zip(numbers(other));
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
@@ -51,26 +47,11 @@ pub(crate) struct Way {
 
 /// Every way, the floor first, the library second.
 pub(crate) const WAYS: [Way; 5] = [
-    Way {
-        name: "floor: unrolled by hand, 3 scalars",
-        run: floor::run,
-    },
-    Way {
-        name: "library: predict + 4 gated scalars",
-        run: library::run,
-    },
-    Way {
-        name: "library, dense: F P F' + 4 x 4 batch",
-        run: library::run_dense,
-    },
-    Way {
-        name: "kfilter 0.5.1",
-        run: foreign::run_kfilter,
-    },
-    Way {
-        name: "adskalman 0.18.0, Joseph",
-        run: foreign::run_adskalman,
-    },
+    Way { name: "floor: unrolled by hand, 3 scalars", run: floor::run },
+    Way { name: "library: predict + 4 gated scalars", run: library::run },
+    Way { name: "library, dense: F P F' + 4 x 4 batch", run: library::run_dense },
+    Way { name: "kfilter 0.5.1", run: foreign::run_kfilter },
+    Way { name: "adskalman 0.18.0, Joseph", run: foreign::run_adskalman },
 ];
 
 /// How far two ways may lie apart after all steps: rounding in another order, nothing else.

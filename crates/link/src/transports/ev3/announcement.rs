@@ -24,8 +24,7 @@ impl Announcement {
             values.next().map(|(_, value)| value.trim())
         };
         let serial_number = value_of("Serial-Number")?;
-        let is_serial_number =
-            !serial_number.is_empty() && serial_number.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let is_serial_number = !serial_number.is_empty() && serial_number.bytes().all(|byte| byte.is_ascii_hexdigit());
         let is_ev3 = value_of("Protocol")? == "EV3" && is_serial_number;
         is_ev3.then_some(Self {
             serial_number: serial_number.to_owned(),
@@ -39,16 +38,11 @@ impl Announcement {
 mod tests {
     use super::*;
 
-    const DATAGRAM: &[u8] =
-        b"Serial-Number: 0016533f0c1e\r\nPort: 5555\r\nName: EV3\r\nProtocol: EV3\r\n";
+    const DATAGRAM: &[u8] = b"Serial-Number: 0016533f0c1e\r\nPort: 5555\r\nName: EV3\r\nProtocol: EV3\r\n";
 
     #[test]
     fn a_brick_announces_itself() {
-        let expected = Announcement {
-            serial_number: "0016533f0c1e".to_owned(),
-            port: 5555,
-            name: "EV3".to_owned(),
-        };
+        let expected = Announcement { serial_number: "0016533f0c1e".to_owned(), port: 5555, name: "EV3".to_owned() };
         assert_eq!(Announcement::of(DATAGRAM), Some(expected));
     }
 

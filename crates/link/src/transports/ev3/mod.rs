@@ -25,9 +25,7 @@ use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::stream::{StreamConnection, StreamLabel};
 use crate::transports::udp_socket::bind_first;
-use crate::transports::{
-    OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, resolve, tcp, with_deadline,
-};
+use crate::transports::{OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, resolve, tcp, with_deadline};
 use crate::url::{OptionHelp, OptionKind, TargetKind};
 
 /// Which brick.
@@ -91,27 +89,16 @@ async fn dial(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let serial_number = request.url.option_text(&SERIAL);
     let (host, port) = request.url.host_and_port();
     if host.is_empty() {
-        return Err(OpenError::NoHost {
-            url: request.url.to_string(),
-        });
+        return Err(OpenError::NoHost { url: request.url.to_string() });
     }
     if serial_number.is_empty() {
-        return Err(OpenError::NoSerialNumber {
-            url: request.url.to_string(),
-        });
+        return Err(OpenError::NoSerialNumber { url: request.url.to_string() });
     }
     let address = *resolve(host, port)
         .await?
         .first()
-        .ok_or_else(|| OpenError::UnknownHost {
-            host: host.to_owned(),
-            source: io::ErrorKind::NotFound.into(),
-        })?;
-    let door = Door {
-        address,
-        name: format!("the EV3 {serial_number}"),
-        serial_number,
-    };
+        .ok_or_else(|| OpenError::UnknownHost { host: host.to_owned(), source: io::ErrorKind::NotFound.into() })?;
+    let door = Door { address, name: format!("the EV3 {serial_number}"), serial_number };
     open_door(request, door).await
 }
 
@@ -120,10 +107,7 @@ async fn announced(request: &OpenRequest) -> Result<Door, OpenError> {
     let wanted = request.url.option_text(&SERIAL);
     let (host, port) = request.url.host_and_port();
     let (socket, local) = bind_first(&resolve(host, port).await?)?;
-    let failed = |source| OpenError::Io {
-        what: local.to_string(),
-        source,
-    };
+    let failed = |source| OpenError::Io { what: local.to_string(), source };
     let mut datagram = [0; LONGEST];
     loop {
         let (length, from) = socket.recv_from(&mut datagram).await.map_err(failed)?;
@@ -146,34 +130,17 @@ async fn announced(request: &OpenRequest) -> Result<Door, OpenError> {
 
 async fn open_door(request: &OpenRequest, door: Door) -> Result<Box<dyn Connection>, OpenError> {
     let peer = door.address;
-    let unreachable = |source| OpenError::Unreachable {
-        peer: peer.to_string(),
-        source,
-    };
+    let unreachable = |source| OpenError::Unreachable { peer: peer.to_string(), source };
     let mut stream = TcpStream::connect(peer).await.map_err(unreachable)?;
     tcp::configure(&stream).map_err(unreachable)?;
-    let opening = format!(
-        "GET /target?sn={}VMTP1.0\nProtocol: EV3",
-        door.serial_number
-    );
-    stream
-        .write_all(opening.as_bytes())
-        .await
-        .map_err(unreachable)?;
+    let opening = format!("GET /target?sn={}VMTP1.0\nProtocol: EV3", door.serial_number);
+    stream.write_all(opening.as_bytes()).await.map_err(unreachable)?;
     if !is_welcome(&mut stream).await.map_err(unreachable)? {
-        return Err(OpenError::NotWelcome {
-            peer: peer.to_string(),
-            serial_number: door.serial_number,
-        });
+        return Err(OpenError::NotWelcome { peer: peer.to_string(), serial_number: door.serial_number });
     }
     let mut label = StreamLabel::new(format!("connected to {} at {peer}", door.name));
     label.local_address = stream.local_addr().ok();
-    Ok(Box::new(StreamConnection::new(
-        stream,
-        label,
-        request.timer,
-        QUEUE_BYTES,
-    )))
+    Ok(Box::new(StreamConnection::new(stream, label, request.timer, QUEUE_BYTES)))
 }
 
 /// Reads the brick's answer with its line ends, so that nothing of it is left for who reads telegrams.
@@ -198,9 +165,7 @@ async fn is_welcome(stream: &mut TcpStream) -> io::Result<bool> {
 
 /// How many lines end behind the answer; 0 where it has not come, or where something else follows it.
 fn line_ends(welcome: &[u8]) -> usize {
-    let at = welcome
-        .windows(ACCEPTED.len())
-        .position(|part| part == ACCEPTED);
+    let at = welcome.windows(ACCEPTED.len()).position(|part| part == ACCEPTED);
     let Some(rest) = at.and_then(|at| welcome.get(at + ACCEPTED.len()..)) else {
         return 0;
     };

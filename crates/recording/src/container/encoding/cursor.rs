@@ -1,10 +1,9 @@
 //! The fields of the layout, taken one by one from what is left of a message.
 
 use posebridge_telemetry::{
-    BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, Learning, LinkId,
-    LinkState, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, Observed,
-    ParameterStorage, PeerId, Point2, PortCounts, Pose, PositionCovariance, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, Switch,
+    BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, Learning, LinkId, LinkState, Meters,
+    MetersPerSecond, MetersPerSecondSquared, Observation, Observed, ParameterStorage, PeerId, Point2, PortCounts, Pose,
+    PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp, Switch,
 };
 
 use super::{DecodeError, command, fix_flag, kind, tag};
@@ -25,13 +24,8 @@ impl<'a> Cursor<'a> {
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
-        let (head, rest) = self
-            .bytes
-            .split_first_chunk::<N>()
-            .ok_or(DecodeError::TooShort {
-                wanted: N,
-                left: self.bytes.len(),
-            })?;
+        let (head, rest) =
+            self.bytes.split_first_chunk::<N>().ok_or(DecodeError::TooShort { wanted: N, left: self.bytes.len() })?;
         self.bytes = rest;
         Ok(*head)
     }
@@ -75,19 +69,11 @@ impl<'a> Cursor<'a> {
         let angle_rad = self.f64()?;
         let heading = Heading::from_rad(angle_rad);
         // What `Heading` would change was not written by us: refused, because replay promises the same bits.
-        if heading.rad().to_bits() == angle_rad.to_bits() {
-            Ok(heading)
-        } else {
-            Err(DecodeError::Heading(angle_rad))
-        }
+        if heading.rad().to_bits() == angle_rad.to_bits() { Ok(heading) } else { Err(DecodeError::Heading(angle_rad)) }
     }
 
     fn pose<S>(&mut self) -> Result<Pose<S>, DecodeError> {
-        Ok(Pose::new(
-            Meters(self.f64()?),
-            Meters(self.f64()?),
-            self.heading()?,
-        ))
+        Ok(Pose::new(Meters(self.f64()?), Meters(self.f64()?), self.heading()?))
     }
 
     fn point<S>(&mut self) -> Result<Point2<S>, DecodeError> {
@@ -107,20 +93,14 @@ impl<'a> Cursor<'a> {
                 peer: PeerId(self.u32()?),
                 bytes: std::mem::take(&mut self.bytes).to_vec(),
             },
-            tag::PORT => Input::Port {
-                link: LinkId(self.u16()?),
-                counts: self.counts()?,
-            },
+            tag::PORT => Input::Port { link: LinkId(self.u16()?), counts: self.counts()? },
             tag::LINK => Input::Link {
                 link: LinkId(self.u16()?),
                 state: match self.u8()? {
                     0 => LinkState::Down,
                     1 => LinkState::Up,
                     value => {
-                        return Err(DecodeError::Unknown {
-                            field: "link state",
-                            value,
-                        });
+                        return Err(DecodeError::Unknown { field: "link state", value });
                     }
                 },
             },
@@ -131,17 +111,11 @@ impl<'a> Cursor<'a> {
                 heading_sigma_rad: self.f64()?,
             }),
             tag::COMMAND => Input::Command(self.command()?),
-            tag::REPORT => Input::Report {
-                severity: self.u8()?,
-                text: self.rest_as_text("a report")?.to_owned(),
-            },
+            tag::REPORT => Input::Report { severity: self.u8()?, text: self.rest_as_text("a report")?.to_owned() },
             tag::SIMULATOR => Input::Command(Command::Simulator(self.simulator()?)),
             tag::TICK => Input::Tick,
             value => {
-                return Err(DecodeError::Unknown {
-                    field: "input tag",
-                    value,
-                });
+                return Err(DecodeError::Unknown { field: "input tag", value });
             }
         })
     }
@@ -149,31 +123,21 @@ impl<'a> Cursor<'a> {
     fn command(&mut self) -> Result<Command, DecodeError> {
         Ok(match self.u8()? {
             command::RESET_POSE => Command::ResetPose,
-            command::SET_PARAMETER => Command::SetParameter {
-                value: self.f64()?,
-                name: self.rest_as_name("a parameter's name")?,
-            },
+            command::SET_PARAMETER => {
+                Command::SetParameter { value: self.f64()?, name: self.rest_as_name("a parameter's name")? }
+            }
             command::SAVE_PARAMETERS => Command::Parameters(ParameterStorage::Save),
             command::RELOAD_PARAMETERS => Command::Parameters(ParameterStorage::Reload),
             command::DEFAULT_PARAMETERS => Command::Parameters(ParameterStorage::Default),
             command::FREEZE => Command::Learning(Learning::Frozen),
             command::LEARN => Command::Learning(Learning::Free),
             command::RESET_CALIBRATION => Command::ResetCalibration,
-            command::SOURCE_OFF => Command::SwitchSource {
-                sensor: SensorId(self.u8()?),
-                to: Switch::Off,
-            },
-            command::SOURCE_ON => Command::SwitchSource {
-                sensor: SensorId(self.u8()?),
-                to: Switch::On,
-            },
+            command::SOURCE_OFF => Command::SwitchSource { sensor: SensorId(self.u8()?), to: Switch::Off },
+            command::SOURCE_ON => Command::SwitchSource { sensor: SensorId(self.u8()?), to: Switch::On },
             command::START_RECORDING => Command::StartRecording,
             command::STOP_RECORDING => Command::StopRecording,
             value => {
-                return Err(DecodeError::Unknown {
-                    field: "command",
-                    value,
-                });
+                return Err(DecodeError::Unknown { field: "command", value });
             }
         })
     }
@@ -187,11 +151,7 @@ impl<'a> Cursor<'a> {
         let text = self.rest_as_text(what)?;
         let name = ChannelName::from_bytes(text.as_bytes());
         // What a name would change was not written by us.
-        if name.as_str() == text {
-            Ok(name)
-        } else {
-            Err(DecodeError::Text(what))
-        }
+        if name.as_str() == text { Ok(name) } else { Err(DecodeError::Text(what)) }
     }
 
     fn observation(&mut self) -> Result<Observation, DecodeError> {
@@ -205,15 +165,11 @@ impl<'a> Cursor<'a> {
 
     fn observed(&mut self) -> Result<Observed, DecodeError> {
         Ok(match self.u8()? {
-            kind::WHEEL_ANGLES => Observed::WheelAngles {
-                left: Radians(self.f64()?),
-                right: Radians(self.f64()?),
-            },
+            kind::WHEEL_ANGLES => Observed::WheelAngles { left: Radians(self.f64()?), right: Radians(self.f64()?) },
             kind::ODOMETER_POSE => Observed::OdometerPose(self.pose()?),
-            kind::BODY_VELOCITY => Observed::BodyVelocity {
-                forward: MetersPerSecond(self.f64()?),
-                turn: RadiansPerSecond(self.f64()?),
-            },
+            kind::BODY_VELOCITY => {
+                Observed::BodyVelocity { forward: MetersPerSecond(self.f64()?), turn: RadiansPerSecond(self.f64()?) }
+            }
             kind::TURN_RATE => Observed::TurnRate(RadiansPerSecond(self.f64()?)),
             kind::WHEEL_ACCELERATIONS => Observed::WheelAccelerations {
                 left: MetersPerSecondSquared(self.f64()?),
@@ -225,18 +181,12 @@ impl<'a> Cursor<'a> {
                 range: Meters(self.f64()?),
                 bearing: Radians(self.f64()?),
             },
-            kind::BEACON_RANGE => Observed::BeaconRange {
-                id: BeaconId(self.u32()?),
-                range: Meters(self.f64()?),
-            },
+            kind::BEACON_RANGE => Observed::BeaconRange { id: BeaconId(self.u32()?), range: Meters(self.f64()?) },
             kind::WALL_RANGE => Observed::WallRange(Meters(self.f64()?)),
             kind::COMPASS_HEADING => Observed::CompassHeading(self.heading()?),
             kind::TEMPERATURE => Observed::Temperature(Celsius(self.f64()?)),
             value => {
-                return Err(DecodeError::Unknown {
-                    field: "observation kind",
-                    value,
-                });
+                return Err(DecodeError::Unknown { field: "observation kind", value });
             }
         })
     }
@@ -244,10 +194,7 @@ impl<'a> Cursor<'a> {
     fn fix(&mut self) -> Result<Fix, DecodeError> {
         let flags = self.u8()?;
         if flags & !fix_flag::ALL != 0 {
-            return Err(DecodeError::Unknown {
-                field: "fix flags",
-                value: flags,
-            });
+            return Err(DecodeError::Unknown { field: "fix flags", value: flags });
         }
         let reset_counter = self.u8()?;
         let (position, tag_in_body) = (self.point()?, self.point()?);
@@ -264,12 +211,6 @@ impl<'a> Cursor<'a> {
                 heading_rad2: self.f64()?,
             }),
         };
-        Ok(Fix {
-            position,
-            heading,
-            covariance,
-            tag_in_body,
-            reset_counter,
-        })
+        Ok(Fix { position, heading, covariance, tag_in_body, reset_counter })
     }
 }

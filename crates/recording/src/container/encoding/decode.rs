@@ -8,10 +8,7 @@ use super::{CHECKSUM_BYTES, DecodeError, OLDEST, Place, VERSION};
 /// Turns the bytes of one message into the input that was given.
 pub(in crate::container) fn decode(bytes: &[u8], place: Place) -> Result<Input, DecodeError> {
     let Some((body, checksum)) = bytes.split_last_chunk::<CHECKSUM_BYTES>() else {
-        return Err(DecodeError::TooShort {
-            wanted: CHECKSUM_BYTES,
-            left: bytes.len(),
-        });
+        return Err(DecodeError::TooShort { wanted: CHECKSUM_BYTES, left: bytes.len() });
     };
     let (found, expected) = (u32::from_le_bytes(*checksum), place.checksum(body));
     if found != expected {

@@ -1,8 +1,7 @@
 //! From an input to its bytes.
 
 use posebridge_telemetry::{
-    Command, Fix, Input, Learning, LinkState, Observation, Observed, ParameterStorage, PeerId,
-    PortCounts, Pose, Switch,
+    Command, Fix, Input, Learning, LinkState, Observation, Observed, ParameterStorage, PeerId, PortCounts, Pose, Switch,
 };
 
 use super::simulated::put_simulator;
@@ -12,17 +11,9 @@ use super::{Place, VERSION, command, fix_flag, kind, tag};
 pub(in crate::container) fn encode(input: &Input, place: Place, bytes: &mut Vec<u8>) {
     bytes.push(VERSION);
     match input {
-        Input::Bytes {
-            link,
-            peer,
-            bytes: payload,
-        } => {
+        Input::Bytes { link, peer, bytes: payload } => {
             let is_first = *peer == PeerId::default();
-            bytes.push(if is_first {
-                tag::BYTES
-            } else {
-                tag::PEER_BYTES
-            });
+            bytes.push(if is_first { tag::BYTES } else { tag::PEER_BYTES });
             bytes.extend_from_slice(&link.0.to_le_bytes());
             if !is_first {
                 bytes.extend_from_slice(&peer.0.to_le_bytes());
@@ -61,11 +52,7 @@ pub(in crate::container) fn encode(input: &Input, place: Place, bytes: &mut Vec<
 fn put_command(command: &Command, bytes: &mut Vec<u8>) {
     let mut put = |kind: u8| bytes.extend_from_slice(&[tag::COMMAND, kind]);
     match command {
-        Command::SetPose {
-            pose,
-            position_sigma_m,
-            heading_sigma_rad,
-        } => {
+        Command::SetPose { pose, position_sigma_m, heading_sigma_rad } => {
             bytes.push(tag::SET_POSE);
             put_pose(*pose, bytes);
             put_all(&[*position_sigma_m, *heading_sigma_rad], bytes);
@@ -132,10 +119,7 @@ fn put_observed(observed: &Observed, bytes: &mut Vec<u8>) {
     };
     match observed {
         Observed::WheelAngles { left, right } => put(kind::WHEEL_ANGLES, &[left.0, right.0]),
-        Observed::OdometerPose(pose) => put(
-            kind::ODOMETER_POSE,
-            &[pose.x.0, pose.y.0, pose.heading.rad()],
-        ),
+        Observed::OdometerPose(pose) => put(kind::ODOMETER_POSE, &[pose.x.0, pose.y.0, pose.heading.rad()]),
         Observed::BodyVelocity { forward, turn } => put(kind::BODY_VELOCITY, &[forward.0, turn.0]),
         Observed::TurnRate(rate) => put(kind::TURN_RATE, &[rate.0]),
         Observed::WheelAccelerations { left, right } => {
@@ -162,27 +146,11 @@ fn put_observed(observed: &Observed, bytes: &mut Vec<u8>) {
 }
 
 fn put_fix(fix: &Fix, bytes: &mut Vec<u8>) {
-    let heading = if fix.heading.is_some() {
-        fix_flag::HEADING
-    } else {
-        0
-    };
-    let covariance = if fix.covariance.is_some() {
-        fix_flag::COVARIANCE
-    } else {
-        0
-    };
+    let heading = if fix.heading.is_some() { fix_flag::HEADING } else { 0 };
+    let covariance = if fix.covariance.is_some() { fix_flag::COVARIANCE } else { 0 };
     bytes.push(heading | covariance);
     bytes.push(fix.reset_counter);
-    put_all(
-        &[
-            fix.position.x.0,
-            fix.position.y.0,
-            fix.tag_in_body.x.0,
-            fix.tag_in_body.y.0,
-        ],
-        bytes,
-    );
+    put_all(&[fix.position.x.0, fix.position.y.0, fix.tag_in_body.x.0, fix.tag_in_body.y.0], bytes);
     if let Some(heading) = fix.heading {
         put_all(&[heading.rad()], bytes);
     }

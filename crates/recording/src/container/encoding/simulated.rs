@@ -13,16 +13,10 @@ pub(super) fn put_simulator(command: &SimulatorCommand, bytes: &mut Vec<u8>) {
         put_all(values, bytes);
     };
     match command {
-        SimulatorCommand::Kidnap {
-            forward_m,
-            left_m,
-            turn_rad,
-        } => put(simulator::KIDNAP, &[*forward_m, *left_m, *turn_rad]),
-        SimulatorCommand::Slip {
-            wheel,
-            factor,
-            duration,
-        } => {
+        SimulatorCommand::Kidnap { forward_m, left_m, turn_rad } => {
+            put(simulator::KIDNAP, &[*forward_m, *left_m, *turn_rad])
+        }
+        SimulatorCommand::Slip { wheel, factor, duration } => {
             put(simulator::SLIP, &[*factor]);
             put_span(*duration, bytes);
             bytes.push(place(&SlippingWheel::ALL, wheel));
@@ -48,10 +42,9 @@ pub(super) fn put_simulator(command: &SimulatorCommand, bytes: &mut Vec<u8>) {
         SimulatorCommand::Steering(source) => {
             bytes.extend_from_slice(&[simulator::STEERING, place(&SteeringSource::ALL, source)]);
         }
-        SimulatorCommand::Drive {
-            forward_m_per_s,
-            turn_rad_per_s,
-        } => put(simulator::DRIVE, &[*forward_m_per_s, *turn_rad_per_s]),
+        SimulatorCommand::Drive { forward_m_per_s, turn_rad_per_s } => {
+            put(simulator::DRIVE, &[*forward_m_per_s, *turn_rad_per_s])
+        }
         SimulatorCommand::Path => put(simulator::PATH, &[]),
     }
 }
@@ -69,11 +62,9 @@ impl Cursor<'_> {
     /// The command for the simulated brick that begins here.
     pub(super) fn simulator(&mut self) -> Result<SimulatorCommand, DecodeError> {
         Ok(match self.u8()? {
-            simulator::KIDNAP => SimulatorCommand::Kidnap {
-                forward_m: self.f64()?,
-                left_m: self.f64()?,
-                turn_rad: self.f64()?,
-            },
+            simulator::KIDNAP => {
+                SimulatorCommand::Kidnap { forward_m: self.f64()?, left_m: self.f64()?, turn_rad: self.f64()? }
+            }
             simulator::SLIP => SimulatorCommand::Slip {
                 factor: self.f64()?,
                 duration: self.span()?,
@@ -81,32 +72,16 @@ impl Cursor<'_> {
             },
             simulator::CAMERA_OFF => SimulatorCommand::Camera(Switch::Off),
             simulator::CAMERA_ON => SimulatorCommand::Camera(Switch::On),
-            simulator::CAMERA_DELAY => SimulatorCommand::CameraDelay {
-                delay: self.span()?,
-            },
-            simulator::GYRO_BIAS_STEP => SimulatorCommand::GyroBiasStep {
-                rad_per_s: self.f64()?,
-            },
-            simulator::LINK_PROFILE => {
-                SimulatorCommand::LinkProfile(Some(self.rest_as_name("a link profile's name")?))
-            }
+            simulator::CAMERA_DELAY => SimulatorCommand::CameraDelay { delay: self.span()? },
+            simulator::GYRO_BIAS_STEP => SimulatorCommand::GyroBiasStep { rad_per_s: self.f64()? },
+            simulator::LINK_PROFILE => SimulatorCommand::LinkProfile(Some(self.rest_as_name("a link profile's name")?)),
             simulator::NO_LINK_PROFILE => SimulatorCommand::LinkProfile(None),
-            simulator::PULL_CABLE => SimulatorCommand::PullCable {
-                duration: self.span()?,
-            },
-            simulator::STEERING => {
-                SimulatorCommand::Steering(self.one_of("steering source", &SteeringSource::ALL)?)
-            }
-            simulator::DRIVE => SimulatorCommand::Drive {
-                forward_m_per_s: self.f64()?,
-                turn_rad_per_s: self.f64()?,
-            },
+            simulator::PULL_CABLE => SimulatorCommand::PullCable { duration: self.span()? },
+            simulator::STEERING => SimulatorCommand::Steering(self.one_of("steering source", &SteeringSource::ALL)?),
+            simulator::DRIVE => SimulatorCommand::Drive { forward_m_per_s: self.f64()?, turn_rad_per_s: self.f64()? },
             simulator::PATH => SimulatorCommand::Path,
             value => {
-                return Err(DecodeError::Unknown {
-                    field: "command for the simulated brick",
-                    value,
-                });
+                return Err(DecodeError::Unknown { field: "command for the simulated brick", value });
             }
         })
     }
@@ -117,8 +92,6 @@ impl Cursor<'_> {
 
     fn one_of<T: Copy>(&mut self, field: &'static str, all: &[T]) -> Result<T, DecodeError> {
         let value = self.u8()?;
-        all.get(usize::from(value))
-            .copied()
-            .ok_or(DecodeError::Unknown { field, value })
+        all.get(usize::from(value)).copied().ok_or(DecodeError::Unknown { field, value })
     }
 }

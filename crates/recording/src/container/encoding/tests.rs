@@ -1,34 +1,23 @@
 //! The bytes of the format page, written by hand, and what is refused.
 
 use posebridge_telemetry::{
-    ChannelName, Command, Input, Learning, LinkId, LinkState, Observation, Observed, ParameterName,
-    ParameterStorage, PeerId, PortCounts, RadiansPerSecond, SensorId, SimulatorCommand,
-    SlippingWheel, Span, Stamp, SteeringSource, Switch,
+    ChannelName, Command, Input, Learning, LinkId, LinkState, Observation, Observed, ParameterName, ParameterStorage,
+    PeerId, PortCounts, RadiansPerSecond, SensorId, SimulatorCommand, SlippingWheel, Span, Stamp, SteeringSource,
+    Switch,
 };
 
 use super::*;
 
-const PLACE: Place = Place {
-    sequence: 0,
-    log_time: 0,
-};
+const PLACE: Place = Place { sequence: 0, log_time: 0 };
 
 /// Appends the checksum as the format page describes it, computed bit by bit and not by the library.
 fn sealed(body: &[u8], place: Place) -> Vec<u8> {
     let mut crc = u32::MAX;
-    let prefix = [
-        &place.sequence.to_le_bytes()[..],
-        &place.log_time.to_le_bytes()[..],
-    ]
-    .concat();
+    let prefix = [&place.sequence.to_le_bytes()[..], &place.log_time.to_le_bytes()[..]].concat();
     for byte in prefix.iter().chain(body) {
         crc ^= u32::from(*byte);
         for _ in 0..8 {
-            crc = if crc & 1 == 1 {
-                (crc >> 1) ^ 0xEDB8_8320
-            } else {
-                crc >> 1
-            };
+            crc = if crc & 1 == 1 { (crc >> 1) ^ 0xEDB8_8320 } else { crc >> 1 };
         }
     }
     [body, &(!crc).to_le_bytes()].concat()
@@ -37,10 +26,7 @@ fn sealed(body: &[u8], place: Place) -> Vec<u8> {
 #[test]
 fn a_time_beyond_the_host_clock_is_refused_and_not_turned_negative() {
     let at = |log_time| {
-        let place = Place {
-            sequence: 0,
-            log_time,
-        };
+        let place = Place { sequence: 0, log_time };
         decode(&sealed(&[VERSION, tag::TICK], place), place)
     };
     let last = i64::MAX as u64;
@@ -50,10 +36,7 @@ fn a_time_beyond_the_host_clock_is_refused_and_not_turned_negative() {
 }
 
 fn check(body: &[u8], input: &Input) {
-    let place = Place {
-        sequence: 7,
-        log_time: 1_234_567_890,
-    };
+    let place = Place { sequence: 7, log_time: 1_234_567_890 };
     let bytes = sealed(body, place);
     let mut written = Vec::new();
     encode(input, place, &mut written);
@@ -65,19 +48,11 @@ fn check(body: &[u8], input: &Input) {
 fn the_bytes_are_those_of_the_format_page() {
     check(
         &[4, 0, 0x02, 0x01, 0xFE, 0x09],
-        &Input::Bytes {
-            link: LinkId(0x0102),
-            peer: PeerId(0),
-            bytes: vec![0xFE, 0x09],
-        },
+        &Input::Bytes { link: LinkId(0x0102), peer: PeerId(0), bytes: vec![0xFE, 0x09] },
     );
     check(
         &[4, 5, 0x02, 0x01, 9, 0, 0, 1, 0xFE],
-        &Input::Bytes {
-            link: LinkId(0x0102),
-            peer: PeerId(0x0100_0009),
-            bytes: vec![0xFE],
-        },
+        &Input::Bytes { link: LinkId(0x0102), peer: PeerId(0x0100_0009), bytes: vec![0xFE] },
     );
     let mut counts = vec![4, 6, 7, 0];
     counts.extend_from_slice(&[1, 0, 0, 0, 0, 0, 0, 0]);
@@ -98,13 +73,7 @@ fn the_bytes_are_those_of_the_format_page() {
             },
         },
     );
-    check(
-        &[4, 1, 3, 0, 1],
-        &Input::Link {
-            link: LinkId(3),
-            state: LinkState::Up,
-        },
-    );
+    check(&[4, 1, 3, 0, 1], &Input::Link { link: LinkId(3), state: LinkState::Up });
     check(&[4, 4], &Input::Tick);
 }
 
@@ -113,13 +82,8 @@ fn commands_and_reports_stand_where_the_format_page_says() {
     let command = |body: &[u8], command| check(body, &Input::Command(command));
     command(&[4, 7, 0], Command::ResetPose);
     command(
-        &[
-            4, 7, 1, 0, 0, 0, 0, 0, 0, 0xE0, 0xBF, b's', b'l', b'i', b'p',
-        ],
-        Command::SetParameter {
-            name: ParameterName::from_bytes(b"slip"),
-            value: -0.5,
-        },
+        &[4, 7, 1, 0, 0, 0, 0, 0, 0, 0xE0, 0xBF, b's', b'l', b'i', b'p'],
+        Command::SetParameter { name: ParameterName::from_bytes(b"slip"), value: -0.5 },
     );
     command(&[4, 7, 2], Command::Parameters(ParameterStorage::Save));
     command(&[4, 7, 3], Command::Parameters(ParameterStorage::Reload));
@@ -133,13 +97,7 @@ fn commands_and_reports_stand_where_the_format_page_says() {
     }
     command(&[4, 7, 10], Command::StartRecording);
     command(&[4, 7, 11], Command::StopRecording);
-    check(
-        &[4, 8, 4, b'f', 0xC3, 0xBC],
-        &Input::Report {
-            severity: 4,
-            text: "f\u{fc}".to_owned(),
-        },
-    );
+    check(&[4, 8, 4, b'f', 0xC3, 0xBC], &Input::Report { severity: 4, text: "f\u{fc}".to_owned() });
 }
 
 #[test]
@@ -152,49 +110,26 @@ fn commands_for_the_simulated_brick_stand_where_the_format_page_says() {
     let duration = Span::from_millis(1_000);
     command(
         &of(0, &[&half, &minus_half, &[0; 8]]),
-        SimulatorCommand::Kidnap {
-            forward_m: 0.5,
-            left_m: -0.5,
-            turn_rad: 0.0,
-        },
+        SimulatorCommand::Kidnap { forward_m: 0.5, left_m: -0.5, turn_rad: 0.0 },
     );
     for (place, wheel) in SlippingWheel::ALL.into_iter().enumerate() {
-        command(
-            &of(1, &[&half, &second, &[place as u8]]),
-            SimulatorCommand::Slip {
-                wheel,
-                factor: 0.5,
-                duration,
-            },
-        );
+        command(&of(1, &[&half, &second, &[place as u8]]), SimulatorCommand::Slip { wheel, factor: 0.5, duration });
     }
     command(&[4, 9, 2], SimulatorCommand::Camera(Switch::Off));
     command(&[4, 9, 3], SimulatorCommand::Camera(Switch::On));
     let delay = duration;
     command(&of(4, &[&second]), SimulatorCommand::CameraDelay { delay });
     let rad_per_s = -0.5;
-    command(
-        &of(5, &[&minus_half]),
-        SimulatorCommand::GyroBiasStep { rad_per_s },
-    );
+    command(&of(5, &[&minus_half]), SimulatorCommand::GyroBiasStep { rad_per_s });
     let profile = ChannelName::from_bytes(b"usb");
-    command(
-        &of(6, &[b"usb"]),
-        SimulatorCommand::LinkProfile(Some(profile)),
-    );
+    command(&of(6, &[b"usb"]), SimulatorCommand::LinkProfile(Some(profile)));
     command(&[4, 9, 7], SimulatorCommand::LinkProfile(None));
     command(&of(8, &[&second]), SimulatorCommand::PullCable { duration });
     let odometry = SteeringSource::Odometry;
     command(&[4, 9, 9, 0], SimulatorCommand::Steering(odometry));
     let estimate = SteeringSource::Estimate;
     command(&[4, 9, 9, 1], SimulatorCommand::Steering(estimate));
-    command(
-        &of(10, &[&half, &minus_half]),
-        SimulatorCommand::Drive {
-            forward_m_per_s: 0.5,
-            turn_rad_per_s: -0.5,
-        },
-    );
+    command(&of(10, &[&half, &minus_half]), SimulatorCommand::Drive { forward_m_per_s: 0.5, turn_rad_per_s: -0.5 });
     command(&[4, 9, 11], SimulatorCommand::Path);
 }
 
@@ -224,28 +159,12 @@ fn what_the_layout_does_not_have_is_named() {
     check(&[9, 4], DecodeError::Version(9));
     check(&[1, 4, 0, 0], DecodeError::TooLong(2));
     check(&[1, 0, 5], DecodeError::TooShort { wanted: 2, left: 1 });
-    check(
-        &[4, 10],
-        DecodeError::Unknown {
-            field: "input tag",
-            value: 10,
-        },
-    );
-    check(
-        &[4, 7, 12],
-        DecodeError::Unknown {
-            field: "command",
-            value: 12,
-        },
-    );
+    check(&[4, 10], DecodeError::Unknown { field: "input tag", value: 10 });
+    check(&[4, 7, 12], DecodeError::Unknown { field: "command", value: 12 });
     for (body, field, value) in [
         (&[4, 9, 12][..], "command for the simulated brick", 12),
         (&[4, 9, 9, 2], "steering source", 2),
-        (
-            &[&[4, 9, 1][..], &[0; 16], &[3]].concat(),
-            "slipping wheel",
-            3,
-        ),
+        (&[&[4, 9, 1][..], &[0; 16], &[3]].concat(), "slipping wheel", 3),
     ] {
         check(body, DecodeError::Unknown { field, value });
     }
@@ -253,17 +172,8 @@ fn what_the_layout_does_not_have_is_named() {
     check(&[4, 8, 6, 0xFF], DecodeError::Text("a report"));
     let name = |name: &[u8]| [&[4, 7, 1][..], &[0; 8], name].concat();
     check(&name(b"a b"), DecodeError::Text("a parameter's name"));
-    check(
-        &name(b"seventeen_letters"),
-        DecodeError::Text("a parameter's name"),
-    );
-    check(
-        &[1, 1, 0, 0, 2],
-        DecodeError::Unknown {
-            field: "link state",
-            value: 2,
-        },
-    );
+    check(&name(b"seventeen_letters"), DecodeError::Text("a parameter's name"));
+    check(&[1, 1, 0, 0, 2], DecodeError::Unknown { field: "link state", value: 2 });
     let set_pose = [&[1, 3][..], &[0; 16], &4.0_f64.to_le_bytes(), &[0; 16]].concat();
     check(&set_pose, DecodeError::Heading(4.0));
 }
@@ -278,12 +188,6 @@ fn the_layouts_before_this_one_are_still_read() {
 #[test]
 fn a_message_at_another_place_is_damage() {
     let bytes = sealed(&[1, 4], PLACE);
-    let elsewhere = Place {
-        sequence: 1,
-        log_time: 0,
-    };
-    assert!(matches!(
-        decode(&bytes, elsewhere),
-        Err(DecodeError::Checksum { .. })
-    ));
+    let elsewhere = Place { sequence: 1, log_time: 0 };
+    assert!(matches!(decode(&bytes, elsewhere), Err(DecodeError::Checksum { .. })));
 }

@@ -62,9 +62,7 @@ impl Step {
     pub(super) fn in_order(self) -> Result<(), Fault> {
         match self {
             Self::Same => Ok(()),
-            Self::First | Self::Forward { .. } | Self::Back { .. } | Self::Leap { .. } => {
-                self.interval_s().map(|_| ())
-            }
+            Self::First | Self::Forward { .. } | Self::Back { .. } | Self::Leap { .. } => self.interval_s().map(|_| ()),
         }
     }
 }
@@ -79,11 +77,7 @@ pub(super) struct Clock {
 
 impl Clock {
     pub(super) fn new(max_gap_nanos: Option<i64>) -> Self {
-        Self {
-            last: None,
-            doubted: None,
-            max_gap_nanos,
-        }
+        Self { last: None, doubted: None, max_gap_nanos }
     }
 
     /// How this stamp follows the last good one. A leap that the next row confirms is a real gap and no leap.
@@ -93,9 +87,7 @@ impl Clock {
         };
         let forward = nanos.saturating_sub(last);
         if forward < 0 {
-            return Step::Back {
-                nanos: forward.saturating_neg(),
-            };
+            return Step::Back { nanos: forward.saturating_neg() };
         }
         if forward == 0 {
             return Step::Same;
@@ -109,9 +101,7 @@ impl Clock {
                 return Step::Leap { nanos: forward };
             }
         }
-        Step::Forward {
-            interval_s: forward as f64 * 1e-9,
-        }
+        Step::Forward { interval_s: forward as f64 * 1e-9 }
     }
 
     /// Takes this stamp as the last good one.

@@ -64,18 +64,11 @@ pub(in super::super) fn body_velocity(
 pub(in super::super) fn gyro(stream: &Gyro, table: &Table) -> Result<Reader<Observed>, LoadError> {
     let rate = table.bind(&stream.turn_rate)?;
     let reader = rows(move |row| Ok(Observed::TurnRate(RadiansPerSecond(rate.read(row)?))));
-    Ok(if stream.only_changes {
-        only_changes(reader)
-    } else {
-        reader
-    })
+    Ok(if stream.only_changes { only_changes(reader) } else { reader })
 }
 
 /// Binds the columns of an `[[accelerometers]]` stream.
-pub(in super::super) fn accelerometers(
-    stream: &Accelerometers,
-    table: &Table,
-) -> Result<Reader<Observed>, LoadError> {
+pub(in super::super) fn accelerometers(stream: &Accelerometers, table: &Table) -> Result<Reader<Observed>, LoadError> {
     let (left, right) = (table.bind(&stream.left)?, table.bind(&stream.right)?);
     Ok(rows(move |row| {
         Ok(Observed::WheelAccelerations {
@@ -86,44 +79,23 @@ pub(in super::super) fn accelerometers(
 }
 
 /// Binds the column of a `[[wall_range]]` stream.
-pub(in super::super) fn wall_range(
-    stream: &WallRange,
-    table: &Table,
-) -> Result<Reader<Observed>, LoadError> {
+pub(in super::super) fn wall_range(stream: &WallRange, table: &Table) -> Result<Reader<Observed>, LoadError> {
     let range = table.bind(&stream.range)?;
     let limits = Limits::new(stream.min_m.map(|m| m.0), stream.max_m.map(|m| m.0));
     let reader = rows(move |row| Ok(Observed::WallRange(limits.check(range.read(row)?)?)));
-    Ok(if stream.only_changes {
-        only_changes(reader)
-    } else {
-        reader
-    })
+    Ok(if stream.only_changes { only_changes(reader) } else { reader })
 }
 
 /// Binds the columns of a `[[compass]]` stream.
-pub(in super::super) fn compass(
-    stream: &Compass,
-    table: &Table,
-) -> Result<Reader<Observed>, LoadError> {
+pub(in super::super) fn compass(stream: &Compass, table: &Table) -> Result<Reader<Observed>, LoadError> {
     let heading = table.bind_heading(&stream.heading)?;
     let reader = rows(move |row| Ok(Observed::CompassHeading(heading.read(row)?)));
-    Ok(if stream.only_changes {
-        only_changes(reader)
-    } else {
-        reader
-    })
+    Ok(if stream.only_changes { only_changes(reader) } else { reader })
 }
 
 /// Binds the column of a `[[temperature]]` stream.
-pub(in super::super) fn temperature(
-    stream: &Thermometer,
-    table: &Table,
-) -> Result<Reader<Observed>, LoadError> {
+pub(in super::super) fn temperature(stream: &Thermometer, table: &Table) -> Result<Reader<Observed>, LoadError> {
     let temperature = table.bind(&stream.temperature)?;
     let reader = rows(move |row| Ok(Observed::Temperature(Celsius(temperature.read(row)?))));
-    Ok(if stream.only_changes {
-        only_changes(reader)
-    } else {
-        reader
-    })
+    Ok(if stream.only_changes { only_changes(reader) } else { reader })
 }

@@ -17,11 +17,7 @@ enum Place {
     /// In the arena.
     Plane { x: Bound<Length>, y: Bound<Length> },
     /// On the earth.
-    Earth {
-        latitude: Bound<Angle>,
-        longitude: Bound<Angle>,
-        plane: LocalPlane,
-    },
+    Earth { latitude: Bound<Angle>, longitude: Bound<Angle>, plane: LocalPlane },
 }
 
 impl Place {
@@ -29,11 +25,7 @@ impl Place {
     fn read(&self, row: &Row<'_>) -> Result<(f64, f64), Fault> {
         match self {
             Self::Plane { x, y } => Ok((x.read(row)?, y.read(row)?)),
-            Self::Earth {
-                latitude,
-                longitude,
-                plane,
-            } => plane.place(latitude.read(row)?, longitude.read(row)?),
+            Self::Earth { latitude, longitude, plane } => plane.place(latitude.read(row)?, longitude.read(row)?),
         }
     }
 }
@@ -47,11 +39,7 @@ struct Points {
 
 impl Points {
     fn new(place: Place, max_speed_m_per_s: Option<Number>) -> Self {
-        Self {
-            place,
-            max_speed_m_per_s: max_speed_m_per_s.map(|limit| limit.0),
-            last: None,
-        }
+        Self { place, max_speed_m_per_s: max_speed_m_per_s.map(|limit| limit.0), last: None }
     }
 
     fn bind(
@@ -65,9 +53,7 @@ impl Points {
 
     fn read<S>(&mut self, row: &Row<'_>, interval_s: Option<f64>) -> Result<Point2<S>, Fault> {
         let (x_m, y_m) = self.place.read(row)?;
-        if let (Some(last), Some(interval_s), Some(limit)) =
-            (self.last, interval_s, self.max_speed_m_per_s)
-        {
+        if let (Some(last), Some(interval_s), Some(limit)) = (self.last, interval_s, self.max_speed_m_per_s) {
             let speed = (x_m - last.0).hypot(y_m - last.1) / interval_s;
             if speed > limit {
                 let detail = format!("{speed:.2} m/s, the limit is {limit}");
@@ -113,9 +99,7 @@ impl Claims {
             xx_m2,
             xy_m2: 0.0,
             yy_m2,
-            heading_rad2: self
-                .heading_sigma_rad
-                .map_or(f64::INFINITY, |sigma| sigma * sigma),
+            heading_rad2: self.heading_sigma_rad.map_or(f64::INFINITY, |sigma| sigma * sigma),
         }))
     }
 }
@@ -126,27 +110,18 @@ fn place_of(stream: &Fixes, table: &Table) -> Result<Option<Place>, LoadError> {
         let (x, y) = (table.bind(x)?, table.bind(y)?);
         return Ok(Some(Place::Plane { x, y }));
     }
-    let (Some(latitude), Some(longitude), Some(origin)) =
-        (&stream.latitude, &stream.longitude, stream.origin)
-    else {
+    let (Some(latitude), Some(longitude), Some(origin)) = (&stream.latitude, &stream.longitude, stream.origin) else {
         return Ok(None);
     };
     Ok(Some(Place::Earth {
         latitude: table.bind(latitude)?,
         longitude: table.bind(longitude)?,
-        plane: LocalPlane::at(
-            origin.latitude_deg.0.to_radians(),
-            origin.longitude_deg.0.to_radians(),
-        ),
+        plane: LocalPlane::at(origin.latitude_deg.0.to_radians(), origin.longitude_deg.0.to_radians()),
     }))
 }
 
 /// Binds the columns of a `[[fixes]]` stream; `tag` is where the observed point sits on the body.
-pub(in super::super) fn fixes(
-    stream: &Fixes,
-    tag: TagPlace,
-    table: &Table,
-) -> Result<Reader<Fix>, LoadError> {
+pub(in super::super) fn fixes(stream: &Fixes, tag: TagPlace, table: &Table) -> Result<Reader<Fix>, LoadError> {
     let Some(place) = place_of(stream, table)? else {
         return Ok(Box::new(|_, _| Ok(None)));
     };
@@ -168,13 +143,7 @@ pub(in super::super) fn fixes(
             None => None,
         };
         let covariance = claims.read(row)?;
-        Ok(Some(Fix {
-            position: points.read(row, interval_s)?,
-            heading,
-            covariance,
-            tag_in_body,
-            reset_counter: 0,
-        }))
+        Ok(Some(Fix { position: points.read(row, interval_s)?, heading, covariance, tag_in_body, reset_counter: 0 }))
     }))
 }
 
@@ -182,10 +151,7 @@ pub(in super::super) fn fixes(
 type TruePose = (Point2<Arena>, Option<Heading>);
 
 /// Binds the columns of a `[[truth]]` stream.
-pub(in super::super) fn truth(
-    stream: &Truth,
-    table: &Table,
-) -> Result<Reader<TruePose>, LoadError> {
+pub(in super::super) fn truth(stream: &Truth, table: &Table) -> Result<Reader<TruePose>, LoadError> {
     let mut points = Points::bind(table, (&stream.x, &stream.y), stream.max_speed_m_per_s)?;
     let heading = match &stream.heading {
         Some(columns) => Some(table.bind_heading(columns)?),
@@ -202,10 +168,7 @@ pub(in super::super) fn truth(
 }
 
 /// Binds the columns of an `[[odometer]]` stream: poses, or distances and turns to add up.
-pub(in super::super) fn odometer(
-    stream: &Odometer,
-    table: &Table,
-) -> Result<Reader<Observed>, LoadError> {
+pub(in super::super) fn odometer(stream: &Odometer, table: &Table) -> Result<Reader<Observed>, LoadError> {
     if let (Some(x), Some(y), Some(heading)) = (&stream.x, &stream.y, &stream.heading) {
         let mut points = Points::bind(table, (x, y), stream.max_speed_m_per_s)?;
         let heading = table.bind_heading(heading)?;
@@ -226,9 +189,7 @@ fn increments(stream: &Odometer, table: &Table) -> Result<Reader<Observed>, Load
     let limit = stream.max_speed_m_per_s.map(|limit| limit.0);
     let mut pose = Pose::<Odom>::default();
     Ok(Box::new(move |row, step| {
-        let distance_m = distance
-            .as_ref()
-            .map_or(Ok(0.0), |column| column.read(row))?;
+        let distance_m = distance.as_ref().map_or(Ok(0.0), |column| column.read(row))?;
         let turn_rad = turn.as_ref().map_or(Ok(0.0), |column| column.read(row))?;
         // The first increments belong to an interval before the recording.
         if step != Step::First {

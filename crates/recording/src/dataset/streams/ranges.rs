@@ -32,8 +32,7 @@ impl Names {
             None => Some(raw),
             Some(ids) => ids.get(&raw).copied(),
         };
-        id.filter(|id| self.known.contains(id))
-            .ok_or_else(|| Fault::new(Reason::UnknownId, raw.to_string()))
+        id.filter(|id| self.known.contains(id)).ok_or_else(|| Fault::new(Reason::UnknownId, raw.to_string()))
     }
 }
 
@@ -46,20 +45,14 @@ pub(super) struct Limits {
 
 impl Limits {
     pub(super) fn new(min_m: Option<f64>, max_m: Option<f64>) -> Self {
-        Self {
-            min_m: min_m.unwrap_or(f64::NEG_INFINITY),
-            max_m: max_m.unwrap_or(f64::INFINITY),
-        }
+        Self { min_m: min_m.unwrap_or(f64::NEG_INFINITY), max_m: max_m.unwrap_or(f64::INFINITY) }
     }
 
     pub(super) fn check(self, range_m: f64) -> Result<Meters, Fault> {
         if range_m >= self.min_m && range_m <= self.max_m {
             return Ok(Meters(range_m));
         }
-        let detail = format!(
-            "{range_m} m, the limits are {} to {}",
-            self.min_m, self.max_m
-        );
+        let detail = format!("{range_m} m, the limits are {} to {}", self.min_m, self.max_m);
         Err(Fault::new(Reason::OutOfRange, detail))
     }
 }

@@ -71,10 +71,7 @@ impl WheelPair {
             if let Some(interval_s) = step.interval_s()? {
                 self.check_speed(interval_s)?;
             }
-            self.total = [
-                self.total[0] + self.pending[0],
-                self.total[1] + self.pending[1],
-            ];
+            self.total = [self.total[0] + self.pending[0], self.total[1] + self.pending[1]];
             self.pending = [0.0; 2];
         }
         Ok(Observed::WheelAngles {
